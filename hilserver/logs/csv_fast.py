@@ -1,16 +1,20 @@
 """Clean CSV parsed in C; whatever is not clean is left to the strict reader, which says why."""
 
 import warnings
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.logs.csv_dialects import COMMA, separator_of
+
 _NEWLINE, _COMMA = 10, 44
 _LONGEST_LINE = 10_000
+_PIECE = 1 << 24
 _CLEAN = b"0123456789+-.eE,\nnaNifIF"
 
 
-def parse_clean(data: bytes) -> tuple[list[str], NDArray[np.float64]] | None:
+def parse_clean(data: bytes) -> tuple[list[str], NDArray[np.float64], str] | None:
     """Return header and numbers of a CSV file, or None where only the strict reader may judge.
 
     Parameters
@@ -20,23 +24,46 @@ def parse_clean(data: bytes) -> tuple[list[str], NDArray[np.float64]] | None:
 
     Returns
     -------
-    tuple of list of str and ndarray of float64, shape (n_rows, n_columns), or None
+    tuple of list of str, ndarray of float64, shape (n_rows, n_columns), and str, or None
         Empty fields are NaN. Row i stands in line i + 2 of the file. The numbers are the same bits
-        that `float` makes.
+        that `float` makes. The last is what separates columns if numbers have decimal commas.
     """
-    head, newline, body = data.replace(b"\r\n", b"\n").partition(b"\n")
-    if not newline or not body.endswith(b"\n") or b'"' in head or body.translate(None, _CLEAN):
+    begin = data.find(b"\n") + 1
+    head = data[:begin].rstrip(b"\r\n")
+    if not begin or not data.endswith(b"\n") or b'"' in head:
         return None
     try:
-        header = head.decode("utf-8-sig").split(",")
+        first = head.decode("utf-8-sig")
     except UnicodeDecodeError:
         return None
-    if not _is_regular(body, len(header)):
+    separator = separator_of(first)
+    header = first.split(separator)
+    has_comma, has_point = (data.find(mark, begin) >= 0 for mark in (b",", b"."))
+    decimal = separator if separator != COMMA and has_comma else ""
+    if decimal and has_point:
         return None
-    numbers = _numbers(body)
-    if numbers is None or len(numbers) % len(header):
+    found: list[NDArray[np.float64]] = []
+    for piece in _pieces(data, begin):
+        body = piece.replace(b"\r\n", b"\n")
+        if separator != COMMA:
+            body = body.translate(bytes.maketrans(f",{separator}".encode(), b".,"))
+        if body.translate(None, _CLEAN) or not _is_regular(body, len(header)):
+            return None
+        numbers = _numbers(body)
+        if numbers is None or len(numbers) % len(header):
+            return None
+        found.append(numbers)
+    if not found:
         return None
-    return header, numbers.reshape(-1, len(header))
+    return header, np.concatenate(found).reshape(-1, len(header)), decimal
+
+
+def _pieces(data: bytes, begin: int) -> Iterator[bytes]:
+    """Yield whole lines, not much at a time: what a parser needs beside them stays small."""
+    while begin < len(data):
+        end = data.rfind(b"\n", begin, begin + _PIECE) + 1 or data.find(b"\n", begin) + 1
+        yield data[begin:end]
+        begin = end
 
 
 def _is_regular(body: bytes, n_columns: int) -> bool:

@@ -3,7 +3,7 @@
 import csv
 import math
 from array import array
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TextIO, cast
 
@@ -11,6 +11,14 @@ import numpy as np
 
 from hilserver.errors import LogError, meant
 from hilserver.logs import changes as sparse
+from hilserver.logs.csv_dialects import (
+    COMMA,
+    decimal_notice,
+    separator_of,
+    utc_ns,
+    with_points,
+    with_stamps,
+)
 from hilserver.logs.csv_fast import parse_clean
 from hilserver.logs.csv_writer import changes_path, meta_path
 from hilserver.logs.log import Change, Log, State
@@ -61,6 +69,7 @@ def read_table(
     ours: bool = False,
     time: str | None = TIME,
     used: Container[str] | None = None,
+    dated: bool = False,
 ) -> Table:
     """Read the numbers of a CSV file.
 
@@ -74,49 +83,82 @@ def read_table(
         A column it must have.
     used : container of str, optional
         Columns to read; whatever stands in the others does not matter. None: all with a name.
+    dated : bool
+        The column of times holds dates; they are read as nanoseconds.
 
     Raises
     ------
     LogError
         One sentence that names file, row, column and remedy.
     """
-    clean = parse_clean(path.read_bytes())
+    clean = None if dated else parse_clean(path.read_bytes())
     if clean is not None:
-        header, numbers = clean
+        header, numbers, decimal = clean
         table = _begin(path, header, names, time, used)
+        table.notices += [decimal_notice(path, decimal)] if decimal else []
         table.numbers = np.ascontiguousarray(numbers[:, table.read]).reshape(-1)
         table.lines = range(2, len(numbers) + 2)
         if time is None or not np.abs(table.column(time)[:1]).max(initial=0.0) >= EXACT:
             return table
-    csv.field_size_limit(MAX_FIELD_CHARACTERS)
     with path.open(encoding="utf-8-sig", newline="") as file:
         try:
-            lines = _Lines(file)
-            reader = csv.reader(lines, strict=True)
-            table = _begin(path, next(reader, None), names, time, used)
-            return _parse(table, reader, lines, time, drop_unended=ours)
+            return _read_strictly(path, file, names, ours=ours, time=time, used=used, dated=dated)
         except UnicodeDecodeError as error:
-            raise LogError(_undecodable(path, error)) from None
+            raise _undecodable(path, error) from None
         except csv.Error as error:
             raise LogError(f"{path}: is not CSV: {error}; write UTF-8 text with commas") from None
 
 
-def _undecodable(path: Path, error: UnicodeDecodeError) -> str:
+def _read_strictly(
+    path: Path,
+    file: TextIO,
+    names: "_Names | None",
+    *,
+    ours: bool,
+    time: str | None,
+    used: Container[str] | None,
+    dated: bool,
+) -> Table:
+    csv.field_size_limit(MAX_FIELD_CHARACTERS)
+    separator = separator_of(file.readline(MAX_FIELD_CHARACTERS))
+    file.seek(0)
+    lines = _Lines(file)
+    reader = csv.reader(lines, delimiter=separator, strict=True)
+    table = _begin(path, next(reader, None), names, time, used)
+    rows = _plain(table, reader, separator, time if dated else None)
+    return _parse(table, reader, rows, lines, time, drop_unended=ours)
+
+
+def _undecodable(path: Path, error: UnicodeDecodeError) -> LogError:
     data = path.read_bytes()
     try:
         data.decode("utf-8")
     except UnicodeDecodeError as again:
         error = again
     row = data.count(b"\n", 0, error.start) + 1
-    return f"{path}: row {row}: byte {error.start} is not UTF-8; save the file as UTF-8"
+    return LogError(f"{path}: row {row}: byte {error.start} is not UTF-8; save the file as UTF-8")
+
+
+def _plain(table: Table, reader: Any, separator: str, dates: str | None) -> Iterable[list[str]]:
+    """Return the rows with decimal points, and with numbers in the column `dates`."""
+    rows: Iterable[list[str]] = reader
+    if separator != COMMA:
+        rows = with_points(table, reader, separator, dates)
+    return rows if dates is None else with_stamps(table, reader, rows, dates)
 
 
 def _parse(
-    table: Table, reader: Any, lines: "_Lines", time: str | None, *, drop_unended: bool
+    table: Table,
+    reader: Any,
+    rows: Iterable[list[str]],
+    lines: "_Lines",
+    time: str | None,
+    *,
+    drop_unended: bool,
 ) -> Table:
     width, at = len(table.header), -1 if time is None else table.names.index(time)
     held: tuple[int, list[str]] | None = None
-    for row in reader:
+    for row in rows:
         if held is not None:
             _append(table, *held, at)
         held = (reader.line_num, row) if any(map(str.strip, row)) else None
@@ -156,12 +198,6 @@ def _begin(
     if header is None:
         raise LogError(f"{path}: is empty; the first row has to be the header 't_s,<signal>,...'")
     header = [name.strip() for name in header]
-    for separator, name in ((";", "';'"), ("\t", "tabs")):
-        if len(header) == 1 and separator in header[0]:
-            raise LogError(
-                f"{path}: row 1: columns are separated by {name}; separate them by commas, and"
-                f" write decimal points, as tr ',{separator}' '.,' does"
-            )
     if all(_is_number(name or "0") for name in header):
         raise LogError(
             f"{path}: row 1 is no header but numbers; put 't_s,<signal>,...' into the first row"
@@ -226,9 +262,10 @@ def _number(table: Table, line: int, index: int, text: str) -> float:
         return float(text)
     except ValueError:
         where = place_of(table.path, line, table.header, table.header[index])
-        raise LogError(
-            f"{where}: {text!r:.60} is no number; write one with a decimal point, or nothing"
-        ) from None
+        remedy = "write one with a decimal point, or nothing"
+        if utc_ns(text) is not None:
+            remedy = "a mapping reads dates, as time: {unit: iso}"
+        raise LogError(f"{where}: {text!r:.60} is no number; {remedy}") from None
 
 
 def _read_meta(path: Path) -> tuple[dict[str, Any] | None, list[State]]:

@@ -14,7 +14,8 @@ from hilserver.errors import ConfigError, LogError, meant
 from hilserver.logs.reading import refuse_others
 from hilserver.measured.names import conversion, known_signals, units_of
 
-PER_SECOND = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+DATED = "iso"
+PER_SECOND = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, DATED: 1e-9}
 ANY_NUMBER = "1"  # unit of a bare number, which `scale` turns into the signal's unit
 
 
@@ -22,7 +23,9 @@ class TimeMap(Section):
     """Where the stamps are."""
 
     column: str | None = Field(None, description="time column of a table; default t_s")
-    unit: Literal["s", "ms", "us", "ns"] = Field("s", description="its unit")
+    unit: Literal["s", "ms", "us", "ns", "iso"] = Field(
+        "s", description="its unit; iso: dates, as 2026-11-25T12:00:00.020"
+    )
     rate_hz: float | None = Field(
         None, gt=0, le=1e6, description="no stamps: rows at this rate; delays are not judged"
     )

@@ -6,7 +6,9 @@ from itertools import pairwise
 from typing import Final
 
 from hilserver.errors import LogError
+from hilserver.logs.csv_dialects import utc_ns
 from hilserver.measured.channels import GYRO, NAV_X, NAV_Y, VOLTAGE, YAW
+from hilserver.measured.mapping import DATED
 from hilserver.measured.names import conversion, known_signals
 
 FILE: Final = "mapping.yaml"
@@ -75,6 +77,7 @@ def propose(header: Sequence[str], row: Sequence[str] = ()) -> str:
             first = dict(zip(header, row, strict=False)).get(name, "").strip()
             unit = _TIME_DIGITS.get(len(first) if first.isdecimal() else 0, "s")
             unit = next((u for word, u in _TIME_UNITS.items() if word in words), unit)
+            unit = DATED if _is_date(first) else unit
             time = f"time: {{column: {_quoted(name)}, unit: {unit}}}"
             continue
         for signal in _signals(words, _unit(name, "wheel.fl.speed_rpm")):
@@ -93,6 +96,10 @@ def propose(header: Sequence[str], row: Sequence[str] = ()) -> str:
         *(channels[signal] for signal in sorted(channels)),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _is_date(text: str) -> bool:
+    return not text.isdecimal() and utc_ns(text) is not None
 
 
 def _line(signal: str, name: str, words: set[str]) -> str:

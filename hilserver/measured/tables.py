@@ -10,10 +10,11 @@ import yaml
 from hilserver.arrays import Array, Indices
 from hilserver.errors import LogError, meant, nearest
 from hilserver.logs import Log, read_log
+from hilserver.logs.csv_dialects import separator_of
 from hilserver.logs.csv_reader import read_table
 from hilserver.logs.table import BLOCK, SEGMENT, TIME, Table, in_time
 from hilserver.measured.frames import Sampling, frames_of, is_of_the_daemon, own_sampling
-from hilserver.measured.mapping import PER_SECOND, LogMapping
+from hilserver.measured.mapping import DATED, PER_SECOND, LogMapping
 from hilserver.measured.names import known_columns
 from hilserver.measured.parquet import read_parquet
 from hilserver.measured.proposal import ForeignTable
@@ -72,14 +73,15 @@ def refuse_foreign(path: Path) -> None:
         with path.open("rb") as file:
             rows = file.readline(1 << 20), file.readline(1 << 20)
         try:
-            texts = [row.decode("utf-8-sig").strip().split(",") for row in rows]
+            texts = [row.decode("utf-8-sig").rstrip("\r\n") for row in rows]
         except UnicodeDecodeError:
             return  # the reader says what it is
-        header, first = ([text.strip().strip('"') for text in row] for row in texts)
+        separator = separator_of(texts[0])
+        header, first = (
+            [text.strip().strip('"') for text in row.split(separator)] for row in texts
+        )
     else:
         return
-    if len(header) == 1 and not {";", "\t"}.isdisjoint(header[0]):
-        return  # the reader says so
     is_misspelt = any("." in name and nearest(name, known_columns()) for name in header)
     if not is_misspelt and {*known_columns(), BLOCK, SEGMENT}.isdisjoint(header):
         foreign = ForeignTable(path, header, first)
@@ -144,7 +146,17 @@ def read_mapped(path: Path, mapping: LogMapping) -> Recording:
     used = {str(channel.column) for channel in mapping.channels.values()}
     used |= {segment, block, *([] if time is None else [time])}
     is_parquet = path.suffix == ".parquet"
-    table = read_parquet(path, used) if is_parquet else read_table(path, time=time, used=used)
+    dated = mapping.time.unit == DATED and time is not None
+    if is_parquet and dated:
+        raise LogError(
+            f"{path}: Parquet has numbers or time stamps, no dates; write their unit, as"
+            " time: {unit: us}"
+        )
+    table = (
+        read_parquet(path, used)
+        if is_parquet
+        else read_table(path, time=time, used=used, dated=dated)
+    )
     for key, column, is_named in (
         ("time", str(time), time is not None),
         (SEGMENT, segment, mapping.segment is not None),

@@ -91,7 +91,6 @@ def test_others_may_leave_out_samples_and_the_last_line_end(tmp_path):
         (b"", "is empty; the first row has to be the header"),
         (b"0.0,1.0\n0.1,2.0\n", "row 1 is no header but numbers; put 't_s"),
         (b"time,a\n0,1\n", "row 1: there is no column 't_s'; name the time column so"),
-        (b"t_s;a\n0;1\n", "row 1: columns are separated by ';'; separate them by commas"),
         (b"t_s,wheel.fl.setpoint\n0,1\n", "row 1, column 2 'wheel.fl.setpoint': there is no such"),
         (b"t_s,wheel.fl.setpoint\n0,1\n", "did you mean 'wheel.fl.setpoint_rpm'?"),
         (b"t_s,a,a\n0,1,2\n", "row 1, column 3 'a': the column stands there twice"),

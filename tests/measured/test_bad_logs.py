@@ -132,17 +132,16 @@ KINDS = {
         None,
         "column 3 .* stands there twice; remove",
     ),
-    "semicolons": (
-        csv(header=f"t_s;{SPEED}", row="{t};{i}"),
-        None,
-        "row 1: columns are separated by ';'",
-    ),
-    "semicolons, as a mapping would guess": (
+    "semicolons of others": (
         csv(header="Zeit;links;rechts;theta", row="0,1;0,2;0,3;0,4"),
         None,
-        r"row 1: columns are separated by ';'; .* as tr ',;' '\.,' does",
+        "row 1: none of the columns 'Zeit', 'links', 'rechts', 'theta' is a signal",
     ),
-    "tabs": (csv(header=f"t_s\t{SPEED}", row="{t}\t{i}"), None, "row 1: .* separated by tabs; "),
+    "points and decimal commas": (
+        csv(header=f"t_s;{SPEED}", row="{t};{i},5"),
+        None,
+        f"row 2, column 2 '{SPEED}': '0,5': the file has decimal commas and points; write one",
+    ),
     "decimal commas": (row_of("0,06,3"), None, "row 5 has 3 columns, the header has 2; remove"),
     "device": (lambda _folder: Path("/dev/zero"), None, "is a device or a pipe, not a file; save"),
     "pipe": (pipe, None, "log.csv: is a device or a pipe, not a file; save the log as a file"),

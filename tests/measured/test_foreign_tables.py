@@ -82,6 +82,36 @@ def test_a_long_stamp_that_falls_is_named_as_it_stands(tmp_path):
         measured(tmp_path, text, "time: {column: stamp, unit: ns}\n" + LEFT)
 
 
+@pytest.mark.parametrize(
+    "form",
+    [
+        "2026-11-25T23:59:{:06.3f}",
+        "2026-11-25 23:59:{:09.6f}Z",
+        "2026-11-25T23:59:{:06.3f}+01:00",
+        "2026-11-25 23:59:{:012.9f}",
+    ],
+)
+@pytest.mark.parametrize("comma", [False, True])
+def test_dates_are_stamps(tmp_path, form, comma):
+    dates = [form.format(57 + t) for t in T]
+    dates = [date.replace(".", ",") for date in dates] if comma else dates
+    text = "".join(f"{date};{i},0\n" for i, date in enumerate(dates))
+    mapping = "time: {column: when, unit: iso}\n" + LEFT
+    log = measured(tmp_path, "when;left\n" + text, mapping)
+    assert np.allclose(log[SPEED].t_s, T, rtol=0, atol=1e-6)
+    assert log[SPEED].t_s[0] == 0.0
+
+
+def test_what_is_no_date_is_named_and_a_date_without_mapping_too(tmp_path):
+    mapping = "time: {column: when, unit: iso}\n" + LEFT
+    with pytest.raises(LogError, match="row 3, column 1 'when': 'noon' is no date with a time"):
+        measured(tmp_path, "when,left\n2026-11-25T12:00:00,1\nnoon,2\n", mapping)
+    path = tmp_path / "log.csv"
+    path.write_text(f"t_s,{SPEED}\n2026-11-25T12:00:00,1\n")
+    with pytest.raises(LogError, match=r"row 2, .* a mapping reads dates, as time: \{unit: iso\}"):
+        read_measured([path])
+
+
 def test_rows_that_complete_each_other_are_one_row(tmp_path):
     text = "t_s,left,x\n" + "".join(f"{t},{i},\n{t},,{2 * i}\n" for i, t in enumerate(T))
     log = measured(tmp_path, text, LEFT + "  nav.x_m: {column: x}\n")

@@ -135,3 +135,16 @@ def test_the_proposal_has_a_plant_and_warns_of_what_it_cannot_know():
     assert "made of the wheels' speeds?" in said["nav.x_m"]
     assert not said["nav.yaw_rad"]
     assert not said["time"]
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_dates_in_the_first_row_are_proposed_as_such(tmp_path, separator):
+    rows = [f"2026-11-25 12:00:{0.02 * i:06.3f},{i}" for i in range(120)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["Zeit time,left_rpm", *rows, ""]).replace(",", separator))
+    with pytest.raises(ForeignTable) as refusal:
+        read_measured([path])
+    assert 'time: {column: "Zeit time", unit: iso}' in refusal.value.proposal
+    (tmp_path / "map.yaml").write_text(refusal.value.proposal)
+    log = read_measured([path], tmp_path / "map.yaml")
+    assert log["wheel.fl.speed_rpm"].t_s[-1] == pytest.approx(2.38)

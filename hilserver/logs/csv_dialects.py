@@ -1,0 +1,108 @@
+"""How others write CSV: what separates columns, which mark decimals have, dates.
+
+Where commas separate columns, a number has a point. Where semicolons or tabs do, as in the exports
+of programs in half of Europe, it may have a comma: one kind of mark in all of a file.
+"""
+
+import re
+from collections.abc import Iterable, Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, Final
+
+from hilserver.errors import LogError
+from hilserver.logs.table import Table, place_of
+
+COMMA: Final = ","
+_OTHERS: Final = (";", "\t")
+_NAMES: Final = {";": "semicolons", "\t": "tabs"}
+_QUOTED: Final = re.compile(r'"[^"]*"')
+_BEGIN: Final = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+def separator_of(head: str) -> str:
+    """Return what separates the columns of a file with this first row; a comma goes first."""
+    bare = _QUOTED.sub("", head)
+    found = (mark for mark in _OTHERS if mark in bare and COMMA not in bare)
+    return next(found, COMMA)
+
+
+def decimal_notice(path: Path, separator: str) -> str:
+    """Return what is said of a file whose numbers were read with decimal commas."""
+    return f"{path}: {_NAMES[separator]} separate its columns: commas are decimal marks"
+
+
+def with_points(
+    table: Table, reader: Any, separator: str, dates: str | None
+) -> Iterator[list[str]]:
+    """Yield the rows of a file without separating commas; numbers that are read have points.
+
+    Parameters
+    ----------
+    dates : str or None
+        A column without numbers.
+
+    Raises
+    ------
+    LogError
+        If the file has both marks.
+    """
+    used, places = "", [place for place in table.read if table.header[place] != dates]
+    for row in reader:
+        for place in (place for place in places if place < len(row)):
+            text = row[place]
+            for mark, other in ((COMMA, "."), (".", COMMA)):
+                if mark in text:
+                    if other in text or used == other:
+                        where = place_of(
+                            table.path, reader.line_num, table.header, table.header[place]
+                        )
+                        raise LogError(
+                            f"{where}: {text!r:.60}: the file has decimal commas and points; write"
+                            " one of them, and no marks of thousands"
+                        )
+                    used = mark
+            if text.count(COMMA) == 1:
+                row[place] = text.replace(COMMA, ".")
+        yield row
+    if used == COMMA:
+        table.notices.append(decimal_notice(table.path, separator))
+
+
+def with_stamps(
+    table: Table, reader: Any, rows: Iterable[list[str]], time: str
+) -> Iterator[list[str]]:
+    """Yield the rows with nanoseconds instead of the dates in column `time`.
+
+    Raises
+    ------
+    LogError
+        If there is something else.
+    """
+    place = table.header.index(time)
+    for row in rows:
+        text = row[place] if place < len(row) else ""
+        if text.strip():
+            ns = utc_ns(text)
+            if ns is None:
+                where = place_of(table.path, reader.line_num, table.header, time)
+                raise LogError(
+                    f"{where}: {text!r:.60} is no date with a time; write one, as"
+                    " 2026-11-25T12:00:00.020"
+                )
+            row[place] = str(ns)
+        yield row
+
+
+def utc_ns(text: str) -> int | None:
+    """Return the nanoseconds since 1970 of a date with time (ISO 8601), None if it is none.
+
+    One without a time zone counts as UTC: it is the differences that matter. Digits behind
+    microseconds are dropped.
+    """
+    try:
+        moment = datetime.fromisoformat(text.strip().replace(COMMA, "."))
+    except ValueError:
+        return None
+    aware = moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)
+    return (aware - _BEGIN) // timedelta(microseconds=1) * 1000

@@ -1,0 +1,59 @@
+"""Scenarios and recordings by name: one at a time, and what has ended by itself is over."""
+
+import asyncio
+
+import pytest
+import yaml
+
+from hilserver.config.recording import RecordingConfig
+from hilserver.config.root import Config
+from hilserver.daemon.assembly import assemble_config
+from hilserver.daemon.builder import build
+from hilserver.daemon.desk import Recordings, Scenarios
+from hilserver.errors import ControlRefused
+from hilserver.faults.scenario import Stage
+
+CONFIG = Config.model_validate({"scheduler": {"backend": "virtual"}})
+DRIVES = {"ahead.yaml": ("twist.linear_m_s", 0.1), "turn.yaml": ("twist.angular_rad_s", 0.2)}
+
+
+@pytest.fixture
+async def run(tmp_path):
+    for name, (signal, value) in DRIVES.items():
+        begin = {"at_s": 0, "write": {"control.mode": 1, signal: value}}
+        steps = [begin, {"at_s": 9, "write": {signal: 0.0}}]
+        (tmp_path / name).write_text(yaml.safe_dump({"steps": steps}), encoding="utf-8")
+    async with build(assemble_config(CONFIG, tmp_path)) as core:
+        core.image.control.state = 1
+        stage = Stage(core.table, core.image, core.gate, core.faults, core.parameters, 1_000_000)
+        tick = lambda: core.scheduler.tick  # noqa: E731
+        yield core, Scenarios(tmp_path, stage, core.gate, core.faults, tick, 1e-3)
+
+
+async def test_of_scenarios_started_at_once_one_plays(run):
+    core, scenarios = run
+    answers = await asyncio.gather(*map(scenarios.start, DRIVES), return_exceptions=True)
+    (refused,) = (answer for answer in answers if answer is not None)
+    assert isinstance(refused, ControlRefused)
+    assert "StopScenario ends it" in str(refused)
+    await core.scheduler.advance(100)
+    values = core.image.latest().values
+    driven = {n for n, (signal, _) in DRIVES.items() if values[core.table.slot(signal)]}
+    assert driven == {scenarios.view()["name"]}
+
+
+async def test_a_recording_that_has_ended_by_itself_is_over(run, tmp_path):
+    core, _ = run
+    recordings = Recordings(tmp_path, RecordingConfig(keep_free_mb=1e9), core.image.name)
+    try:
+        for name in ("first.mcap", "second.mcap"):
+            recordings.start(name)
+            assert recordings.view()["name"] == name
+            async with asyncio.timeout(120):
+                while recordings.view() is not None:  # noqa: ASYNC110 - a child ends it
+                    await asyncio.sleep(0.05)
+            assert (tmp_path / name).exists()
+        with pytest.raises(ControlRefused, match="nothing is being recorded"):
+            recordings.stop()
+    finally:
+        await recordings.close()
