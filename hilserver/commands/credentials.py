@@ -2,13 +2,14 @@
 
 from hilserver.commands.options import warn
 from hilserver.daemon.assembly import Assembly
+from hilserver.io.edge.credentials import credentials
 from hilserver.io.opcua_client.security import LinkSecurity
 from hilserver.io.page.listening import key_notice, tls_context
 from hilserver.opcua.server import own_certificate
 
 
 def check_credentials(assembly: Assembly) -> None:
-    """Refuse files that server, peers or page could not use.
+    """Refuse files that server, peers, databus or page could not use.
 
     Raises
     ------
@@ -22,6 +23,9 @@ def check_credentials(assembly: Assembly) -> None:
     for index, peer in enumerate(config.peers):
         with assembly.at("peers", index):
             LinkSecurity(peer, config.opcua, folder)
+    if config.edge.enabled:
+        with assembly.at("edge"):
+            credentials(config.edge, folder)
     if config.page.enabled:
         check_page(assembly)
 

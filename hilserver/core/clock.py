@@ -9,6 +9,8 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_APART_NS, _TOGETHER_NS = 1_000_000_000, 500_000_000
+"""From here on the clocks are said to be apart; below this they are together again."""
 
 
 class UtcClock:
@@ -36,14 +38,30 @@ class UtcClock:
         self._system_utc_ns = utc_ns
         self._slewed_at_ns = monotonic_ns()
         self._offset_ns = utc_ns() - self._slewed_at_ns
+        self._are_apart = False
 
-    def slew(self) -> None:
-        """Move the anchor towards the system clock; called by the supervise slice."""
+    def slew(self) -> str | None:
+        """Move the anchor towards the system clock; called by the supervise slice.
+
+        Returns
+        -------
+        str or None
+            What is to be said: once, when the system clock has stepped away, as it does on a
+            computer that learns the time after its start.
+        """
         now_ns = self._monotonic_ns()
         error_ns = self._system_utc_ns() - now_ns - self._offset_ns
         limit_ns = int((now_ns - self._slewed_at_ns) * self._slew_ppm * 1e-6)
         self._offset_ns += max(-limit_ns, min(limit_ns, error_ns))
         self._slewed_at_ns = now_ns
+        were_apart = self._are_apart
+        self._are_apart = abs(self.error_ns) > (_TOGETHER_NS if were_apart else _APART_NS)
+        if self.simulated or were_apart or not self._are_apart:
+            return None
+        return (
+            f"the system clock has stepped by {self.error_ns / 1e9:+.1f} s; time stamps follow by"
+            f" {self._slew_ppm / 1e3:g} ms a second, a restart takes it over at once"
+        )
 
     @property
     def error_ns(self) -> int:

@@ -152,10 +152,11 @@ class InputGate:
         group = offered + [row for found in rows.values() for row in found]
         if self._counted:
             group += self.stamps(rows, self._time_s(now_ns))
+        speaker = self._speaker
         placed = self._passed_on(source, group) + self._placed(source, group, renews=renews)
         if group and not self._image.push(placed):
             refused |= dict.fromkeys(rows, Refusal.QUEUE_FULL)
-            rows = {}
+            rows, self._speaker = {}, speaker
         if rows:
             self._remember(source, rows.values(), now_ns)
         for name, reason in refused.items():

@@ -245,6 +245,10 @@ class LiveParameters:
         """Parameters that differ from the configuration, with what they have."""
         return {n: v for n, v in self.values.items() if not _same(v, self.configured[n])}
 
+    def hold(self, values: Mapping[str, float]) -> bool:
+        """Return whether all these, by their full names, are in force."""
+        return all(_same(self.values[name], value) for name, value in values.items())
+
     # --- at a time --------------------------------------------------------------------------------
 
     def schedule(

@@ -273,7 +273,8 @@ class Daemon:
         self.outputs.publish(self.control, self.parts)
 
     def _supervise(self, _tick: int, _planned_ns: int) -> None:
-        self.clock.slew()
+        if (news := self.clock.slew()) is not None:
+            self.events.publish(Event(EventKind.STATE, 400, "daemon", news))
         self.supervision.run()
         self.gaps.run()
         self._states.serve()

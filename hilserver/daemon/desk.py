@@ -69,17 +69,21 @@ class Scenarios:
         ConfigError
             If the file has a mistake.
         """
-        if self.view() is not None:
-            raise ControlRefused("a scenario is playing: StopScenario ends it")
+        self._refuse_while_playing()
         path = self._folder / name
         if not path.is_file():
             raise ControlRefused(f"there is no scenario '{name}' in {self._folder}")
         scenario = await asyncio.to_thread(load_scenario, path, LIVE_BYTES)
+        self._refuse_while_playing()  # another one may have begun while the file was read
         self._stage.check(Play(scenario, path))
         start, owner = self._tick() + 1, self._gate.owner
         self._stage.play(scenario, start)
         end = start + round(scenario.length_s / self._period_s)
         self._playing = _Playing(name, start, end, owner)
+
+    def _refuse_while_playing(self) -> None:
+        if self.view() is not None:
+            raise ControlRefused("a scenario is playing: StopScenario ends it")
 
     def stop(self) -> None:
         """End the scenario, its faults and every other; set-points go to zero.
@@ -140,7 +144,8 @@ class Recordings:
         config = self._config.model_copy(update={"file": path.name, "rotate_mb": None})
         try:
             await asyncio.to_thread(self._folder.mkdir, parents=True, exist_ok=True)
-            async with running_recorder(config, self._image, self._folder):
+            async with running_recorder(config, self._image, self._folder) as ended:
+                ended.add_done_callback(lambda _: asked.set())  # a full disk ends it, too
                 await asked.wait()
         except (UserError, OSError) as error:
             _log.error("no recording", file=str(path), reason=str(error))

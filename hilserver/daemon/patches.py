@@ -27,6 +27,7 @@ class Patches:
         self._folder, self._core = folder, core
         self._patch = core.assembly.patch
         self._lock = asyncio.Lock()
+        core.snapshots.restored.append(self._follow)
 
     @property
     def loaded(self) -> str | None:
@@ -90,6 +91,13 @@ class Patches:
             self._patch = patch
             return await parameters.taken(number)
 
+    def _follow(self) -> None:
+        """Forget a patch that is not in the state that was restored."""
+        patch, name = self._patch, self.loaded
+        if patch is not None and not self._core.parameters.hold(self._checked(patch)):
+            self._patch = None
+            self._tell(300, f"the model patch '{name}' is not in the state that was loaded")
+
     def _checked(self, patch: Patch) -> dict[str, float]:
         table, values = self._core.parameters.table, {}
         patch.applied(self._core.assembly.config.plant)
@@ -152,11 +160,16 @@ def _write(path: Path, text: str) -> None:
     if n_files >= MOST_FILES:
         raise ControlRefused(f"there are {n_files} patches in {path.parent}; remove some first")
     try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
+        file = path.open("x", encoding="utf-8")
     except FileExistsError:
         raise ControlRefused(f"'{path.name}' exists; choose another name") from None
     except OSError as error:
+        raise ControlRefused(f"{path}: cannot be written: {error.strerror}") from None
+    try:
+        with file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        path.unlink()  # half a patch is none, and would take the name
         raise ControlRefused(f"{path}: cannot be written: {error.strerror}") from None

@@ -38,9 +38,9 @@ class CsvWriter:
         self._path, self._run, self._slots = path, dict(run), np.asarray(slots, dtype=np.intp)
         self._period_s = int(run["base_period_ns"]) * 1e-9
         self._states: list[State] = []
+        self._file = WholeFile(path)  # before the files beside it: it may be another program's
         self._write_meta()
         changes_path(path).unlink(missing_ok=True)
-        self._file = WholeFile(path)
         names = [run["signals"][slot]["name"] for slot in slots]
         self._file.append((",".join(["t_s", "segment", *names]) + "\n").encode())
 

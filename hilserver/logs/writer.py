@@ -1,5 +1,7 @@
 """What every writer of recordings is, and the file that all of them write to."""
 
+import errno
+import fcntl
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -52,12 +54,22 @@ class WholeFile:
     """A file that only ever ends behind something whole.
 
     What could not be written to its end (disk full) is cut off again, so that a reader never meets
-    half a record, unless the process was killed in the middle of a write.
+    half a record, unless the process was killed in the middle of a write. It is ours alone until it
+    is closed; OSError where another program, or a second recorder, writes it.
     """
 
     def __init__(self, path: Path) -> None:
-        self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o640)
+        self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o640)
         self.size = 0
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self.close()
+            raise OSError(errno.EBUSY, "another program writes it; choose another name") from None
+        except OSError:
+            pass  # a file system without locks
+        if os.fstat(self._fd).st_size:
+            os.ftruncate(self._fd, 0)
 
     def append(self, data: bytes) -> None:
         """Write all of `data` or, with an OSError, none of it."""

@@ -83,4 +83,4 @@ def in_processes(
                 worker.terminate()
             raise
         finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+            pool.shutdown(cancel_futures=True)  # waits: else its thread ends beside the interpreter

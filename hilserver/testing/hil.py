@@ -89,9 +89,11 @@ class Hil:
         while (left := goal - scheduler.ticks_done) > 0:
             self._check_runs()
             if time.monotonic() > limit_s:
-                state = self.daemon.control.state.word
-                raise HilError(f"{n} ticks did not pass in time; the daemon is {state}")
+                raise HilError(self._not_in_time(f"{n} ticks"))
             await asyncio.sleep(min(max(left * self._period_s * 0.9, 0.0002), DRAIN_EVERY_S))
+
+    def _not_in_time(self, what: str) -> str:
+        return f"{what} did not pass in time; the daemon is {self.daemon.control.state.word}"
 
     def _check_runs(self) -> None:
         if self.daemon.scheduler.finished.done():
@@ -188,6 +190,7 @@ class Hil:
         frame = self.daemon.image.latest()
         frames = [] if frame is None else [frame]
         last_tick = self.tick + round(timeout_s / self._period_s)
+        late_s = time.monotonic() + timeout_s * LATE_FACTOR + LATE_S
         value = math.nan
         while True:
             for frame in frames:
@@ -196,6 +199,8 @@ class Hil:
                     return Sample(value, frame.tick, frame.tick * self._period_s)
             if self.tick >= last_tick:
                 raise HilError(f"{signal} did not get there in {timeout_s:g} s; it is {value:g}")
+            if self.mode == "realtime" and time.monotonic() > late_s:
+                raise HilError(self._not_in_time(f"{timeout_s:g} s"))
             frames = await self._next_frames()
 
     async def _next_frames(self) -> list[Frame]:

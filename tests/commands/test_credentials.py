@@ -8,12 +8,15 @@ import pytest
 
 from hilserver.commands import main
 from hilserver.errors import EXIT_BAD_CONFIGURATION
+from tests.fakes import image_name
 
-PAGE = """
-opcua: {enabled: false}
-metrics: {enabled: false}
-page: {port: 0, tls: {certificate: page.pem, key: page.key}}
-"""
+IMAGE = f"image: {{name: {image_name()}}}\n"
+"""Another daemon may run on this computer, as `robot`."""
+PAGE = f"""
+opcua: {{enabled: false}}
+metrics: {{enabled: false}}
+page: {{port: 0, tls: {{certificate: page.pem, key: page.key}}}}
+{IMAGE}"""
 SERVER = """
 metrics: {enabled: false}
 page: {enabled: false}
@@ -99,6 +102,26 @@ def test_check_looks_at_the_files_of_peers(tmp_path, capsys):
     assert f"{path}:2: peers[0]: peer 'iot2050': password_file" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("keys", "complaint"),
+    [
+        ("user: robot, password_file: secret.txt", "password_file: secret.txt cannot be read: No "),
+        ("user: robot, password_file: empty.txt", "password_file: empty.txt is empty; write the"),
+        ("tls: {ca: absent.pem}", "tls: a file cannot be read: No such file or directory"),
+        ("tls: {ca: junk.pem}", "tls: a certificate or key cannot be used: "),
+    ],
+)
+def test_check_and_run_look_at_the_files_of_the_databus(tmp_path, capsys, keys, complaint):
+    pytest.importorskip("aiomqtt")
+    path = tmp_path / "config.yaml"
+    path.write_text(f"opcua: {{enabled: false}}\nedge: {{enabled: true, {keys}}}\n{IMAGE}")
+    (tmp_path / "empty.txt").write_text("")
+    (tmp_path / "junk.pem").write_text("junk")
+    for command in ("check", "run"):
+        assert main([command, "-c", str(path)]) == EXIT_BAD_CONFIGURATION
+        assert f"{path}:2: edge: {complaint}" in capsys.readouterr().err
+
+
 def test_a_page_by_hand_looks_at_its_own_files_alone(tmp_path, capsys):
     path = tmp_path / "config.yaml"
     path.write_text("""
@@ -112,7 +135,9 @@ page: {port: 0, tls: {certificate: page.pem, key: page.key}}
 
 def test_what_run_says_of_certificates_has_the_form_of_the_log(tmp_path):
     path = tmp_path / "config.yaml"
-    path.write_text("""
+    path.write_text(
+        IMAGE
+        + """
 logging: {format: json}
 metrics: {enabled: false}
 page: {enabled: false}
@@ -123,7 +148,8 @@ peers:
     endpoint: 'opc.tcp://127.0.0.1:4841'
     read: {'ns=1;s=left': wheel.fl.setpoint_rpm}
     security: {policy: Basic256Sha256}
-""")
+"""
+    )
     assert main(["certs", "make", "--days", "2", "-c", str(path)]) == 0
     command = [sys.executable, "-m", "hilserver", "run", "-c", str(path), "--duration", "0.1"]
     ran = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)

@@ -127,6 +127,21 @@ def test_only_finite_numbers_in_range_pass(value):
     assert not passes or checked == (float(value),)
 
 
+def test_a_client_whose_command_found_no_room_still_ends_that_of_another_one(world):
+    gate, image, _, _ = world
+    gate.take("opcua")
+    gate.write("opcua", {"wheel.rl.setpoint_rpm": 20.0})
+    assert latched(image, "wheel.rl.setpoint_rpm") == 20.0
+    while not gate.write("opcua", {"lights.command": 1}):
+        pass
+    teleop = "opcua:teleop", {"wheel.fl.setpoint_rpm": 5.0}
+    assert gate.write(*teleop) == {"wheel.fl.setpoint_rpm": Refusal.QUEUE_FULL}
+    latch_inputs(image)
+    assert gate.write(*teleop) == {}
+    assert latched(image, "wheel.fl.setpoint_rpm") == 5.0
+    assert latched(image, "wheel.rl.setpoint_rpm") == 0.0
+
+
 def test_control_is_with_one_source_and_the_refusal_says_whose(world):
     gate, _, events, _ = world
     assert gate.write("opcua", {"twist.linear_m_s": 0.1}) == {

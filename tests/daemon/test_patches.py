@@ -1,6 +1,8 @@
 """A model patch is loaded and removed while the robot runs: from one tick on, and replayable."""
 
 import asyncio
+import errno
+import os
 
 import numpy as np
 import pytest
@@ -127,7 +129,29 @@ async def test_a_snapshot_brings_its_patch_and_a_reset_keeps_the_one_at_work(run
     await store.load("before")
     assert np.array_equal(p, plain)
     assert run.core.parameters.differing == {}
+    assert run.patches.loaded is None
+    assert "'turn.yaml' is not in the state" in run.core.events.recent[-1].message
+    await run.patches.load("turn.yaml")
+    await store.save("after")
+    await run.turn_rate()
+    await store.load("after")
+    assert run.patches.loaded == "turn.yaml"
     run.recorder.close()
+
+
+async def test_a_full_disk_leaves_no_half_of_a_patch(run, folder, monkeypatch):
+    assert run.core.parameters.write("test", {"terms.rotation_gain": 0.1}) == {}
+    with monkeypatch.context() as full:
+        full.setattr("hilserver.daemon.patches.os.fsync", refuse_for_lack_of_space)
+        with pytest.raises(ControlRefused, match="cannot be written: No space left"):
+            await run.patches.save("tuned")
+    assert not (folder / "tuned.yaml").exists()
+    await run.patches.save("tuned")
+    run.recorder.close()
+
+
+def refuse_for_lack_of_space(_file):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 async def test_what_was_tuned_is_saved_as_a_patch_that_brings_it_back(run, folder):

@@ -6,6 +6,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from contextlib import closing
 from pathlib import Path
@@ -99,6 +100,15 @@ def test_closing_the_results_ends_the_workers():
     with closing(in_processes(time.sleep, [0.0] + [600.0] * 6, 2)) as results:
         assert next(results) == (0, None)
     until(multiprocessing.active_children, lambda left: not left)
+
+
+@pytest.mark.parametrize("is_closed", [False, True])
+def test_no_thread_of_the_pool_is_left(is_closed):
+    """One that is, writes to pipes that the interpreter has closed: "Bad file descriptor"."""
+    before = set(threading.enumerate())
+    with closing(in_processes(time.sleep, [0.0, 0.0, 0.0], 2)) as results:
+        next(results) if is_closed else list(results)
+    assert set(threading.enumerate()) <= before
 
 
 def until(look, good, within_s=120.0):

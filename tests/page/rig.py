@@ -3,8 +3,10 @@
 import contextlib
 import json
 import os
+import queue
 import shutil
 import subprocess
+import threading
 import time
 from pathlib import Path
 
@@ -25,6 +27,7 @@ SEEN = (
     "measured.velocity.angular_rad_s",
 )
 DEADMAN_MS = 300
+ANSWER_S = 300.0
 KEPT = 15_000
 """Frames that are looked at: somewhat fewer than the ring of the daemon holds."""
 
@@ -122,7 +125,14 @@ class Browser:
             stdout=subprocess.PIPE,
             text=True,
         )
-        assert json.loads(self.process.stdout.readline())["ready"]
+        self._lines = queue.SimpleQueue()
+        threading.Thread(target=self._read, name="browser", daemon=True).start()
+        assert self.receive()["ready"]
+
+    def _read(self):
+        for line in self.process.stdout:
+            self._lines.put(line)
+        self._lines.put("")
 
     def do(self, what, **more):
         self.send(what, **more)
@@ -131,8 +141,13 @@ class Browser:
         return answer["result"]
 
     def receive(self):
-        """The answer to what was sent."""
-        return json.loads(self.process.stdout.readline())
+        """The answer to what was sent; one that does not come fails the test that waits."""
+        try:
+            line = self._lines.get(timeout=ANSWER_S)
+        except queue.Empty:
+            raise AssertionError(f"the browser has not answered for {ANSWER_S:g} s") from None
+        assert line, "the browser has ended"
+        return json.loads(line)
 
     def send(self, what, **more):
         """Ask without waiting for the answer."""
@@ -145,4 +160,3 @@ class Browser:
             self.process.wait(120)
         self.process.kill()
         self.process.wait()
-        self.process.stdout.close()

@@ -1,5 +1,7 @@
 """The fixture `hil` and tests as async generators, in virtual time and in real time alike."""
 
+import asyncio
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,15 @@ async def test_wait_for_finds_the_moment_or_says_what_it_is(hil, mode):
     assert 20.0 < sample.value < 25.0
     with pytest.raises(HilError, match=r"did not get there in 0\.05 s; it is"):
         await hil.wait_for(SPEED, lambda rpm: rpm > 80.0, timeout_s=0.05)
+
+
+@pytest.mark.hil(mode="realtime")
+async def test_wait_for_ends_while_somebody_has_paused_it(hil, monkeypatch):
+    monkeypatch.setattr("hilserver.testing.hil.LATE_S", 0.2)
+    hil.daemon.control.pause()
+    async with asyncio.timeout(60):
+        with pytest.raises(HilError, match=r"0\.1 s did not pass in time; the daemon is paused"):
+            await hil.wait_for(SPEED, lambda rpm: rpm > 80.0, timeout_s=0.1)
 
 
 @pytest.mark.parametrize("mode", MODES)

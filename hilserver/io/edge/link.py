@@ -15,9 +15,9 @@ import aiomqtt
 import structlog
 
 from hilserver.config.edge import EdgeConfig
-from hilserver.errors import FailedError
 from hilserver.image import Frame
 from hilserver.io.edge import payload
+from hilserver.io.edge.credentials import credentials
 from hilserver.io.edge.payload import Collection
 from hilserver.io.link_status import LinkState, PeerStatus
 from hilserver.io.part import Part
@@ -32,17 +32,6 @@ EARLY_NS: Final = 2_000_000  # a frame that comes so much before a group is due 
 PROTOCOLS: Final = {"3.1.1": aiomqtt.ProtocolVersion.V311, "5": aiomqtt.ProtocolVersion.V5}
 
 _log = structlog.get_logger(__name__)
-
-
-class _Socket(ssl.SSLSocket):
-    """One that is closed when its handshake fails; the client library would forget it open."""
-
-    def do_handshake(self, block: bool = False) -> None:
-        try:
-            super().do_handshake(block)
-        except OSError:
-            self.close()
-            raise
 
 
 class EdgeFault(StrEnum):
@@ -87,14 +76,8 @@ class EdgeLink(Part):
         return self.status.endpoint
 
     async def start(self) -> None:
-        """Connect, now and after every loss.
-
-        Raises
-        ------
-        FailedError
-            If a file of the section cannot be read.
-        """
-        password, context = self._password(), self._context()
+        """Connect, now and after every loss; ConfigError if a file cannot be used."""
+        password, context = credentials(self._config, self._world.folder)
         self.status.state = LinkState.CONNECTING
         self._task = asyncio.create_task(self._stay_connected(password, context), name="edge")
 
@@ -244,31 +227,6 @@ class EdgeLink(Part):
         if values and not self._source.write(values, now_ns).wrong:
             self._source.staleness.heard(now_ns)
             self.status.input_received_ns.update(dict.fromkeys(values, now_ns))
-
-    # --- files ------------------------------------------------------------------------------------
-
-    def _password(self) -> str | None:
-        path = self._config.password_file
-        if path is None:
-            return None
-        try:
-            lines = (self._world.folder / path).read_text(encoding="utf-8").splitlines()
-        except (OSError, UnicodeDecodeError) as error:
-            raise FailedError(f"edge.password_file: {path}: cannot be read: {error}") from None
-        return lines[0] if lines else ""
-
-    def _context(self) -> ssl.SSLContext | None:
-        tls, folder = self._config.tls, self._world.folder
-        if tls is None:
-            return None
-        try:
-            context = ssl.create_default_context(cafile=tls.ca and folder / tls.ca)
-            context.sslsocket_class = _Socket
-            if tls.certificate is not None and tls.key is not None:
-                context.load_cert_chain(folder / tls.certificate, folder / tls.key)
-        except (OSError, ssl.SSLError) as error:
-            raise FailedError(f"edge.tls: a file cannot be used: {error}") from None
-        return context
 
 
 def _at_once(take: Callable[[aiomqtt.Message], None]) -> type[asyncio.Queue[Any]]:

@@ -139,6 +139,8 @@ class Calls:
         if self._live.driver not in (None, number, taken_from):
             raise RefusedError("another browser drives: say that you take control from it")
         await self._driving.take(client)
+        if self._live.find(number) is not client:  # it has left meanwhile
+            self._driving.leave(client)
 
     async def _give(self, browser: Browser, source: str) -> None:
         await browser.hand.write({"control.source": str(source)[:20]})

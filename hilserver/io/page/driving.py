@@ -77,13 +77,15 @@ class Driving:
         self._deadman_ms = deadman_ms
         self._next: Command | None = None
         self._news = asyncio.Event()
+        self._turn = asyncio.Lock()  # what one browser has sent is done before another one's
 
     async def take(self, seat: Seat) -> None:
         """Give the wheel to `seat`, and control to the page; RefusedError if that may not be."""
         if not seat.browser.hand.rights.drive:
             raise RefusedError("your role does not allow driving")
-        await seat.browser.hand.write({"control.source": "page"})
-        before, self.driver, self._next = self.driver, seat, None
+        async with self._turn:
+            await seat.browser.hand.write({"control.source": "page"})
+            before, self.driver, self._next = self.driver, seat, None
         if before is not None and before is not seat:
             before.tell({"type": "refused", "text": "another browser has taken the wheel"})
 
@@ -110,14 +112,17 @@ class Driving:
         while True:
             await self._news.wait()
             self._news.clear()
-            command, seat = self._next, self.driver
-            if command is None or seat is None:
-                continue
-            self._next = None
-            try:
-                if command is _RELEASE:  # at rest before control goes on, which would ramp it there
-                    self.driver = None
-                    await seat.browser.hand.write(_REST.values)
-                await seat.browser.hand.write(command.values)
-            except RefusedError as error:
-                seat.tell({"type": "refused", "text": str(error)})
+            async with self._turn:
+                command, seat = self._next, self.driver
+                if command is not None and seat is not None:
+                    self._next = None
+                    await self._hand_over(command, seat)
+
+    async def _hand_over(self, command: Command, seat: Seat) -> None:
+        try:
+            if command is _RELEASE:  # at rest before control goes on, which would ramp it there
+                self.driver = None
+                await seat.browser.hand.write(_REST.values)
+            await seat.browser.hand.write(command.values)
+        except RefusedError as error:
+            seat.tell({"type": "refused", "text": str(error)})

@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import os
 import re
-import shutil
 import sys
 import time
 from collections import deque
@@ -16,6 +15,7 @@ from hilserver.io.page.files import file_in, files_in, is_plain, reports_in
 from hilserver.io.page.hand import RefusedError
 from hilserver.io.page.setup import Setup
 from hilserver.program import event_loop
+from hilserver.program.whole_file import write_whole
 
 MAX_KEPT = 20
 SHARE_OVER_S = 8.0
@@ -138,7 +138,7 @@ class Jobs:
         if len(text) > MAPPING_CHARACTERS:
             raise RefusedError(f"a mapping has at most {MAPPING_CHARACTERS} characters")
         if text.strip():
-            own.write_text(text, encoding="utf-8")
+            _store(own, text.encode())
         else:
             own.unlink(missing_ok=True)
 
@@ -154,9 +154,9 @@ class Jobs:
         source = job.folder / "model_patch.yaml"
         if not source.is_file():
             raise RefusedError(f"the diagnosis of {job.log} has no patch")
-        folder = self._setup.folder("patches")
-        folder.mkdir(parents=True, exist_ok=True)
-        return shutil.copyfile(source, folder / f"{job.folder.name}.yaml").name
+        target = self._setup.folder("patches") / f"{job.folder.name}.yaml"
+        _store(target, source.read_bytes())
+        return target.name
 
     def _find(self, number: object, state: str) -> Job:
         for job in self._jobs:
@@ -216,6 +216,15 @@ class Jobs:
             else:
                 lines.append(line)
                 job.text = "\n".join(lines)
+
+
+def _store(path: Path, content: bytes) -> None:
+    """Write a file as a whole, or say why there is none."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, content)
+    except OSError as error:
+        raise RefusedError(f"{path.name} cannot be stored: {error.strerror}") from None
 
 
 def _terminate(job: Job) -> None:

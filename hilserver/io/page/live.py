@@ -25,6 +25,8 @@ MESSAGE_BYTES = 65_536
 MESSAGES_PER_S = 200
 MAX_SIGNALS = 500
 UNREAD_BYTES = 32_768
+WRITABLE_BYTES = UNREAD_BYTES + (1 << 20)
+"""More than whoever has taken what it was sent can be sent at once, a full board: no send waits."""
 UNREAD_S = 15.0
 BOARD_EVERY_S = 0.5
 GREET_S = 5.0
@@ -47,6 +49,8 @@ class Client:
             max_msg_size=MESSAGE_BYTES, compress=False, heartbeat=20.0
         )
         self._transport = request.transport
+        if self._transport is not None:
+            self._transport.set_write_buffer_limits(WRITABLE_BYTES, UNREAD_BYTES)
         self._tasks: set[asyncio.Task[None]] = set()
         self._blocked_since_s: float | None = None
 
@@ -133,11 +137,8 @@ class Live:
         client = Client(self._next, browser, request)
         self._next += 1
         await client.socket.prepare(request)
-        if not self._has_place(browser):
-            await _close(client, WSCloseCode.TRY_AGAIN_LATER, "too many browsers")
-            return client.socket
-        if not await self._greeted(client):
-            await _close(client, WSCloseCode.POLICY_VIOLATION, "no valid ticket")
+        if (refusal := await self._refusal(client)) is not None:
+            await _close(client, *refusal)
             return client.socket
         welcome = json.dumps({"type": "welcome", "you": client.number})
         await _ignoring_loss(client.socket.send_str(welcome))  # before any board or frame
@@ -152,6 +153,15 @@ class Live:
             del self._clients[client.number]
             self._driving.leave(client)
         return client.socket
+
+    async def _refusal(self, client: Client) -> tuple[int, str] | None:
+        """Return why a socket may not stay, None if it may; others may come in while it greets."""
+        full = (WSCloseCode.TRY_AGAIN_LATER, "too many browsers")
+        if not self._has_place(client.browser):
+            return full
+        if not await self._greeted(client):
+            return WSCloseCode.POLICY_VIOLATION, "no valid ticket"
+        return None if self._has_place(client.browser) else full
 
     def _has_place(self, browser: Browser) -> bool:
         if browser.may_stop:

@@ -26,8 +26,10 @@ _log = structlog.get_logger(__name__)
 @contextlib.asynccontextmanager
 async def running_recorder(
     config: RecordingConfig, image: str, folder: Path
-) -> AsyncIterator[None]:
+) -> AsyncIterator[asyncio.Task[None]]:
     """Record the image `image` while the context lasts; entered once the recorder is attached.
+
+    Gives a task that is done once the recording has ended, by itself or with the context.
 
     Raises
     ------
@@ -48,7 +50,7 @@ async def running_recorder(
                 raise FailedError("the recorder did not start; see its message above")
             watch = asyncio.create_task(_watch(process), name="watch recorder")
             try:
-                yield
+                yield watch
             finally:
                 watch.cancel()
                 allow(STOP_LIMIT_S)

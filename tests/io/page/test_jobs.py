@@ -1,6 +1,8 @@
 """Diagnoses of the page: why nothing moves, and what is left of earlier ones."""
 
 import asyncio
+import errno
+import os
 
 import pytest
 
@@ -45,3 +47,25 @@ def test_reports_of_earlier_runs_are_there_again(tmp_path):
     assert jobs.keep(newest["number"]) == f"{folder.name}.yaml"
     with pytest.raises(RefusedError, match="no patch"):
         jobs.keep(older["number"])
+
+
+def test_a_full_disk_is_a_sentence_and_leaves_no_half_file(tmp_path, monkeypatch):
+    folders = {name: str(tmp_path / name) for name in ("reports", "patches", "recordings")}
+    folder = tmp_path / "reports" / "turns-20261125-100001"
+    for path in (folder, tmp_path / "recordings"):
+        path.mkdir(parents=True)
+    (folder / "report.html").write_text("<title>It turns.</title>", encoding="utf-8")
+    (folder / "model_patch.yaml").write_text("terms: {}\n", encoding="utf-8")
+    (tmp_path / "recordings" / "a.csv").write_text("t_s\n", encoding="utf-8")
+    jobs = Jobs(Setup("", Serving(), OpcUaAccess(), [], {}, [], folders))
+
+    def refuse(_file):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("hilserver.program.whole_file.os.fsync", refuse)
+    with pytest.raises(RefusedError, match="cannot be stored: No space left"):
+        jobs.keep(1)
+    with pytest.raises(RefusedError, match="cannot be stored: No space left"):
+        jobs.map("a.csv", "channels: {}")
+    assert list((tmp_path / "patches").iterdir()) == []
+    assert [path.name for path in (tmp_path / "recordings").iterdir()] == ["a.csv"]
