@@ -22,6 +22,12 @@ class RecalibrationConfig(Section):
     false_per_year: float = Field(
         1.0, gt=0, le=100, description="proposals a year that may be false; looks share them"
     )
+    least_change: float = Field(
+        0.1,
+        ge=0,
+        le=1,
+        description="smallest change that is proposed, by the reference size of its cause",
+    )
     accept: Literal["engineer", "automatic"] = Field(
         "engineer", description="automatic: what lies within `ranges` acts without anybody"
     )

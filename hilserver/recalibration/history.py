@@ -56,13 +56,16 @@ class History:
         Raises
         ------
         FailedError
-            If the disk does not take it.
+            If the disk does not take it, or a number in it is not finite.
         """
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
         line = {"number": self.number + 1, "time": now, "kind": kind, **fields}
         line["before"] = self._last
-        line["hash"] = _hash(line)
-        data = (json.dumps(line, ensure_ascii=False, allow_nan=False) + "\n").encode()
+        try:
+            line["hash"] = _hash(line)
+        except ValueError:
+            raise FailedError(f"{self.path}: a number of a {kind} is not finite") from None
+        data = (json.dumps(line, ensure_ascii=False) + "\n").encode()
         self._write(data)
         self._size += len(data)
         self._last, self.number = line["hash"], self.number + 1

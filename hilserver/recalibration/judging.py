@@ -2,10 +2,11 @@
 
 The base is the configuration with what differs from it besides terms. The search starts at the
 terms that run, and estimates totals: a proposal is a change of what runs. A term that a window does
-not show stays; one that it speaks against goes.
+not show stays; one that it speaks against goes. What data can resolve is no measure of what anybody
+wants to know: a change counts once its interval is further from what runs than the least change.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +17,7 @@ import numpy as np
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.diagnosis.catalogue.candidate import several
-from hilserver.diagnosis.catalogue.vocabulary import cause_of
+from hilserver.diagnosis.catalogue.vocabulary import cause_of, part_of, reference
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.engine import HORIZON_S, judge
 from hilserver.diagnosis.findings.outcome import unit_of
@@ -25,7 +26,7 @@ from hilserver.diagnosis.regression.gain import gains
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.stages import stages_of
 from hilserver.diagnosis.replay.model import Fitted, Model
-from hilserver.diagnosis.schema.evidence import Diagnosis
+from hilserver.diagnosis.schema.evidence import Diagnosis, FittedTerm
 from hilserver.diagnosis.schema.findings import Finding, Overall, Verdict
 from hilserver.errors import UserError
 from hilserver.measured.data import MeasuredLog
@@ -53,6 +54,7 @@ class Judge:
         config = Config.model_validate(order.config)
         assembly = assemble_config(config, Path(order.folder))
         self._config_sha256, self._sampling = config.sha256, Sampling.of(config)
+        self._least_change = config.recalibration.least_change
         robot = assembly.robot
         if order.parameters:
             robot = with_values(robot, order.parameters, geometric_gain(robot))
@@ -100,19 +102,18 @@ class Judge:
         loaded = self._todo.loaded
         if diagnosis.findings.verdict is Overall.NOT_JUDGED:
             return Looked("not_judged")
-        terms = self._with_running(proposed(diagnosis, loaded))
-        values: Values = values_of(terms)
-        p, level = 1.0, self._level(terms)
-        if values != dict(loaded):
-            again = compared(self.log, self.robot, loaded, values)
-            p, values = again.p, values if again.flips.holds(level) else loaded
+        terms = self._with_running(proposed(steady(diagnosis), loaded, self._least_change))
+        values, named = values_of(terms), [f for f in found if f.verdict in PROPOSABLE]
+        others = [f for f in found if f not in named]
         if values == dict(loaded):
-            others = [f for f in found if f.verdict not in PROPOSABLE]
-            verdict = "unexplained" if others else "as_running" if loaded else "nothing"
-            return Looked(verdict, sentence_of(others), p=p)
+            small = [f for f in named if not loaded.keys() & f.parameters.keys()]
+            return self._unchanged(others, small)
+        again = compared(self.log, self.robot, loaded, values)
+        if not again.flips.holds(self._level(terms)):
+            return replace(self._unchanged(others), p=again.p)
         gone = {name: value for name, value in loaded.items() if name not in values}
         changed = {name for name, value in values.items() if value != loaded.get(name)}
-        new = [f for f in found if f.verdict in PROPOSABLE and changed & f.parameters.keys()]
+        new = [f for f in named if changed & f.parameters.keys()]
         return Looked(
             "named",
             sentence_of(new) or f"No longer there: {', '.join(sorted(gone))}.",
@@ -121,8 +122,17 @@ class Judge:
             gone,
             loaded,
             diagnosis.evidence.fitted.model_dump(mode="json", exclude_none=True),
-            p=p,
+            p=again.p,
         )
+
+    def _unchanged(self, others: Sequence[Finding], small: Sequence[Finding] = ()) -> Looked:
+        """Return that nothing is proposed; `others` have no term, `small` ones are too small."""
+        if others:
+            return Looked("unexplained", sentence_of(others))
+        if small:
+            causes = tuple(cause for f in small for cause in f.causes)
+            return Looked("too_small", sentence_of(small), causes)
+        return Looked("as_running" if self._todo.loaded else "nothing")
 
     def _with_running(self, found: dict[str, Term]) -> dict[str, Term]:
         """Return terms, and those that run beside them; a cause goes that makes this window worse.
@@ -137,35 +147,82 @@ class Judge:
         terms = {**found, **unseen}
         level = self._level(terms)
         for cause in sorted({cause_of(name).name for name in unseen}):
-            less = {n: t for n, t in terms.items() if n not in unseen or cause_of(n).name != cause}
+            own = {n: t for n, t in unseen.items() if cause_of(n).name == cause}
+            if not self._shows(own):
+                continue
+            less = {n: t for n, t in terms.items() if n not in own}
             again = compared(self.log, self.robot, values_of(terms), values_of(less))
             terms = less if again.flips.holds(level) else terms
         return terms
+
+    def _shows(self, own: Mapping[str, Term]) -> bool:
+        """Whether a cause that runs would be missed: a size of it is no smaller than a change."""
+        return any(
+            is_changed(name, term, part_of(name).null, self._least_change)
+            for name, term in own.items()
+            if not part_of(name).shape
+        )
 
     def _level(self, terms: Mapping[str, Term]) -> float:
         """Return the level of one comparison of a look, which may have one for each term."""
         return NAMED_LEVEL / (2 * max(len({*terms, *self._todo.loaded}), 1))
 
 
-def sentence_of(findings: list[Finding]) -> str:
+def sentence_of(findings: Sequence[Finding]) -> str:
     """Return what findings say."""
     return " ".join(f.explanation for f in findings)
 
 
-def proposed(diagnosis: Diagnosis, loaded: Values) -> dict[str, Term]:
-    """Return the terms of a diagnosis; one whose interval holds its present value keeps that.
-
-    What changes along the window has no value.
-    """
+def steady(diagnosis: Diagnosis) -> list[FittedTerm]:
+    """Return the terms that a diagnosis has a value for: what changes along the window has none."""
     found = diagnosis.findings.findings
     drifting = {name for f in found if f.verdict is Verdict.DRIFT for name in f.parameters}
+    return [fitted for fitted in diagnosis.evidence.extension if fitted.name not in drifting]
+
+
+def proposed(found: Iterable[FittedTerm], loaded: Values, least_change: float) -> dict[str, Term]:
+    """Return the terms that were found; what changes too little keeps its present value.
+
+    A cause that is off stays off unless one of its sizes has changed.
+    """
+    causes: dict[str, dict[str, Term]] = {}
+    for fitted in found:
+        p, name = fitted.parameter, fitted.name
+        own = causes.setdefault(cause_of(name).name, {})
+        own[name] = Term(p.value, p.unit, p.ci95, loaded.get(name))
     terms: dict[str, Term] = {}
-    for fitted in diagnosis.evidence.extension:
-        p = fitted.parameter
-        term = Term(p.value, p.unit, p.ci95, loaded.get(fitted.name))
-        if fitted.name not in drifting:
-            terms[fitted.name] = replace(term, value=term.present or 0.0) if term.stays else term
+    for own in causes.values():
+        changed = {n for n, t in own.items() if is_changed(n, t, now_of(n, t), least_change)}
+        has_changed = any(not part_of(name).shape for name in changed)
+        for name, term in own.items():
+            if has_changed and name in changed:
+                terms[name] = term
+            elif term.present is not None:
+                terms[name] = replace(term, value=term.present)
     return terms
+
+
+def now_of(name: str, term: Term) -> float | None:
+    """Return what a term is now; None if it is off and no number says that."""
+    return part_of(name).null if term.present is None else term.present
+
+
+def is_changed(name: str, term: Term, now: float | None, least_change: float) -> bool:
+    """Return whether the interval of a term is further from a value than the least change.
+
+    Parameters
+    ----------
+    now : float or None
+        See `now_of`.
+    least_change : float
+        By the reference size of its cause; of a shape every change counts.
+    """
+    if now is None:
+        return True
+    low, high = term.interval
+    size = None if part_of(name).shape else reference(cause_of(name).name, name)
+    least = least_change * (size or 0.0)
+    return not low - least <= now <= high + least
 
 
 def values_of(terms: Mapping[str, Term]) -> dict[str, float]:

@@ -210,10 +210,11 @@ class Loop:
         if decided.stage is Stage.ACCEPTED:
             self._accepted_in, self.changed = recording, None
 
-    def restore(self, lines: Iterable[Mapping[str, Any]]) -> None:
+    def restore(self, lines: Iterable[Mapping[str, Any]], loaded: Values, window: int) -> None:
         """Take over what an earlier run has left: the newest proposal, and those rejected.
 
-        One that was accepted is open again: a daemon starts with its configuration.
+        One that was accepted is open again unless the daemon starts with its patch: the gap is
+        measured on what follows `window`.
         """
         for line in lines:
             try:
@@ -224,7 +225,9 @@ class Loop:
             if found.stage is Stage.REJECTED:
                 self._rejected = [*self._rejected, found][-REMEMBERED:]
         if self.proposal is not None and self.proposal.stage is Stage.ACCEPTED:
-            self.proposal = self.proposal.after(Step.REOPEN)
+            self._accepted_in = window
+            if {n: t.value for n, t in self.proposal.terms.items()} != loaded:
+                self.proposal, self._accepted_in = self.proposal.after(Step.REOPEN), None
 
 
 def file_of(number: int, kind: str = "") -> str:

@@ -80,7 +80,7 @@ class Looked:
     """What a diagnosis of a window has found."""
 
     # named, nothing, data_fault, unexplained or not_judged; as_running: what is named is what runs
-    # already
+    # already; too_small: what is named is no change worth a proposal
     verdict: str
     sentence: str = ""
     causes: tuple[str, ...] = ()

@@ -83,7 +83,7 @@ class Recalibration(Part):
         config = self._config
         begun_s = self._news.last * config.window_s
         self.loop = Loop(config.every_s, Spending(config.false_per_year), begun_s)
-        self.loop.restore(self._history.lines)
+        self.loop.restore(self._history.lines, patches.split(self._differing)[0], self._news.last)
         self._history.lines.clear()
         if (window := process.cut_short(self._folder)) is not None:
             why = "the daemon was killed during its look"
@@ -188,25 +188,36 @@ class Recalibration(Part):
         """
         async with self._turn:
             decided = self.loop.decided(Step.ACCEPT, number)
-            loaded, _ = patches.split(self._differing)
+            loaded, others = patches.split(self._differing)
             if loaded != present(decided):
                 raise ControlRefused(
                     f"the parameters have changed since proposal {number} was made; it would undo"
                     " that: reject it, and the next look starts from what runs now"
                 )
+            # What was shown acts, whatever became of its file, beside what is set by now.
+            patches.write(self._patches, decided, others, self._world.config.sha256)
             self._history.append("decision", who=who, proposal=decided.as_json())
             try:
                 await self._world.files.load_patch(decided.patch)
             except BaseException as error:
-                undone = self.loop.proposal
-                assert undone is not None
-                with contextlib.suppress(FailedError):
-                    what = undone.as_json()
-                    self._history.append("undone", why=str(error)[:MOST_TEXT], proposal=what)
+                if self._world.files.patches.loaded == decided.patch:
+                    self._accepted(decided, who)  # it acts, though nobody waits for it any more
+                else:
+                    self._undone(str(error) or type(error).__name__)
                 raise
-            self.loop.adopt(decided, self._news.last + 1)
-            self._detector.restart()
-            self._say(f"proposal {number} is accepted by {who}")
+            self._accepted(decided, who)
+
+    def _accepted(self, decided: Proposal, who: str) -> None:
+        self.loop.adopt(decided, self._news.last + 1)
+        self._detector.restart()
+        self._say(f"proposal {decided.number} is accepted by {who}")
+
+    def _undone(self, why: str) -> None:
+        """Write down that a decision came to nothing."""
+        left = self.loop.proposal
+        assert left is not None
+        with contextlib.suppress(FailedError):
+            self._history.append("undone", why=why[:MOST_TEXT], proposal=left.as_json())
 
     async def reject(self, number: int, who: str) -> None:
         """Go on without a proposal; it is not made again.

@@ -31,6 +31,8 @@ async def looked(order: Order, folder: Path, limit_s: float) -> Result:
         return Result(error=f"{path}: {(error.strerror or str(error)).lower()}")
     try:
         return await _run(path, limit_s)
+    except OSError as error:
+        return Result(error=f"no process can be started: {(error.strerror or str(error)).lower()}")
     finally:
         with contextlib.suppress(OSError):
             path.unlink()

@@ -57,10 +57,9 @@ class Term:
     present: float | None = None  # what it has now; None: it is off
 
     @property
-    def stays(self) -> bool:
-        """Whether the present value is as good as any."""
-        low, high = self.ci95 or (self.value, self.value)
-        return self.present is not None and low <= self.present <= high
+    def interval(self) -> Interval:
+        """Where its value lies; without an interval that value alone."""
+        return self.ci95 or (self.value, self.value)
 
 
 @dataclass(frozen=True)
@@ -116,8 +115,13 @@ class Proposal:
         return all(ranges[n][0] <= value <= ranges[n][1] for n, value in changed.items())
 
     def resembles(self, other: "Proposal") -> bool:
-        """Whether it says nothing that another has not said: same terms, values in intervals."""
-        if self.terms.keys() != other.terms.keys() or set(self.gone) != set(other.gone):
+        """Whether it says nothing that another has not said: same terms, values in intervals.
+
+        Of the same model, that is: what changes another is another proposal.
+        """
+        if self.terms.keys() != other.terms.keys() or self.gone != other.gone:
+            return False
+        if any(term.present != other.terms[name].present for name, term in self.terms.items()):
             return False
         return all(_meet(term, other.terms[name]) for name, term in self.terms.items())
 
@@ -156,5 +160,5 @@ def _tupled(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _meet(one: Term, other: Term) -> bool:
-    a, b = (t.ci95 or (t.value, t.value) for t in (one, other))
+    a, b = one.interval, other.interval
     return a[0] <= b[1] and b[0] <= a[1]

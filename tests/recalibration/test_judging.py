@@ -4,7 +4,9 @@ import pytest
 from hilserver_injector.make import make
 from hilserver_injector.recipe import Recipe
 
-from hilserver.recalibration.judging import Judge
+from hilserver.diagnosis.schema.evidence import FittedTerm
+from hilserver.diagnosis.schema.findings import Parameter
+from hilserver.recalibration.judging import Judge, proposed, values_of
 from hilserver.recalibration.orders import Todo
 from tests.recalibration.windows import order, write
 
@@ -93,6 +95,46 @@ def test_a_sensor_that_is_stuck_is_a_fault_and_no_patch(tmp_path):
     assert "gyro" in look.faults[0]
 
 
+def fitted(**values):
+    """Terms with values and half the widths of their intervals."""
+    return [
+        FittedTerm(name.replace("__", "."), Parameter(value=v, ci95=(v - half, v + half), unit="1"))
+        for name, (v, half) in values.items()
+    ]
+
+
+@pytest.mark.parametrize(
+    ("found", "loaded", "terms"),
+    [
+        ({"rotation_gain": (0.002, 0.0003)}, {}, {}),
+        ({"rotation_gain": (0.0035, 0.001)}, {}, {}),  # it may be less than the least change
+        ({"rotation_gain": (0.0035, 0.0003)}, {}, {"rotation_gain": 0.0035}),
+        ({"rotation_gain": (0.032, 0.0003)}, {"rotation_gain": 0.03}, {"rotation_gain": 0.03}),
+        ({"rotation_gain": (0.035, 0.0003)}, {"rotation_gain": 0.03}, {"rotation_gain": 0.035}),
+        (
+            {"nav_lever_arm__x": (-0.08, 0.01), "nav_lever_arm__y": (-0.0002, 0.01)},
+            {},
+            {"nav_lever_arm.x": -0.08},
+        ),
+        (
+            {"stribeck_friction__f_s": (4.1, 0.05), "stribeck_friction__n_s": (3.0, 0.1)},
+            {"stribeck_friction.f_s": 4.0},
+            {"stribeck_friction.f_s": 4.0},  # a shape alone is no change
+        ),
+        ({"saturation_limit": (97.0, 0.5)}, {}, {}),
+        ({"saturation_limit": (90.0, 0.5)}, {}, {"saturation_limit": 90.0}),
+        ({"setpoint_rate_limit": (400.0, 1.0)}, {}, {"setpoint_rate_limit": 400.0}),
+    ],
+)
+def test_a_change_counts_once_its_interval_is_beyond_the_least_change(found, loaded, terms):
+    assert values_of(proposed(fitted(**found), loaded, 0.1)) == terms
+
+
+def test_without_a_least_change_whatever_the_data_resolve_counts():
+    found = fitted(rotation_gain=(0.002, 0.0003))
+    assert values_of(proposed(found, {}, 0.0)) == {"rotation_gain": 0.002}
+
+
 def stuck(t_s, columns):
     for name in columns:
         columns[name][:] = columns[name][50]
@@ -168,3 +210,13 @@ def test_missing_samples_are_said_and_bar_nothing(tmp_path):
     look = judged(path, None).look
     assert (look.verdict, look.causes) == ("named", ("rotation_gain",))
     assert "missing" in look.faults[0]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("loaded", "verdict"), [({}, "too_small"), ({"wheel_radius": 0.005}, "as_running")]
+)
+def test_what_no_operator_would_thank_for_is_not_proposed(tmp_path, loaded, verdict):
+    path = write(tmp_path / "window.csv", {"wheel_radius": 0.003}, seed=5)
+    look = judged(path, Todo(2, loaded, look=True)).look
+    assert (look.verdict, look.terms) == (verdict, {})

@@ -169,6 +169,16 @@ def test_what_was_rejected_is_not_proposed_again():
     assert robot.loop.proposal.stage is Stage.OPEN
 
 
+def test_what_was_rejected_for_another_model_is_proposed_for_this_one():
+    robot = Robot()
+    robot.proposed()
+    robot.decide(Step.REJECT)
+    robot.loaded = {"rotation_gain": 0.01}
+    robot.next(replace(NAMED, terms={"rotation_gain": replace(TERM, present=0.01)}))
+    robot.next(confirm=BETTER)
+    assert robot.loop.proposal.stage is Stage.OPEN
+
+
 def test_a_newer_proposal_replaces_an_open_one():
     robot = Robot()
     robot.proposed()
@@ -199,11 +209,15 @@ def test_a_restart_restores_what_waits_and_what_was_rejected():
     robot.proposed()
     lines = [note.fields for note in robot.notes]
     after = Loop(WINDOW_S, Spending(), 0.0)
-    after.restore(lines)
+    after.restore(lines, {}, 2)
     assert after.proposal == robot.loop.proposal
     robot.decide(Step.ACCEPT)
-    after.restore([*lines, {"proposal": robot.loop.proposal.as_json()}])
+    lines.append({"proposal": robot.loop.proposal.as_json()})
+    after.restore(lines, {}, 2)
     assert after.proposal.stage is Stage.OPEN  # the daemon runs the configuration again
+    after.restore(lines, robot.loaded, 2)
+    assert after.proposal.stage is Stage.ACCEPTED  # it was started with its patch
+    assert after.todo(3, robot.loaded, 3 * WINDOW_S).measure == {}
 
 
 @pytest.mark.parametrize("step", [Step.ACCEPT, Step.REJECT, Step.POSTPONE])
@@ -267,9 +281,3 @@ def test_what_acts_by_itself_lies_within_ranges(ranges, is_within):
     proposal = Proposal(1, (), "", terms, {"gone": 0.1})
     assert proposal.within(ranges) == is_within
     assert not Proposal(1, (), "", {"a": Term(0.2, "1")}).within({"a": (0.0, 0.1)})
-
-
-def test_a_value_whose_interval_holds_the_present_one_stays():
-    assert Term(0.03, "1", (0.02, 0.04), 0.025).stays
-    assert not Term(0.03, "1", (0.02, 0.04), 0.05).stays
-    assert not Term(0.03, "1", (0.02, 0.04)).stays

@@ -1,11 +1,14 @@
 """The daemon's side: who may decide, what acts, what is written down, and what goes wrong."""
 
+import asyncio
 import json
 from contextlib import asynccontextmanager
+from dataclasses import replace
 
 import pytest
 from asyncua import ua
 
+from hilserver.config.patch import load_patch
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.connections import LINKS
 from hilserver.daemon.daemon import Daemon
@@ -43,12 +46,13 @@ def answers(monkeypatch):
 
 
 @asynccontextmanager
-async def daemon_in(folder, opcua=None, **recalibration):
+async def daemon_in(folder, opcua=None, patch=None, **recalibration):
     """A daemon in real time whose recalibration is driven by the test."""
     sections = {"recalibration": {"enabled": True, "every_s": 60, "window_s": 60} | recalibration}
     if opcua is not None:
         sections["opcua"] = {"endpoint": "opc.tcp://127.0.0.1:0/hilserver"} | opcua
-    assembly = assemble_config(configuration(**sections), folder)
+    laid_over = None if patch is None else load_patch(patch)
+    assembly = assemble_config(configuration(**sections), folder, laid_over)
     async with Daemon(assembly, links=(*LINKS, link.parts)) as daemon:
         yield daemon, daemon.part("recalibration")
 
@@ -175,15 +179,71 @@ async def test_what_cannot_be_written_down_is_not_done(tmp_path, answers, monkey
         assert part.loop.proposal.stage is Stage.OPEN
 
 
-async def test_a_patch_that_is_gone_leaves_the_proposal_open(tmp_path, answers):
+@pytest.mark.parametrize("damage", [lambda file: file.unlink(), lambda file: file.write_text("{")])
+async def test_what_was_shown_acts_whatever_became_of_its_file(tmp_path, answers, damage):
     async with daemon_in(tmp_path) as (daemon, part):
         await proposed(part, answers)
-        (tmp_path / "patches" / "recalibrated-0001.yaml").unlink()
-        with pytest.raises(ControlRefused, match="there is no patch"):
+        damage(tmp_path / "patches" / "recalibrated-0001.yaml")
+        await part.accept(1, "eve")
+        assert daemon.core.parameters.differing == {"terms.rotation_gain": 0.03}
+
+
+async def test_what_was_tuned_since_stays(tmp_path, answers):
+    async with daemon_in(tmp_path) as (daemon, part):
+        daemon.core.parameters.apply({"plant.controller.k_p": 12.0})
+        await proposed(part, answers)
+        daemon.core.parameters.apply({"plant.controller.k_p": 14.0})
+        await part.accept(1, "eve")
+        wanted = {"terms.rotation_gain": 0.03, "plant.controller.k_p": 14.0}
+        assert daemon.core.parameters.differing == wanted
+
+
+async def test_a_plant_that_takes_nothing_leaves_the_proposal_open(tmp_path, answers, monkeypatch):
+    async with daemon_in(tmp_path) as (daemon, part):
+        await proposed(part, answers)
+        monkeypatch.setattr(type(daemon.core.parameters), "apply", refused)
+        with pytest.raises(ControlRefused, match="a snapshot is being loaded"):
             await part.accept(1, "eve")
         assert daemon.core.parameters.differing == {}
         assert part.loop.proposal.stage is Stage.OPEN
         assert [line["kind"] for line in lines(tmp_path)][-2:] == ["decision", "undone"]
+
+
+def refused(*args, **kwargs):
+    raise ControlRefused("a snapshot is being loaded; ask again")
+
+
+async def test_who_leaves_before_it_acts_has_accepted(tmp_path, answers, monkeypatch):
+    """The patch is handed over; a client that is gone by then does not take it back."""
+    async with daemon_in(tmp_path) as (daemon, part):
+        await proposed(part, answers)
+        handed_over = asyncio.Event()
+
+        async def taken(self, number):
+            handed_over.set()
+            await asyncio.Event().wait()
+
+        monkeypatch.setattr(type(daemon.core.parameters), "taken", taken)
+        accepting = asyncio.create_task(part.accept(1, "eve"))
+        await handed_over.wait()
+        accepting.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await accepting
+        assert daemon.core.parameters.differing == {"terms.rotation_gain": 0.03}
+        assert part.loop.proposal.stage is Stage.ACCEPTED
+        assert lines(tmp_path)[-1]["kind"] == "decision"
+
+
+async def test_of_two_at_once_one_accepts(tmp_path, answers):
+    async with daemon_in(tmp_path) as (daemon, part):
+        await proposed(part, answers)
+        both = (part.accept(1, "ada"), part.accept(1, "eve"))
+        first, second = await asyncio.gather(*both, return_exceptions=True)
+        assert first is None
+        assert "proposal 1 is accepted, not open" in str(second)
+        decisions = [line["who"] for line in lines(tmp_path) if line["kind"] == "decision"]
+        assert decisions == ["ada"]
+        assert daemon.core.parameters.differing == {"terms.rotation_gain": 0.03}
 
 
 async def test_parameters_that_changed_meanwhile_are_not_undone(tmp_path, answers):
@@ -207,6 +267,8 @@ async def test_a_proposal_waits_for_the_next_run(tmp_path, answers):
     async with daemon_in(tmp_path) as (_, part):
         await proposed(part, answers)
         before = part.loop.proposal
+        damaged = part._patches / before.patch
+        damaged.write_text("{")  # by whom ever; what was shown is in the history
     async with daemon_in(tmp_path) as (daemon, part):
         assert part.loop.proposal.number == before.number
         await part.accept(1, "eve")
@@ -238,10 +300,33 @@ async def test_a_disk_that_takes_no_patch_leaves_nothing_to_accept(tmp_path, ans
         await proposed(part, answers)
         said = [e.message for e in daemon.events.recent if e.kind == "recalibration"]
         assert any("recalibrated-0001.yaml: cannot be written" in text for text in said)
-        with pytest.raises(ControlRefused, match="there is no patch"):
+        with pytest.raises(FailedError, match=r"recalibrated-0001\.yaml: cannot be written"):
             await part.accept(1, "eve")
         assert daemon.core.parameters.differing == {}
         assert part.loop.proposal.stage is Stage.OPEN
+        assert lines(tmp_path)[-1]["kind"] == "proposal"
+
+
+async def test_who_starts_with_what_was_accepted_has_it_measured(tmp_path, answers):
+    async with daemon_in(tmp_path) as (_, part):
+        await proposed(part, answers)
+        await part.accept(1, "eve")
+    patch = tmp_path / "patches" / "recalibrated-0001.yaml"
+    async with daemon_in(tmp_path, patch=patch) as (_, part):
+        assert part.loop.proposal.stage is Stage.ACCEPTED
+        await windows(part, answers, Result(measure=BETTER, look=Looked("as_running")))
+        assert part.loop.proposal.stage is Stage.BETTER
+
+
+async def test_a_number_that_is_none_is_an_event(tmp_path, answers):
+    endless = replace(BETTER, gain={"yaw_rad": Quantity(0.06, 0.0, float("inf"))})
+    async with daemon_in(tmp_path) as (daemon, part):
+        await windows(part, answers, Result(look=NAMED), Result(confirm=endless))
+        said = [e.message for e in daemon.events.recent if e.kind == "recalibration"]
+        assert any("a number of a proposal is not finite" in text for text in said)
+        with pytest.raises(FailedError, match="not finite"):
+            await part.accept(1, "eve")
+        assert daemon.core.parameters.differing == {}
 
 
 async def test_a_damaged_history_is_one_sentence(tmp_path, answers):

@@ -163,3 +163,13 @@ def part_of(name: str) -> Part:
         if name in (part.name, cause.name):
             return part
     raise KeyError(name)
+
+
+def reference(cause: str, name: str) -> float | None:
+    """Return how far a parameter's reference size lies from null; that of its cause if none."""
+    parts = [p for p in CAUSES[cause].parts if not p.shape]
+    own = next((p for p in parts if p.name == name and p.reference is not None), None)
+    main = own or next((p for p in parts if p.reference is not None), None)
+    if main is None or main.reference is None:
+        return None
+    return abs(main.reference - (main.null or 0.0))

@@ -4,8 +4,8 @@ from typing import Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from hilserver.diagnosis.catalogue.vocabulary import reference
 from hilserver.diagnosis.findings.explain import separating_experiment
-from hilserver.diagnosis.plan.information import reference
 from hilserver.diagnosis.plan.outlook import Outlook
 from hilserver.diagnosis.schema.findings import NotJudged
 

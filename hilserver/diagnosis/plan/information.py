@@ -14,7 +14,7 @@ import numpy as np
 from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.traits import traits_of
-from hilserver.diagnosis.catalogue.vocabulary import CAUSES
+from hilserver.diagnosis.catalogue.vocabulary import reference
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.thresholds import TIE
 
@@ -67,16 +67,6 @@ def is_limit(cause: str) -> bool:
     A part of its reference size is then its reference value divided by that part.
     """
     return traits_of(cause).is_limit
-
-
-def reference(cause: str, name: str) -> float | None:
-    """Return how far a parameter's reference size lies from null; that of its cause if none."""
-    parts = [p for p in CAUSES[cause].parts if not p.shape]
-    own = next((p for p in parts if p.name == name and p.reference is not None), None)
-    main = own or next((p for p in parts if p.reference is not None), None)
-    if main is None or main.reference is None:
-        return None
-    return abs(main.reference - (main.null or 0.0))
 
 
 def gram_of(library: Library) -> Array:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hilserver.arrays import Array
-from hilserver.diagnosis.catalogue.vocabulary import CAUSES
+from hilserver.diagnosis.catalogue.vocabulary import CAUSES, reference
 from hilserver.diagnosis.checks.standstill import at_rest
 from hilserver.diagnosis.findings.detectable import smallest
 from hilserver.diagnosis.plan.information import (
@@ -18,7 +18,6 @@ from hilserver.diagnosis.plan.information import (
     gram_of,
     is_limit,
     nearest,
-    reference,
     score,
     sizes_of,
 )
