@@ -20,6 +20,7 @@ export function diagnosisView(context: Context): View {
   const patches = h("ul", { class: "list" });
   const sweeps = h("ul", { class: "list sweeps" });
   const patch = h("p", { class: "hint", role: "status" });
+  const remove = action("Remove the patch", () => call("RemovePatch"));
   const misfit = h("p", { class: "misfit", role: "alert", hidden: true });
   const mayWork = may(context, "Start");
   let mappings: string[] = [];
@@ -100,6 +101,7 @@ export function diagnosisView(context: Context): View {
     misfit.hidden = !board.patch_notice;
     setText(misfit, `${board.patch} ${(board.patch_notice ?? "").replace(/^[^:]*: /, "")}.`);
     setText(patch, board.patch ? `${board.patch} is loaded.` : "No patch is loaded.");
+    remove.disabled = !board.patch || !may(context, "RemovePatch");
     const entries = Object.entries(board.gaps ?? {});
     const none = h("div", {}, h("dt", {}, "No measured values come in."), h("dd", {}, ""));
     gaps.replaceChildren(...(entries.length ? entries.map(([name, gap]) => gapRow(name, gap, units.get(name) ?? "")) : [none]));
@@ -136,7 +138,7 @@ export function diagnosisView(context: Context): View {
       card.element,
       h("section", { class: "panel", "aria-label": "Logs" }, h("h2", {}, "Logs"), logs, picker, send),
       h("section", { class: "panel", "aria-label": "Diagnoses" }, h("h2", {}, "Diagnoses"), jobs),
-      h("section", { class: "panel", "aria-label": "Patch" }, h("h2", {}, "Model patch"), patch, misfit, patches, action("Remove the patch", () => call("RemovePatch"), { disabled: !may(context, "RemovePatch") })),
+      h("section", { class: "panel", "aria-label": "Patch" }, h("h2", {}, "Model patch"), patch, misfit, patches, remove),
       h("section", { class: "panel", "aria-label": "Sweeps" }, h("h2", {}, "Sweeps"), sweeps),
       h("section", { class: "panel", "aria-label": "Gap" }, h("h2", {}, "Measured minus simulated"), gaps)),
     report,

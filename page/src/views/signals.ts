@@ -76,7 +76,8 @@ export function signalsView(context: Context): View {
 
   function showKeys(): void {
     const { text, needs, takes, on: places } = form();
-    setText(meaning, text.replaceAll("`", "").replace(/^./, (first) => first.toUpperCase()) + ".");
+    const words = `${text.charAt(0).toUpperCase()}${text.slice(1)}.`.split("`"); // every second one is a key
+    meaning.replaceChildren(...words.map((word, i) => (i % 2 ? h("code", {}, word) : word)));
     inputs.clear();
     for (const key of needs) inputs.set(key, h("input", { type: "number", step: "any", value: DEFAULTS[key] }));
     for (const key of takes) inputs.set(key, h("input", { type: "number", step: "any", placeholder: "not set" }));
@@ -108,6 +109,7 @@ export function signalsView(context: Context): View {
 
   const scenarios = h("ul", { class: "list" });
   const running = h("p", { class: "hint", role: "status" });
+  const end = action("Stop", () => call("StopScenario"), { "aria-label": "Stop the scenario" });
   async function loadScenarios(): Promise<void> {
     const { scenarios: files, folders } = await get<{ scenarios: { name: string }[]; folders: Record<string, string> }>("logs");
     scenarios.replaceChildren(
@@ -133,6 +135,7 @@ export function signalsView(context: Context): View {
           : [h("li", { class: "note" }, "No fault, no forced signal.")]),
       );
     }
+    end.disabled = !scenario || !may(context, "StopScenario");
     setText(running, scenario ? `${scenario.name}: ${seconds(scenario.seconds)} of ${seconds(scenario.length_s)}` : "No scenario is playing.");
   }
   slow();
@@ -170,7 +173,7 @@ export function signalsView(context: Context): View {
       h("section", { class: "panel", "aria-label": "Faults" }, h("h2", {}, "Faults and forces"), active,
         h("div", { class: "form" }, field("Kind", kind), meaning, placeField, onField, peerField, parameters, field("Lasts [s]", lasts, "0: until cleared"),
           h("div", { class: "buttons" }, action("Inject", inject, { class: "primary", disabled: !may(context, "InjectFault") }), action("Clear all", () => call("ClearFaults"), { disabled: !may(context, "ClearFaults") })))),
-      h("section", { class: "panel", "aria-label": "Scenarios" }, h("h2", {}, "Scenarios"), running, scenarios, action("Stop", () => call("StopScenario"), { disabled: !may(context, "StopScenario") })),
+      h("section", { class: "panel", "aria-label": "Scenarios" }, h("h2", {}, "Scenarios"), running, scenarios, end),
       h("datalist", { id: "signal-names" }, ...context.signals.map((signal) => h("option", { value: signal.name }))),
     ),
   );

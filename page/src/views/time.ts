@@ -115,7 +115,7 @@ export function timeView(context: Context): View {
     shown.sort((one, other) => rest(one.group) - rest(other.group) || one.age_s - other.age_s);
     events.replaceChildren(...(shown.length ? shown : []).map((event) =>
       h("li", { class: event.severity >= 500 ? "severe" : "" }, h("time", {}, `${seconds(event.age_s)} ago`),
-        h("span", {}, h("b", {}, event.source), ` ${event.text}`, event.count > 1 && h("small", { class: "chip" }, `${event.count} times`)))));
+        h("span", {}, h("b", {}, event.source), ` ${event.text.replace(`${event.source}: `, "")}`, event.count > 1 && h("small", { class: "chip" }, `${event.count} times`)))));
     if (!shown.length) events.append(h("li", { class: "note" }, "Nothing of this kind has happened lately."));
   }
   slow();

@@ -169,7 +169,7 @@ export function tuneView(context: Context): View {
       }).join(""));
       setText(values[index]!, number(samples[samples.length - 1]![1][index]));
     }
-    setText(height, `The last ${SHOWN_S} s; top and bottom are ±${number(largest)}, zero is in the middle.`);
+    setText(height, `The last ${SHOWN_S} s; top and bottom are ±${number(largest)} rpm or %, zero is in the middle.`);
   });
   function undoByKey(event: KeyboardEvent): void {
     if (event.ctrlKey && event.key === "z" && !(event.target instanceof HTMLInputElement && event.target.type === "number")) undo.click();

@@ -96,7 +96,7 @@ export function watchView(context: Context): View {
           legend: { show: false },
           cursor: { y: false, drag: { x: true, y: false }, sync: { key: "watch" } },
           scales: { x: { time: false } },
-          axes: [{ ...axis, values: (_, ticks) => ticks.map((t) => `${t} s`) }, { ...axis, size: 48, ...this.named() }],
+          axes: [{ ...axis, size: 32, values: (_, ticks) => ticks.map((t) => `${t} s`) }, { ...axis, size: 48, ...this.named() }],
           series: [{}, ...this.names.map((name, i) => ({ stroke: colours[i], width: 1.6, points: { show: false }, spanGaps: false, ...(STEPS.has(known.get(name)!.type) && { paths: uPlot.paths.stepped!({ align: 1 }) }) }))],
           hooks: { setCursor: [() => this.readings()], setScale: [() => this.entitle()] },
         },
