@@ -17,11 +17,10 @@ from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.engine import HORIZON_S
 from hilserver.diagnosis.regression.fitting import fit
-from hilserver.diagnosis.regression.gain import Windows, held_out, of_halves, windows
+from hilserver.diagnosis.regression.gain import held_out, missed, of_halves, windows
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.replay.pose_stage import PoseStage
-from hilserver.diagnosis.replay.stack import Stack
 from hilserver.measured.channels import GYRO, POSITION, YAW
 
 MOST_CAUSES: Final = 8
@@ -147,7 +146,7 @@ class EndErrors(NineTerms):
         super().__init__(problem)
         runs = windows(problem, HORIZON_S)
         assert runs is not None
-        self.runs = runs
+        self.problem, self.runs = problem, runs
 
     def fitted(self, test: int | None = None) -> Array:
         """Return the nine values by the runs that lie outside one half."""
@@ -156,7 +155,8 @@ class EndErrors(NineTerms):
         keep = (half[start] != test) & (half[end] != test)
 
         def residual(theta: Array) -> Array:
-            move, turn = end_errors(self.stack, self.predict(theta), self.runs)
+            off = missed(self.problem, self.predict(theta), self.runs)
+            move, turn = off["position_m"], off["yaw_rad"]
             parts = move.real / self.BY_M, move.imag / self.BY_M, turn / self.BY_RAD
             return np.concatenate([part[keep] for part in parts])
 
@@ -177,19 +177,6 @@ class EndErrors(NineTerms):
             key=lambda found: float(found.cost),
         )
         return np.asarray(best.x)
-
-
-def end_errors(
-    stack: Stack, predicted: Array, runs: Windows
-) -> tuple[NDArray[np.complex128], Array]:
-    """Return what a prediction misses at the end of free runs, x + iy [m] and yaw [rad]."""
-    x, y, yaw = (stack.edges[name] for name in (*POSITION, YAW))
-    off = stack.values[yaw] - predicted[yaw]
-    turn = off[runs.end[YAW]] - off[runs.start[YAW]]
-    start, end = runs.start[POSITION[0]], runs.end[POSITION[0]]
-    z, s = stack.values[x] + 1j * stack.values[y], predicted[x] + 1j * predicted[y]
-    said = (s[end] - s[start]) * np.exp(1j * off[runs.start[YAW]])
-    return z[end] - z[start] - said, np.angle(np.exp(1j * turn))
 
 
 def nine_terms_by_end(prepared: Prepared) -> Array:

@@ -86,13 +86,13 @@ def _recordings(text: str) -> tuple[str, list[Path]]:
 
 def run(args: argparse.Namespace) -> list[Result]:
     """Run what has no result yet, print the tables and return their rows."""
-    if args.recordings and not args.drawn:
-        from benchmarks.diagnose_recordings import measure  # noqa: PLC0415 (slow to import)
-
-        return measure(args.recordings)
     if args.seeds < 1 or args.jobs < 1:
         msg = "--seeds and --jobs must be at least 1."
         raise FailedError(msg)
+    if args.recordings and not args.drawn:
+        from benchmarks.diagnose_recordings import measure  # noqa: PLC0415 (slow to import)
+
+        return measure(args.recordings, args.resume, args.jobs)
     length = "" if args.duration is None else f"{args.duration:g} s"
     noise = "measured noise" if args.measured_noise else ""
     rival = "rivals" if args.rivals else ""

@@ -1,16 +1,23 @@
 """Real recordings: what the diagnosis gains beside simple rivals, on the same held-out blocks.
 
-Selection of causes is repeated without each half of the blocks, as in every diagnosis.
+Selection of causes is repeated without each half of the blocks, as in every diagnosis. Results are
+appended to a file as they come: what was interrupted goes on where it stopped.
 """
 
+import sys
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict
 
 from benchmarks.baselines import RIVALS, applies
+from benchmarks.diagnose_results import Results, sources
 from benchmarks.sindy import library
 from hilserver.bench.report import Result
 from hilserver.daemon.assembly import assemble
@@ -18,6 +25,7 @@ from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.engine import HORIZON_S
 from hilserver.diagnosis.examine import examine
 from hilserver.diagnosis.findings.nested import cross_validated, judged_by_halves
+from hilserver.diagnosis.memory import one_blas_thread
 from hilserver.diagnosis.progress import Tracker
 from hilserver.diagnosis.regression.gain import gains
 from hilserver.diagnosis.regression.stages import prepare_all
@@ -26,14 +34,16 @@ from hilserver.measured.data import MeasuredLog
 from hilserver.measured.machine import machine
 from hilserver.measured.reading import read_measured
 from hilserver.plant.parameters import RobotParameters
+from hilserver.program.workers import in_processes
 
 QUANTITIES: Final = {"position_m": "position", "yaw_rad": "yaw"}
 NINE_TERMS: Final = ("nine terms", "nine terms, end errors")
 """The one of the larger geometric mean is the bar, quantity by quantity."""
+OWN: Final = ("diagnose_recordings", "baselines", "sindy", "gaussian_process")
+"""Modules here that a result depends on, beside the engine."""
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(BaseModel):
     """Gains of one quantity on one recording.
 
     Attributes
@@ -42,6 +52,8 @@ class Row:
     ahead : mapping of str to Gain
         Error of each rival by that of the diagnosis; its interval is of pairs, block by block.
     """
+
+    model_config = ConfigDict(frozen=True)
 
     name: str
     quantity: str
@@ -53,32 +65,74 @@ class Row:
         return self.engine / self.ahead[rival].ratio
 
 
-def measure(mapped: Iterable[tuple[str, Sequence[Path]]]) -> list[Result]:
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A file that is read by a mapping: a file of its own, or a built-in one by name."""
+
+    mapping: str
+    file: Path
+
+    @property
+    def key(self) -> str:
+        """Its name among all results."""
+        return f"{self.mapping}={self.file}"
+
+
+def measure(mapped: Iterable[tuple[str, Sequence[Path]]], resume: Path, jobs: int) -> list[Result]:
     """Diagnose every recording by itself, print the table, return its figures.
 
     Parameters
     ----------
     mapped : iterable of (str, sequence of Path)
-        A mapping file, or a built-in one by name, and its logs.
+        A mapping, and its logs.
+    resume : Path
+        Results so far: what has one there is not measured again.
+    jobs : int
+        Worker processes.
     """
     library()
-    robot = assemble(None).robot
-    rows: list[Row] = []
-    beyond = " | ".join(f"by {rival}" for rival in NINE_TERMS)
-    print(f"| recording | quantity | diagnosis | {' | '.join(RIVALS)} | {beyond} |")
-    print("|---" * (len(RIVALS) + len(NINE_TERMS) + 3) + "|")
-    for file, mapping in ((file, mapping) for mapping, files in mapped for file in files):
-        for row in against_rivals(file.stem, read_measured([file], mapping), robot):
-            rows.append(row)
-            cells = [f"{row.gain(rival):.2f}" for rival in RIVALS]
-            for gain in (row.ahead[rival] for rival in NINE_TERMS):
-                low, high = gain.ci95 or (float("nan"), float("nan"))
-                cells.append(f"{gain.ratio:.3f} ({low:.2f} to {high:.2f})")
-            print(
-                f"| {row.name} | {row.quantity} | {row.engine:.2f} | {' | '.join(cells)} |",
-                flush=True,
-            )
+    asked = [Recording(mapping, file) for mapping, files in mapped for file in files]
+    results = Results(resume, "recordings", sources(OWN))
+    todo = [one for one in asked if one.key not in results.records]
+    try:
+        with closing(in_processes(work, todo, jobs)) as records:
+            for done, (_, record) in enumerate(records, 1):
+                results.add(record)
+                print(f"{record['key']}: {done} of {len(todo)}", file=sys.stderr)
+    finally:
+        found = [results.records[one.key] for one in asked if one.key in results.records]
+        rows = [Row.model_validate(row) for record in found for row in record["rows"]]
+        print(_table(rows))
     return list(_figures(rows))
+
+
+@one_blas_thread
+def work(one: Recording) -> dict[str, Any]:
+    """Return the record of one recording: a line of the file of results."""
+    begin = time.perf_counter()
+    rows = against_rivals(one.file.stem, read_measured([one.file], one.mapping), _robot())
+    plain = [row.model_dump(mode="json") for row in rows]
+    return {"key": one.key, "rows": plain, "seconds": time.perf_counter() - begin}
+
+
+@cache
+def _robot() -> RobotParameters:
+    return assemble(None).robot
+
+
+def _table(rows: Sequence[Row]) -> str:
+    beyond = " | ".join(f"by {rival}" for rival in NINE_TERMS)
+    lines = [
+        f"| recording | quantity | diagnosis | {' | '.join(RIVALS)} | {beyond} |",
+        "|---" * (len(RIVALS) + len(NINE_TERMS) + 3) + "|",
+    ]
+    for row in rows:
+        cells = [f"{row.gain(rival):.2f}" for rival in RIVALS]
+        for gain in (row.ahead[rival] for rival in NINE_TERMS):
+            low, high = gain.ci95 or (float("nan"), float("nan"))
+            cells.append(f"{gain.ratio:.3f} ({low:.2f} to {high:.2f})")
+        lines.append(f"| {row.name} | {row.quantity} | {row.engine:.2f} | {' | '.join(cells)} |")
+    return "\n".join(lines)
 
 
 def against_rivals(name: str, log: MeasuredLog, robot: RobotParameters) -> Iterator[Row]:
@@ -98,7 +152,8 @@ def against_rivals(name: str, log: MeasuredLog, robot: RobotParameters) -> Itera
         for rival, predict in RIVALS.items()
     }
     for key, quantity in QUANTITIES.items():
-        yield Row(name, quantity, engine[key].ratio, {r: gain[key] for r, gain in ahead.items()})
+        beside = {rival: gain[key] for rival, gain in ahead.items()}
+        yield Row(name=name, quantity=quantity, engine=engine[key].ratio, ahead=beside)
 
 
 def _figures(rows: Sequence[Row]) -> Iterator[Result]:

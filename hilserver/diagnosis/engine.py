@@ -131,7 +131,7 @@ def judge(
         answers,
         found,
         fitted,
-        worsened(*of_patch),
+        worsened(total, *of_patch),
         tracker,
         total_gain=total,
         seed=seed,

@@ -11,7 +11,6 @@ from benchmarks.baselines import (
     EndErrors,
     NineTerms,
     applies,
-    end_errors,
     nine_terms,
     nine_terms_by_end,
     stepwise,
@@ -20,7 +19,7 @@ from benchmarks.diagnose_recordings import NINE_TERMS, Row, _figures
 from benchmarks.diagnose_worker import measured
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.progress import Tracker
-from hilserver.diagnosis.regression.gain import free_run_errors, gains
+from hilserver.diagnosis.regression.gain import gains
 from hilserver.diagnosis.regression.stages import prepare_all
 from hilserver.diagnosis.schema.findings import Gain
 from hilserver.measured.channels import GYRO, POSITION, YAW
@@ -91,7 +90,7 @@ def row(name, engine, ahead):
         rival: Gain(horizon_s=5.0, before=ratio, after=1.0, ratio=ratio, ci95=None)
         for rival, ratio in zip(NINE_TERMS, ahead, strict=True)
     }
-    return Row(name, "yaw", engine, gains)
+    return Row(name=name, quantity="yaw", engine=engine, ahead=gains)
 
 
 def test_figures_are_mean_and_worst_beside_the_better_nine_terms():
@@ -100,17 +99,6 @@ def test_figures_are_mean_and_worst_beside_the_better_nine_terms():
         ("yaw: geometric mean", pytest.approx(1.0), f"gain of {NINE_TERMS[1]}"),
         ("yaw: worst", 0.5, "bound"),
     ]
-
-
-def test_end_errors_are_those_of_the_gain(prepared):
-    """At the null the squares that the fit sees are the errors that the gain reports."""
-    problem = prepared.problem
-    rival = EndErrors(problem)
-    said = rival.predict(np.array(rival.NULL))
-    move, turn = end_errors(problem.stack, said, rival.runs)
-    shown = free_run_errors(problem, said, rival.runs)
-    assert np.abs(move) == pytest.approx(shown["position_m"].values)
-    assert np.abs(turn) == pytest.approx(shown["yaw_rad"].values)
 
 
 def test_end_errors_find_gain_and_delay_and_gain_on_held_out_blocks():
@@ -135,7 +123,9 @@ def test_a_recording_needs_its_mapping(tmp_path, text, capsys):
 def test_recordings_take_the_place_of_hidden_causes(tmp_path, monkeypatch):
     args = arguments(tmp_path, words=["--recordings", "husky.yaml=a.csv,b.csv", "w.yaml=c.csv"])
     asked = []
-    monkeypatch.setattr("benchmarks.diagnose_recordings.measure", lambda m: asked.extend(m) or [])
+    monkeypatch.setattr(
+        "benchmarks.diagnose_recordings.measure", lambda m, *_: asked.extend(m) or []
+    )
     assert diagnose.run(args) == []
     assert [(m, [f.name for f in files]) for m, files in asked] == [
         ("husky.yaml", ["a.csv", "b.csv"]),

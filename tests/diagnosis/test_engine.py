@@ -1,11 +1,17 @@
 """What holds for every diagnosis, whatever it finds."""
 
+from dataclasses import replace
+
 from hilserver_injector import Recipe, make
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from benchmarks.diagnose_worker import measured
 from hilserver.daemon.assembly import assemble
+from hilserver.diagnosis import engine
 from hilserver.diagnosis.engine import diagnose
+from hilserver.diagnosis.findings.nested import answers_of
+from hilserver.diagnosis.findings.worth import Explained
+from hilserver.diagnosis.schema.findings import Gain
 
 
 def blas_threads():
@@ -24,3 +30,27 @@ def test_linear_algebra_keeps_to_one_thread_and_gives_the_others_back():
         )
         assert seen == {1}
         assert blas_threads() == before
+
+
+class Worse(Explained):
+    """What is reported makes the yaw worse, whatever it is made of."""
+
+    def gains(self, horizon_s, rng, before=None):
+        gain = Gain(horizon_s=horizon_s, before=1.0, after=2.0, ratio=0.5, ci95=(0.4, 0.6))
+        return {"yaw_rad": gain}
+
+
+def test_no_patch_is_written_where_a_reported_quantity_is_worse(monkeypatch):
+    """Columns without a name are reported, too, and stand in no patch: both gains count."""
+    recipe = Recipe(seed=1, causes={"rotation_gain": -0.3}, duration_s=45.0)
+    log, assembly = measured(make(recipe)[0], recipe), assemble(None)
+    assert diagnose(log, assembly, jobs=1).evidence.extension
+
+    def worse(*args):
+        return [replace(a, explained=Worse(a.explained.parts, a.explained.without))
+                for a in answers_of(*args)]  # fmt: skip
+
+    monkeypatch.setattr(engine, "answers_of", worse)
+    found = diagnose(log, assembly, jobs=1)
+    assert not found.evidence.extension
+    assert any("no model patch" in note for note in found.findings.notices)

@@ -6,8 +6,10 @@ every `horizon / 2`. Blocks alternate between training and test, both ways round
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hilserver.arrays import Array, Indices
 from hilserver.diagnosis.regression.fitting import fit
@@ -129,25 +131,40 @@ def _nearest(problem: Problem, name: str, segment: Indices, t_s: Array) -> Indic
     return np.asarray(np.where(wanted - own[below] < own[above] - wanted, below, above))
 
 
-def free_run_errors(problem: Problem, predicted: Array, w: Windows) -> dict[str, Errors]:
-    """Return errors at the end of free runs that start at the measured pose."""
+def missed(problem: Problem, predicted: Array, w: Windows) -> dict[str, NDArray[Any]]:
+    """Return what free runs that start at the measured pose miss at their end.
+
+    By quantity, shape (runs,): the yaw, wrapped; the position as x + iy.
+    """
     stack, out = problem.stack, {}
     values = stack.values
     turn: Array | float = 0.0
     if YAW in stack.edges:
-        edge, start, end = stack.edges[YAW], w.start[YAW], w.end[YAW]
-        measured, said = values[edge], predicted[edge]
-        d = (measured[end] - said[end]) - (measured[start] - said[start])
-        d = d - 2.0 * np.pi * np.rint(d / (2.0 * np.pi))
-        out["yaw_rad"] = Errors(np.abs(d), stack.block[edge][end])
-        turn = measured[start] - said[start]
+        off = values[stack.edges[YAW]] - predicted[stack.edges[YAW]]
+        d = off[w.end[YAW]] - off[w.start[YAW]]
+        out["yaw_rad"] = d - 2.0 * np.pi * np.rint(d / (2.0 * np.pi))
+        turn = off[w.start[YAW]]
     if all(n in stack.edges for n in POSITION):
         x, y = (stack.edges[n] for n in POSITION)
         start, end = w.start[POSITION[0]], w.end[POSITION[0]]
         z, s = values[x] + 1j * values[y], predicted[x] + 1j * predicted[y]
         move = (s[end] - s[start]) * np.exp(1j * np.asarray(turn))
-        out["position_m"] = Errors(np.abs(z[end] - z[start] - move), stack.block[x][end])
+        out["position_m"] = z[end] - z[start] - move
     return out
+
+
+def blocks_at(problem: Problem, key: str, at: Mapping[str, Indices]) -> Indices:
+    """Return the block in which each free run begins or ends."""
+    name = YAW if key == "yaw_rad" else POSITION[0]
+    return problem.stack.block[problem.stack.edges[name]][at[name]]
+
+
+def free_run_errors(problem: Problem, predicted: Array, w: Windows) -> dict[str, Errors]:
+    """Return errors at the end of free runs that start at the measured pose."""
+    return {
+        key: Errors(np.abs(off), blocks_at(problem, key, w.end))
+        for key, off in missed(problem, predicted, w).items()
+    }
 
 
 def compare(before: Errors, after: Errors, horizon_s: float, rng: np.random.Generator) -> Gain:
