@@ -26,6 +26,8 @@ from hilserver.logs.provenance import unpack_meta
 from hilserver.logs.table import BLOCK, EXACT, SEGMENT, TIME, Table, in_time, place_of
 
 MAX_FIELD_CHARACTERS = 10_000
+NO_NAME = ("#", "sep=")
+"""How a comment begins, and what only Excel reads."""
 
 
 def read_csv(path: Path, known: Container[str] | None = None) -> Log:
@@ -198,6 +200,11 @@ def _begin(
     if header is None:
         raise LogError(f"{path}: is empty; the first row has to be the header 't_s,<signal>,...'")
     header = [name.strip() for name in header]
+    if header[:1] and header[0].startswith(NO_NAME):
+        raise LogError(
+            f"{path}: row 1 begins with {header[0][:4]!r}; the header has to be the first row and"
+            " begin with the name of a column: remove what stands before it"
+        )
     if all(_is_number(name or "0") for name in header):
         raise LogError(
             f"{path}: row 1 is no header but numbers; put 't_s,<signal>,...' into the first row"
@@ -230,13 +237,20 @@ def _append(table: Table, line: int, row: list[str], at: int) -> None:
     """Append a row; `at` is the column of the stamps, -1 without."""
     width = len(table.header)
     if len(row) < width or any(map(str.strip, row[width:])):
+        remedy = "remove or complete the row"
+        if len(row) > width:
+            remedy += ", or separate columns by semicolons where decimals have commas"
         raise LogError(
-            f"{table.path}: row {line} has {len(row)} columns, the header has {width};"
-            " remove or complete the row"
+            f"{table.path}: row {line} has {len(row)} columns, the header has {width}; {remedy}"
         )
     try:
         numbers = [float(row[place]) for place in table.read]
     except ValueError:
+        if line == 2 and not any(map(_is_number, row)):
+            raise LogError(
+                f"{table.path}: row 2 holds no number; remove what stands between the header and"
+                " the numbers, such as a row of units"
+            ) from None
         numbers = [_number(table, line, place, row[place]) for place in table.read]
     if at >= 0 and (table.origin or abs(numbers[at]) >= EXACT):
         numbers[at] = _since_first(table, row[table.read[at]], numbers[at])

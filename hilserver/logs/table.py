@@ -106,9 +106,10 @@ def _falls(
     later = np.flatnonzero(t[row:] > t[row - 1])
     rows = int(later[0]) if later.size else len(t) - row
     begins_anew = t[row] <= t[np.argmax(run == run[row])]
+    is_backwards = 2 * np.count_nonzero(np.diff(t) < 0) > len(t)
     remedy = (
         "number the runs in a column 'segment'"
-        if begins_anew or rows > FEW_ROWS
+        if (begins_anew or rows > FEW_ROWS) and not is_backwards
         else "sort the rows by time"
     )
     now, before = (

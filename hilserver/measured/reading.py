@@ -29,6 +29,7 @@ from hilserver.measured.thresholds import (
     LONGEST_LOG_S,
     SHORTEST_LOG_S,
     SHORTEST_SEGMENT_S,
+    SLOWEST_ROWS_S,
 )
 
 
@@ -71,7 +72,20 @@ def read_measured(
     )
     pooled = without_jumps(cut_at_pauses(_pool(log, recordings)))
     _refuse_lengths(paths[0], [span.end_s - span.start_s for span in pooled.spans])
+    for path, recording in zip(paths, recordings, strict=True):
+        _refuse_slow(path, recording)
     return pooled
+
+
+def _refuse_slow(path: Path, recording: Recording) -> None:
+    """Refuse rows so far apart that their unit is another one, or nothing of a drive is seen."""
+    steps_s = [np.diff(p.t_s)[np.diff(p.segment) == 0] for p in recording.parts]
+    usual_s = min((float(np.median(steps)) for steps in steps_s if steps.size), default=0.0)
+    if recording.has_stamps and usual_s > SLOWEST_ROWS_S:
+        raise LogError(
+            f"{path}: its rows are {usual_s:.3g} s apart, too far for anything that a drive does;"
+            " write seconds, or name the unit in a mapping, as time: {unit: ms}"
+        )
 
 
 def _refuse_lengths(path: Path, lengths_s: Sequence[float]) -> None:

@@ -11,7 +11,7 @@ from hilserver.arrays import Array, Indices
 from hilserver.errors import LogError, meant, nearest
 from hilserver.logs import Log, read_log
 from hilserver.logs.csv_dialects import separator_of
-from hilserver.logs.csv_reader import read_table
+from hilserver.logs.csv_reader import NO_NAME, read_table
 from hilserver.logs.table import BLOCK, SEGMENT, TIME, Table, in_time
 from hilserver.measured.frames import Sampling, frames_of, is_of_the_daemon, own_sampling
 from hilserver.measured.mapping import DATED, PER_SECOND, LogMapping
@@ -82,6 +82,8 @@ def refuse_foreign(path: Path) -> None:
         )
     else:
         return
+    if header[0].startswith(NO_NAME):
+        return  # the reader says what it is
     is_misspelt = any("." in name and nearest(name, known_columns()) for name in header)
     if not is_misspelt and {*known_columns(), BLOCK, SEGMENT}.isdisjoint(header):
         foreign = ForeignTable(path, header, first)

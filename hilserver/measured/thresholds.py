@@ -8,6 +8,7 @@ from typing import Final
 # How a file is read
 ABSURD: Final = 1e12  # a number beyond is no measurement in any unit
 LATEST_S: Final = 1e11  # s: later stamps are none, and too coarse (seconds since 1970 are 1.8e9)
+SLOWEST_ROWS_S: Final = 5.0  # s between rows: nothing that a drive does is seen so
 SHORTEST_LOG_S: Final = 1.0  # s
 LONGEST_LOG_S: Final = 28_800.0  # s
 FEWEST_VALUES: Final = 20  # different ones; fewer do not show how often a new one comes

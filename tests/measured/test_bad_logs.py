@@ -142,6 +142,37 @@ KINDS = {
         None,
         f"row 2, column 2 '{SPEED}': '0,5': the file has decimal commas and points; write one",
     ),
+    "what only Excel reads": (
+        raw(f"sep=;\nt_s;{SPEED}\n0;1\n"),
+        None,
+        r"row 1 begins with 'sep='; the header has to be the first row",
+    ),
+    "a comment": (
+        raw(f"# made by x at 12:00\nt_s,{SPEED}\n0,1\n"),
+        None,
+        "row 1 begins with '# ma'; .* remove what stands before it",
+    ),
+    "the header a comment": (csv(header=f"# t_s,{SPEED}"), None, "row 1 begins with '# t_'; the"),
+    "a row of units": (
+        raw(f"t_s,{SPEED}\ns,rpm\n" + "".join(f"{0.02 * i},{i}\n" for i in range(120))),
+        None,
+        "row 2 holds no number; remove what stands between the header and the numbers, such as",
+    ),
+    "decimal commas between commas": (
+        raw(f"t_s,{SPEED}\n" + "".join(f"0,{i:03d},{i},0\n" for i in range(120))),
+        None,
+        "row 2 has 4 columns, the header has 2; .*semicolons where decimals have commas",
+    ),
+    "backwards": (
+        csv(row="-{t},{i}"),
+        None,
+        "row 3, column 1 't_s': -0.02 does not rise after -0.0; sort the rows by time",
+    ),
+    "milliseconds": (
+        raw(f"t_s,{SPEED}\n" + "".join(f"{20 * i},{i}\n" for i in range(400))),
+        None,
+        r"its rows are 20 s apart, .* in a mapping, as time: \{unit: ms\}",
+    ),
     "decimal commas": (row_of("0,06,3"), None, "row 5 has 3 columns, the header has 2; remove"),
     "device": (lambda _folder: Path("/dev/zero"), None, "is a device or a pipe, not a file; save"),
     "pipe": (pipe, None, "log.csv: is a device or a pipe, not a file; save the log as a file"),
