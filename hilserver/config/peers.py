@@ -10,7 +10,7 @@ import re
 import uuid
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Literal
 from urllib.parse import urlsplit
 
 from pydantic import AfterValidator, Field, model_validator
@@ -21,6 +21,7 @@ from hilserver.config.section import Driver, LinkSection
 from hilserver.errors import meant
 from hilserver.opcua.loopback import is_loopback
 from hilserver.opcua.settings import check_endpoint
+from hilserver.signals import SignalTable
 
 _NODE = re.compile(r"^(?:nsu=(?P<uri>[^;]+)|ns=(?P<index>\d{1,5}));(?P<identifier>[sigb]=.+)$")
 _BLOCK = re.compile(r"^DB\d", re.IGNORECASE)
@@ -243,19 +244,6 @@ class PeerConfig(LinkSection):
         return self
 
 
-class _SignalLike(Protocol):
-    @property
-    def writable(self) -> bool: ...
-    @property
-    def slots(self) -> tuple[int, ...]: ...
-
-
-class _TableLike(Protocol):
-    def __contains__(self, name: object) -> bool: ...
-    def __getitem__(self, name: str) -> _SignalLike: ...
-    def __iter__(self) -> Iterator[object]: ...
-
-
 @dataclass(frozen=True, slots=True)
 class SignalProblem:
     """A signal of a peer that does not fit the table."""
@@ -265,20 +253,9 @@ class SignalProblem:
     message: str
 
 
-def check_signals(peer: PeerConfig, table: _TableLike) -> list[SignalProblem]:
-    """Compare the signal names of `peer` with the signal table.
-
-    Parameters
-    ----------
-    table : SignalTable
-        Anything with the signal names as keys and ``writable`` on its signals.
-
-    Returns
-    -------
-    list of SignalProblem
-        Empty when every name fits.
-    """
-    known = {str(getattr(item, "name", item)) for item in table}  # without hidden ones
+def check_signals(peer: PeerConfig, table: SignalTable) -> list[SignalProblem]:
+    """Return which signal names of `peer` do not fit the signal table."""
+    known = {signal.name for signal in table}  # without hidden ones
     problems = []
     reader: dict[int, str] = {}
     for node, signal in _reads(peer):

@@ -7,7 +7,6 @@ Uncertain. It ends only by Reset, and only when its cause is gone.
 
 import time
 from collections.abc import Callable
-from typing import Protocol
 
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.core.inputs import InputGate
@@ -15,28 +14,9 @@ from hilserver.core.snapshot import SnapshotStore
 from hilserver.core.transitions import Command, next_state
 from hilserver.errors import ControlRefused
 from hilserver.image import ProcessImage, Row
+from hilserver.scheduler import Scheduler
 from hilserver.scheduler.faults import fault_of
 from hilserver.signals import SignalTable, State
-
-
-class Pacing(Protocol):
-    """What the state machine needs of the scheduler."""
-
-    def pause(self) -> None:
-        """Stop before the next tick."""
-
-    def resume(self) -> None:
-        """Run on."""
-
-    def step(self, n: int) -> None:
-        """Run `n` ticks, then pause."""
-
-    def set_speed(self, factor: float) -> None:
-        """Pace at `factor` times real time."""
-
-    @property
-    def tick(self) -> int:
-        """Tick that comes next."""
 
 
 class Control:
@@ -58,7 +38,7 @@ class Control:
         image: ProcessImage,
         gate: InputGate,
         events: EventBus,
-        pacing: Pacing,
+        scheduler: Scheduler,
         snapshots: SnapshotStore,
         *,
         reset_statistics: Callable[[], None] = lambda: None,
@@ -77,7 +57,7 @@ class Control:
         self._image = image
         self._gate = gate
         self._events = events
-        self._pacing = pacing
+        self._scheduler = scheduler
         self._snapshots = snapshots
         self._causes: dict[str, str] = {}
         self._stop_taken = 0
@@ -111,13 +91,13 @@ class Control:
     def start(self) -> None:
         """Run on from a pause."""
         state = self._next(Command.START)
-        self._pacing.resume()
+        self._scheduler.resume()
         self._go(state, state.word)
 
     def pause(self) -> None:
         """Stop the plant at the next tick; inputs and outputs stay visible."""
         state = self._next(Command.PAUSE)
-        self._pacing.pause()
+        self._scheduler.pause()
         self._gate.end()
         self._go(state, state.word)
 
@@ -126,7 +106,7 @@ class Control:
         if not 1 <= n <= 1_000_000:
             raise ValueError(f"Step takes 1 to 1000000 ticks, not {n}")
         self._next(Command.STEP)
-        self._pacing.step(n)
+        self._scheduler.step(n)
 
     def stop(self) -> None:
         """Emergency stop: go to the safe state."""
@@ -155,7 +135,7 @@ class Control:
         if state is self.state:
             return
         if self.state is State.PAUSED:
-            self._pacing.resume()
+            self._scheduler.resume()
         self._gate.may_fall_back = False
         self._go(state, reason)
 
@@ -240,7 +220,7 @@ class Control:
         """Run at `factor` times real time (0.01 .. 100)."""
         if not 0.01 <= factor <= 100:
             raise ValueError(f"the speed factor is 0.01 to 100, not {factor}")
-        self._pacing.set_speed(factor)
+        self._scheduler.set_speed(factor)
         self.speed = factor
         self._speed_changed(factor)
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from hilserver.errors import ControlRefused
 from hilserver.metrics import Kind, Metric, by_name, counter
@@ -10,27 +10,8 @@ from hilserver.metrics import Kind, Metric, by_name, counter
 Table = Mapping[str, Mapping[str, float | str | bool | int | None]]
 
 
-class Decisions(Protocol):
-    """Proposals, as an engineer decides on them."""
-
-    async def accept(self, number: int, who: str) -> None:
-        """Lay the patch of a proposal over the plant."""
-
-    async def reject(self, number: int, who: str) -> None:
-        """Go on without it; it is not made again."""
-
-    async def postpone(self, number: int, who: str) -> None:
-        """Leave it open and remind nobody."""
-
-    def table(self) -> Table:
-        """Return the figures of the nodes ``recalibration.*``."""
-
-    def view(self) -> dict[str, Any] | None:
-        """Return what the page shows; None without recalibration."""
-
-
-class NoDecisions:
-    """A daemon without recalibration."""
+class Decisions:
+    """What an engineer decides on proposals; of a daemon without recalibration, which refuses."""
 
     async def accept(self, number: int, who: str) -> None:
         """Refuse."""

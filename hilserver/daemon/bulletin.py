@@ -9,15 +9,15 @@ from typing import Any
 from hilserver import __version__
 from hilserver.compiled.histogram import BOUNDS_NS
 from hilserver.core.control import Control
-from hilserver.core.events import EventBus, EventKind
-from hilserver.core.inputs import InputGate
+from hilserver.core.events import EventKind
 from hilserver.daemon import figures
-from hilserver.faults import Faults
+from hilserver.daemon.builder import Core
+from hilserver.daemon.desk import Desk
+from hilserver.daemon.outputs import Outputs
 from hilserver.image import ProcessImage
 from hilserver.image.board import Board
 from hilserver.io.link_status import PeerStatus
 from hilserver.monitoring.audit import AuditItem
-from hilserver.scheduler import Scheduler
 from hilserver.scheduler.metrics import slices_by_name
 
 EVERY_S = 0.5
@@ -26,51 +26,46 @@ EVENTS = 40
 
 @dataclass(frozen=True)
 class Bulletin:
-    """Shows the state of a daemon to other processes; what may change later is a callable."""
+    """Shows the state of a daemon to other processes."""
 
+    core: Core
     control: Control
-    gate: InputGate
-    scheduler: Scheduler
-    events: EventBus
-    faults: Faults
+    outputs: Outputs
+    desk: Desk
+    audit: Sequence[AuditItem]
     peers: Callable[[], Sequence[PeerStatus]]
-    audit: Callable[[], Sequence[AuditItem]]
-    gaps: Callable[[], Mapping[str, float]]
-    patch: Callable[[], str | None]
-    patch_notice: Callable[[], str | None]
-    scenario: Callable[[], dict[str, Any] | None]
-    recording: Callable[[], dict[str, Any] | None]
-    recalibration: Callable[[], dict[str, Any] | None]
 
     def content(self) -> dict[str, Any]:
         """Return what is shown, as JSON takes it."""
+        core, desk = self.core, self.desk
         return {
             "version": __version__,
             "state": self.control.state.name.lower(),
             "reason": self.control.reason,
             "speed": self.control.speed,
-            "owner": self.gate.owner,
-            "realtime_factor": _number(self.scheduler.statistics.tick.real_time_factor),
+            "owner": core.gate.owner,
+            "realtime_factor": _number(core.scheduler.statistics.tick.real_time_factor),
             "bounds_us": (BOUNDS_NS / 1000).tolist(),
             "slices": self._slices(),
             "peers": _table(figures.peer_table(self.peers())),
-            "audit": figures.audit_table(self.audit()),
+            "audit": figures.audit_table(self.audit),
             "faults": [
                 {"name": f.name, "fault": f.fault, "place": f.place, "acts": f.is_acting}
-                for f in self.faults.active()
+                for f in core.faults.active()
             ],
-            "gaps": _finite(self.gaps()),
-            "patch": self.patch(),
-            "patch_notice": self.patch_notice(),
-            "scenario": self.scenario(),
-            "recording": self.recording(),
-            "recalibration": self.recalibration(),
+            "gaps": _finite(self.outputs.model_gap()),
+            "patch": desk.patches.loaded,
+            "patch_notice": desk.patches.notice,
+            "scenario": desk.scenarios.view(),
+            "recording": desk.recordings.view(),
+            "recalibration": desk.recalibration.view(),
             "events": self._events(),
         }
 
     def _slices(self) -> dict[str, dict[str, Any]]:
-        table = _table(figures.slice_table(self.scheduler))
-        for name, slice_ in slices_by_name(self.scheduler).items():
+        scheduler = self.core.scheduler
+        table = _table(figures.slice_table(scheduler))
+        for name, slice_ in slices_by_name(scheduler).items():
             table[name]["margin_last_us"] = slice_.margin_last_ns * 1e-3
             table[name]["latency_counts"] = slice_.latency_counts.tolist()
         return table
@@ -78,7 +73,7 @@ class Bulletin:
     def _events(self) -> list[dict[str, Any]]:
         """Return the newest events, the newest first; the overruns of a slice are one."""
         now_ns, shown = time.monotonic_ns(), dict[Any, dict[str, Any]]()
-        for event in reversed(self.events.recent):
+        for event in reversed(self.core.events.recent):
             is_overrun = event.kind == EventKind.OVERRUN
             key = event.source if is_overrun else id(event)
             if key in shown:

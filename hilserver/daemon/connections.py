@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 
 from hilserver.body.export import robot_urdf
 from hilserver.config.root import Config
@@ -50,16 +51,22 @@ LINKS: tuple[Callable[[World], Iterable[Part]], ...] = (
 """Every link, in the order of the banner; a new one is a line here."""
 
 
-def make_world(
-    core: Core,
-    clock: UtcClock,
-    control: Control,
-    outputs: Outputs,
-    peers: Callable[[], Sequence[PeerStatus]],
-    audit: Sequence[AuditItem],
-    desk: Desk,
-) -> World:
+@dataclass(frozen=True)
+class Surroundings:
+    """What links, board and metrics of one daemon are made of."""
+
+    core: Core
+    clock: UtcClock
+    control: Control
+    outputs: Outputs
+    desk: Desk
+    audit: Sequence[AuditItem]
+    peers: Callable[[], Sequence[PeerStatus]]
+
+
+def make_world(of: Surroundings) -> World:
     """Return what links need of the robot."""
+    core, outputs, desk = of.core, of.outputs, of.desk
     assembly = core.assembly
     parameters = assembly.composition.parameters
     return World(
@@ -70,8 +77,8 @@ def make_world(
         image=core.image,
         gate=core.gate,
         events=core.events,
-        clock=clock,
-        control=control,
+        clock=of.clock,
+        control=of.control,
         faults=core.faults,
         parameters=core.parameters,
         lines=core.lines,
@@ -83,9 +90,9 @@ def make_world(
         read_output=outputs.read,
         tables={
             "slices": lambda: figures.slice_table(core.scheduler),
-            "peers": lambda: figures.peer_table(peers()),
-            "audit": lambda: figures.audit_table(audit),
-            "recalibration": desk.proposals,
+            "peers": lambda: figures.peer_table(of.peers()),
+            "audit": lambda: figures.audit_table(of.audit),
+            "recalibration": lambda: desk.recalibration.table(),
         },
         files=desk,
     )
@@ -109,59 +116,33 @@ def make_desk(core: Core, stage: Stage) -> Desk:
     )
 
 
-def make_notice(
-    core: Core,
-    control: Control,
-    outputs: Outputs,
-    peers: Callable[[], Sequence[PeerStatus]],
-    audit: Sequence[AuditItem],
-    desk: Desk,
-) -> Notice:
+def make_notice(of: Surroundings) -> Notice:
     """Return what keeps the board of the image up to date."""
-    bulletin = Bulletin(
-        control,
-        core.gate,
-        core.scheduler,
-        core.events,
-        core.faults,
-        peers=peers,
-        audit=lambda: audit,
-        gaps=outputs.model_gap,
-        patch=lambda: desk.patches.loaded,
-        patch_notice=lambda: desk.patches.notice,
-        scenario=desk.scenarios.view,
-        recording=desk.recordings.view,
-        recalibration=desk.proposal,
-    )
-    return Notice(core.image, bulletin)
+    bulletin = Bulletin(of.core, of.control, of.outputs, of.desk, of.audit, of.peers)
+    return Notice(of.core.image, bulletin)
 
 
 def make_metrics(
-    core: Core,
-    control: Control,
-    outputs: Outputs,
-    peers: Callable[[], Sequence[PeerStatus]],
-    gaps: GapWatch,
-    audit: Sequence[AuditItem],
-    config: Callable[[], Config],
-    links: Sequence[Part],
+    of: Surroundings, gaps: GapWatch, config: Callable[[], Config], links: Sequence[Part]
 ) -> Metrics:
     """Return the metrics; `config` is asked anew each time, as a reload changes it."""
-    scheduler = core.scheduler
+    core, outputs, scheduler = of.core, of.outputs, of.core.scheduler
     return Metrics(
         Source(scheduler_metrics.METRICS, lambda: scheduler_metrics.pace(scheduler)),
-        Source(core_metrics.STATE_METRICS, lambda: control.state),
+        Source(core_metrics.STATE_METRICS, lambda: of.control.state),
         Source(core_metrics.PARAMETER_METRICS, lambda: len(core.parameters.differing)),
         Source(core_metrics.INPUT_METRICS, lambda: core_metrics.inputs(core.gate)),
-        Source(peer_metrics.METRICS, peers),
-        Source(shield_metrics.METRICS, lambda: [p for p in peers() if isinstance(p, ShieldStatus)]),
+        Source(peer_metrics.METRICS, of.peers),
+        Source(
+            shield_metrics.METRICS, lambda: [p for p in of.peers() if isinstance(p, ShieldStatus)]
+        ),
         Source(metrics.LATENCY_METRICS, lambda: outputs.end_to_end),
         Source(metrics.GAP_METRICS, outputs.model_gap),
         Source(metrics.OUTPUT_METRICS, outputs.exported),
         Source(metrics.ALARM_METRICS, lambda: gaps.alarms),
         Source(fault_metrics.METRICS, core.faults.counts),
         Source(observer_metrics.METRICS, lambda: _observed(core)),
-        Source(AUDIT_METRICS, lambda: {item.name: item.ok for item in audit}),
+        Source(AUDIT_METRICS, lambda: {item.name: item.ok for item in of.audit}),
         Source(
             metrics.PROGRAM_METRICS,
             lambda: metrics.Program(config().sha256, len(asyncio.all_tasks())),

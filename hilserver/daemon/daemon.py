@@ -22,6 +22,7 @@ from hilserver.daemon.assembly import Assembly
 from hilserver.daemon.builder import Core, Pace, build
 from hilserver.daemon.connections import (
     LINKS,
+    Surroundings,
     make_desk,
     make_http,
     make_metrics,
@@ -120,23 +121,19 @@ class Daemon:
         self.gaps = GapWatch(config.shadow, self.table, self.outputs.model_gap, self.events)
         self._states = StateService(core.snapshots, self.image.name)
         self.desk = make_desk(core, self.stage)
-        self._notice = make_notice(
-            core, self.control, self.outputs, self._statuses, self.audit, self.desk
-        )
-        world = make_world(
-            core, self.clock, self.control, self.outputs, self._statuses, self.audit, self.desk
-        )
-        self.parts: list[Part] = [part for make in links for part in make(world)]
-        self.metrics = make_metrics(
+        of = Surroundings(
             core,
+            self.clock,
             self.control,
             self.outputs,
-            self._statuses,
-            self.gaps,
+            self.desk,
             self.audit,
-            lambda: self.config,
-            self.parts,
+            self._statuses,
         )
+        self._notice = make_notice(of)
+        world = make_world(of)
+        self.parts: list[Part] = [part for make in links for part in make(world)]
+        self.metrics = make_metrics(of, self.gaps, lambda: self.config, self.parts)
         self.parts += make_http(core, self.control, self.supervision, self.metrics)
 
     def parts_of(self, section: str) -> list[Any]:

@@ -6,7 +6,7 @@ Names are plain and within the configured folders; nothing that exists is writte
 import asyncio
 import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ import structlog
 from hilserver.config.loading import LIVE_BYTES
 from hilserver.config.recording import RecordingConfig
 from hilserver.core.inputs import InputGate
-from hilserver.core.recalibration import Decisions, NoDecisions, Table
+from hilserver.core.recalibration import Decisions
 from hilserver.daemon.patches import Patches
 from hilserver.errors import ControlRefused, UserError
 from hilserver.faults import Faults, Play, load_scenario
@@ -178,61 +178,11 @@ class Recordings:
             await asyncio.gather(self._task, return_exceptions=True)
 
 
+@dataclass
 class Desk:
-    """Scenarios, recordings and patches, as the OPC UA methods start and stop them."""
+    """What users start and stop by name; the OPC UA methods act on its parts."""
 
-    def __init__(self, scenarios: Scenarios, recordings: Recordings, patches: Patches) -> None:
-        self.scenarios, self.recordings, self.patches = scenarios, recordings, patches
-        self.recalibration: Decisions = NoDecisions()
-
-    async def start_scenario(self, name: str) -> None:
-        """Play a scenario from now on."""
-        await self.scenarios.start(name)
-
-    def stop_scenario(self) -> None:
-        """End it."""
-        self.scenarios.stop()
-
-    def start_recording(self, name: str) -> None:
-        """Record into a new file."""
-        self.recordings.start(name)
-
-    def stop_recording(self) -> None:
-        """Complete it."""
-        self.recordings.stop()
-
-    async def load_patch(self, name: str) -> None:
-        """Lay a patch over the plant."""
-        await self.patches.load(name)
-
-    def proposals(self) -> Table:
-        """Return the figures of the recalibration."""
-        return self.recalibration.table()
-
-    def proposal(self) -> dict[str, Any] | None:
-        """Return what the page shows of it."""
-        return self.recalibration.view()
-
-    async def accept_proposal(self, number: int, who: str) -> None:
-        """Lay the patch of a proposal over the plant."""
-        await self.recalibration.accept(number, who)
-
-    async def reject_proposal(self, number: int, who: str) -> None:
-        """Go on without it."""
-        await self.recalibration.reject(number, who)
-
-    async def postpone_proposal(self, number: int, who: str) -> None:
-        """Leave it open and remind nobody."""
-        await self.recalibration.postpone(number, who)
-
-    async def reset_parameters(self) -> None:
-        """Go back to the parameters of the configuration."""
-        await self.patches.reset()
-
-    async def save_parameters(self, name: str) -> None:
-        """Write those that differ from it as a patch."""
-        await self.patches.save(name)
-
-    async def remove_patch(self) -> None:
-        """Go on without it."""
-        await self.patches.remove()
+    scenarios: Scenarios
+    recordings: Recordings
+    patches: Patches
+    recalibration: Decisions = field(default_factory=Decisions)

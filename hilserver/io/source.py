@@ -2,11 +2,11 @@
 
 from collections.abc import Callable, Collection, Iterable, Mapping
 from enum import StrEnum
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from hilserver.config.section import Driver
 from hilserver.core.events import Event, EventKind
-from hilserver.core.inputs import Refusal
+from hilserver.core.inputs import InputGate, Refusal
 from hilserver.core.staleness import Staleness, Transition
 from hilserver.io.link_faults import FaultBook
 from hilserver.io.link_status import PeerStatus
@@ -19,22 +19,6 @@ class WrongValue(StrEnum):
     """The fault that every link can have."""
 
     REFUSED_VALUE = "refused_value"
-
-
-class Gate(Protocol):
-    """The input gate, as links see it."""
-
-    def write(
-        self, source: str, values: Mapping[str, object], *, renews: bool = True
-    ) -> Mapping[str, Refusal]:
-        """Take one group; return signal -> reason for what was refused."""
-        ...
-
-    def mark_stale(self, source: str) -> None:
-        """Keep what the source wrote last, as no longer fresh."""
-
-    def expect(self, source: str, names: Iterable[str]) -> None:
-        """Mark signals that the source will write as without a value yet."""
 
 
 class Outcome(NamedTuple):
@@ -64,7 +48,7 @@ class Source:
         driver: Driver,
         label: str,
         status: PeerStatus,
-        gate: Gate,
+        gate: InputGate,
         publish: Callable[[Event], None],
         *,
         fresh: Callable[[], str],

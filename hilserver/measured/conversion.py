@@ -4,18 +4,15 @@ from pathlib import Path
 
 import numpy as np
 
-from hilserver.arrays import Array
 from hilserver.errors import LogError
 from hilserver.logs import Log, read_log
 from hilserver.logs.bag_reader import is_own_bag
 from hilserver.logs.reading import is_bag_of_ros, refuse_others
 from hilserver.logs.rewriting import as_table
-from hilserver.logs.table import BLOCK, SEGMENT, TIME, in_time
 from hilserver.measured.bag import read_bag
 from hilserver.measured.mapping import builtin_mappings, load_mapping
 from hilserver.measured.names import known_columns
-from hilserver.measured.parquet import read_parquet
-from hilserver.measured.tables import Recording, read_mapped
+from hilserver.measured.tables import Recording, log_of_parquet, read_mapped
 
 
 def read_any(path: Path, mapping: str | None = None) -> Log:
@@ -33,7 +30,7 @@ def read_any(path: Path, mapping: str | None = None) -> Log:
             read = read_bag if table.is_for_bags else read_mapped
             return _one_table(read(path, table))
         if path.suffix == ".parquet":
-            return _parquet(path)
+            return log_of_parquet(path)[0]
         if is_bag_of_ros(path) and not is_own_bag(path):
             raise LogError(
                 f"{path}: is no recording of hilserver; name a mapping of its topics, a file or one"
@@ -61,23 +58,6 @@ def _one_table(recording: Recording) -> Log:
             columns[name][rows] = values
     segment = np.zeros(len(t_s), dtype=np.int64)
     return Log(recording.path, t_s, segment, columns, notices=recording.notices)
-
-
-def _parquet(path: Path) -> Log:
-    table = read_parquet(path)
-    if TIME not in table.header:
-        raise LogError(f"{path}: there is no column 't_s'; name the time column so, in s")
-    names = [name for name in table.header if name not in (TIME, SEGMENT, BLOCK)]
-    table = in_time(table, TIME)
-    columns: dict[str, Array] = {name: table.column(name) for name in names}
-    return Log(
-        path,
-        table.column(TIME),
-        table.segment(),
-        columns,
-        table.integers(BLOCK),
-        notices=table.notices,
-    )
 
 
 def write_parquet(log: Log, path: Path) -> None:

@@ -112,29 +112,30 @@ def _own(log: Log, sampling: Sampling | None) -> Recording:
     )
 
 
-def read_own_parquet(path: Path, sampling: Sampling | None = None) -> Recording:
-    """Read a Parquet table whose columns are signal names; see `read_own`."""
+def log_of_parquet(path: Path) -> tuple[Log, Table]:
+    """Return a Parquet table as a log, and its rows, whose places complaints name."""
     table = read_parquet(path)
     if TIME not in table.header:
         raise LogError(f"{path}: there is no column 't_s'; name the time column so, in s")
+    names = [name for name in table.header if name not in (TIME, SEGMENT, BLOCK)]
+    table = in_time(table, TIME)
+    columns = {name: table.column(name) for name in names}
+    block = table.integers(BLOCK)
+    log = Log(
+        path, table.column(TIME), table.segment(), columns, block, notices=table.notices
+    )
+    return log, table
+
+
+def read_own_parquet(path: Path, sampling: Sampling | None = None) -> Recording:
+    """Read a Parquet table whose columns are signal names; see `read_own`."""
+    log, table = log_of_parquet(path)
     known = (*known_columns(), TIME, SEGMENT, BLOCK)
-    for name in table.header:
+    for name, values in log.columns.items():
         if name not in known:
             hint = meant(name, known, "see 'hilserver signals' for the names")
             raise LogError(f"{path}: column '{name}': there is no such signal; {hint}")
-    measured = [name for name in table.header if name not in (TIME, SEGMENT, BLOCK)]
-    table = in_time(table, TIME)
-    columns = {name: table.column(name) for name in measured}
-    for name, values in columns.items():
         refuse_absurd(values, name, table.where)
-    log = Log(
-        path,
-        table.column(TIME),
-        table.segment(),
-        columns,
-        table.integers(BLOCK),
-        notices=table.notices,
-    )
     return _own(log, sampling)
 
 

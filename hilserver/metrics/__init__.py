@@ -1,32 +1,90 @@
-"""What a metric is. Every room declares its own as plain rows beside the code that feeds them.
+"""What a metric is: name, kind, help, labels, and the function that reads it.
 
-Nothing here knows a client library: `hilserver.monitoring` turns rows into what Prometheus reads.
+Every room declares its own as plain rows beside the code that feeds them. Nothing here knows a
+client library: `hilserver.monitoring` turns rows into what Prometheus reads.
 """
 
-from hilserver.metrics.metric import (
-    MS,
-    US,
-    Kind,
-    Metric,
-    Reading,
-    Row,
-    S,
-    Source,
-    by_name,
-    counter,
-    durations,
-)
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final, Generic, TypeVar
 
-__all__ = [
-    "MS",
-    "US",
-    "Kind",
-    "Metric",
-    "Reading",
-    "Row",
-    "S",
-    "Source",
-    "by_name",
-    "counter",
-    "durations",
-]
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.compiled.histogram import BOUNDS_NS, Histogram125
+
+US: Final = 10**3
+MS: Final = 10**6
+S: Final = 10**9
+
+Figures = TypeVar("Figures")
+
+
+class Kind(StrEnum):
+    """Kinds of metrics, in Prometheus' words."""
+
+    COUNTER = "counter"
+    GAUGE = "gauge"
+    HISTOGRAM = "histogram"
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What a counter or a histogram shows now."""
+
+    # one count for a counter, one per bucket for a histogram; falls only when it is reset
+    counts: NDArray[np.int64]
+    sum_ns: int = 0  # sum of the counted durations [ns]; 0 for a counter
+
+
+Row = tuple[tuple[str, ...], float | Reading | None]
+"""Label values and the value; None while it is unknown."""
+
+
+@dataclass(frozen=True, slots=True)
+class Metric(Generic[Figures]):
+    """One metric."""
+
+    name: str  # ends in its unit, counters in ``_total``. A metric never changes its meaning
+    kind: Kind
+    help: str
+    labels: tuple[str, ...]
+    # yields rows from the figures of its source; a counter's or histogram's value is a `Reading`.
+    # What is None or NaN is left out
+    read: Callable[[Figures], Iterable[Row]]
+    # smallest and largest exported bucket bound [ns] of a histogram; both are 1-2-5 bounds. What
+    # lies outside is counted in the first bucket and in ``+Inf``
+    range_ns: tuple[int, int] = (0, 0)
+
+    @property
+    def bound_indices(self) -> range:
+        """Indices into ``BOUNDS_NS`` of the exported bucket bounds."""
+        low, high = (int(np.searchsorted(BOUNDS_NS, bound)) for bound in self.range_ns)
+        return range(low, high + 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Source(Generic[Figures]):
+    """Metrics and the figures they are read from."""
+
+    metrics: Sequence[Metric[Figures]]
+    # called once per scrape, on the event loop, so that all metrics of a source show the same
+    # instant; returns at once what it has
+    figures: Callable[[], Figures]
+
+
+def counter(value: int) -> Reading:
+    """Return the reading of a plain counter."""
+    return Reading(np.array([value], dtype=np.int64))
+
+
+def durations(histogram: Histogram125) -> Reading:
+    """Return the reading of a histogram, which is counted on in place."""
+    return Reading(histogram.counts.copy(), histogram.sum_ns)
+
+
+def by_name(figures: Mapping[str, float]) -> Iterator[Row]:
+    """Yield a row for every entry, labelled with its key: the reader of a table of numbers."""
+    for name, value in sorted(figures.items()):
+        yield (name,), float(value)

@@ -8,9 +8,12 @@ metric and in OPC UA, and never stop the daemon.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 from hilserver.metrics import Kind, Metric, by_name
+
+if TYPE_CHECKING:
+    from hilserver.scheduler import Scheduler
 
 _CAP_IPC_LOCK, _CAP_SYS_NICE = 14, 23
 _GOOD_CLOCKS = ("tsc", "arch_sys_counter", "kvm-clock")
@@ -28,43 +31,7 @@ class AuditItem:
     remedy: str = ""  # what to do; empty if `ok` or if nothing can be done
 
 
-class Granted(Protocol):
-    """An answer of the operating system to a request of the scheduler."""
-
-    @property
-    def name(self) -> str:
-        """Snake case."""
-
-    @property
-    def ok(self) -> bool:
-        """The request was granted."""
-
-    @property
-    def found(self) -> str:
-        """What the system said."""
-
-    @property
-    def wanted(self) -> str:
-        """What was asked for."""
-
-    @property
-    def remedy(self) -> str:
-        """How to get it."""
-
-
-class Paced(Protocol):
-    """What the audit needs of the scheduler."""
-
-    @property
-    def grants(self) -> Sequence[Granted]:
-        """Answers to its requests at the start."""
-
-    @property
-    def thread_id(self) -> int:
-        """The pacing thread's number; 0: there is none."""
-
-
-def audit(scheduler: Paced, root: Path = Path("/")) -> list[AuditItem]:
+def audit(scheduler: "Scheduler", root: Path = Path("/")) -> list[AuditItem]:
     """Return what the system offers, then what it granted to this scheduler."""
     items = [check(root) for check in CHECKS]
     # Another thread's slack may only be read with privileges: the thread's own answer is better.

@@ -18,12 +18,15 @@ import sys
 import time
 from collections.abc import Callable, MutableMapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import structlog
 
 from hilserver.core.events import Event, EventKind
 from hilserver.errors import UserError
+
+if TYPE_CHECKING:  # loading the scheduler takes longer than most commands
+    from hilserver.scheduler import OverrunReport
 
 EventDict = MutableMapping[str, Any]
 
@@ -46,30 +49,6 @@ class Stream(Protocol):
 
     def isatty(self) -> bool:
         """Whether it is a terminal."""
-
-
-class Overrun(Protocol):
-    """What a log line tells of an overrun; its ``str`` is the sentence."""
-
-    @property
-    def slice(self) -> str:
-        """The slice that is blamed."""
-
-    @property
-    def kind(self) -> str:
-        """``late_wake``, ``long_run`` or ``fault``."""
-
-    @property
-    def tick(self) -> int:
-        """In which tick."""
-
-    @property
-    def cause(self) -> str:
-        """Stopped, stolen, preempted, gc, page_fault, slice, ... as far as the system tells."""
-
-    @property
-    def consequence(self) -> str:
-        """What followed; empty: nothing."""
 
 
 @dataclass(slots=True)
@@ -223,7 +202,7 @@ def report_repeats(limiter: RepeatLimiter, *, at_end: bool = False) -> None:
         log.info("repeated lines left out", reason=text, suppressed=suppressed)
 
 
-def log_overrun(overrun: Overrun) -> None:
+def log_overrun(overrun: "OverrunReport") -> None:
     """Log an overrun with its cause; as an error when something followed from it."""
     log = structlog.get_logger("hilserver.scheduler")
     write = log.error if overrun.consequence else log.warning

@@ -9,13 +9,14 @@ import functools
 import struct
 import time
 from collections.abc import Generator
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
 from asyncua import ua
 from asyncua.common.utils import Buffer, ServiceError
 from asyncua.ua.ua_binary import Primitives, nodeid_from_binary, variant_to_binary
 
+_GOOD = ua.StatusCode(ua.StatusCodes.Good)
 FILETIME_OF_1970 = 116_444_736_000_000_000
 _SCALARS = {
     kind: struct.Struct("<B" + letter)
@@ -37,16 +38,21 @@ _NULL_HEADER = b"\0\0\0"
 _FOUR_BYTES = b"\1\0"  # node id in four bytes, namespace 0 (OPC 10000-6, 5.2.2.9)
 
 
+def binary_id(name: str) -> int:
+    """Return the identifier of a structure's binary encoding in namespace 0."""
+    return int(getattr(ua.ObjectIds, f"{name}_Encoding_DefaultBinary"))
+
+
 def numeric_id(identifier: int) -> bytes:
     """Return a numeric node id of namespace 0."""
     return _FOUR_BYTES + struct.pack("<H", identifier)
 
 
-_PUBLISH_RESPONSE = numeric_id(ua.ObjectIds.PublishResponse_Encoding_DefaultBinary)
-_READ_RESPONSE = numeric_id(ua.ObjectIds.ReadResponse_Encoding_DefaultBinary)
-DATA_CHANGE = numeric_id(ua.ObjectIds.DataChangeNotification_Encoding_DefaultBinary)
-EVENTS = numeric_id(ua.ObjectIds.EventNotificationList_Encoding_DefaultBinary)
-STATUS_CHANGE = numeric_id(ua.ObjectIds.StatusChangeNotification_Encoding_DefaultBinary)
+_PUBLISH_RESPONSE = numeric_id(binary_id("PublishResponse"))
+_READ_RESPONSE = numeric_id(binary_id("ReadResponse"))
+DATA_CHANGE = numeric_id(binary_id("DataChangeNotification"))
+EVENTS = numeric_id(binary_id("EventNotificationList"))
+STATUS_CHANGE = numeric_id(binary_id("StatusChangeNotification"))
 
 
 class FixedDataValue(ua.DataValue):  # type: ignore[misc]
@@ -62,6 +68,14 @@ class FixedDataValue(ua.DataValue):  # type: ignore[misc]
         if isinstance(value, cls):
             return value
         return cls(value.Value, value.StatusCode, value.SourceTimestamp, value.ServerTimestamp)
+
+    @classmethod
+    def good(
+        cls, value: Any, kind: ua.VariantType, *, is_array: bool | None = None
+    ) -> "FixedDataValue":
+        """Return a value that is good, as of now."""
+        now = datetime.now(UTC)
+        return cls(ua.Variant(value, kind, None, is_array), _GOOD, now, now)
 
     @functools.cached_property
     def content(self) -> bytes:

@@ -38,12 +38,9 @@ from hilserver.opcua.sessions import Session
 
 _OPERATION_TEXT, _OPERATION_ADDITIONAL_INFO = 0x40, 0x80
 """Bits of ReturnDiagnostics (OPC 10000-4, RequestHeader)."""
-_Codes, _Type, _Ids = ua.StatusCodes, ua.MessageType, ua.ObjectIds
+_Codes, _Type = ua.StatusCodes, ua.MessageType
 _None = ua.MessageSecurityMode.None_
-
-
-def _id(name: str) -> int:
-    return int(getattr(_Ids, f"{name}_Encoding_DefaultBinary"))
+_id = encoding.binary_id
 
 
 _GET_ENDPOINTS, _FIND_SERVERS = _id("GetEndpointsRequest"), _id("FindServersRequest")

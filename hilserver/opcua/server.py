@@ -35,7 +35,6 @@ from hilserver.opcua.settings import OpcUaSettings, Policy, default_application_
 from hilserver.opcua.transport import Listener
 from hilserver.opcua.trust_list import TrustList
 
-_GOOD = ua.StatusCode(ua.StatusCodes.Good)
 _WARN_BEFORE = timedelta(days=30)
 _POLICY_TYPES: dict[Policy, ua.SecurityPolicyType] = {
     "None": ua.SecurityPolicyType.NoSecurity,
@@ -159,8 +158,7 @@ class _LiveTime(AttributeValue):  # type: ignore[misc]
     @property
     def value(self) -> FixedDataValue:
         """The time now."""
-        now = datetime.now(UTC)
-        return FixedDataValue(ua.Variant(now, ua.VariantType.DateTime), _GOOD, now, now)
+        return FixedDataValue.good(datetime.now(UTC), ua.VariantType.DateTime)
 
     @value.setter
     def value(self, value: object) -> None:

@@ -11,9 +11,9 @@ from asyncua import ua
 
 from hilserver.opcua import node_services as nodes
 from hilserver.opcua import subscription_services as subscriptions
+from hilserver.opcua.encoding import binary_id
 from hilserver.opcua.sessions import Session
 
-_Ids = ua.ObjectIds
 
 
 class Service(NamedTuple):
@@ -23,12 +23,8 @@ class Service(NamedTuple):
     answer: Callable[[Session, Any], Any]
 
 
-def _id(request: str) -> int:
-    return int(getattr(_Ids, f"{request}Request_Encoding_DefaultBinary"))
-
-
 SERVICES: dict[int, Service] = {
-    _id(name): Service(getattr(ua, f"{name}Parameters"), answer)
+    binary_id(f"{name}Request"): Service(getattr(ua, f"{name}Parameters"), answer)
     for name, answer in {
         "Write": nodes.write,
         "Call": nodes.call,

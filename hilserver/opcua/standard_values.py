@@ -18,7 +18,6 @@ from hilserver.opcua.settings import OpcUaSettings
 from hilserver.opcua.where import MAX_OPERANDS
 
 _Ids, _Attributes, _Type = ua.ObjectIds, ua.AttributeIds, ua.VariantType
-_GOOD = ua.StatusCode(ua.StatusCodes.Good)
 _OBJECTS = ua.NodeId(_Ids.ObjectsFolder)
 _HAS_SUBTYPE, _ENUMERATION, _STRUCTURE = ua.NodeId(_Ids.HasSubtype), 29, 22
 _OPERATION_LIMITS = (
@@ -107,8 +106,7 @@ _BUILT_IN |= {24: _Type.Variant, 26: _Type.Double, 27: _Type.Int64, 28: _Type.UI
 def _put(place: Any, kind: ua.VariantType, data_type: Any, is_array: bool, value: Any) -> None:
     if value is None:
         value = [] if is_array else _zero(kind, data_type)
-    now = datetime.now(UTC)
-    place.value = FixedDataValue(ua.Variant(value, kind, None, is_array), _GOOD, now, now)
+    place.value = FixedDataValue.good(value, kind, is_array=is_array)
 
 
 def _zero(kind: ua.VariantType, data_type: Any) -> Any:

@@ -198,7 +198,7 @@ class Recalibration(Part):
             patches.write(self._patches, decided, others, self._world.config.sha256)
             self._history.append("decision", who=who, proposal=decided.as_json())
             try:
-                await self._world.files.load_patch(decided.patch)
+                await self._world.files.patches.load(decided.patch)
             except BaseException as error:
                 if self._world.files.patches.loaded == decided.patch:
                     self._accepted(decided, who)  # it acts, though nobody waits for it any more

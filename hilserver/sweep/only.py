@@ -19,11 +19,10 @@ from hilserver.faults.scenario import MAX_STEPS, Play, Scenario, Step, as_yaml
 from hilserver.logs import open_writer
 from hilserver.logs.provenance import make_run
 from hilserver.replay.simulation import Simulation
-from hilserver.requirements import Drive, Judge
 from hilserver.sweep.batch import rig_for
 from hilserver.sweep.configuration import machine_config
-from hilserver.sweep.prepare import PATH_ERROR, Machine, Prepared
-from hilserver.sweep.rig import Outcome, scenario_of, with_way
+from hilserver.sweep.prepare import Machine, Prepared
+from hilserver.sweep.rig import Outcome, judge_of, margins_of, scenario_of
 
 CONFIG, SCENARIO, RECORDING, MARGINS = (
     "config.yaml",
@@ -72,13 +71,11 @@ async def _record(
     job, assembly = prepared.job, assemble(folder / CONFIG)
     if assembly.composition.parameters.numbers.tobytes() != np.array(machine.p).tobytes():
         raise FailedError(f"{folder / CONFIG} makes another robot than machine {machine.index}")
-    derived = () if job.way is None else (PATH_ERROR, "pose.x_m", "pose.y_m")
-    judge = Judge(job.requirements, assembly.table, job.path, derived[:1])
-    names = list(dict.fromkeys((*judge.signals, *derived[1:])))
+    judge, names = judge_of(job, assembly.table)
     kept: list[NDArray[np.float64]] = []
     async with Simulation(assembly, Play(scenario, folder / SCENARIO)) as simulation:
         table = simulation.table
-        slots = [table.slot(name) for name in names if name not in derived[:1]]
+        slots = [table.slot(name) for name in names]
         run = make_run(simulation.image.description)
         writer = open_writer(folder / RECORDING, run, range(table.n_slots))
         try:
@@ -88,9 +85,8 @@ async def _record(
                 kept.append(batch.frames.values[:, slots])
         finally:
             writer.close()
-    columns = dict(zip((n for n in names if n not in derived[:1]), np.vstack(kept).T, strict=True))
-    drive = Drive(assembly.base_period_ns * 1e-9, columns)
-    return tuple(judge.margins(with_way(drive, job.way)).values())
+    columns = dict(zip(names, np.vstack(kept).T, strict=True))
+    return margins_of(job, judge, assembly.base_period_ns, columns)
 
 
 def _scenario(

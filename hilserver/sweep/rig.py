@@ -5,6 +5,7 @@ Every machine begins with the same bytes in the image, so nothing of the one bef
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -22,12 +23,11 @@ from hilserver.plant.layout import Parameters
 from hilserver.program.own_python import described, load_callable
 from hilserver.requirements import CheckError, Drive, Judge
 from hilserver.scheduler.faults import SLICE, fault_of
-from hilserver.signals import State
+from hilserver.signals import SignalTable, State
 from hilserver.sweep.controllers import Driver, WrongCommand
 from hilserver.sweep.limits import OutOfTime, limited
 from hilserver.sweep.loop import run_ticks
 from hilserver.sweep.prepare import PATH_ERROR, Job, Machine
-from hilserver.sweep.way import distance_to_way
 
 RING_FRAMES, QUEUE_ROWS = 16, 1 << 15
 
@@ -63,9 +63,7 @@ class Rig:
         self._core = build(assembly, Pace(image="", ring_frames=RING_FRAMES, queue_rows=QUEUE_ROWS))
         self._image = self._core.image
         self._image.control.state = State.RUNNING
-        derived = () if job.way is None else (PATH_ERROR,)
-        self._judge = Judge(job.requirements, self._table, job.path, derived)
-        self._kept = kept_signals(self._judge.signals, job)
+        self._judge, self._kept = judge_of(job, self._table)
         self._slots = np.array([self._table.slot(name) for name in self._kept], dtype=np.int64)
         self._values = np.zeros((len(self._kept), job.n_ticks))
         self._periods = np.array(
@@ -194,34 +192,52 @@ class Rig:
         return [] if self.driver is None else self.driver.written
 
 
+def judge_of(job: Job, table: SignalTable) -> tuple[Judge, tuple[str, ...]]:
+    """Return what judges a drive, and the signals to keep for it: with those it derives from."""
+    if job.way is None:
+        judge = Judge(job.requirements, table, job.path)
+        return judge, judge.signals
+    judge = Judge(job.requirements, table, job.path, (PATH_ERROR,))
+    names = [name for name in judge.signals if name != PATH_ERROR]
+    return judge, tuple(dict.fromkeys((*names, "pose.x_m", "pose.y_m")))
+
+
 def margins_of(
     job: Job, judge: Judge, period_ns: int, columns: Mapping[str, Array]
 ) -> tuple[float, ...]:
     """Return the margins of a drive from the values of every tick, in the requirements' order."""
-    drive = with_way(Drive(period_ns * 1e-9, columns), job.way)
-    return tuple(judge.margins(drive).values())
+    own = dict(columns)
+    if job.way is not None:
+        own[PATH_ERROR] = distance_to_way(own["pose.x_m"], own["pose.y_m"], np.array(job.way))
+    return tuple(judge.margins(Drive(period_ns * 1e-9, own)).values())
 
 
-def with_way(drive: Drive, way: tuple[tuple[float, float], ...] | None) -> Drive:
-    """Return a drive with its distance to the way, if there is one."""
-    if way is None:
-        return drive
-    error_m = distance_to_way(drive["pose.x_m"], drive["pose.y_m"], np.array(way))
-    return Drive(drive.period_s, {**drive.columns, PATH_ERROR: error_m})
+def distance_to_way(x_m: Array, y_m: Array, way: Array) -> Array:
+    """Return the distance of points to the nearest piece of a polyline [m], shape (n,).
+
+    Parameters
+    ----------
+    x_m, y_m : ndarray, shape (n,)
+    way : ndarray, shape (k, 2)
+        Corners, two at least.
+    """
+    nearest = np.full(len(x_m), np.inf)
+    for (ax, ay), (bx, by) in pairwise(way.tolist()):
+        dx, dy = bx - ax, by - ay
+        length2 = dx * dx + dy * dy
+        along = np.zeros(len(x_m))
+        if length2 > 0.0:
+            along = np.clip(((x_m - ax) * dx + (y_m - ay) * dy) / length2, 0.0, 1.0)
+        square = (x_m - ax - along * dx) ** 2 + (y_m - ay - along * dy) ** 2
+        nearest = np.minimum(nearest, square)
+    distance: Array = np.sqrt(nearest)
+    return distance
 
 
 def scenario_of(scenario: Scenario, machine: Machine) -> Scenario:
     """Return the scenario with the machine's faults."""
     own = tuple(fault for _, fault in machine.faults)
     return scenario.model_copy(update={"faults": (*scenario.faults, *own)}) if own else scenario
-
-
-def kept_signals(signals: tuple[str, ...], job: Job) -> tuple[str, ...]:
-    """Return the signals to keep: those judged, and what they derive from."""
-    names = [name for name in signals if name != PATH_ERROR or job.way is None]
-    if job.way is not None:
-        names += [name for name in ("pose.x_m", "pose.y_m") if name not in names]
-    return tuple(names)
 
 
 def _is_ours(problem: BaseException) -> bool:

@@ -26,12 +26,12 @@ from hilserver.io.opcua_server import server as opcua_server
 from hilserver.monitoring.logging_setup import setup_logging
 from hilserver.program.children import end
 from hilserver.program.workers import end_with_parent
-from hilserver.requirements import CheckError, Judge
+from hilserver.requirements import CheckError
 from hilserver.scheduler.faults import fault_of
 from hilserver.signals import Signal, State, ValueType
 from hilserver.sweep.configuration import machine_config
-from hilserver.sweep.prepare import PATH_ERROR, Job, Machine
-from hilserver.sweep.rig import Outcome, kept_signals, margins_of, scenario_of
+from hilserver.sweep.prepare import Job, Machine
+from hilserver.sweep.rig import Outcome, judge_of, margins_of, scenario_of
 
 ENDPOINT, SEED = "{endpoint}", "{seed}"
 """What stands for the robot's address and the machine's seed in a command."""
@@ -52,9 +52,7 @@ class Stepped:
         # what the last machine's process commanded, by the tick that latched it
         self.written: list[tuple[int, dict[str, Any]]] = []
         assembly = assemble_config(job.config, job.folder)
-        derived = () if job.way is None else (PATH_ERROR,)
-        self._judge = Judge(job.requirements, assembly.table, job.path, derived)
-        self._kept = kept_signals(self._judge.signals, job)
+        self._judge, self._kept = judge_of(job, assembly.table)
 
     def drive(self, machine: Machine) -> Outcome:
         """Drive one machine and judge it; whatever its controller does, this returns."""

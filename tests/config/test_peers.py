@@ -5,7 +5,7 @@ import yaml
 from pydantic import ValidationError
 
 from hilserver.config.peers import NodeAddress, PeerConfig, check_peers, check_signals
-from hilserver.signals import Direction
+from hilserver.signals import Ranges, robot_table
 
 SPEC_EXAMPLE = """
 name: iot2050
@@ -27,29 +27,18 @@ write_every_ms: 20
 
 SECURE = {"policy": "Basic256Sha256"}
 LOG_IN = {"user": "otto", "password_file": "password"}
+TABLE = robot_table(Ranges(90.0, 1.0, 1.0))
 
 
 def example(**changes: object) -> dict[str, object]:
     return yaml.safe_load(SPEC_EXAMPLE) | changes
 
 
-class Table(dict):
-    """Signal table in miniature: name -> has `writable`."""
-
-    def __init__(self, **_):
-        super().__init__()
-        for slot, (name, direction) in enumerate(
-            (("wheel.fl.setpoint_rpm", Direction.IN), ("wheel.fl.speed_rpm", Direction.OUT))
-        ):
-            what = {"writable": direction is Direction.IN, "name": name, "slots": (slot,)}
-            self[name] = type("Signal", (), what)()
-
-
 def test_the_example_of_the_specification():
     peer = PeerConfig.model_validate(example())
     assert peer.security.policy == "None"
     assert peer.read == {"nsu=urn:iotbot:agv;s=rpm_set_FL": "wheel.fl.setpoint_rpm"}
-    assert check_signals(peer, Table()) == []
+    assert check_signals(peer, TABLE) == []
 
 
 @pytest.mark.parametrize(
@@ -148,7 +137,7 @@ def test_signals_are_checked_against_the_table():
             write={"wheel.fl.setpoint_rpm": "ns=1;s=c"},
         )
     )
-    problems = {problem.location: problem.message for problem in check_signals(peer, Table())}
+    problems = {problem.location: problem.message for problem in check_signals(peer, TABLE)}
     assert problems == {
         ("read", "ns=1;s=a"): "there is no signal 'wheel.fl.setpoint_rmp': did you mean"
         " 'wheel.fl.setpoint_rpm'?",

@@ -66,11 +66,11 @@ class Doors:
         steps = [{"at_s": 0.05, "set": values}]
         (self._folder / "scenarios" / name).write_text(json.dumps({"steps": steps}))
         try:
-            await files.start_scenario(name)
+            await files.scenarios.start(name)
         except UserError:
             return False
         await self._kit.step(200)
-        files.stop_scenario()
+        files.scenarios.stop()
         return True
 
     async def patch(self, values):
@@ -78,8 +78,8 @@ class Doors:
         self._n += 1
         name = f"saved{self._n}"
         try:
-            await files.save_parameters(name)
-            await files.load_patch(f"{name}.yaml")
+            await files.patches.save(name)
+            await files.patches.load(f"{name}.yaml")
         except UserError:
             return False
         return True

@@ -12,7 +12,7 @@ def test_the_overruns_of_a_slice_are_one_line():
     for number in range(1000):
         bus.publish(Event(EventKind.OVERRUN, 400, "plant", f"late wake {number}"))
     bus.publish(Event(EventKind.OVERRUN, 400, "sensors", "long run"))
-    shown = Bulletin._events(SimpleNamespace(events=bus))
+    shown = Bulletin._events(SimpleNamespace(core=SimpleNamespace(events=bus)))
     assert [(event["source"], event["count"]) for event in shown] == [
         ("sensors", 1),
         ("plant", 255),

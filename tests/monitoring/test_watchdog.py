@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hilserver.monitoring.sd_notify import notify, watchdog_period_s
+from hilserver.monitoring.watchdog import notify, watchdog_period_s
 from hilserver.monitoring.watchdog import Watchdog
 
 

@@ -15,7 +15,7 @@ from asyncua import ua
 from hilserver.io.opcua_client.session import Session
 from hilserver.io.opcua_client.validation import judge
 from hilserver.io.peer_link.errors import LinkLostError
-from hilserver.io.peer_link.intake import Taker
+from hilserver.io.peer_link.faulty_intake import FaultyIntake
 
 QUEUE_MAX = 1000
 SILENT_AFTER_S = 2.0
@@ -43,7 +43,7 @@ class Subscription:
     """
 
     def __init__(
-        self, session: Session, intake: Taker, *, poll_ms: float, every_stamp: bool
+        self, session: Session, intake: FaultyIntake, *, poll_ms: float, every_stamp: bool
     ) -> None:
         self._session = session
         self._intake = intake

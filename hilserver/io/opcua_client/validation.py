@@ -1,11 +1,23 @@
-"""Judges single samples of an OPC UA peer."""
+"""Judges single samples of an OPC UA peer, and reads their stamps without rounding."""
 
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 
 from asyncua import ua
 
-from hilserver.io.opcua_client.stamps import utc_ns_of
 from hilserver.io.peer_link.samples import FaultKind, Verdict, judge_value
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_MICROSECOND = timedelta(microseconds=1)
+
+
+def utc_ns_of(stamp: datetime | None) -> int | None:
+    """Return UTC [ns since 1970] of an OPC UA time stamp; None where there is none."""
+    if stamp is None:
+        return None
+    if stamp.tzinfo is None:
+        stamp = stamp.replace(tzinfo=UTC)
+    return (stamp - _EPOCH) // _MICROSECOND * 1000
 
 
 def judge(sample: ua.DataValue) -> Verdict:

@@ -18,7 +18,6 @@ from hilserver.opcua.encoding import FixedDataValue
 from hilserver.opcua.logs import log
 
 _MAX_VARIABLES = 2000
-_GOOD = ua.StatusCode(ua.StatusCodes.Good)
 _WAITING = ua.StatusCode(ua.StatusCodes.BadWaitingForInitialData)
 _NO_VALUE = ua.Variant()
 _TYPES: dict[type, ua.VariantType] = {
@@ -83,14 +82,13 @@ class Diagnostics:
         if path not in self._places and not self._add(path, value):
             return
         self._last[path] = value
-        now = datetime.now(UTC)
         kind = self._types[path]
         converted = _converted(kind, value)
         if converted is None:
-            data_value = FixedDataValue(_NO_VALUE, _WAITING, now, now)
+            now = datetime.now(UTC)
+            self._places[path].value = FixedDataValue(_NO_VALUE, _WAITING, now, now)
         else:
-            data_value = FixedDataValue(ua.Variant(converted, kind, None, False), _GOOD, now, now)
-        self._places[path].value = data_value
+            self._places[path].value = FixedDataValue.good(converted, kind, is_array=False)
 
     def _add(self, path: str, value: Figure) -> bool:
         if len(self._places) >= _MAX_VARIABLES:

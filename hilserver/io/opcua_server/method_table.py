@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from hilserver.signals import ValueType
 
@@ -31,49 +31,10 @@ class Argument:
     description: str
 
 
-class Files(Protocol):
-    """Starts and stops what has the plain name of a file."""
-
-    async def start_scenario(self, name: str) -> None:
-        """Play a scenario from now on."""
-
-    def stop_scenario(self) -> None:
-        """End it."""
-
-    def start_recording(self, name: str) -> None:
-        """Record into a new file."""
-
-    def stop_recording(self) -> None:
-        """Complete it."""
-
-    async def load_patch(self, name: str) -> None:
-        """Lay a model patch over the plant."""
-
-    async def remove_patch(self) -> None:
-        """Go on without it."""
-
-    async def accept_proposal(self, number: int, who: str) -> None:
-        """Lay the patch of a proposal over the plant."""
-
-    async def reject_proposal(self, number: int, who: str) -> None:
-        """Go on without it."""
-
-    async def postpone_proposal(self, number: int, who: str) -> None:
-        """Leave it open and remind nobody."""
-
-    async def reset_parameters(self) -> None:
-        """Go back to the parameters of the configuration."""
-
-    async def save_parameters(self, name: str) -> None:
-        """Write those that differ from it as a patch."""
-
-
 class Parts:
     """What the methods act on."""
 
-    def __init__(
-        self, control: "Control", faults: "Faults | None", files: Files | None = None
-    ) -> None:
+    def __init__(self, control: "Control", faults: "Faults | None", files: Any = None) -> None:
         self.control = control
         self._faults, self._files = faults, files
 
@@ -83,7 +44,7 @@ class Parts:
         return _there(self._faults, "faults and cannot force")
 
     @property
-    def files(self) -> Files:
+    def files(self) -> Any:
         """Scenarios, recordings and patches; NotImplementedError if the server has none."""
         return _there(self._files, "scenarios, no recordings and no patches")
 
@@ -205,55 +166,55 @@ METHODS = (
     Method(
         "StartScenario",
         "Play a scenario from now on",
-        lambda on, name: on.files.start_scenario(_plain(name)),
+        lambda on, name: on.files.scenarios.start(_plain(name)),
         (_SCENARIO,),
     ),
     Method(
         "StopScenario",
         "End the scenario and all faults; set-points go to zero",
-        lambda on: on.files.stop_scenario(),
+        lambda on: on.files.scenarios.stop(),
     ),
     Method(
         "StartRecording",
         "Record into a new file",
-        lambda on, name: on.files.start_recording(_plain(name)),
+        lambda on, name: on.files.recordings.start(_plain(name)),
         (_RECORDING,),
     ),
-    Method("StopRecording", "End the recording", lambda on: on.files.stop_recording()),
+    Method("StopRecording", "End the recording", lambda on: on.files.recordings.stop()),
     Method(
         "LoadPatch",
         "Lay a model patch over the plant, from one tick on",
-        lambda on, name: on.files.load_patch(_plain(name)),
+        lambda on, name: on.files.patches.load(_plain(name)),
         (_PATCH,),
     ),
-    Method("RemovePatch", "Go on without the model patch", lambda on: on.files.remove_patch()),
+    Method("RemovePatch", "Go on without the model patch", lambda on: on.files.patches.remove()),
     Method(
         "ResetParameters",
         "Go back to the parameters of the configuration, from one tick on",
-        lambda on: on.files.reset_parameters(),
+        lambda on: on.files.patches.reset(),
     ),
     Method(
         "AcceptProposal",
         "Lay the patch of a proposal over the plant, from one tick on",
-        lambda on, number: on.files.accept_proposal(number, CALLER.get()),
+        lambda on, number: on.files.recalibration.accept(number, CALLER.get()),
         (_NUMBER,),
     ),
     Method(
         "RejectProposal",
         "Go on without a proposal; it is not made again",
-        lambda on, number: on.files.reject_proposal(number, CALLER.get()),
+        lambda on, number: on.files.recalibration.reject(number, CALLER.get()),
         (_NUMBER,),
     ),
     Method(
         "PostponeProposal",
         "Leave a proposal open and remind nobody",
-        lambda on, number: on.files.postpone_proposal(number, CALLER.get()),
+        lambda on, number: on.files.recalibration.postpone(number, CALLER.get()),
         (_NUMBER,),
     ),
     Method(
         "SaveParameters",
         "Save the parameters that differ from the configuration as a patch",
-        lambda on, name: on.files.save_parameters(_plain(name)),
+        lambda on, name: on.files.patches.save(_plain(name)),
         (_PATCH,),
     ),
 )

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Mapping
-from datetime import UTC, datetime
 from typing import Any
 
 from asyncua import ua
@@ -12,7 +11,8 @@ from hilserver.core.parameters import LiveParameters, Refused
 from hilserver.io.opcua_server.model import PARAMETERS
 from hilserver.opcua.encoding import FixedDataValue
 
-_GOOD = ua.StatusCode(ua.StatusCodes.Good)
+_DOUBLE = ua.VariantType.Double
+
 
 
 class ParameterVariables:
@@ -41,12 +41,11 @@ class ParameterVariables:
         """Show what has changed."""
         if self._parameters is None or self._parameters.values is self._source:
             return
-        values, now = self._parameters.values, datetime.now(UTC)
+        values = self._parameters.values
         for name, value in values.items():
             before = self._shown.get(name, math.inf)
             if value != before and not (math.isnan(value) and math.isnan(before)):
-                variant = ua.Variant(value, ua.VariantType.Double)
-                self._places[PARAMETERS + name].value = FixedDataValue(variant, _GOOD, now, now)
+                self._places[PARAMETERS + name].value = FixedDataValue.good(value, _DOUBLE)
         self._source, self._shown = values, dict(values)
 
     def write(self, source: str, written: Mapping[str, ua.Variant]) -> dict[str, Refused]:
@@ -54,7 +53,7 @@ class ParameterVariables:
         refused: dict[str, Refused] = {}
         values: dict[str, object] = {}
         for node, variant in written.items():
-            if variant.VariantType != ua.VariantType.Double or variant.is_array:
+            if variant.VariantType != _DOUBLE or variant.is_array:
                 refused[node] = Refused(Refusal.TYPE_MISMATCH, "the type is Double")
             else:
                 values[node.removeprefix(PARAMETERS)] = variant.Value

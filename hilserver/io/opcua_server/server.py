@@ -1,7 +1,6 @@
 """The OPC UA server as the daemon sees it."""
 
 from collections.abc import Iterator
-from datetime import UTC, datetime
 from typing import Any
 
 from asyncua import ua
@@ -25,7 +24,6 @@ from hilserver.opcua.server import HardenedServer, application_uri
 from hilserver.opcua.settings import Role
 from hilserver.signals import State
 
-_GOOD = ua.StatusCode(ua.StatusCodes.Good)
 _SLICES_EVERY_S = 1.0  # they have changed every time, and there are many of them
 
 
@@ -197,9 +195,7 @@ class OpcUaServer(Part):
         if self._gate.owner == self._owner_shown:
             return
         self._owner_shown = self._gate.owner
-        now = datetime.now(UTC)
-        owner = ua.Variant(self._owner_shown, ua.VariantType.String)
-        self._owner_place.value = FixedDataValue(owner, _GOOD, now, now)
+        self._owner_place.value = FixedDataValue.good(self._owner_shown, ua.VariantType.String)
 
 
 def parts(world: World) -> Iterator[OpcUaServer]:

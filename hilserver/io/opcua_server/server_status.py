@@ -19,7 +19,6 @@ from hilserver.opcua.encoding import FixedDataValue
 from hilserver.signals import State
 
 PRODUCT_URI = "urn:hilserver"
-_GOOD = ua.StatusCode(ua.StatusCodes.Good)
 
 _SERVER_STATES = {
     State.STARTING: ua.ServerState.Suspended,
@@ -59,9 +58,9 @@ class ServerStatus:
             SecondsTillShutdown=old.SecondsTillShutdown,
             ShutdownReason=old.ShutdownReason,
         )
-        self._status.value = _data_value(status, ua.VariantType.ExtensionObject, now)
-        self._state.value = _data_value(server_state, ua.VariantType.Int32, now)
-        self._level.value = _data_value(level, ua.VariantType.Byte, now)
+        self._status.value = FixedDataValue.good(status, ua.VariantType.ExtensionObject)
+        self._state.value = FixedDataValue.good(server_state, ua.VariantType.Int32)
+        self._level.value = FixedDataValue.good(level, ua.VariantType.Byte)
 
 
 def service_level(state: State, peers: Mapping[str, Any], audit: Mapping[str, Any]) -> int:
@@ -90,7 +89,3 @@ def build_info() -> dict[str, Any]:
 
 def _place(address_space: Any, identifier: int) -> Any:
     return address_space[ua.NodeId(identifier)].attributes[ua.AttributeIds.Value]
-
-
-def _data_value(value: Any, kind: ua.VariantType, now: datetime) -> FixedDataValue:
-    return FixedDataValue(ua.Variant(value, kind), _GOOD, now, now)

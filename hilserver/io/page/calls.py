@@ -2,6 +2,7 @@
 
 import logging
 import math
+import time
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 
@@ -10,12 +11,12 @@ from hilserver.io.opcua_server.model import PARAMETERS
 from hilserver.io.page.arguments import ANY, WrongTypeError, check, check_value
 from hilserver.io.page.browsers import Browser, Browsers
 from hilserver.io.page.driving import Driving
-from hilserver.io.page.hand import RefusedError
+from hilserver.io.page.hand import RefusedError, WrongPasswordError
 from hilserver.io.page.jobs import Jobs
 from hilserver.io.page.live import Live
-from hilserver.io.page.log_in import LogIns
 from hilserver.io.page.setup import Setup
 from hilserver.io.page.stopping import Stopping
+from hilserver.opcua.attempts import WINDOW_S, FailedAttempts, keys_of
 
 _METHODS = {method.name: method for method in METHODS}
 
@@ -26,6 +27,46 @@ def may_work(browser: Browser) -> None:
     """Raise RefusedError where the role of a browser's user allows no work with files."""
     if "Start" not in browser.hand.rights.methods:
         raise RefusedError("your role does not allow this")
+
+
+class LogIns:
+    """Counts failed log-ins as the daemon does, whose answer does not say that somebody waits.
+
+    Parameters
+    ----------
+    limit : int
+        Failed log-ins per user name or address in a minute.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self._attempts = FailedAttempts(limit, WINDOW_S)
+
+    async def log_in(self, browser: Browser, name: str, password: str) -> None:
+        """Open the session of a user.
+
+        Raises
+        ------
+        RefusedError
+            If name or password is wrong, or too many were.
+        """
+        keys, now_s = keys_of(name, browser.address), time.monotonic()
+        if any(self._attempts.is_blocked(key, now_s) for key in keys):
+            raise RefusedError("too many failed log-ins of this name or address: wait a minute")
+        for key in keys:  # before the answer, or guesses in parallel would all pass
+            self._attempts.failed(key, now_s)
+        async with browser.lock:
+            browser.user = ""
+            try:
+                await browser.hand.connect(name, password, browser.address)
+            except WrongPasswordError:
+                raise
+            except BaseException:
+                for key in keys:
+                    self._attempts.withdraw(key)
+                raise
+            browser.user = name
+        for key in keys:
+            self._attempts.succeeded(key)
 
 
 class Calls:

@@ -6,7 +6,6 @@ peer has a counter, a batch without a newer number brings nothing in.
 """
 
 from collections.abc import Callable, Iterable
-from typing import Protocol
 
 from hilserver.config.peers import PeerConfig
 from hilserver.io.peer_link.latency import ClockOffset, StampWatch, one_way_ns
@@ -17,16 +16,6 @@ SEQUENCE_SIGNAL = "input.sequence"
 
 REPEATS_TOLERATED = 3
 """So many batches may change values under one sequence number before it is called repeating."""
-
-
-class Taker(Protocol):
-    """The intake, as acquisition and subscription see it."""
-
-    def receive(self, samples: Iterable[tuple[str, Verdict]], now_ns: int) -> None:
-        """Take one batch."""
-
-    def missing(self, node: str, why: str, now_ns: int) -> None:
-        """Name a node that the peer does not have."""
 
 
 class Intake:

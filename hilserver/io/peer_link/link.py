@@ -13,13 +13,14 @@ import structlog
 from hilserver.config.peers import PeerConfig
 from hilserver.core.clock import UtcClock
 from hilserver.core.events import EventBus
+from hilserver.core.inputs import InputGate
 from hilserver.faults.links import Line
 from hilserver.io.link_status import LinkState, PeerStatus
 from hilserver.io.part import Part
 from hilserver.io.peer_link.errors import LinkLostError, RefusedError, refusal_in
 from hilserver.io.peer_link.faulty_intake import FaultyIntake
 from hilserver.io.peer_link.intake import Intake
-from hilserver.io.source import Gate, Source
+from hilserver.io.source import Source
 from hilserver.program import event_loop
 from hilserver.signals import MEASURED
 
@@ -56,7 +57,7 @@ class Peer(Part):
 
     Parameters
     ----------
-    gate : Gate
+    gate : InputGate
         Takes the groups of inputs.
     read_output : callable
         ``read_output(signal) -> (value, status code, monotonic_ns)`` of the newest frame.
@@ -73,7 +74,7 @@ class Peer(Part):
         self,
         config: PeerConfig,
         *,
-        gate: Gate,
+        gate: InputGate,
         events: EventBus,
         read_output: Callable[[str], Output],
         clock: UtcClock,

@@ -3,6 +3,8 @@
 import asyncio
 import atexit
 import contextlib
+import dataclasses
+import math
 import os
 import threading
 import time
@@ -15,12 +17,12 @@ from hilserver.config.shield import ShieldConfig
 from hilserver.core.events import Event, EventKind
 from hilserver.core.staleness import Transition
 from hilserver.errors import FailedError
+from hilserver.image import Row
 from hilserver.io.link_status import LinkState
 from hilserver.io.part import Part
 from hilserver.io.shield import words as w
 from hilserver.io.shield.answer import places
 from hilserver.io.shield.device import Device, ShieldFault
-from hilserver.io.shield.gains import Gains
 from hilserver.io.shield.line import Line, open_device, open_pseudo_terminal
 from hilserver.io.shield.protocol import BYTE_NS, REQUEST_BYTES, RESPONSE_BYTES, Request
 from hilserver.io.shield.status import NAME, ShieldStatus
@@ -34,6 +36,32 @@ REOPEN_S = 0.5
 END_WITHIN_S = 5.0
 
 _log = structlog.get_logger(__name__)
+
+
+class Gains:
+    """Makes what a host sets the gains of the plant's controller."""
+
+    def __init__(self, world: World) -> None:
+        self._gate, self._image, self._table = world.gate, world.image, world.table
+        self._loop, self._period_s = world.robot.loop, world.robot.period_s
+
+    def apply(self, k_p: float, k_i: float) -> None:
+        """Latch gains [%/rpm], [%/(rpm s)] at the next tick; NaN: as configured.
+
+        Raises
+        ------
+        ValueError
+            If another source has control, or the loop would not be stable.
+        """
+        if self._gate.owner != NAME:
+            raise ValueError(f"gains are not taken over: '{self._gate.owner}' has control")
+        k_p = self._loop.k_p if math.isnan(k_p) else k_p
+        k_i = self._loop.k_i if math.isnan(k_i) else k_i
+        loop = dataclasses.replace(self._loop, k_p=k_p, k_i=k_i)
+        if k_p < 0.0 or k_i < 0.0 or not loop.is_stable(self._period_s):
+            raise ValueError(f"gains are not taken over: kp {k_p:g}, ki {k_i:g} are not stable")
+        values = {"internal.gains": 1.0, "internal.k_p": k_p, "internal.k_i": k_i}
+        self._image.push([Row(self._table.slot(name), value) for name, value in values.items()])
 
 
 class ShieldLink(Part):
