@@ -28,13 +28,6 @@ class Period:
 
     A timer that fires too early waits for the rest, one that fires twice calls once, and periods
     that a late one has missed are not made up for.
-
-    Parameters
-    ----------
-    clock : callable
-        Seconds.
-    call_later : callable
-        ``(delay_s, callback) -> Handle``; that of the running loop by default.
     """
 
     def __init__(
@@ -88,10 +81,7 @@ async def every(
 ) -> None:
     """Run `cycle` on absolute deadlines, one at a time; those that passed meanwhile are skipped.
 
-    Parameters
-    ----------
-    skipped : callable
-        Takes the number of deadlines left out.
+    `skipped` takes the number of deadlines left out.
     """
     loop = asyncio.get_running_loop()
     deadline = loop.time()

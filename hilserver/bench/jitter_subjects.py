@@ -111,13 +111,7 @@ def bare_pacing(
 def loaded_daemon(
     backend: str, *, period_us: int, priority: int, beside: tuple[Companion, ...] = ()
 ) -> Iterator[Subject]:
-    """Run the daemon and ten OPC UA clients that read 50 nodes at 20 Hz each.
-
-    Parameters
-    ----------
-    beside : tuple of Companion
-        What the daemon serves besides.
-    """
+    """Run the daemon and ten OPC UA clients that read 50 nodes at 20 Hz each."""
     with tempfile.TemporaryDirectory(prefix="hilserver-") as folder:
         port, image = free_port(), f"bench-jitter-{os.getpid()}"
         url = f"opc.tcp://127.0.0.1:{port}/hilserver"

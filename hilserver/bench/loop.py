@@ -83,13 +83,7 @@ class Loop:
             await asyncio.sleep(PERIOD_S)
 
     async def ready(self, ended: Callable[[], str | None]) -> None:
-        """Wait until the wheels turn as commanded; FailedError if the daemon does not come up.
-
-        Parameters
-        ----------
-        ended : callable
-            What the daemon said if it has ended, else None.
-        """
+        """Wait until the wheels turn as commanded; FailedError if the daemon does not come up."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(DAEMON_WITHIN_S):
                 while not self.duty_pct * self.target_rpm > 0:

@@ -83,11 +83,6 @@ def _block_ns(run: Callable[[int], None], ticks: int) -> float:
 def run(args: argparse.Namespace) -> list[Result]:
     """Measure and return ``step_ns``, ``step_pointer_ns`` and ``step_all_terms_ns``.
 
-    Parameters
-    ----------
-    args : Namespace
-        ``blocks`` and ``ticks`` (per block) may be given; the defaults take a few seconds.
-
     Raises
     ------
     FailedError

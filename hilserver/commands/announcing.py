@@ -29,11 +29,6 @@ class Announcer:
     """Says things to people or to programs.
 
     A context manager; at its end the line of status is gone.
-
-    Parameters
-    ----------
-    line_format : str
-        ``console``, ``json`` or ``auto``: console on a terminal.
     """
 
     def __init__(self, writer: Writer, line_format: str) -> None:
@@ -75,13 +70,7 @@ class Announcer:
             self.say(f"hilserver is starting, version {__version__}; stop it with Ctrl-C")
 
     def compiling(self, functions: Sequence[str]) -> None:
-        """Say now and then, to whoever reads along, what is being compiled; none: still the last.
-
-        Parameters
-        ----------
-        functions : sequence of str
-            Those that were begun since the last call.
-        """
+        """Say now and then what is being compiled to whoever reads along; none: still the last."""
         now_s = time.monotonic()
         self._compiled += functions
         if not self._writer.is_watched or now_s < self._next_s:

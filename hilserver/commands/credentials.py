@@ -11,10 +11,7 @@ from hilserver.opcua.server import own_certificate
 def check_credentials(assembly: Assembly) -> None:
     """Refuse files that server, peers, databus or page could not use.
 
-    Raises
-    ------
-    ConfigError
-        With file, line and key of the configuration, and what to do.
+    ConfigError has file, line and key of the configuration, and what to do.
     """
     config, folder = assembly.config, assembly.folder
     if config.opcua.enabled and config.opcua.needs_certificate:

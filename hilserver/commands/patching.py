@@ -12,11 +12,6 @@ def assembled(args: argparse.Namespace) -> Assembly:
     """Assemble the configuration that was asked for, with the patch.
 
     A patch that was fitted to another configuration is warned about.
-
-    Raises
-    ------
-    ConfigError
-        One line per complaint; or if a group is named without a patch.
     """
     _check(args)
     assembly = assemble(config_path(args), args.patch, args.group)

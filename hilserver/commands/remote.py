@@ -43,18 +43,7 @@ def ask(
     request: Callable[[Hand], Awaitable[None]],
     parameters: Iterable[str] = (),
 ) -> int:
-    """Connect, do `request`, leave; return 0.
-
-    Parameters
-    ----------
-    parameters : iterable of str
-        Names of those that it writes.
-
-    Raises
-    ------
-    FailedError
-        With the daemon's sentence if it refuses, or does not answer.
-    """
+    """Connect, do `request`, leave; return 0, or FailedError with the daemon's sentence."""
     endpoint = args.endpoint or configured(args)
     password = getpass.getpass() if args.user else ""
     return event_loop.run(_ask(endpoint, args.user, password, request, parameters))

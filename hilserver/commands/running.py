@@ -67,13 +67,7 @@ LINKS_AND_MORE = (*LINKS, recalibration.parts)  # what stands above the daemon i
 
 
 class Run:
-    """One run of one robot.
-
-    Parameters
-    ----------
-    duration_s : float or None
-        It ends after this time; None: when it is asked to.
-    """
+    """One run of one robot, for a time or until it is asked to end."""
 
     def __init__(
         self,

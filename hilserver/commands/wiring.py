@@ -110,13 +110,7 @@ def _say(text: str) -> None:
 
 
 class Wiring:
-    """Watches the inputs of a running daemon while the controller turns wheel after wheel.
-
-    Parameters
-    ----------
-    say : callable
-        Tells the operator what to do now.
-    """
+    """Watches the inputs of a running daemon while the controller turns wheel after wheel."""
 
     def __init__(
         self,

@@ -29,14 +29,7 @@ class Hall(NamedTuple):
 
 
 def load_hall(hall: str, base_dir: Path) -> Hall:
-    """Return a hall.
-
-    Parameters
-    ----------
-    hall : str
-        ``default`` or the path of a YAML file, relative to `base_dir`.
-    base_dir : Path
-        The directory of the configuration file.
+    """Return ``default``, or the hall of a YAML file, whose path is relative to `base_dir`.
 
     Raises
     ------

@@ -223,18 +223,7 @@ def _number(value: float | None) -> float:
 
 
 def load_patch(path: Path, group: str | None = None) -> Patch:
-    """Read a patch.
-
-    Parameters
-    ----------
-    group : str, optional
-        Which of its groups to take, where it has some.
-
-    Raises
-    ------
-    ConfigError
-        One line per complaint: file, line and key.
-    """
+    """Read a patch, or one of its groups; ConfigError has a line per complaint."""
     model = load(path, ModelPatch, LIVE_BYTES)
     groups = model.groups or {}
     names = ", ".join(groups)

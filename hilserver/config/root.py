@@ -117,13 +117,7 @@ def without_passwords(config: Config) -> dict[str, Any]:
 
 
 def load_config(path: Path | None) -> Config:
-    """Return the configuration of a file, or the defaults without one.
-
-    Raises
-    ------
-    ConfigError
-        One line per complaint: file, line, key and remedy.
-    """
+    """Return the configuration of a file, or the defaults; ConfigError has a line per complaint."""
     return Config() if path is None else load(path, Config)
 
 

@@ -20,17 +20,7 @@ from hilserver.signals import SignalTable, State
 
 
 class Control:
-    """Commands of operators and faults of the system, turned into states.
-
-    Parameters
-    ----------
-    reset_statistics : callable
-        Starts every timing figure anew.
-    speed_changed : callable
-        Called with the new speed factor.
-    measured_pose : callable
-        Where the real robot is, None while nothing measures it.
-    """
+    """Commands of operators and faults of the system, turned into states."""
 
     def __init__(
         self,
@@ -124,10 +114,7 @@ class Control:
     def enter_safe(self, reason: str, *, cause: str | None) -> None:
         """Ramp the set-points to zero and disable the drive.
 
-        Parameters
-        ----------
-        cause : str or None
-            Name of a condition that has to end (`clear_cause`) before Reset works.
+        Reset works once the condition `cause` has ended, see `clear_cause`; None: at once.
         """
         if cause is not None:
             self._causes[cause] = reason

@@ -186,13 +186,7 @@ class InputGate:
         return rows, offered, refused
 
     def stamps(self, names: Iterable[str], time_s: float, tick: int = 0) -> list[Row]:
-        """Return what counts a sample of each measured group among `names`, for the observer.
-
-        Parameters
-        ----------
-        time_s : float
-            When it came, in simulated time.
-        """
+        """Return what counts a sample of each measured group, in simulated time."""
         groups = {n.split(".")[1] for n in names if n.startswith(MEASURED)} & self._counted
         self._samples.update(groups)
         rows: list[Row] = []

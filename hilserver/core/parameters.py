@@ -119,13 +119,7 @@ class LiveParameters:
     # --- changes ----------------------------------------------------------------------------------
 
     def write(self, source: str, values: Mapping[str, object]) -> dict[str, Refused]:
-        """Check values and hand those that are sound, all together, to the next tick.
-
-        Returns
-        -------
-        dict of Refused
-            Why not, by name; empty when all are in force from the next tick on.
-        """
+        """Check values, hand the sound ones to the next tick together; return why not, by name."""
         sound: dict[str, float] = {}
         refused: dict[str, Refused] = {}
         for name, value in values.items():
@@ -254,13 +248,7 @@ class LiveParameters:
     def schedule(
         self, changes: Iterable[tuple[int, Mapping[str, float]]] = (), tick: int = 0
     ) -> None:
-        """Let checked values act at their ticks, which rise, in place of what was scheduled.
-
-        Parameters
-        ----------
-        tick : int
-            The first tick that may still come.
-        """
+        """Let checked values act at their ticks, which rise, in place of what was scheduled."""
         self._timed = deque(changes)
         self.look_ahead(tick)
 

@@ -47,12 +47,7 @@ MOST_SNAPSHOTS = 100  # files in the folder: whoever may call SaveSnapshot must 
 class SnapshotStore:
     """Saves and restores the live regions of a process image.
 
-    Parameters
-    ----------
-    folder : Path
-        Where snapshots lie; made when the first one is saved.
-    parameters : mapping
-        What has to agree between the run that saved and the run that loads, by name.
+    What `parameters` names has to agree between the run that saved and the run that loads.
     """
 
     def __init__(self, image: ProcessImage, folder: Path, parameters: dict[str, Any]) -> None:
@@ -108,11 +103,6 @@ class SnapshotStore:
 
     async def load(self, name: str, *, ends_leases: bool = False) -> int:
         """Continue from a saved state; return its tick.
-
-        Parameters
-        ----------
-        ends_leases : bool
-            Whether nothing is commanded until a source does so anew; else the robot drives on.
 
         Raises
         ------

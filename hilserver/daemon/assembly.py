@@ -48,15 +48,7 @@ _ONE = {"inputs": "input", "parameters": "parameter", "drives": "output"}
 def assemble(path: Path | None, patch: Path | None = None, group: str | None = None) -> Assembly:
     """Load and check a configuration, and a patch over it, down to the last signal name.
 
-    Parameters
-    ----------
-    group : str, optional
-        Which group of the patch to take, where it has some.
-
-    Raises
-    ------
-    ConfigError
-        One sentence per complaint with file, line and key.
+    ConfigError has a sentence per complaint, with file, line and key.
     """
     laid_over = None if patch is None else load_patch(patch, group)
     return _Builder(load_config(path), path, laid_over).build()

@@ -57,16 +57,6 @@ class Daemon:
     """Everything that runs, from shared memory to the last socket.
 
     Use it as an asynchronous context manager; inside, the robot is running.
-
-    Attributes
-    ----------
-    core : Core
-        The parts that a replay has, too; `table`, `image`, `gate`, `events`, `scheduler` and
-        `faults` are its.
-    config : Config
-        What is in force; a reload replaces it.
-    parts : list of Part
-        All links, and what else starts and stops with the daemon.
     """
 
     def __init__(

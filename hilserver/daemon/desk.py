@@ -36,15 +36,7 @@ class _Playing:
 
 
 class Scenarios:
-    """Plays scenarios of one folder from the present tick on.
-
-    Parameters
-    ----------
-    tick : callable
-        Number of the tick that comes next.
-    period_s : float
-        Of a tick.
-    """
+    """Plays scenarios of one folder from the present tick on."""
 
     def __init__(
         self,

@@ -79,15 +79,8 @@ def _ms(nanoseconds: int | None) -> float | None:
 
 def audit_table(items: Iterable[AuditItem]) -> Table:
     """Return the real-time audit: what is fulfilled, and the remedy for what is not."""
-    return {
-        item.name: {
-            "ok": item.ok,
-            "found": item.found,
-            "wanted": item.wanted,
-            "remedy": item.remedy,
-        }
-        for item in items
-    }
+    shown = ("ok", "found", "wanted", "remedy")
+    return {item.name: {name: getattr(item, name) for name in shown} for item in items}
 
 
 def model_gap(gate: InputGate, table: SignalTable, frame: Frame | None) -> Mapping[str, float]:

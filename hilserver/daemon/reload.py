@@ -70,13 +70,7 @@ RELOADABLE: dict[str, Callable[[Daemon, Config, Stream | None], None]] = {
 
 
 class Reloader:
-    """Re-reads the configuration file of a running daemon.
-
-    Parameters
-    ----------
-    out : Stream or None
-        Where lines go; stderr by default.
-    """
+    """Re-reads the configuration file of a running daemon."""
 
     def __init__(self, daemon: Daemon, out: Stream | None = None) -> None:
         self._daemon, self._out = daemon, out

@@ -19,15 +19,7 @@ Pose = tuple[float, float, float]
 
 
 class GapWatch:
-    """Tells, once each time it begins and ends, that a gap exceeds its limit.
-
-    Parameters
-    ----------
-    gaps : callable
-        Measured minus simulated by channel, of those that come in now.
-    monotonic_ns : callable
-        Clock for how long a gap has lasted.
-    """
+    """Tells, once each time it begins and ends, that a gap exceeds its limit."""
 
     def __init__(
         self,

@@ -40,15 +40,7 @@ class _Note:
 
 
 class Faults:
-    """Injects faults and forces signals; everything takes effect at the start of a tick.
-
-    Parameters
-    ----------
-    tick : callable
-        Number of the tick that comes next.
-    lines : mapping of Line
-        The peer links by name.
-    """
+    """Injects faults and forces signals; everything takes effect at the start of a tick."""
 
     def __init__(
         self,

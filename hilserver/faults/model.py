@@ -189,13 +189,7 @@ class Fault(Section):
 
 
 def parse_fault(data: object) -> Fault:
-    """Return a fault from plain data.
-
-    Raises
-    ------
-    ValueError
-        One sentence that names the key.
-    """
+    """Return a fault from plain data; ValueError with one sentence that names the key."""
     if isinstance(data, Fault):
         return data
     if not isinstance(data, dict):
@@ -207,13 +201,7 @@ def parse_fault(data: object) -> Fault:
 
 
 def parse_faults(text: str) -> list[Fault]:
-    """Return the faults of a JSON text: one object, or a list of them.
-
-    Raises
-    ------
-    ValueError
-        One sentence.
-    """
+    """Return the faults of a JSON text, an object or a list of them; ValueError if it is none."""
     if len(text) > MAX_JSON:
         raise ValueError(f"the text is longer than {MAX_JSON} characters")
     try:

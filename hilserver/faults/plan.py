@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 from hilserver.faults.model import Fault
 from hilserver.kernel import modifier_layout as lay
 from hilserver.kernel.modifier_layout import Kind
-from hilserver.plant.units import RPM_PER_RAD_S
+from hilserver.plant.units import RPM_PER_RAD_S, STANDARD_GRAVITY_M_S2
 from hilserver.signals import Direction, Signal, SignalTable, ValueType
 
-STANDARD_GRAVITY_M_S2 = 9.80665
 DEGREES_PER_RAD = 180.0 / math.pi
 
 

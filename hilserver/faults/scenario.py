@@ -93,13 +93,7 @@ class Play(NamedTuple):
 
 
 def load_scenario(path: Path, most_bytes: int = MAX_BYTES) -> Scenario:
-    """Return the scenario of a file; its signals are looked up by `Stage.check`.
-
-    Raises
-    ------
-    ConfigError
-        One line per complaint: file, line, key.
-    """
+    """Return the scenario of a file, or ConfigError; its signals are looked up by `Stage.check`."""
     return load(path, Scenario, most_bytes)
 
 
@@ -129,13 +123,7 @@ class Stage:
         self._period_s = base_period_ns * 1e-9
 
     def check(self, play: Play) -> None:
-        """Look every signal, range and peer up.
-
-        Raises
-        ------
-        ConfigError
-            One sentence with file, line and key.
-        """
+        """Look every signal, range and peer up; ConfigError names file, line and key."""
         scenario, path = play
         for index, fault in enumerate(scenario.faults):
             try:

@@ -60,10 +60,7 @@ class StepResponse:
 def identify_steps(log: MeasuredLog, source: str | None = None) -> StepResponse:
     """Identify the step response of all wheels of a log together.
 
-    Parameters
-    ----------
-    source : str, optional
-        ``duty_pct`` or ``setpoint_rpm``; default: the first of them that has steps.
+    Of the inputs the first that has steps is taken, unless `source` names one.
 
     Raises
     ------

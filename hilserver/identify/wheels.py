@@ -16,13 +16,7 @@ def present(log: MeasuredLog, quantity: str, wheels: Sequence[str] = WHEELS) -> 
 
 
 def need(log: MeasuredLog, *names: str) -> None:
-    """Refuse a log that lacks a channel.
-
-    Raises
-    ------
-    LogError
-        Names the file and the channels.
-    """
+    """Refuse a log that lacks a channel; LogError names the file and the channels."""
     missing = [name for name in names if name not in log]
     if missing:
         raise LogError(

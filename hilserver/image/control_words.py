@@ -22,10 +22,7 @@ class _Word:
 class ControlWords:
     """What daemon and plant tell each other beside the signals, by name; `word` says what it means.
 
-    Parameters
-    ----------
-    words : ndarray of int64
-        The arena; setting a word of a read-only one raises a ValueError.
+    Setting a word of a read-only arena raises a ValueError.
     """
 
     def __init__(self, words: NDArray[np.int64]) -> None:

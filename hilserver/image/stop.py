@@ -21,10 +21,7 @@ _BYTES = lay.N_CONTROL_WORDS * 8
 def press_stop(name: str) -> int:
     """Press Stop of the daemon with the image `name`; the ramp begins with its next tick.
 
-    Returns
-    -------
-    int
-        The number that is in force now: when it was pressed [ns], CLOCK_MONOTONIC.
+    Returns the number that is in force now: when it was pressed [ns], CLOCK_MONOTONIC.
 
     Raises
     ------

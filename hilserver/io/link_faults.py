@@ -16,13 +16,7 @@ _log = structlog.get_logger(__name__)
 
 
 class FaultBook:
-    """Keeps `PeerStatus.faults`; a fault that flickers is one fault.
-
-    Parameters
-    ----------
-    publish : callable
-        Takes every `Event`.
-    """
+    """Keeps `PeerStatus.faults`; a fault that flickers is one fault."""
 
     def __init__(self, status: PeerStatus, publish: Callable[[Event], None]) -> None:
         self._status = status

@@ -29,19 +29,7 @@ class Outcome(NamedTuple):
 
 
 class Source:
-    """Hands over what one link brings; says once, each time it begins and ends, what it lacks.
-
-    Parameters
-    ----------
-    driver : Driver
-        Who drives over it: name at the gate, silence after which it is stale, what follows then.
-    label : str
-        In messages.
-    fresh : callable
-        Says that values come in again.
-    commanding : collection of str
-        Inputs without which it cannot command.
-    """
+    """Hands over what one link brings; says once, each time it begins and ends, what it lacks."""
 
     def __init__(
         self,
@@ -63,15 +51,7 @@ class Source:
     def write(
         self, values: Mapping[str, object], now_ns: int, *, of: str = "", renews: bool = True
     ) -> Outcome:
-        """Hand one group to the gate; report what is wrong with it.
-
-        Parameters
-        ----------
-        of : str
-            What brought the values, before their names in messages.
-        renews : bool
-            Whether what the source holds may go on.
-        """
+        """Hand one group to the gate; report what is wrong with it, as values of `of`."""
         refused = self._gate.write(self.name, values, renews=renews)
         wrong = {name: why for name, why in refused.items() if why not in OFFERED_AGAIN}
         for name, why in wrong.items():

@@ -21,13 +21,7 @@ from hilserver.scheduler.step import StepFunction
 
 
 def compose(composition: Composition, image: ProcessImage) -> StepFunction:
-    """Fill the arena, generate the step, compile it (or take it from the cache).
-
-    Returns
-    -------
-    StepFunction
-        Ready to be handed to the scheduler.
-    """
+    """Fill the arena, generate the step, compile it (or take it from the cache)."""
     _fill(composition, image)
     source = step_source(composition, image.layout)
     return cast("StepFunction", _module(source, composition.blocks).step)

@@ -62,18 +62,7 @@ def is_bag(path: Path) -> bool:
 
 
 def read_messages(path: Path, wanted: set[str]) -> list[Bag]:
-    """Read the messages of some topics, one `Bag` for each file.
-
-    Parameters
-    ----------
-    path : Path
-        A file, or the folder with all files of the bag.
-
-    Raises
-    ------
-    LogError
-        One sentence that names file and remedy.
-    """
+    """Read some topics of a file or folder, one `Bag` for each file; LogError if it cannot be."""
     return [_read_file(file, wanted) for file in _files(path)]
 
 

@@ -35,13 +35,7 @@ def absolute(topic: str) -> str:
 
 
 class Eduart:
-    """Makes EduArt's messages of frames, as far as the recorded signals go.
-
-    Parameters
-    ----------
-    names : list of str
-        Signals in the order of the values.
-    """
+    """Makes EduArt's messages of frames, as far as the recorded signals go."""
 
     def __init__(self, types: Types, names: list[str], period_ns: int) -> None:
         nowhere = Shape(

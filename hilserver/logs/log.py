@@ -60,12 +60,6 @@ class Log:
         return self.run is not None
 
     def ticks(self, base_period_ns: int, start_s: float = 0.0) -> NDArray[np.int64]:
-        """Return the first tick at or after each row, shape (n,).
-
-        Parameters
-        ----------
-        start_s : float
-            Time of tick 0.
-        """
+        """Return the first tick at or after each row, counted from `start_s` on, shape (n,)."""
         exact = (self.t_s - start_s) * (NS_PER_S / base_period_ns)
         return np.asarray(np.ceil(exact - 1e-3), dtype=np.int64)

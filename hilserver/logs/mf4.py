@@ -33,13 +33,7 @@ UNKNOWN: Final = datetime.fromtimestamp(0, UTC)  # a log does not say when it wa
 
 
 def write_mf4(log: Log, path: Path, unit_of: Callable[[str], str]) -> None:
-    """Write a log as MF4; LogError when asammdf is not installed.
-
-    Parameters
-    ----------
-    unit_of : callable
-        The symbol of the unit of a signal that the run of the log does not describe.
-    """
+    """Write a log as MF4; LogError when asammdf is not installed."""
     library = _library(path)
     from asammdf import Signal  # noqa: PLC0415 -- an extra
 

@@ -20,13 +20,7 @@ _SECRET = re.compile(r"password|secret|token|passphrase|hash$", re.IGNORECASE)
 
 
 def make_run(description: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a recording says about its run.
-
-    Parameters
-    ----------
-    description : mapping
-        Of the process image: signals, regions and ``run``.
-    """
+    """Return what a recording says about its run, from the description of the process image."""
     run = dict(description["run"])
     configuration = run.pop("configuration", None)
     return {

@@ -17,18 +17,7 @@ ROS1_BEGINNING = b"#ROSBAG V"
 
 
 def read_log(path: Path, known: Container[str] | None = None) -> Log:
-    """Read a log.
-
-    Parameters
-    ----------
-    known : container of str, optional
-        Signals that a log of others may have as columns; None: any name.
-
-    Raises
-    ------
-    LogError
-        One sentence that names file, row, column and remedy.
-    """
+    """Read a log; of others it may have the columns `known`. LogError names file and row."""
     refuse_others(path)
     try:
         if is_bag_of_ros(path):
@@ -57,12 +46,7 @@ def is_bag_of_ros(path: Path) -> bool:
 
 
 def refuse_others(path: Path) -> None:
-    """Refuse what is not there, devices and pipes, which may never end, and bags of ROS 1.
-
-    Raises
-    ------
-    LogError
-    """
+    """Refuse what is not there, devices and pipes, which may never end, and bags of ROS 1."""
     try:
         path.stat()
     except OSError as error:

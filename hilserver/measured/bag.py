@@ -17,18 +17,7 @@ __all__ = ["is_bag", "read_bag"]
 
 
 def read_bag(path: Path, mapping: LogMapping) -> Recording:
-    """Read the topics that a mapping names.
-
-    Parameters
-    ----------
-    path : Path
-        A file, or the folder with all files of the bag.
-
-    Raises
-    ------
-    LogError
-        One sentence that names file, topic, field and remedy.
-    """
+    """Read the topics that a mapping names; LogError names file, topic, field and remedy."""
     wanted = {str(channel.topic) for channel in mapping.channels.values()}
     bags = read_messages(path, wanted)
     topics = {name: topic for bag in bags for name, topic in bag.topics.items()}

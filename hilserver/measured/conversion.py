@@ -16,13 +16,7 @@ from hilserver.measured.tables import Recording, log_of_parquet, read_mapped
 
 
 def read_any(path: Path, mapping: str | None = None) -> Log:
-    """Read a log of any kind; through a mapping, its channels become signals.
-
-    Raises
-    ------
-    LogError
-        One sentence that names file, place and remedy.
-    """
+    """Read a log of any kind, or LogError; through a mapping its channels become signals."""
     refuse_others(path)
     try:
         if mapping is not None:

@@ -29,18 +29,11 @@ class _AbsentError(Exception):
 
 
 class Field:
-    """Reads one number of every message of a topic.
-
-    Attributes
-    ----------
-    absent : int
-        Messages that did not hold it.
-    reason : str
-        Why the first of them did not.
-    """
+    """Reads one number of every message of a topic."""
 
     def __init__(self, path: str) -> None:
         self.path = path
+        # messages that did not hold it, and why the first of them did not
         self.absent, self.reason, self._may_be_absent = 0, "", False
         self._steps: list[str | _Index] = []
         self._at: dict[int, dict[str, None]] = {}

@@ -125,18 +125,7 @@ def _folder() -> Traversable:
 
 
 def load_mapping(mapping: Path | str) -> LogMapping:
-    """Read a mapping file, or one of those that come with hilserver.
-
-    Parameters
-    ----------
-    mapping : Path or str
-        A file, or the name of a built-in mapping.
-
-    Raises
-    ------
-    LogError
-        One line per complaint: file, line, key, what is wrong and what to write instead.
-    """
+    """Read a mapping file, or a built-in one by its name; LogError has a line per complaint."""
     if str(mapping) in builtin_mappings():
         with resources.as_file(_folder() / f"{mapping}.yaml") as path:
             return _load(path)

@@ -40,11 +40,6 @@ def _distribution() -> Any:
 class Decoder:
     """Reads fields of the messages of one topic.
 
-    Parameters
-    ----------
-    where : str
-        File and topic, for complaints.
-
     Raises
     ------
     TopicError

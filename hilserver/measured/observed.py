@@ -21,11 +21,6 @@ def series_of(log: MeasuredLog, span: int, robot: RobotParameters) -> Series:
     """Return one span of a log.
 
     A moment is where every wheel that is measured has a sample.
-
-    Raises
-    ------
-    LogError
-        If no wheel of a side is measured; of a mecanum robot, if one is not.
     """
     sides: list[list[str]] = []
     for side in (SPEEDS[:N_LEFT], SPEEDS[N_LEFT:]):

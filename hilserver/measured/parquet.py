@@ -15,11 +15,6 @@ from hilserver.logs.unpacking import Budget
 def read_parquet(path: Path, used: Container[str] | None = None) -> Table:
     """Read the numbers of a Parquet file; rows are counted from 1.
 
-    Parameters
-    ----------
-    used : container of str, optional
-        Columns to read; None: all.
-
     Raises
     ------
     LogError

@@ -49,10 +49,7 @@ class Recording:
 def read_own(path: Path, sampling: Sampling | None = None) -> Recording:
     """Read a table whose columns are signal names: CSV, or a recording of ours.
 
-    Parameters
-    ----------
-    sampling : Sampling, optional
-        Of the daemon's configuration, for frames that do not carry it themselves.
+    `sampling` is that of frames that do not carry their daemon's configuration.
     """
     log = read_log(path, known_columns())
     for name, values in log.columns.items():
@@ -61,12 +58,7 @@ def read_own(path: Path, sampling: Sampling | None = None) -> Recording:
 
 
 def refuse_foreign(path: Path) -> None:
-    """Refuse a table none of whose columns is a signal, with a mapping file that may fit it.
-
-    Raises
-    ------
-    ForeignTable
-    """
+    """Refuse a table none of whose columns is a signal, with a mapping file that may fit it."""
     if path.suffix == ".parquet":
         header, first = read_parquet(path, ()).header, []
     elif path.suffix == ".csv":
@@ -121,9 +113,7 @@ def log_of_parquet(path: Path) -> tuple[Log, Table]:
     table = in_time(table, TIME)
     columns = {name: table.column(name) for name in names}
     block = table.integers(BLOCK)
-    log = Log(
-        path, table.column(TIME), table.segment(), columns, block, notices=table.notices
-    )
+    log = Log(path, table.column(TIME), table.segment(), columns, block, notices=table.notices)
     return log, table
 
 
@@ -207,13 +197,7 @@ def _mapped(table: Table, mapping: LogMapping, name: str) -> Array:
 def as_signal(
     mapping: LogMapping, name: str, values: Array, at: str, where: Callable[[int, str], str]
 ) -> Array:
-    """Return the numbers of a foreign log as a signal, in its unit.
-
-    Raises
-    ------
-    LogError
-        If one is impossibly large; `where` names the place of a row and `at`.
-    """
+    """Return the numbers of a foreign log as a signal; LogError if one is impossibly large."""
     refuse_absurd(values, at, where)
     with np.errstate(over="ignore"):
         converted: Array = values * mapping.factor(name) + mapping.channels[name].offset

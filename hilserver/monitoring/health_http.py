@@ -67,18 +67,7 @@ class Response:
 class HttpServer:
     """Serves metrics and health on one address.
 
-    Parameters
-    ----------
-    host, port : str, int
-        Where to listen; port 0 takes a free one (see `port` after `start`).
-    render : callable
-        ``Metrics.render``: whether OpenMetrics is wanted -> (body, content type).
-    health : HealthSources
-        What the two probes judge.
-    host_names : collection of str
-        Names that requests may call us by, besides addresses, localhost and this computer's name.
-    clock_ns : callable
-        CLOCK_MONOTONIC [ns].
+    Port 0 takes a free one. Besides `host_names`, addresses and localhost may be asked for.
     """
 
     def __init__(

@@ -65,13 +65,6 @@ class RepeatLimiter:
     Two lines are the same when they differ in nothing but numbers. A line may carry
     ``repeat_allow``: so many of it pass per window (default 1). At most `KEYS_MAX` different lines
     are remembered; beyond that the one not seen for longest is forgotten.
-
-    Parameters
-    ----------
-    window_s : float
-        How long [s] a line silences its repetitions; 0 lets everything pass.
-    clock_s : callable
-        A monotonic clock [s].
     """
 
     def __init__(self, window_s: float, clock_s: Callable[[], float] = time.monotonic) -> None:
@@ -131,21 +124,8 @@ def setup_logging(
 ) -> RepeatLimiter:
     """Set up structlog and the standard library's logging; may be called again.
 
-    Parameters
-    ----------
-    level : str
-        DEBUG, INFO, WARNING or ERROR.
-    line_format : str
-        ``console``, ``json`` or ``auto``: console on a terminal.
-    stream : Stream
-        Where lines go; stderr by default.
-    expected_errors : tuple of exception types
-        Reported in one line, besides `EXPECTED_ERRORS`.
-
-    Returns
-    -------
-    RepeatLimiter
-        Hand it to `report_repeats` now and then.
+    `expected_errors` are reported in one line, besides `EXPECTED_ERRORS`. What is returned goes to
+    `report_repeats` now and then.
     """
     out = sys.stderr if stream is None else stream
     is_console = is_readable(line_format, out)

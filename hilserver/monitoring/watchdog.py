@@ -12,19 +12,12 @@ import socket
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
 
-
 FEEDS_PER_PERIOD = 4
 LONGEST_LOOK_S = 0.5  # state and readiness are looked at this often at least
 
 
 def notify(*assignments: str) -> bool:
-    """Send assignments such as ``READY=1`` to the service manager.
-
-    Returns
-    -------
-    bool
-        False when there is none (``NOTIFY_SOCKET`` is not set) or when it does not listen.
-    """
+    """Send assignments such as ``READY=1`` to the service manager; False if none listens."""
     address = os.environ.get("NOTIFY_SOCKET", "")
     if not address:
         return False
@@ -49,19 +42,7 @@ def watchdog_period_s() -> float | None:
 
 
 class Watchdog:
-    """Tells the service manager what it wants to know.
-
-    Parameters
-    ----------
-    heartbeat_ns : callable
-        When the paced loop last woke up; 0 before its first time.
-    ready : callable
-        True once the plant is compiled and the first ticks met their deadlines.
-    status : callable
-        One line for ``systemctl status``.
-    send : callable
-        ``send(assignment, ...)``; `notify` unless a test listens.
-    """
+    """Tells the service manager what it wants to know."""
 
     def __init__(
         self,

@@ -67,11 +67,6 @@ class Application:
     """Serves variables that are writable and methods that have a function.
 
     Names that permissions know are text identifiers of node ids, browse names of others.
-
-    Parameters
-    ----------
-    server : asyncua InternalServer
-        Whose address space it serves.
     """
 
     def __init__(self, server: Any, access: Access) -> None:

@@ -21,15 +21,6 @@ def keys_of(name: str, address: str) -> tuple[Hashable, ...]:
 class FailedAttempts:
     """Counts failures per key in a sliding window.
 
-    Parameters
-    ----------
-    limit : int
-        Failures within the window after which `is_blocked`.
-    window_s : float
-        Time after which a failure is forgotten [s].
-
-    Notes
-    -----
     The keys are bounded: the one that has been quiet longest is forgotten first.
     """
 

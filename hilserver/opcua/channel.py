@@ -38,15 +38,7 @@ _CONCEALED = {Verdict.INVALID, Verdict.UNTRUSTED, Verdict.POLICY}
 
 
 class GuardedConnection(SecureConnection):  # type: ignore[misc]
-    """Encodes, decodes and checks the messages of one connection.
-
-    Parameters
-    ----------
-    policies : sequence of SecurityPolicyFactory
-        What is offered.
-    trust : TrustList or None
-        Judges certificates; None when only policy None is offered.
-    """
+    """Encodes, decodes and checks the messages of one connection."""
 
     _peer_sequence_number: int | None
     _sequence_number: int

@@ -78,13 +78,6 @@ def change_filter(
 ) -> ChangeFilter:
     """Return the filter that a client asks for.
 
-    Parameters
-    ----------
-    kind : VariantType or None
-        Type of the variable.
-    eu_range : Range or None
-        Its EURange; a percent deadband is a part of it.
-
     Raises
     ------
     FilterError

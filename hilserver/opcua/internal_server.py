@@ -23,15 +23,7 @@ _LONGEST_SESSION_MS = 120_000.0
 
 
 class InnerServer(QuickInternalServer):
-    """asyncua's inner server with our sessions, subscriptions and limits.
-
-    Attributes
-    ----------
-    application : Application
-        Answers Write and Call; may be replaced before the first client connects.
-    trust : TrustList or None
-        Judges certificates; None where only policy None is offered.
-    """
+    """asyncua's inner server with our sessions, subscriptions and limits."""
 
     time_task: Any
 
@@ -40,7 +32,7 @@ class InnerServer(QuickInternalServer):
         super().__init__(user_manager=None)
         self.settings, self.trust = settings, trust
         self.access = access = Access(settings)
-        self.application = Application(self, access)
+        self.application = Application(self, access)  # may be replaced before the first client
         self._places = Places(settings.max_sessions, self._has_reserve)
         self.allow_remote_admin = False
         self.max_connections = settings.max_connections

@@ -105,15 +105,7 @@ class ValueItem(_Item):
 
 
 class FixedEvent:
-    """An event that nobody changes after it is made.
-
-    Parameters
-    ----------
-    emitting_node : NodeId
-        Who watches this node gets it.
-    fields : dict of Variant
-        By name; parts of a path are joined by ``/``.
-    """
+    """An event that nobody changes after it is made."""
 
     def __init__(self, emitting_node: ua.NodeId, fields: dict[str, ua.Variant]) -> None:
         self.emitting_node = emitting_node

@@ -30,13 +30,7 @@ _ALL = slice(None)
 
 
 class MonitoredItems:
-    """The monitored items of one subscription.
-
-    Parameters
-    ----------
-    publishing_ms : callable
-        The subscription's publishing interval: a negative sampling interval means that.
-    """
+    """The monitored items of one subscription."""
 
     def __init__(
         self,

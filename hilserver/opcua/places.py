@@ -29,15 +29,7 @@ YIELDS_AFTER_S = 5.0
 
 
 class Places:
-    """Decides which session may come in, and which one yields to it.
-
-    Parameters
-    ----------
-    most : int
-        Sessions of all clients but those with places of their own.
-    has_reserve : callable
-        Whether a user has a right to the reserve.
-    """
+    """Decides which session may come in, and which one yields to it."""
 
     def __init__(self, most: int, has_reserve: Callable[[Any], bool]) -> None:
         self._most, self._has_reserve = most, has_reserve

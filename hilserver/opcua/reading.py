@@ -143,13 +143,7 @@ def completed(value: ua.DataValue, attribute: int, born: datetime) -> FixedDataV
 
 
 class Reader:
-    """Answers for single attributes.
-
-    Parameters
-    ----------
-    server : InnerServer
-        Whose address space it is, and whose application knows what a user may do.
-    """
+    """Answers for single attributes."""
 
     def __init__(self, server: Any) -> None:
         self._server = server

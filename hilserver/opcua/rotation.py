@@ -39,15 +39,8 @@ class Job(Protocol):
 def advance(work: Portions, answer: Any = None) -> Any:
     """Do one portion of `work`; return what it waits for, if anything.
 
-    Parameters
-    ----------
-    answer : object
-        What came of that; an exception is raised in `work`.
-
-    Raises
-    ------
-    StopIteration
-        When it is done, with its result.
+    It gets `answer` for what it waited for, an exception is raised in it; StopIteration has the
+    result.
     """
     end_s = time.monotonic() + PORTION_S
     while True:

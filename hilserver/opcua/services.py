@@ -15,7 +15,6 @@ from hilserver.opcua.encoding import binary_id
 from hilserver.opcua.sessions import Session
 
 
-
 class Service(NamedTuple):
     """A service: how its parameters are called, and who answers."""
 

@@ -33,20 +33,11 @@ _Codes = ua.StatusCodes
 
 
 class Subscription:
-    """One subscription.
-
-    Attributes
-    ----------
-    owner : tuple
-        Who created it; the same one may take it over.
-    session : Session
-        Where its messages go.
-    retained : OrderedDict
-        Messages that were not acknowledged yet, by sequence number.
-    """
+    """One subscription."""
 
     def __init__(self, service: "Subscriptions", number: int, session: Any) -> None:
         settings = service.settings
+        # who created it is its owner, and may take it over in another session
         self.number, self.session, self.owner = number, session, session.owner
         self.revised = ua.CreateSubscriptionResult(SubscriptionId=number)
         self.is_enabled = True
@@ -58,6 +49,7 @@ class Subscription:
             longest_queue=settings.max_queue_size,
             shortest_sampling_ms=settings.min_publishing_ms,
         )
+        # messages that were not acknowledged yet, by sequence number
         self.retained: OrderedDict[int, bytes] = OrderedDict()
         self._retained_bytes = 0
         self._service = service

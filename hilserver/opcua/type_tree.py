@@ -11,13 +11,7 @@ _HAS_SUBTYPE = ua.NodeId(ua.ObjectIds.HasSubtype)
 
 
 class TypeTree:
-    """Subtypes of the types of an address space.
-
-    Parameters
-    ----------
-    address_space : asyncua AddressSpace
-        Nodes may be added; types that are there stay what they are.
-    """
+    """Subtypes of the types of an address space; nodes may be added, types stay what they are."""
 
     def __init__(self, address_space: Any) -> None:
         self._address_space = address_space

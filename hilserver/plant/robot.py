@@ -103,19 +103,7 @@ def drive_on_with_terms(
 
 @part
 def robot_step(p: Parameters, x: State, u: Inputs, y: Outputs, q: Status) -> None:
-    """Write the outputs of t_k and move the state to t_(k+1).
-
-    Parameters
-    ----------
-    p : Parameters
-        See `packing.pack`.
-    x : State
-        Changed in place.
-    u : Inputs
-        Latched for this tick; finite.
-    y, q : Outputs, Status
-        Written up to `angular`; there the status becomes Good.
-    """
+    """Write the outputs of t_k and move the state to t_(k+1)."""
     set_pose(x, u)
     command(p, x, u)
     for i in range(N_WHEELS):

@@ -26,14 +26,8 @@ async def started(
 
     Ctrl-C does not reach it: it ends us first, and we end the child.
 
-    Parameters
-    ----------
-    name : str
-        What the log calls it if it has to be killed.
-    stop_limit_s : float
-        How long it may take to end after SIGTERM; 0: it has nothing to save and is killed.
-    **options
-        For `asyncio.create_subprocess_exec`.
+    A child that may take no time to end (`stop_limit_s` 0) is killed; else it gets SIGTERM first.
+    Options are those of `asyncio.create_subprocess_exec`.
     """
     process = await asyncio.create_subprocess_exec(
         *command, stdin=asyncio.subprocess.DEVNULL, start_new_session=True, **options

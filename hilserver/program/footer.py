@@ -12,11 +12,6 @@ class Footer:
     """Stands between writers and a terminal, and keeps its own line below theirs.
 
     A context manager; at its end the line is gone.
-
-    Parameters
-    ----------
-    terminal : TextIO or Writer
-        A stream that understands ANSI escape sequences.
     """
 
     def __init__(self, terminal: TextIO | Writer) -> None:

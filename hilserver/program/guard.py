@@ -43,21 +43,12 @@ def allow(seconds: float) -> None:
 
 
 class Guard:
-    """Waits for signals in a thread of its own.
-
-    Attributes
-    ----------
-    say : callable
-        Takes what the program does now, such as "ends at once"; must not block.
-    is_asked : bool
-        A signal has come.
-    code : int
-        Exit code of an end by force that the program took note of.
-    """
+    """Waits for signals in a thread of its own."""
 
     def __init__(self, signals: Collection[int]) -> None:
         self._signals = signals
-        self.say: Callable[[str], object] = lambda _: None
+        self.say: Callable[[str], object] = lambda _: None  # must not block
+        # whether a signal has come, and the exit code of an end by force that was taken note of
         self.is_asked, self.code = False, EXIT_DONE
         self._stop: Callable[[], object] | None = None
         self._if_blocked: Callable[[], object] = lambda: None
@@ -68,10 +59,7 @@ class Guard:
     def on_end(self, stop: Callable[[], object], if_blocked: Callable[[], object]) -> None:
         """Let the first signal call `stop` instead of ending at once; both in this thread.
 
-        Parameters
-        ----------
-        if_blocked : callable
-            Called before the end when nobody has answered.
+        `if_blocked` is called before the end when nobody has answered.
         """
         self._stop, self._if_blocked = stop, if_blocked
 

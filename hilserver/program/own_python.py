@@ -14,18 +14,7 @@ _HERE = Path(__file__).resolve().parents[1]
 
 
 def load_callable(reference: str, folder: Path) -> Callable[..., Any]:
-    """Import what a reference names.
-
-    Parameters
-    ----------
-    folder : Path
-        Where relative paths start.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such file, module or name, or its import fails: one sentence.
-    """
+    """Import what a reference names, a file from `folder` on; ConfigError if that fails."""
     place, colon, name = reference.rpartition(":")
     if not colon or not place or not name:
         raise ConfigError(f"{reference!r}: write file.py:name or package.module:name")

@@ -52,13 +52,6 @@ def in_processes(
     Who stops before the end closes the generator (`contextlib.closing`), and the workers end at
     once; otherwise the interpreter would wait at its end for all that is queued.
 
-    Parameters
-    ----------
-    function : callable
-        A function of a module, as it travels by its name.
-    workers : int
-        Processes; 1: this one.
-
     Raises
     ------
     FailedError

@@ -22,13 +22,7 @@ def _plain(lost: int) -> str:
 
 
 class Writer:
-    """Stands between writers and a stream; `write` never blocks.
-
-    Parameters
-    ----------
-    lost_line : callable
-        Number of lost lines -> the line that says so once lines are taken again.
-    """
+    """Stands between writers and a stream; `write` never blocks."""
 
     def __init__(self, stream: TextIO, lost_line: Callable[[int], str] = _plain) -> None:
         self.lost_line = lost_line

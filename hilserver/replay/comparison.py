@@ -9,17 +9,7 @@ from hilserver.signals import Direction, SignalTable
 
 
 class Comparison:
-    """Counts equal ticks and remembers the first difference.
-
-    Attributes
-    ----------
-    n_signals : int
-        Outputs that the log holds.
-    n_ticks : int
-        Ticks compared.
-    difference : str or None
-        The first one, in words.
-    """
+    """Counts equal ticks and remembers the first difference."""
 
     def __init__(self, log: Log, table: SignalTable, base_period_ns: int) -> None:
         outputs = [

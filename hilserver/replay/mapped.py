@@ -14,13 +14,7 @@ from hilserver.measured.reading import read_measured
 
 
 def mapped_inputs(path: Path, mapping: str | None, assembly: Assembly) -> tuple[Log, Assembly]:
-    """Read the set-points of a foreign log, and the robot that its mapping describes.
-
-    Raises
-    ------
-    LogError
-        One sentence that names file, place and remedy.
-    """
+    """Read the set-points of a foreign log, or LogError, and the robot of its mapping."""
     measured = read_measured([path], mapping)
     if not measured.plant:
         return _inputs(path, measured), assembly

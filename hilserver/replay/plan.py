@@ -49,12 +49,7 @@ def plan_exact(
 ) -> Plan:
     """Plan a replay that gives the bits of the recorded run.
 
-    Parameters
-    ----------
-    log : Log
-        A recording of ours.
-    start : State, optional
-        A snapshot to begin with, in place of the states of the recording; its segment is not used.
+    A snapshot `start` takes the place of the states of the recording.
 
     Raises
     ------

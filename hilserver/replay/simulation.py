@@ -36,12 +36,7 @@ def offline(assembly: Assembly) -> Assembly:
 
 
 class Simulation:
-    """One run of a scenario; an asynchronous context manager.
-
-    Parameters
-    ----------
-    assembly : Assembly
-        Of the robot; what listens or connects is left out.
+    """One run of a scenario by a robot that is quiet; an asynchronous context manager.
 
     Raises
     ------

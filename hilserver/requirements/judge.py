@@ -51,12 +51,7 @@ class Drive(Mapping[str, Array]):
 class Judge:
     """Requirements, bound to the signals of a robot.
 
-    Parameters
-    ----------
-    path : Path, optional
-        The file they came from; own functions are found beside it.
-    derived : collection of str
-        Signals that a drive has beside those of the table.
+    Own functions are found beside `path`. `derived` are signals of a drive that the table lacks.
 
     Raises
     ------

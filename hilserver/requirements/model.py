@@ -90,11 +90,5 @@ class _File(BaseModel):
 
 
 def load_requirements(path: Path) -> tuple[Requirement, ...]:
-    """Return the requirements of a file; their signals are looked up by `Judge`.
-
-    Raises
-    ------
-    ConfigError
-        One line per complaint: file, line, key.
-    """
+    """Return the requirements of a file, or ConfigError; their signals are looked up by `Judge`."""
     return load(path, _File, LIVE_BYTES).require

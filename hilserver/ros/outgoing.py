@@ -5,11 +5,11 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hilserver.plant.units import RPM_PER_RAD_S
+from hilserver.plant.units import RPM_PER_RAD_S, STANDARD_GRAVITY_M_S2
 from hilserver.ros.robot import EDUART_ORDER, Robot
 
-STANDARD_GRAVITY_M_S2: Final = 9.80665
 SHARE: Final = 0.02
 """Standard deviation of odometry by what was driven or turned: wheels on a level floor."""
 LEAST_M, LEAST_RAD = 1e-3, 1e-3
@@ -148,26 +148,10 @@ def odometry(robot: Robot) -> Iterator[Any]:
     o, (ahead, aside, turning) = robot.odometer, robot.twist()
     place_m, heading_rad = SHARE * o.way_m + LEAST_M, SHARE * o.turned_rad + LEAST_RAD
     speed_m_s = SHARE * math.hypot(ahead, aside) + LEAST_M
-    twist = robot.make(
-        "geometry_msgs/msg/Twist",
-        linear=robot.vector(ahead, aside),
-        angular=robot.vector(z=turning),
-    )
-    yield robot.make(
-        "nav_msgs/msg/Odometry",
-        header=robot.header("odom"),
-        child_frame_id=f"{robot.frame_prefix}base_link",
-        pose=robot.make(
-            "geometry_msgs/msg/PoseWithCovariance",
-            pose=robot.pose(o.x_m, o.y_m, o.yaw_rad),
-            covariance=_planar(place_m, heading_rad),
-        ),
-        twist=robot.make(
-            "geometry_msgs/msg/TwistWithCovariance",
-            twist=twist,
-            covariance=_planar(speed_m_s, SHARE * abs(turning) + LEAST_RAD),
-        ),
-    )
+    pose, twist = (o.x_m, o.y_m, o.yaw_rad), (ahead, aside, turning)
+    motion = _planar(speed_m_s**2, speed_m_s**2, (SHARE * abs(turning) + LEAST_RAD) ** 2)
+    place = _planar(place_m**2, place_m**2, heading_rad**2)
+    yield _odometry(robot, "odom", pose, place, twist, motion)
 
 
 def estimate(robot: Robot) -> Iterator[Any]:
@@ -175,38 +159,49 @@ def estimate(robot: Robot) -> Iterator[Any]:
     if robot.get("estimate.state", 0.0) == 0.0:
         return
     e = {name: robot[f"estimate.{name}"] for name in (*_STATES, *_DEVIATIONS, *_TOGETHER)}
-    x, y, yaw = (e[f"{name}_sd"] ** 2 for name in _STATES[:3])
-    place = np.diag([x, y, *[UNKNOWN_VARIANCE] * 3, yaw])
+    place = _planar(*(e[f"{name}_sd"] ** 2 for name in _STATES[:3]))
     for (i, j), name in zip(((0, 1), (0, 5), (1, 5)), _TOGETHER, strict=True):
         place[i, j] = place[j, i] = e[name]
-    motion = [e["linear_m_s_sd"] ** 2, *[UNKNOWN_VARIANCE] * 4, e["angular_rad_s_sd"] ** 2]
-    twist = robot.make(
+    motion = _planar(e["linear_m_s_sd"] ** 2, UNKNOWN_VARIANCE, e["angular_rad_s_sd"] ** 2)
+    pose, twist = (e["x_m"], e["y_m"], e["yaw_rad"]), (e["linear_m_s"], 0.0, e["angular_rad_s"])
+    yield _odometry(robot, "map", pose, place, twist, motion)
+
+
+def _planar(ahead: float, aside: float, turn: float) -> NDArray[np.float64]:
+    """Return the covariance of what moves on a plane from variances, shape (6, 6)."""
+    return np.diag([ahead, aside, *[UNKNOWN_VARIANCE] * 3, turn])
+
+
+def _odometry(
+    robot: Robot,
+    frame: str,
+    pose: tuple[float, float, float],
+    place: NDArray[np.float64],
+    twist: tuple[float, float, float],
+    motion: NDArray[np.float64],
+) -> Any:
+    """Return the message of a pose and a twist with their covariances."""
+    ahead, aside, turning = twist
+    moved = robot.make(
         "geometry_msgs/msg/Twist",
-        linear=robot.vector(e["linear_m_s"]),
-        angular=robot.vector(z=e["angular_rad_s"]),
+        linear=robot.vector(ahead, aside),
+        angular=robot.vector(z=turning),
     )
-    yield robot.make(
+    return robot.make(
         "nav_msgs/msg/Odometry",
-        header=robot.header("map"),
+        header=robot.header(frame),
         child_frame_id=f"{robot.frame_prefix}base_link",
         pose=robot.make(
             "geometry_msgs/msg/PoseWithCovariance",
-            pose=robot.pose(e["x_m"], e["y_m"], e["yaw_rad"]),
+            pose=robot.pose(*pose),
             covariance=place.ravel(),
         ),
         twist=robot.make(
             "geometry_msgs/msg/TwistWithCovariance",
-            twist=twist,
-            covariance=np.diag(motion).ravel(),
+            twist=moved,
+            covariance=motion.ravel(),
         ),
     )
-
-
-def _planar(along: float, turn: float) -> Any:
-    """Return the covariance of what moves on a plane, from standard deviations; row-major 6 x 6."""
-    return np.diag(
-        [along**2, along**2, UNKNOWN_VARIANCE, UNKNOWN_VARIANCE, UNKNOWN_VARIANCE, turn**2]
-    ).ravel()
 
 
 # --- edu_robot ------------------------------------------------------------------------------------

@@ -113,18 +113,7 @@ def read_steal_ns(proc: Path = Path("/proc")) -> int:
 class CauseFinder:
     """Looks at the system now and then, so that an overrun can be explained afterwards.
 
-    Parameters
-    ----------
-    thread_id
-        Of the pacing thread.
-    gc_pauses
-        Measured collections.
-    period_ns
-        The base period.
-    gc_stops_ticks
-        True where the event loop itself paces (`timerfd`).
-    clock_ns
-        CLOCK_MONOTONIC; the tests bring their own.
+    Collections stop ticks where the event loop itself paces (`timerfd`).
     """
 
     def __init__(

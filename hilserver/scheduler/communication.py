@@ -22,14 +22,7 @@ SliceCallback = Callable[[int, int], None]  # ``(tick, planned_ns)``
 class Communication:
     """Calls what was registered for each communication slice.
 
-    Parameters
-    ----------
-    machine
-        The loop's arrays.
-    simulated
-        True in virtual time: planned starts are simulated, so latency says nothing and is 0.
-    on_overrun
-        Called with ``(slice name, kind, tick, latency_ns, execution_ns, missed)``.
+    In virtual time planned starts are simulated, so latency says nothing and is 0.
     """
 
     def __init__(

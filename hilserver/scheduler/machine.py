@@ -18,14 +18,7 @@ from hilserver.scheduler.turn import turn
 class Machine:
     """The loop's arrays; the pacing back ends only differ in when they call `turn`.
 
-    Attributes
-    ----------
-    compiled, communication : list of Slice
-        The slices by kind; the statistics' rows are in this order.
-    exchange : Exchange
-        The words shared with the event loop.
-    statistics : Statistics
-        What the loop counts.
+    Its slices by kind are in the order of the statistics' rows.
     """
 
     def __init__(

@@ -57,15 +57,7 @@ OverrunCallback = Callable[[OverrunReport], None]
 
 
 class Overruns:
-    """Takes records every 100 ms and calls the callbacks.
-
-    Parameters
-    ----------
-    machine
-        The loop's arrays.
-    finder
-        Knows the causes; None in virtual time.
-    """
+    """Takes records every 100 ms and calls the callbacks."""
 
     def __init__(self, machine: Machine, callbacks: list[OverrunCallback]) -> None:
         self._machine = machine

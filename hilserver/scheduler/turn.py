@@ -201,11 +201,6 @@ def announce_due(comm: NDArray[np.int64], tick: int, planned_ns: int) -> int:
 def turn(step: Any, at: Loop, virtual: bool) -> int:
     """Do what is due now.
 
-    Parameters
-    ----------
-    virtual : bool
-        True: every tick starts at its planned time and takes none of it.
-
     Returns
     -------
     int

@@ -269,12 +269,7 @@ def robot_table(
 ) -> SignalTable:
     """Return the table of the four-wheeled robot, followed by the outputs of own blocks.
 
-    Parameters
-    ----------
-    body : bool
-        Whether the mechatronic model runs: its outputs then stand before those of own blocks.
-    observer : bool
-        Whether the observer runs: its outputs stand behind those of the body.
+    Those of the mechatronic model and the observer, where they run, stand before them.
     """
     b = _Builder()
     _add_inputs(b, ranges)

@@ -109,15 +109,7 @@ def outcomes(
 ) -> Iterator[Result]:
     """Yield where batches ran and what became of their machines, as they are finished.
 
-    Parameters
-    ----------
-    mixed : bool
-        Whether computers may take part whose numbers differ from this one's in the last bits.
-
-    Raises
-    ------
-    FailedError
-        If one does.
+    A computer with other bits than this one is a FailedError, unless `mixed`.
     """
     source: Iterator[Machine] = iter(machines)
     pending: dict[Future[Result], list[Machine]] = {}

@@ -11,15 +11,7 @@ from hilserver.sweep.prepare import Machine
 
 
 def machine_config(config: Config, folder: Path, machine: Machine) -> dict[str, Any]:
-    """Return the configuration of a machine as plain data; its paths are absolute.
-
-    Parameters
-    ----------
-    config : Config
-        The one that all machines share.
-    folder : Path
-        Where its relative paths start.
-    """
+    """Return the configuration of a machine as plain data; its paths are absolute."""
     data = without_passwords(config)
     terms = {n: v for n, v in complete(machine.terms).items() if v != TERMS[n].null}
     data["peers"] = []  # the scenario drives

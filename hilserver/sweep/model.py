@@ -175,11 +175,5 @@ class Sweep(Section):
 
 
 def load_sweep(path: Path) -> Sweep:
-    """Return the sweep of a file; what it names is looked up by `prepare`.
-
-    Raises
-    ------
-    ConfigError
-        One line per complaint: file, line, key.
-    """
+    """Return the sweep of a file, or ConfigError; what it names is looked up by `prepare`."""
     return load(path, Sweep)

@@ -115,18 +115,7 @@ class Prepared:
 
 
 def prepare(path: Path, config_path: Path | None = None) -> Prepared:
-    """Load a sweep and check all that it names.
-
-    Parameters
-    ----------
-    config_path : Path, optional
-        Configuration in place of the file's own.
-
-    Raises
-    ------
-    ConfigError
-        One line per complaint: file, line, key.
-    """
+    """Load a sweep and check all that it names; ConfigError has a line per complaint."""
     sweep, path = load_sweep(path), path.resolve()
     if config_path is None and sweep.config is not None:
         config_path = path.parent / sweep.config

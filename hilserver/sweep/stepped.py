@@ -149,15 +149,7 @@ class Stepped:
 
 
 class _Watch:
-    """Takes the values of every tick, and notes what the controller commanded.
-
-    Attributes
-    ----------
-    values : ndarray, shape (k, n)
-        Of the signals to keep.
-    over : asyncio.Event
-        Set by the last tick, or by a problem.
-    """
+    """Takes the values of every tick, and notes what the controller commanded."""
 
     def __init__(self, daemon: Daemon, kept: tuple[str, ...], n_ticks: int) -> None:
         self._daemon, self._n, self._done = daemon, n_ticks, 0
@@ -167,7 +159,7 @@ class _Watch:
         self._next = daemon.image.head
         self.values = np.zeros((len(kept), n_ticks))
         self.written: list[tuple[int, dict[str, Any]]] = []
-        self.over, self.problem = asyncio.Event(), ""
+        self.over, self.problem = asyncio.Event(), ""  # set by the last tick, or by a problem
         daemon.scheduler.after_batch.append(self._look)
 
     @property

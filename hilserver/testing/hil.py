@@ -237,13 +237,7 @@ class Hil:
     # --- faults -----------------------------------------------------------------------------------
 
     def inject(self, *faults: Mapping[str, object] | Fault | str) -> list[str]:
-        """Inject faults from the next tick on; a string names one of the shield's defects.
-
-        Raises
-        ------
-        HilError
-            One sentence about what does not fit.
-        """
+        """Inject faults from the next tick on; a string names one of the shield's defects."""
         try:
             parsed = [parse_fault({"fault": f} if isinstance(f, str) else f) for f in faults]
             now_s = self.time_s

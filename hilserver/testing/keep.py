@@ -19,13 +19,7 @@ from hilserver.testing.hil import Hil
 
 
 def keep(hil: Hil, folder: Path, test: str) -> Path:
-    """Write everything that plays the failure again below `folder`; return where.
-
-    Parameters
-    ----------
-    test : str
-        The test's node id.
-    """
+    """Write everything that plays the failure again below `folder`; return where."""
     place = folder / re.sub(r"[^A-Za-z0-9_.-]+", "_", test)[-120:]
     place.mkdir(parents=True, exist_ok=True)
     hil.tap.drain()

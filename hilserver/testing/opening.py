@@ -37,17 +37,8 @@ async def open_hil(
 ) -> AsyncIterator[Hil]:
     """Run a daemon for one test.
 
-    Parameters
-    ----------
-    config : Path, mapping or None
-        A file, or sections that replace those of `_DEFAULTS`.
-    faults : sequence of str
-        Defects of the shield that are there from the beginning.
-
-    Raises
-    ------
-    ConfigError
-        One sentence with file, line and key.
+    Sections replace those of `_DEFAULTS`; `faults` are defects of the shield from the beginning on.
+    ConfigError has one sentence with file, line and key.
     """
     if isinstance(config, Path):
         read, folder = load_config(config), config.parent

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hilserver.monitoring.watchdog import notify, watchdog_period_s
-from hilserver.monitoring.watchdog import Watchdog
+from hilserver.monitoring.watchdog import Watchdog, notify, watchdog_period_s
 
 
 @pytest.fixture(params=["path", "abstract"])

@@ -31,13 +31,7 @@ def hidden_host() -> str:
 
 
 class Door:
-    """Listens for viewers and connects those who may enter with the server behind.
-
-    Parameters
-    ----------
-    origins : sequence of str
-        Web pages that may enter; a program names none.
-    """
+    """Listens for viewers and connects those who may enter with the server behind."""
 
     def __init__(self, origins: Sequence[str]) -> None:
         self._origins = frozenset(origin.rstrip("/").lower() for origin in origins)

@@ -111,13 +111,7 @@ def password_exposed(policy: str) -> RefusedError:
 def refused_by_peer(
     error: ua.UaStatusCodeError, user: str | None, ours: str
 ) -> RefusedError | None:
-    """Return the reason for which the peer refuses us, None if it is none of security.
-
-    Parameters
-    ----------
-    ours : str
-        Thumbprint of our certificate, empty without one.
-    """
+    """Return the reason for which the peer refuses us, None if it is none of security."""
     code = ua.StatusCode(ua.UInt32(error.code)).name
     if code in _LOG_IN_CODES:
         who = "anonymous clients" if user is None else f"user '{user}'"

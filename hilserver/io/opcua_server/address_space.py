@@ -25,13 +25,7 @@ _CLASSES = {
 
 
 class AddressSpaceBuilder:
-    """Adds nodes of our namespace.
-
-    Parameters
-    ----------
-    robot_index, di_index : int
-        Indices of our namespace and of DI's.
-    """
+    """Adds nodes of our namespace."""
 
     def __init__(self, node_service: Any, robot_index: int, di_index: int) -> None:
         self._service = node_service

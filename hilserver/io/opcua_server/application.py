@@ -63,19 +63,7 @@ class RobotVisitor(Visitor):
 
 
 class RobotApplication(Application):
-    """Answers for the robot.
-
-    Parameters
-    ----------
-    namespace_index : int
-        Of the robot's nodes.
-    variables : SignalVariables
-        Shows what was accepted.
-    parts : Parts
-        What methods act on.
-    show_owner : callable
-        Shows who has control, once that may have changed.
-    """
+    """Answers for the robot."""
 
     def __init__(
         self,

@@ -14,17 +14,8 @@ from hilserver.opcua.encoding import FixedDataValue
 _DOUBLE = ua.VariantType.Double
 
 
-
 class ParameterVariables:
-    """Values of the parameters, and what clients write.
-
-    Parameters
-    ----------
-    parameters : LiveParameters or None
-        None: the server has none.
-    place : callable
-        Where the address space keeps the value of a node, by its path.
-    """
+    """Values of the parameters, and what clients write."""
 
     def __init__(self, parameters: LiveParameters | None, place: Callable[[str], Any]) -> None:
         self._parameters = parameters

@@ -38,10 +38,7 @@ _Type = ua.VariantType
 class FloodGate:
     """Lets a limited number of events of each kind through in a second, and counts the others.
 
-    Parameters
-    ----------
-    emit : callable
-        Gets an event and the number of events of its kind left out since the last one.
+    `emit` gets an event and the number of its kind left out since the last one.
     """
 
     def __init__(
@@ -95,13 +92,7 @@ class _Window:
 
 
 class RobotEvents:
-    """Sends the events of the bus to OPC UA clients.
-
-    Parameters
-    ----------
-    limit_per_s : int
-        Events of one kind that are sent in a second.
-    """
+    """Sends the events of the bus to OPC UA clients."""
 
     def __init__(
         self,

@@ -37,13 +37,7 @@ def fit(value: Any, kind: str) -> bool:
 
 
 def check(name: str, given: Sequence[Any], wanted: Sequence[str], optional: int = 0) -> None:
-    """Look at the arguments of a call.
-
-    Raises
-    ------
-    WrongTypeError
-        With one sentence.
-    """
+    """Look at the arguments of a call; WrongTypeError says what is wrong."""
     if not len(wanted) - optional <= len(given) <= len(wanted):
         raise WrongTypeError(f"{name} takes {len(wanted)} arguments, not {len(given)}")
     for number, (value, kind) in enumerate(zip(given, wanted, strict=False), 1):

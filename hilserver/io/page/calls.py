@@ -30,13 +30,7 @@ def may_work(browser: Browser) -> None:
 
 
 class LogIns:
-    """Counts failed log-ins as the daemon does, whose answer does not say that somebody waits.
-
-    Parameters
-    ----------
-    limit : int
-        Failed log-ins per user name or address in a minute.
-    """
+    """Counts failed log-ins as the daemon does, whose answer does not say that somebody waits."""
 
     def __init__(self, limit: int) -> None:
         self._attempts = FailedAttempts(limit, WINDOW_S)
@@ -86,13 +80,7 @@ class Calls:
         self._log_ins = LogIns(setup.opcua.max_failed_logins)
 
     async def do(self, browser: Browser, name: str, arguments: Sequence[Any]) -> Any:
-        """Do what a call asks for; return its result.
-
-        Raises
-        ------
-        WrongTypeError, RefusedError
-            With the sentence for whoever asked.
-        """
+        """Do what a call asks for; WrongTypeError or RefusedError has the sentence for the user."""
         own: dict[str, tuple[Callable[..., Awaitable[Any]], tuple[str, ...]]] = {
             "login": (self._login, (STRING, STRING)),
             "logout": (self._logout, ()),

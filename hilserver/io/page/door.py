@@ -110,15 +110,7 @@ class Place(asyncio.Protocol):
 class Door:
     """Accepts connections, and gives each a place before it has said anything.
 
-    Parameters
-    ----------
-    tls : SSLContext, optional
-        What encrypts connections.
-
-    Attributes
-    ----------
-    behind : callable
-        Makes the protocol that serves one connection.
+    `behind` makes the protocol that serves one connection.
     """
 
     def __init__(self, tls: ssl.SSLContext | None = None, most: int = MOST) -> None:

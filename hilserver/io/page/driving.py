@@ -62,14 +62,7 @@ _RELEASE = Command({"control.source": "nobody"})
 class Driving:
     """Hands the newest command of the driver to the daemon; older ones are dropped, never queued.
 
-    Parameters
-    ----------
-    deadman_ms : float
-        Commands on an older picture are refused. The daemon ends a held command by itself.
-
-    Attributes
-    ----------
-    driver : Seat or None
+    Commands on a picture older than `deadman_ms` are refused; the daemon ends held ones by itself.
     """
 
     def __init__(self, deadman_ms: float) -> None:

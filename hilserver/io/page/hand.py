@@ -45,13 +45,7 @@ class Rights:
 
 
 class Hand:
-    """Writes and calls for one browser.
-
-    Parameters
-    ----------
-    types : mapping of str
-        Value type of every signal.
-    """
+    """Writes and calls for one browser."""
 
     def __init__(self, access: OpcUaAccess, types: Mapping[str, str]) -> None:
         self._access, self._types = access, {**types, CONTROL_SOURCE: STRING}
@@ -114,13 +108,7 @@ class Hand:
                 return
 
     async def write(self, values: Mapping[str, Any]) -> None:
-        """Write signals, all in one tick.
-
-        Raises
-        ------
-        RefusedError
-            With the sentence of the first one that was refused.
-        """
+        """Write signals, all in one tick; RefusedError says why the first one was refused."""
         request = ua.WriteRequest()
         for name, value in values.items():
             item = ua.WriteValue()

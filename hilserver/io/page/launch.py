@@ -22,14 +22,7 @@ _log = structlog.get_logger(__name__)
 class PageBeside(Part):
     """A page that runs beside a daemon, which never waits for it.
 
-    Parameters
-    ----------
-    setup : callable
-        What the page has to know, once the daemon has started.
-    listener : socket
-        Stays ours, so that a page that is started again has the same address.
-    address : str
-        That of the page.
+    The listener stays ours, so that a page that is started again has the same address.
     """
 
     section = label = "page"

@@ -33,18 +33,12 @@ GREET_S = 5.0
 
 
 class Client:
-    """One socket of one browser.
-
-    Attributes
-    ----------
-    lost : int
-        Frames that it did not get because it does not take them.
-    """
+    """One socket of one browser."""
 
     def __init__(self, number: int, browser: Browser, request: web.Request) -> None:
         self.number, self.browser = number, browser
         self.selection: Selection | None = None
-        self.lost = 0
+        self.lost = 0  # frames that it did not get because it does not take them
         self.socket = web.WebSocketResponse(
             max_msg_size=MESSAGE_BYTES, compress=False, heartbeat=20.0
         )
@@ -89,19 +83,7 @@ async def _ignoring_loss(sending: Any) -> None:
 
 
 class Live:
-    """All sockets, and the loop that serves them.
-
-    Parameters
-    ----------
-    slots : mapping of int
-        Slot of every signal that may be seen.
-    jobs : Jobs
-        Shown in the slow message.
-    stopping : Stopping
-        Stops the robot; a tenth of the sockets is kept for those who may.
-    door : Door
-        Notes which sockets are open.
-    """
+    """All sockets, and the loop that serves them."""
 
     def __init__(
         self,

@@ -19,12 +19,7 @@ _log = logging.getLogger(__name__)
 class Stopping:
     """Presses Stop for browsers whose role allows it.
 
-    Parameters
-    ----------
-    image : str
-        Name of the process image.
-    report : callable
-        Calls Stop of the daemon for a browser; RefusedError if that fails.
+    `report` calls Stop of the daemon, too; RefusedError if that fails.
     """
 
     def __init__(self, image: str, report: Callable[[Browser], Awaitable[None]]) -> None:

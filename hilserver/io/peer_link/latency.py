@@ -30,13 +30,7 @@ class _Read:
 
 
 class ClockOffset:
-    """Peer's clock minus ours, from reads of its clock.
-
-    Parameters
-    ----------
-    window : int
-        Number of estimates of which the most certain one counts.
-    """
+    """Peer's clock minus ours, from reads of its clock: the most certain one of the newest."""
 
     def __init__(self, window: int = 32) -> None:
         self._estimates: deque[tuple[int, int]] = deque(maxlen=window)
@@ -93,10 +87,7 @@ class StampVerdict:
 class StampWatch:
     """Follows the SourceTimestamps of every node of a peer.
 
-    Parameters
-    ----------
-    tolerated_changes : int
-        So many values may change under one stamp before the stamp counts as frozen.
+    A stamp counts as frozen once more than `tolerated_changes` values have changed under it.
     """
 
     def __init__(self, tolerated_changes: int = 2) -> None:

@@ -69,13 +69,7 @@ class SequenceStep:
 
 
 class SequenceWatch:
-    """Follows a counter that grows by one per cycle.
-
-    Parameters
-    ----------
-    modulus : int
-        Where it begins anew.
-    """
+    """Follows a counter that grows by one per cycle and begins anew at its modulus."""
 
     def __init__(self, modulus: int = SEQUENCE_MODULUS) -> None:
         self.last: int | None = None

@@ -44,13 +44,7 @@ class Mark:
 
 
 class Marks:
-    """The marks beside an image, as its daemon sees them.
-
-    Parameters
-    ----------
-    batch_frames : int
-        How many frames are made before the next look.
-    """
+    """The marks beside an image, as its daemon sees them."""
 
     def __init__(self, image: ImageReader, name: str, batch_frames: int) -> None:
         self._image, self._path, self._prefix = image, path_of(name), path_of(_prefix(name)).name

@@ -32,11 +32,6 @@ class FileSeries:
 
     Without rotation there is one file, `path`. With it the files are ``name_0001.mcap``,
     ``name_0002.mcap`` ...; numbers go on after those that lie there already.
-
-    Parameters
-    ----------
-    timed : bool
-        The recorder says when a file is full, and not only its size.
     """
 
     def __init__(

@@ -27,11 +27,6 @@ _DESCRIBED_WITHIN_S = 5.0
 class Source:
     """The process image of one daemon, as a recorder sees it.
 
-    Parameters
-    ----------
-    is_inside : bool
-        True: read by the daemon itself, between two batches of ticks.
-
     Raises
     ------
     FailedError

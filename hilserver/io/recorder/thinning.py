@@ -18,13 +18,7 @@ LEAST_EVERY: Final = 100  # ticks
 
 
 class Thinner:
-    """Thins batches that follow each other; the last frame of one waits for the next.
-
-    Parameters
-    ----------
-    slots : sequence of int
-        Of the signals that are recorded.
-    """
+    """Thins batches that follow each other; the last frame of one waits for the next."""
 
     def __init__(self, slots: Sequence[int]) -> None:
         self._slots = np.array(slots, dtype=np.intp)

@@ -23,23 +23,8 @@ Item = Segmented | State | NextFile | Mapping[str, Any]
 class WriteBehind:
     """Takes frames, states and descriptions, and writes them in their order.
 
-    Parameters
-    ----------
-    next_writer : callable
-        Opens the first file, and the next one when `is_full` says so of the present one.
-    on_new_file : callable
-        Called in the writing thread after each file but the first was opened.
-    buffer_bytes : int
-        Frames beyond it are dropped and counted.
-    check : callable
-        Called now and then with the present writer; raises when the recording has to end.
-
-    Attributes
-    ----------
-    dropped, written : int
-        Frames.
-    error : Exception or None
-        What ended the writing.
+    Frames beyond the buffer are dropped and counted; `check` raises when the recording has to end,
+    and `on_new_file` is called in the writing thread.
     """
 
     def __init__(

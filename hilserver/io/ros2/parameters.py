@@ -29,13 +29,7 @@ _SERVICES: Final = (
 
 
 class ParameterServices:
-    """What the services of the node answer.
-
-    Parameters
-    ----------
-    may_set : bool
-        Whether nodes of others may change parameters; all read them.
-    """
+    """What the services of the node answer."""
 
     def __init__(
         self, source: str, parameters: LiveParameters, types: Types, *, may_set: bool = True

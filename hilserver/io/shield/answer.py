@@ -7,9 +7,9 @@ from numba.core import types
 
 from hilserver.compiled import kernel
 from hilserver.io.shield.protocol import CHECKED_BYTES, crc8
+from hilserver.plant.units import STANDARD_GRAVITY_M_S2
 from hilserver.signals import RANGE_FINDERS, SignalTable
 
-STANDARD_GRAVITY_M_S2: Final = 9.80665
 ABSENT: Final = -1  # slot of a quantity that a planar robot does not have
 
 (SPEEDS, RANGES, GYRO, ACCEL, ANGLES, VOLTAGE, CURRENT, TEMPERATURE, N_PLACES) = (
@@ -18,15 +18,7 @@ ABSENT: Final = -1  # slot of a quantity that a planar robot does not have
 
 
 def places(table: SignalTable, wheels: tuple[str, ...], *, body: bool) -> list[int]:
-    """Return the slots of what a response shows, in the order of its fields.
-
-    Parameters
-    ----------
-    wheels : tuple of str
-        Wheel on each channel.
-    body : bool
-        Take the sensors of the mechatronic model instead of the planar ones.
-    """
+    """Return the slots of what a response shows, in the order of its fields."""
     imu = "mech.imu" if body else "imu"
     names = [f"wheel.{wheel}.speed_rpm" for wheel in wheels]
     names += [f"{'mech.' if body else ''}tof.{place}_m" for place in RANGE_FINDERS]
@@ -60,8 +52,7 @@ def _read(values: Any, slots: Any, place: int, otherwise: float) -> float:
 @kernel()
 def _raw_imu(out: Any, values: Any, slots: Any) -> None:
     g, degree = STANDARD_GRAVITY_M_S2, math.pi / 180.0
-    gravity = STANDARD_GRAVITY_M_S2
-    _signed(out, 9, _read(values, slots, ACCEL + 2, gravity) / g * 1e4)
+    _signed(out, 9, _read(values, slots, ACCEL + 2, g) / g * 1e4)
     _signed(out, 11, -_read(values, slots, ACCEL + 1, 0.0) / g * 1e4)
     _signed(out, 13, _read(values, slots, ACCEL, 0.0) / g * 1e4)
     _signed(out, 15, _read(values, slots, GYRO + 2, 0.0) / degree * 100.0)

@@ -61,17 +61,7 @@ class ShieldFault(StrEnum):
 
 
 class Device:
-    """The shield behind its protocol.
-
-    Parameters
-    ----------
-    source : Source
-        Hands over what it writes.
-    max_rpm : float
-        What the plant takes; faster commands are scaled down together.
-    apply : callable
-        ``apply(k_p, k_i)`` makes them the controller's gains; raises ValueError with the reason.
-    """
+    """The shield behind its protocol."""
 
     def __init__(
         self,

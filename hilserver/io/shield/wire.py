@@ -175,15 +175,7 @@ _TYPES = (_WORDS, _WORDS, *[_BYTES] * 3, _VALUES, _WORDS, _VALUES, _WORDS, _WORD
 
 @kernel(int64(int64, int64, RecordType(_TYPES, Memory)))
 def serve(file: int, doorbell: int, memory: Memory) -> int:
-    """Answer on a line until `STOP` is set (returns 0) or the line is lost (returns 1).
-
-    Parameters
-    ----------
-    file : int
-        Terminal, opened without blocking.
-    doorbell : int
-        eventfd that is rung for every request.
-    """
+    """Answer on a line until `STOP` is set (returns 0) or the line is lost (returns 1)."""
     state, slots, chunk, request, out, values, words, frame, info, scratch, poll = memory
     scratch[2] = 1
     one = scratch[2:3]
