@@ -39,7 +39,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_patch(parser)
     add_mapping(parser)
     parser.add_argument(
-        "--findings", type=Path, metavar="FILE", help="findings.json of a diagnosis: noise"
+        "--findings",
+        type=Path,
+        metavar="FILE",
+        help="findings.json of a diagnosis: noise, and how late the stamps of the navigation are",
     )
     add_out(parser, "OUT", "log to write, .csv or .mcap")
     parser.add_argument(
@@ -63,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     warn(*log.notices)
     p, spans = pack(robot), []
     for span in range(len(log.spans)):
-        series = series_of(log, span, robot)
+        series = series_of(log, span, robot, 0.0 if found is None else found.nav_late_s)
         course = run_filter(p, c, series)
         estimate, covariance = course.estimate, course.covariance
         known = np.flatnonzero(course.shown[:, STATE] > 0.0)

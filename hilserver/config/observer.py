@@ -18,6 +18,7 @@ from hilserver.plant.parameters import RobotParameters
 DEFAULT_SLICE = "observer"
 DEFAULT_PERIOD_MS = 10.0
 MOST_READ_BYTES = 10_000_000
+NAV_CLOCK = "clock_offset.nav"
 NAMELESS = ("structure_not_in_library", "drift")
 """Verdicts by which the model is wrong in a way that no constant describes."""
 
@@ -101,6 +102,12 @@ class Found(_Read):
     joint: _Joint | None = None
     smallest_detectable: tuple[_Detectable, ...] = ()
     findings: tuple[_Finding, ...] = ()
+
+    @property
+    def nav_late_s(self) -> float:
+        """By how much the navigation's stamps are late where the logs were recorded [s]."""
+        values = [f.parameters.get(NAV_CLOCK) for f in self.findings]
+        return sum(one.value for one in values if one is not None)
 
 
 def load_found(path: Path) -> Found:

@@ -17,10 +17,17 @@ from hilserver.plant.units import RAD_S_PER_RPM
 N_LEFT = len(LEFT_WHEELS)
 
 
-def series_of(log: MeasuredLog, span: int, robot: RobotParameters) -> Series:
+def series_of(
+    log: MeasuredLog, span: int, robot: RobotParameters, nav_late_s: float = 0.0
+) -> Series:
     """Return one span of a log.
 
     A moment is where every wheel that is measured has a sample.
+
+    Parameters
+    ----------
+    nav_late_s : float
+        By how much the stamps of the navigation are late beside those of the wheels.
     """
     sides: list[list[str]] = []
     for side in (SPEEDS[:N_LEFT], SPEEDS[N_LEFT:]):
@@ -47,10 +54,11 @@ def series_of(log: MeasuredLog, span: int, robot: RobotParameters) -> Series:
     ]
     (left, right), apart = [side.mean(axis=0) for side in both], [s[0] - s[-1] for s in both]
     turned = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(times) * (left[1:] + left[:-1]))])
-    return Series(np.column_stack([times, left, right, turned, *apart]), _samples(log, span, robot))
+    samples = _samples(log, span, robot, nav_late_s)
+    return Series(np.column_stack([times, left, right, turned, *apart]), samples)
 
 
-def _samples(log: MeasuredLog, span: int, robot: RobotParameters) -> Array:
+def _samples(log: MeasuredLog, span: int, robot: RobotParameters, nav_late_s: float) -> Array:
     nav = robot.nav
     rows = [np.zeros((0, 4))]
     if GYRO_CHANNEL in log:
@@ -59,11 +67,12 @@ def _samples(log: MeasuredLog, span: int, robot: RobotParameters) -> Array:
     if log.has(*PLACE):
         (t, x), (t_y, y) = (log[name].of(span) for name in PLACE)
         both, of_x, of_y = np.intersect1d(t, t_y, return_indices=True)
-        late = nav.latency_s + _term(robot, "nav_latency")
+        late = nav_late_s + nav.latency_s + _term(robot, "nav_latency")
         rows.append(_rows(POSITION, both - late, x[of_x], y[of_y]))
     if YAW in log:
         t, yaw = log[YAW].of(span)
-        rows.append(_rows(HEADING, t - nav.yaw_latency_s - _term(robot, "yaw_latency"), yaw))
+        late = nav_late_s + nav.yaw_latency_s + _term(robot, "yaw_latency")
+        rows.append(_rows(HEADING, t - late, yaw))
     samples = np.concatenate(rows)
     return samples[np.argsort(samples[:, 1], kind="stable")]
 

@@ -98,7 +98,8 @@ def figures(
         Largest size of a cause that a diagnosis has left unseen, by cause. Without a diagnosis all
         may have the size at which one has to name them, and wander.
     wanders : bool
-        The diagnosis found what it has no name for: what it left unseen wanders, too.
+        The diagnosis found what it has no name for: what it left unseen is bounded as a constant
+        alone, and what wanders may be as large as without a diagnosis.
     """
     shown = configured(robot) | dict(noise)
     c = Figures.zeros()
@@ -128,7 +129,10 @@ def _leave_unknown(
         ("slip", "wheel_radius", OF_SPEED),
         ("gain", "rotation_gain", OF_TURNING),
     ):
-        known = TERMS[cause].reference if unknown is None else 0.5 * unknown.get(cause, 0.0)
-        sd = 0.0 if on.intersection(covered_by) else known or 0.0
+        reference = TERMS[cause].reference or 0.0
+        size = reference if unknown is None else 0.5 * unknown.get(cause, 0.0)
+        if wanders and size > 0.0:
+            size = max(size, reference)
+        sd = 0.0 if on.intersection(covered_by) else size
         c[f"{name}_sd"] = sd
         c[f"{name}_walk"] = sd * sd / WANDER_S if unknown is None or wanders else 0.0

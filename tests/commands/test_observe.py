@@ -74,6 +74,24 @@ def test_the_path_is_near_the_truth_and_the_smoothed_one_nearer(
     assert "that of the wheels alone" in text
 
 
+def test_stamps_that_a_diagnosis_has_found_late_are_put_right(tmp_path):
+    table, truth = make(Recipe(seed=5, duration_s=40.0))
+    rows, step_s = 20, float(table.t_s[1] - table.t_s[0])
+    for name in ("nav.x_m", "nav.y_m", "nav.yaw_rad"):
+        table.columns[name][rows:] = table.columns[name][:-rows].copy()
+        table.columns[name][:rows] = np.nan
+    table.write_csv(tmp_path / "run.csv")
+    size = []
+    for late_s in (0.0, rows * step_s):
+        clock = {"verdict": "named", "parameters": {"clock_offset.nav": {"value": late_s}}}
+        findings, out = tmp_path / "findings.json", tmp_path / "out.csv"
+        findings.write_text(json.dumps(FOUND | {"findings": [clock]}))
+        words = ["observe", str(tmp_path / "run.csv"), "--findings", str(findings), "-o", str(out)]
+        assert main(words) == 0
+        size.append(np.hypot(*errors(out, truth.dense)[0][:2]).mean())
+    assert size[1] < 0.04 < 0.06 < size[0]
+
+
 def test_without_a_position_only_speeds_are_known(tmp_path, capsys):
     recorder = Recorder(channels=("speed", "gyro"))
     table, _ = make(replace(Recipe(seed=5, duration_s=20.0), recorder=recorder))

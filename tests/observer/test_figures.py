@@ -48,6 +48,13 @@ def test_what_a_diagnosis_did_not_see_may_still_be_there():
     assert (f.gain_sd, f.gain_walk) == (0.002, 0.0)
 
 
+@pytest.mark.parametrize(("detectable", "sd"), [({}, 0.0), (0.004, 0.03), (0.2, 0.1)])
+def test_what_wanders_is_not_bounded_by_what_a_constant_would_show(detectable, sd):
+    unknown = {"rotation_gain": detectable} if detectable else {}
+    f = figures(RobotParameters(), {}, unknown=unknown, wanders=True)
+    assert (f.gain_sd, f.gain_walk) == (sd, pytest.approx(sd**2 / WANDER_S))
+
+
 def test_every_channel_has_figures():
     assert {name.partition(".")[0] for name in configured(RobotParameters())} == {
         "wheel", "imu", "nav",
