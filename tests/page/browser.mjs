@@ -136,6 +136,14 @@ const doing = {
     for (let part = 0.1; part < 1.05; part += 0.1) await send("touchMove", points(part));
     await send("touchEnd", []);
   },
+  /** Mark a stretch of an element with the mouse, from one share of its width to another. */
+  mark: async ({ selector, begin, end }) => {
+    const { x, y, width, height } = await page.locator(selector).first().boundingBox();
+    await page.mouse.move(x + width * begin, y + height / 2);
+    await page.mouse.down();
+    await page.mouse.move(x + width * end, y + height / 2, { steps: 5 });
+    await page.mouse.up();
+  },
   cut: () => page.evaluate(() => window.sockets.forEach((socket) => socket.close())),
   mute: () => page.evaluate(() => window.sockets.forEach((socket) => (socket.send = () => {}))),
   freeze: async () => {

@@ -258,6 +258,17 @@ def test_fingers_stop_the_plots_stretch_them_and_draw_them_along(browser, url, p
     assert browser.do("errors") == []
 
 
+def test_a_stretch_that_the_mouse_marks_is_shown_in_all_plots_and_stays(browser, url):
+    browser.do("open", url=url)
+    browser.do("view", name="Watch")
+    becomes(browser, "/[0-9]/.test(document.querySelector('.legend b').textContent)", "true")
+    browser.do("mark", selector=".plot .u-over", begin=0.5, end=0.75)
+    browser.do("wait", selector="button", text="Run on")
+    (low, high), other = browser.do("run", script=_STRETCHES)
+    assert high - low == pytest.approx(5, abs=0.5)  # a quarter of 20 s
+    assert other == [low, high]
+
+
 def test_plots_are_as_they_were_after_a_reload_and_states_have_names(browser, url):
     browser.do("open", url=url)
     browser.do("view", name="Watch")

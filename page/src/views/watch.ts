@@ -98,7 +98,7 @@ export function watchView(context: Context): View {
           scales: { x: { time: false } },
           axes: [{ ...axis, size: 32, values: (_, ticks) => ticks.map((t) => `${t} s`) }, { ...axis, size: 48, ...this.named() }],
           series: [{}, ...this.names.map((name, i) => ({ stroke: colours[i], width: 1.6, points: { show: false }, spanGaps: false, ...(STEPS.has(known.get(name)!.type) && { paths: uPlot.paths.stepped!({ align: 1 }) }) }))],
-          hooks: { setCursor: [() => this.readings()], setScale: [() => this.entitle()] },
+          hooks: { setCursor: [() => this.follow()], setScale: [() => this.entitle()] },
         },
         this.data(),
         this.holder,
@@ -129,6 +129,13 @@ export function watchView(context: Context): View {
       const end = history.times[history.times.length - 1] ?? 0;
       if (!paused) this.show(end - windowS, end);
       this.entitle();
+      this.readings();
+    }
+
+    /** Where the mouse is, the cursor is, too: keys go on from there. */
+    private follow(): void {
+      const place = this.chart?.cursor.idx;
+      if (paused && place != null) mark(place);
       this.readings();
     }
 
@@ -262,12 +269,18 @@ export function watchView(context: Context): View {
     seek(Number(cursor.value));
   }
 
-  function seek(place: number): void {
+  function mark(place: number): void {
     const t = history.times[place];
     if (t === undefined) return;
     at = place;
+    cursor.value = String(place);
     setText(moment, `${t.toFixed(3)} s`);
-    for (const plot of plots) plot.seek(t);
+  }
+
+  function seek(place: number): void {
+    mark(place);
+    const t = history.times[place];
+    if (t !== undefined) for (const plot of plots) plot.seek(t);
   }
 
   /** Show a stretch of what was seen, in all plots. */
