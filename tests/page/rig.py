@@ -126,12 +126,14 @@ class Browser:
             text=True,
         )
         self._lines = queue.SimpleQueue()
-        threading.Thread(target=self._read, name="browser", daemon=True).start()
+        self._reader = threading.Thread(target=self._read, name="browser", daemon=True)
+        self._reader.start()
         assert self.receive()["ready"]
 
     def _read(self):
-        for line in self.process.stdout:
-            self._lines.put(line)
+        with self.process.stdout as lines:
+            for line in lines:
+                self._lines.put(line)
         self._lines.put("")
 
     def do(self, what, **more):
@@ -160,3 +162,4 @@ class Browser:
             self.process.wait(120)
         self.process.kill()
         self.process.wait()
+        self._reader.join(60)
