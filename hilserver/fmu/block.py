@@ -142,11 +142,12 @@ class Beside:
         self._child = Child(model.fmu, model.wiring, name, setting)
         self.addresses, self.initial = self._child.addresses, self._child.initial
         self.key, self._name, self._failures = _key(), name, Failures(name)
-        self._status, self._late, self._is_lost = at.OK, 0, False
+        self._status, self._late, self._hurried, self._is_lost = at.OK, 0, 0, False
 
     def look(self, a: NDArray[np.int64]) -> Sequence[News]:
         """Return what happened since the last look; start it again if it has ended."""
-        status, late = int(a[at.A_STATUS]), int(a[at.A_LATE])
+        status, hurried = int(a[at.A_STATUS]), int(a[at.A_HURRIED])
+        late = int(a[at.A_LATE]) - hurried
         if status == at.OK != self._status:
             self._is_lost = False  # a state was restored: its process goes on from it
         ended = self._child.look(a, gives_up=status == at.SILENT and not self._is_lost)
@@ -156,11 +157,15 @@ class Beside:
         if status != at.SILENT:  # how it ended is said already
             news += self._failures.look(status, self._child.message)
         if late > self._late and not news:
-            n = late - self._late
-            text = f"FMU '{self._name}' had no answer in {n} slices: its outputs hold"
-            news.append(News(text, is_fault=False))
-        self._late = late
+            news.append(self._holds(f"had no answer in {late - self._late} slices"))
+        if hurried > self._hurried and not news:
+            n = hurried - self._hurried
+            news.append(self._holds(f"had no time in {n} slices, in which the plant caught up"))
+        self._late, self._hurried = late, hurried
         return news
+
+    def _holds(self, why: str) -> News:
+        return News(f"FMU '{self._name}' {why}: its outputs hold", is_fault=False)
 
     def close(self) -> None:
         """End it."""

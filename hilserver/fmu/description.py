@@ -210,6 +210,8 @@ def _library(identifier: str, version: int, entries: set[str]) -> str:
     wanted = f"binaries/{name}/{identifier}.so"
     if wanted not in entries:
         others = sorted({n.split("/")[1] for n in entries if re.match("binaries/[^/]+/.", n)})
+        if name in others:
+            raise BlockError(f"has no {wanted:.100}, which its description names; export it again")
         raise BlockError(
             f"has no shared library for {name}, only for {', '.join(others) or 'none'}; export it"
             " for this computer"

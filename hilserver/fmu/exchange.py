@@ -1,9 +1,11 @@
 """An FMU in a process of its own: what the plant asks at a slice, what the child answers.
 
 An ask has a number. The plant takes the answer to the last one and asks the next in the same run:
-outputs are one slice old, and it never waits. While no answer is there the outputs hold and the
-slices that pass are owed: the next ask is for all of them. The child keeps its state after every
-ask, in two places by turns: that before the ask under way is complete when a snapshot is taken.
+outputs are one slice old, and it never waits, not even where it catches up itself and leaves the
+child no time: such slices are counted by themselves. While no answer is there the outputs hold and
+the slices that pass are owed: the next ask is for all of them. The child keeps its state after
+every ask, in two places by turns: that before the ask under way is complete when a snapshot is
+taken.
 """
 
 from typing import Any
@@ -18,6 +20,7 @@ from hilserver.compiled.foreign import words_at
 from hilserver.compiled.libc import monotonic_ns, ring_doorbell, sleep_until
 from hilserver.fmu.calls import F8, I8, KEEP, STEP, advance, give_up, restore, store
 
+WHOLE_SLICE = 0.9  # share of a slice's time that a child has had at least
 WAIT_NS, NAP_NS, LOOKS = 10_000_000_000, 20_000, 2000
 """In virtual time: how long at most, how long between two looks, after how many looks."""
 
@@ -51,6 +54,7 @@ def _post(steps: int, pending: int, loads: bool, u: Any, p: Any, a: Any, s: Any)
     if loads:
         s[at.S_LOAD] = number
     store_release(s, at.S_ASKED, number)
+    a[at.A_ASKED] = monotonic_ns(a[at.A_TIMESPEC :])
     ring_doorbell(a[at.A_BELL], a[at.A_ONE :])
 
 
@@ -79,6 +83,8 @@ def run_beside(tick: int, dt_s: float, u: Any, y: Any, x: Any, p: Any, a: Any) -
     if a[at.A_DEAD] != 0 or load_acquire(s, at.S_DONE) != s[at.S_ASKED]:
         x[at.X_OWED] += 1.0
         a[at.A_LATE] += 1
+        had_ns = monotonic_ns(a[at.A_TIMESPEC :]) - a[at.A_ASKED]
+        a[at.A_HURRIED] += 1 if had_ns < WHOLE_SLICE * dt_s * 1e9 else 0
         if a[at.A_DEAD] == 0 and x[at.X_OWED] < a[at.A_LIMIT]:
             return 0
         give_up(at.SILENT, y, x, a)

@@ -42,11 +42,13 @@ from typing import Final
     A_LIMIT,  # slices without an answer that are too many
     A_DEAD,  # 1: the child has ended
     A_LATE,  # slices in which the child had not answered
+    A_ASKED,  # CLOCK_MONOTONIC of the last ask [ns]
+    A_HURRIED,  # slices among the late ones that came before a slice of time had passed
     A_SCRATCH,  # index of room for numbers that are no float64
     A_KNOWN,  # index of the parameters as they were set last
     A_STEPS,  # steps done, for an FMU that cannot go back
-) = range(37)
-N_HEAD: Final = 37
+) = range(39)
+N_HEAD: Final = 39
 
 SLOW_CALLS: Final = 256
 """Pairs of tick and duration [ns] behind the head: the slow calls, the newest over the oldest."""

@@ -131,6 +131,11 @@ def _whole(fmu: Fmu, name: str) -> Variable:
     variable = fmu.variables.get(name) or fmu.variable(name.partition("[")[0])
     if variable.kind == _TEXT:
         raise BlockError(f"'{name}' of {fmu.path.name} is text, which is no signal")
+    if variable.count > MOST_PER_BLOCK:
+        raise BlockError(
+            f"'{variable.name}' of {fmu.path.name} has {variable.count} values, at most"
+            f" {MOST_PER_BLOCK} are possible"
+        )
     if name not in variable.scalars:
         raise BlockError(f"{fmu.path.name} has '{variable.scalars[0]}', but no '{name}'")
     return variable

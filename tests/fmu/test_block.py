@@ -1,11 +1,14 @@
 """An FMU as an own block: it computes what it says, its state comes and goes, it fails in words."""
 
 import math
+import time
 
 import numpy as np
 import pytest
 
+import hilserver.fmu.layout as at
 from hilserver.fmu.block import slow_call
+from hilserver.fmu.exchange import run_beside
 
 BOTH = pytest.mark.parametrize("version", [2, 3])
 PLACES = pytest.mark.parametrize("process", [False, True], ids=["here", "beside"])
@@ -128,3 +131,15 @@ async def test_restored_at_its_start_it_shows_its_first_outputs(robot):
         r.core.snapshots.reset()
         await r.run(3, fl=2.0)
         assert r.output("sum", 3).tolist() == first == [33.0, 22.0, 22.0]
+
+
+@pytest.mark.parametrize(("ago_s", "hurried"), [(0, 1), (100, 0)])
+def test_who_is_late_is_told_from_a_plant_that_left_no_time(ago_s, hurried):
+    """A slice of a minute: it was asked just now, or long ago."""
+    s, a = np.zeros(at.N_SHARED + 1, dtype=np.int64), np.zeros(at.ROWS, dtype=np.int64)
+    s[at.S_ASKED] = 1  # and not done
+    a[at.A_SHARED], a[at.A_SHARED_LENGTH], a[at.A_LIMIT] = s.ctypes.data, s.size, 10
+    a[at.A_ASKED] = time.monotonic_ns() - ago_s * 10**9
+    nothing, y, x = np.zeros(0), np.zeros(1), np.zeros(at.X_STATE)
+    assert run_beside(1, 60.0, nothing, y, x, nothing, a) == 0
+    assert (a[at.A_LATE], a[at.A_HURRIED], x[at.X_OWED]) == (1, hurried, 1.0)

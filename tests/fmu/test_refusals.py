@@ -9,6 +9,7 @@ import pytest
 from hilserver.commands import main
 from hilserver.daemon.builder import build
 from hilserver.errors import ConfigError
+from hilserver.fmu.description import PLATFORM
 from tests.fmu.rig import configured, description, make
 
 CLOCK = '<Clock name="tick" valueReference="20" causality="input" intervalVariability="triggered"/>'
@@ -43,6 +44,10 @@ def test_what_is_no_fmu(tmp_path):
         (description(3).replace('"3.0"', '"4.0"'), "Unsupported FMI version: 4.0"),
         (description(3, variables=CLOCK), "has clocks, which need event mode"),
         (description(3, interface=EXCHANGE), "offers no co-simulation"),
+        (
+            description(3).replace('modelIdentifier="model"', 'modelIdentifier="../libm"'),
+            f"has no binaries/{PLATFORM}/../libm.so, which its description names",
+        ),
         (
             description(3).replace("<CoSimulation ", '<CoSimulation needsExecutionTool="true" '),
             "needs the tool that made it",
@@ -99,6 +104,13 @@ def test_a_thousand_tunable_parameters_are_said_to_be_too_many(tmp_path, capsys)
     assert main(["check", "-c", str(tmp_path / "config.yaml")]) == 0
     said = capsys.readouterr().out
     assert "745 tunable parameters beyond the first 256 keep their values" in said
+
+
+def test_an_array_of_a_billion_is_too_long_before_anybody_counts_it(tmp_path):
+    text = description(3).replace('<Dimension start="2"/>', '<Dimension start="1000000000"/>')
+    make(tmp_path / "lag.fmu", 3, text=text)
+    words = refused(tmp_path, "lag.fmu", inputs={"v[1]": "sim.tick"})
+    assert "'v' of lag.fmu has 1000000000 values, at most 256 are possible" in words
 
 
 def test_another_platform_is_named(tmp_path):
