@@ -84,8 +84,8 @@ class SnapshotStore:
         Raises
         ------
         ControlRefused
-            If the name is not a plain file name, the plant does not answer, or there are
-            `MOST_SNAPSHOTS` already.
+            If the name is not a plain file name, the plant does not answer, there are
+            `MOST_SNAPSHOTS` already, or the disk does not take it.
         """
         path = self._path(name)
         others = set(self._folder.glob("*.npz")) - {path}
@@ -98,7 +98,10 @@ class SnapshotStore:
             tick = self._image.control.request_tick
             state = self._image.shadow.copy()
         meta = {"schema": SCHEMA, "tick": tick, "identity": self.identity, "sha256": _sum(state)}
-        await asyncio.to_thread(_write, path, state, meta)
+        try:
+            await asyncio.to_thread(_write, path, state, meta)
+        except OSError as error:
+            raise ControlRefused(f"{path}: cannot be written: {error.strerror}") from None
         return path
 
     async def load(self, name: str, *, ends_leases: bool = False) -> int:

@@ -139,13 +139,15 @@ async def test_a_snapshot_brings_its_patch_and_a_reset_keeps_the_one_at_work(run
     run.recorder.close()
 
 
-async def test_a_full_disk_leaves_no_half_of_a_patch(run, folder, monkeypatch):
+async def test_a_full_disk_leaves_no_half_of_a_patch_or_snapshot(run, folder, monkeypatch):
     assert run.core.parameters.write("test", {"terms.rotation_gain": 0.1}) == {}
     with monkeypatch.context() as full:
         full.setattr("hilserver.daemon.patches.os.fsync", refuse_for_lack_of_space)
+        with pytest.raises(ControlRefused, match=r"full\.npz: cannot be written: No space left"):
+            await run.core.snapshots.save("full")
         with pytest.raises(ControlRefused, match="cannot be written: No space left"):
             await run.patches.save("tuned")
-    assert not (folder / "tuned.yaml").exists()
+    assert not [*folder.rglob("*full*"), *folder.rglob("tuned.yaml")]
     await run.patches.save("tuned")
     run.recorder.close()
 
