@@ -1,8 +1,7 @@
 """The sections ``metrics:`` and ``logging:`` of the configuration."""
 
-from enum import StrEnum
 from ipaddress import ip_address
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
@@ -33,29 +32,14 @@ class MetricsConfig(Section):
     )
 
 
-class LogLevel(StrEnum):
-    """Lines below this level are left out."""
-
-    DEBUG = "DEBUG"
-    INFO = "INFO"
-    WARNING = "WARNING"
-    ERROR = "ERROR"
-
-
-class LogFormat(StrEnum):
-    """How a line looks."""
-
-    AUTO = "auto"
-    CONSOLE = "console"
-    JSON = "json"
-
-
 class LoggingConfig(Section):
     """What is logged to stderr, and how."""
 
-    level: LogLevel = Field(LogLevel.INFO, description="DEBUG, INFO, WARNING or ERROR")
-    format: LogFormat = Field(
-        LogFormat.AUTO, description="console, json, or auto: console on a terminal, else json"
+    level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = Field(
+        "INFO", description="DEBUG, INFO, WARNING or ERROR"
+    )
+    format: Literal["auto", "console", "json"] = Field(
+        "auto", description="console, json, or auto: console on a terminal, else json"
     )
     repeat_window_s: float = Field(
         10.0, ge=0, le=3600, description="a repeated line is printed once in this many seconds"

@@ -12,6 +12,7 @@ from asyncua import ua
 from asyncua.ua import uaprotocol_auto
 
 from hilserver.opcua.encoding import FixedDataValue
+from hilserver.opcua.reading import RefusedError
 
 _Trigger, _Deadband, _Codes = ua.DataChangeTrigger, ua.DeadbandType, ua.StatusCodes
 _STATUS_VALUE = _Trigger.StatusValue
@@ -20,14 +21,6 @@ _NUMBERS = {
     ua.VariantType.Int32, ua.VariantType.UInt32, ua.VariantType.Int64, ua.VariantType.UInt64,
     ua.VariantType.Float, ua.VariantType.Double,
 }  # fmt: skip
-
-
-class FilterError(Exception):
-    """A filter that this item cannot have."""
-
-    def __init__(self, code: int) -> None:
-        super().__init__(code)
-        self.code = code
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,28 +73,28 @@ def change_filter(
 
     Raises
     ------
-    FilterError
+    RefusedError
         BadFilterNotAllowed or BadDeadbandFilterInvalid.
     """
     if asked is None or _is_empty(asked):
         return ChangeFilter()
     if not isinstance(asked, uaprotocol_auto.DataChangeFilter):  # asyncua decodes this one
-        raise FilterError(_Codes.BadFilterNotAllowed)
+        raise RefusedError(_Codes.BadFilterNotAllowed)
     if not isinstance(asked.Trigger, _Trigger):
-        raise FilterError(_Codes.BadMonitoredItemFilterInvalid)
+        raise RefusedError(_Codes.BadMonitoredItemFilterInvalid)
     if asked.DeadbandType == _Deadband.None_:
         return ChangeFilter(asked.Trigger)
     if attribute != ua.AttributeIds.Value or kind not in _NUMBERS:
-        raise FilterError(_Codes.BadFilterNotAllowed)
+        raise RefusedError(_Codes.BadFilterNotAllowed)
     size = asked.DeadbandValue
     if not math.isfinite(size) or size < 0:
-        raise FilterError(_Codes.BadDeadbandFilterInvalid)
+        raise RefusedError(_Codes.BadDeadbandFilterInvalid)
     if asked.DeadbandType == _Deadband.Absolute:
         return ChangeFilter(asked.Trigger, size)
     if asked.DeadbandType != _Deadband.Percent or size > 100:
-        raise FilterError(_Codes.BadDeadbandFilterInvalid)
+        raise RefusedError(_Codes.BadDeadbandFilterInvalid)
     if eu_range is None:
-        raise FilterError(_Codes.BadFilterNotAllowed)
+        raise RefusedError(_Codes.BadFilterNotAllowed)
     return ChangeFilter(asked.Trigger, size / 100 * (eu_range.High - eu_range.Low))
 
 

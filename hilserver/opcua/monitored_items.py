@@ -11,7 +11,7 @@ from typing import Any
 
 from asyncua import ua
 
-from hilserver.opcua.deadband import ChangeFilter, FilterError, change_filter
+from hilserver.opcua.deadband import ChangeFilter, change_filter
 from hilserver.opcua.items import HANDLE, EventItem, FixedEvent, Item, Room, ValueItem
 from hilserver.opcua.reading import RefusedError, find, place_for_items, value_at
 from hilserver.opcua.rotation import Portions
@@ -90,7 +90,7 @@ class MonitoredItems:
                 make = self._make_events
             self._number += 1
             item = make(request, stamps, room)
-        except (RefusedError, FilterError) as error:
+        except RefusedError as error:
             result.StatusCode = ua.StatusCode(error.code)
             return result
         result.MonitoredItemId, result.RevisedQueueSize = item.item_id, item.size
@@ -157,7 +157,7 @@ class MonitoredItems:
                 wanted = check_event_filter(asked.Filter)
                 item.where = compile_where(wanted.WhereClause, self._types)
                 item.filter = wanted
-        except (RefusedError, FilterError) as error:
+        except RefusedError as error:
             result.StatusCode = ua.StatusCode(error.code)
             return result
         item.handle = HANDLE.pack(asked.ClientHandle)

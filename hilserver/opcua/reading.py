@@ -25,7 +25,7 @@ _BY_USER = {_Attributes.UserAccessLevel, _Attributes.UserExecutable}
 
 
 class RefusedError(Exception):
-    """A node, attribute or range that cannot be had."""
+    """A node, attribute, range or filter that cannot be had."""
 
     def __init__(self, code: int) -> None:
         super().__init__(code)

@@ -14,6 +14,7 @@ import pytest
 
 from hilserver import commands
 from hilserver.commands import COMMANDS, main
+from tests.helpers.daemons import free_port
 
 
 def hilserver(*words, cwd, timeout=120):
@@ -40,12 +41,6 @@ def here(tmp_path, monkeypatch, capsys):
         return code, *capsys.readouterr()
 
     return run
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def write_config(folder, text=""):

@@ -4,7 +4,6 @@ import contextlib
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -18,7 +17,7 @@ from hilserver.image import ImageReader, read_frames
 from hilserver.image.board import BoardReader
 from hilserver.image.shared_file import path_of
 from tests.fakes import image_name
-from tests.helpers.daemons import RUNNING
+from tests.helpers.daemons import RUNNING, free_port
 from tests.io.ros2.rig import claimed_domain
 
 RPM_PER_M_S = 60 / (2 * np.pi * 0.085)
@@ -41,12 +40,6 @@ LEASE_MS = {
 }
 """Silence after which a command lapses, as `configuration` sets it; None: it holds."""
 COMMUNICATION_MS = 1500
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def configuration(folder, domain, **control):

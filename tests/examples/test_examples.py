@@ -18,7 +18,7 @@ from hilserver.commands import main
 from hilserver.daemon.assembly import assemble
 from hilserver.sweep.estimates import influences
 from hilserver.sweep.table import read_table
-from tests.io.opcua_client.conftest import free_port
+from tests.helpers.daemons import free_port
 from tests.loopback.rig import configuration, running, wait_until
 from tests.node_red.node_red import NodeRed, missing, with_sink
 

@@ -5,9 +5,9 @@ import time
 from hilserver.faults.links import MAX_QUEUED, Lane, Line
 from hilserver.faults.model import parse_fault
 from tests.fakes import ManualClock
+from tests.helpers.daemons import free_port
 from tests.io.opcua_client.conftest import (
     Peer,
-    free_port,
     make_harness,
     peer_config,
     wait_until,

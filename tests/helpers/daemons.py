@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -12,8 +13,15 @@ from pathlib import Path
 from hilserver.image.shared_file import path_of
 from tests.fakes import image_name
 
-START_LIMIT_S = 90
+START_LIMIT_S = 300
 RUNNING = '"hilserver is running"'
+
+
+def free_port() -> int:
+    """Return a TCP port that nobody uses now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 @dataclass

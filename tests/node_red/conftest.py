@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.io.opcua_client.conftest import free_port
+from tests.helpers.daemons import free_port
 from tests.node_red.node_red import NodeRed, missing
 
 

@@ -7,7 +7,7 @@ import urllib.request
 
 import pytest
 
-from tests.io.opcua_client.conftest import free_port
+from tests.helpers.daemons import free_port
 from tests.node_red.node_red import shipped_flow
 
 pytestmark = pytest.mark.node_red

@@ -11,7 +11,7 @@ from hilserver.daemon.assembly import Assembly, assemble_config
 from hilserver.daemon.connections import LINKS
 from hilserver.daemon.daemon import Daemon
 from hilserver.recalibration import link as recalibration
-from tests.io.opcua_client.conftest import free_port
+from tests.helpers.daemons import free_port
 from tests.node_red.node_red import NodeRed
 from tests.prometheus.server import Prometheus, running_prometheus, until
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import yaml
 
-from tests.io.opcua_client.conftest import free_port
+from tests.helpers.daemons import free_port
 
 DEPLOY = Path(__file__).parents[2] / "deploy" / "prometheus"
 SCRAPE_S = 0.25

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.io.opcua_client.conftest import free_port
+from tests.helpers.daemons import free_port
 
 DOCS = Path(__file__).parents[2] / "docs" / "tutorial"
 TEXT = (DOCS / "tune-and-export.md").read_text(encoding="utf-8")

@@ -3,7 +3,6 @@
 import asyncio
 import logging
 import math
-import socket
 import time
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -20,15 +19,10 @@ from hilserver.core.inputs import Refusal
 from hilserver.faults import Line
 from hilserver.io.opcua_client import LinkSecurity, PeerLink
 from hilserver.opcua.standard_nodes import QuickInternalServer
+from tests.helpers.daemons import free_port
 
 URI = "urn:iotbot:agv"
 WHEELS = ("FL", "RL", "FR", "RR")
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 async def wait_until(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:

@@ -7,7 +7,8 @@ import struct
 
 import pytest
 
-from tests.io.opcua_client.conftest import free_port, make_harness, peer_config, wait_until
+from tests.helpers.daemons import free_port
+from tests.io.opcua_client.conftest import make_harness, peer_config, wait_until
 from tests.node_red.resources import Holdings
 
 

@@ -11,11 +11,11 @@ from hilserver.core.inputs import Refusal
 from hilserver.faults import Line
 from hilserver.faults.model import parse_fault
 from hilserver.plant.layout import WHEELS
+from tests.helpers.daemons import free_port
 from tests.io.opcua_client.conftest import (
     URI,
     Harness,
     Peer,
-    free_port,
     make_harness,
     peer_config,
     wait_until,
