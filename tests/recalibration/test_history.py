@@ -1,6 +1,8 @@
 """The history: whole lines or none, a chain that shows what was changed, half a line cut off."""
 
 import json
+import re
+from pathlib import Path
 
 import hypothesis
 import pytest
@@ -71,3 +73,17 @@ def test_a_full_disk_is_named_and_leaves_nothing(tmp_path, monkeypatch):
     assert (tmp_path / FILE).read_bytes() == before
     history.append("look", window=5)
     assert broken(lines_of(tmp_path)) is None
+
+
+def test_every_verdict_of_the_how_to_has_words_on_the_page():
+    root = Path(__file__).parents[2]
+    rows = (root / "docs" / "how-to" / "recalibrate.md").read_text(encoding="utf-8").splitlines()
+    page = (root / "page" / "src" / "views" / "proposal.ts").read_text(encoding="utf-8")
+    verdicts = [
+        verdict
+        for row in rows
+        if row.startswith(("| `look` |", "| `confirmation` |"))
+        for verdict in re.findall(r"`(\w+)`", row.partition(" | ")[2])
+    ]
+    assert {"too_small", "no_test"} < set(verdicts)
+    assert [one for one in verdicts if f"\n  {one}: " not in page] == []

@@ -8,11 +8,14 @@ const LOOKS: Record<string, string> = {
   nothing: "The last window fits the model.",
   as_running: "The last window fits the model that runs.",
   named: "A cause was named on the last window; the next one has to confirm it.",
+  too_small: "The last window shows a change, too small to be proposed.",
   unexplained: "The last window shows something that no known cause explains.",
   data_fault: "The data of the last window have a fault; nothing is proposed.",
   not_judged: "The last window says too little: more motion, more channels.",
   confirmed: "Confirmed on a window that took no part.",
   not_confirmed: "What was named was not confirmed on the next window.",
+  no_test: "What was named cannot be confirmed: the next window was too short for that.",
+  known: "What was named again is decided, or waits for that.",
 };
 const STAGES: Record<string, string> = { not_better: "not better", accepted: "accepted, being measured" };
 
