@@ -10,7 +10,7 @@ from typing import Literal, Self
 
 from hilserver.core.inputs import Refusal
 from hilserver.daemon.daemon import Daemon
-from hilserver.errors import ControlRefused
+from hilserver.errors import ControlRefused, meant
 from hilserver.faults.model import Fault, parse_fault
 from hilserver.image import Frame
 from hilserver.plant.errors import PlantError
@@ -18,6 +18,7 @@ from hilserver.signals import Signal
 from hilserver.testing.journal import Journal
 from hilserver.testing.tap import Capture, Tap
 
+__tracebackhide__ = True  # of pytest: what fails is a line of the test
 Mode = Literal["virtual", "realtime"]
 Value = float | bool | list[float]
 DRAIN_EVERY_S = 0.1
@@ -151,11 +152,15 @@ class Hil:
         return taken
 
     def _why(self, name: str, value: object, reason: Refusal) -> str:
-        return f"{name} = {value!r} was refused: {reason.value.replace('_', ' ')}"
+        why = reason.value.replace("_", " ")
+        if reason is Refusal.OUT_OF_RANGE:
+            why += f", {self._signal(name).range_text}"
+        return f"{name} = {value!r} was refused: {why}"
 
     def _signal(self, name: str) -> Signal:
         if name not in self.daemon.table:
-            raise HilError(f"there is no signal '{name}'; see 'hilserver signals'")
+            hint = meant(name, (s.name for s in self.daemon.table), "see 'hilserver signals'")
+            raise HilError(f"there is no signal '{name}'; {hint}")
         return self.daemon.table[name]
 
     def _slot(self, name: str) -> int:

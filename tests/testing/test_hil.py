@@ -89,9 +89,10 @@ async def test_lockstep_is_exact_and_time_stands_still_between_steps(hil):
 
 async def test_refusals_are_one_sentence(hil):
     for action, sentence in (
-        (lambda: hil.write(FL, 500.0), "was refused: out of range"),
+        (lambda: hil.write(FL, 500.0), r"was refused: out of range, -90 \.\. 90 rpm"),
         (lambda: hil.write("pose.x_m", 1.0), "was refused: not writable"),
-        (lambda: hil.write("nothing", 1.0), "there is no signal 'nothing'"),
+        (lambda: hil.write("nothing", 1.0), "there is no signal 'nothing'; see"),
+        (lambda: hil.write("wheel.fl.setpont_rpm", 1.0), f"did you mean '{FL}'"),
         (lambda: hil.read("wheels.speeds_rpm"), "is an array"),
         (lambda: hil.inject("shield.rust"), "fault: should be"),
         (lambda: hil.clear_faults("x"), "there is no fault 'x'"),

@@ -96,6 +96,25 @@ def test_an_assertion_in_a_generator_fails_and_everything_is_kept(project, pytes
     assert found == ["HIL-12", "HIL-13"]
 
 
+def test_a_failure_points_to_a_line_of_the_test(project):
+    result = project(
+        """
+        async def test_refused(hil):
+            hil.write("wheel.fl.setpoint_rpm", 500.0)
+            yield
+
+        async def test_out_of_its_band(hil):
+            async with hil.capture("pose.x_m") as trace:
+                yield 3
+            trace["pose.x_m"].assert_within(low=1.0)
+        """,
+        *STRICT,
+    )
+    result.assert_outcomes(failed=2)
+    result.stdout.fnmatch_lines(["*.py:2: HilError", "*.py:8: AssertionError"])
+    result.stdout.no_fnmatch_line("*hilserver/testing/*.py:*")
+
+
 async def test_what_was_kept_plays_again_to_the_bit(tmp_path, request):
     """The scenario of a test, on the configuration of that test, gives the same recording."""
     async with open_hil({"plant": {"seed": 5}}, "virtual") as hil:
