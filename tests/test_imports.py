@@ -33,3 +33,10 @@ def test_the_daemon_carries_no_linear_algebra_until_it_is_called():
     words = [sys.executable, "-c", CALLS_IT]
     shown = subprocess.run(words, capture_output=True, text=True, check=True).stdout
     assert shown.splitlines() == ["", "[[2.0, 0.0], [0.0, 2.0]]"]
+
+
+def test_the_daemon_compiles_for_shields_and_fmus_only_where_it_has_them():
+    rooms = {"hilserver.fmu.calls", "hilserver.fmu.exchange", "hilserver.io.shield.answer"}
+    loaded = f"import sys, hilserver.daemon.daemon; print(*{rooms} & sys.modules.keys())"
+    words = [sys.executable, "-c", loaded]
+    assert subprocess.run(words, capture_output=True, text=True, check=True).stdout == "\n"

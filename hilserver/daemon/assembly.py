@@ -24,7 +24,6 @@ from hilserver.config.root import Config, load_config
 from hilserver.config.timing import COMMUNICATION_SLICES
 from hilserver.daemon.assembled import Assembly
 from hilserver.errors import ConfigError
-from hilserver.fmu.block import load_fmu_block
 from hilserver.kernel import BlockUse, Composition, Part
 from hilserver.kernel.composition import ForeignModel, ObserverUse
 from hilserver.kernel.fitted import fitted_limits
@@ -276,6 +275,8 @@ class _Builder:
     def _declared(self, block: BlockConfig) -> tuple[BlockDeclaration, ForeignModel | None]:
         if block.function is not None:
             return load_block(block.function, self._folder), None
+        from hilserver.fmu.block import load_fmu_block  # noqa: PLC0415 -- compiled only where needed
+
         return load_fmu_block(
             str(block.fmu),
             self._folder,

@@ -10,7 +10,7 @@ from hilserver.core.events import Event, EventKind
 from hilserver.core.inputs import kind_of
 from hilserver.core.leases import OFFERING
 from hilserver.daemon.builder import Core
-from hilserver.fmu.block import hangs_since, slow_call
+from hilserver.fmu.layout import hangs_since, slow_call
 from hilserver.monitoring.logging_setup import log_overrun
 from hilserver.plant.layout import State
 from hilserver.scheduler import OverrunReport

@@ -188,15 +188,3 @@ class Failures:
         answer = at.STATUS.get(status, f"status {status}")
         text = f"FMU '{self._name}' failed: {message or answer}"
         return [News(text, is_fault=True)]
-
-
-def slow_call(a: NDArray[np.int64], tick: int) -> int:
-    """Return how long [ns] the call of an FMU took in a tick, 0 if it was not slow."""
-    calls_made = a[at.N_HEAD : at.ROWS].reshape(-1, 2)[: int(a[at.A_NOTED])]
-    found = calls_made[calls_made[:, 0] == tick, 1]
-    return int(found.max()) if found.size else 0
-
-
-def hangs_since(a: NDArray[np.int64]) -> int:
-    """Return the CLOCK_MONOTONIC [ns] at which a call began that has not come back; 0: none."""
-    return int(a[at.A_SINCE])

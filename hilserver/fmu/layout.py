@@ -6,6 +6,9 @@ head) is what a snapshot holds.
 
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 # --- a: functions and places in the FMU -----------------------------------------------------------
 (
     A_INSTANCE,
@@ -90,3 +93,15 @@ STATUS: Final = {
     SILENT: "its process does not answer",
 }
 """Both in words."""
+
+
+def slow_call(a: NDArray[np.int64], tick: int) -> int:
+    """Return how long [ns] the call of an FMU took in a tick, 0 if it was not slow."""
+    calls_made = a[N_HEAD:ROWS].reshape(-1, 2)[: int(a[A_NOTED])]
+    found = calls_made[calls_made[:, 0] == tick, 1]
+    return int(found.max()) if found.size else 0
+
+
+def hangs_since(a: NDArray[np.int64]) -> int:
+    """Return the CLOCK_MONOTONIC [ns] at which a call began that has not come back; 0: none."""
+    return int(a[A_SINCE])

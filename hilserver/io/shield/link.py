@@ -21,7 +21,6 @@ from hilserver.image import Row
 from hilserver.io.link_status import LinkState
 from hilserver.io.part import Part
 from hilserver.io.shield import words as w
-from hilserver.io.shield.answer import places
 from hilserver.io.shield.device import Device, ShieldFault
 from hilserver.io.shield.line import Line, open_device, open_pseudo_terminal
 from hilserver.io.shield.protocol import BYTE_NS, REQUEST_BYTES, RESPONSE_BYTES, Request
@@ -71,7 +70,9 @@ class ShieldLink(Part):
     status: ShieldStatus  # always up to date
 
     def __init__(self, config: ShieldConfig, world: World) -> None:
-        from hilserver.io.shield.wire import Memory, serve  # noqa: PLC0415 - compiled only where needed
+        # compiled only where there is a shield
+        from hilserver.io.shield.answer import places  # noqa: PLC0415
+        from hilserver.io.shield.wire import Memory, serve  # noqa: PLC0415
 
         self._serve, self._memory = serve, Memory
         self.status = status = ShieldStatus(NAME)
