@@ -9,8 +9,8 @@ from hilserver.logs import Log, read_log
 from hilserver.logs.bag_reader import is_own_bag
 from hilserver.logs.reading import is_bag_of_ros, refuse_others
 from hilserver.logs.rewriting import as_table
-from hilserver.measured.bag import read_bag
-from hilserver.measured.mapping import builtin_mappings, load_mapping
+from hilserver.measured.bag import read_bag, refuse_unmapped
+from hilserver.measured.mapping import load_mapping
 from hilserver.measured.names import known_columns
 from hilserver.measured.tables import Recording, log_of_parquet, read_mapped
 
@@ -26,10 +26,7 @@ def read_any(path: Path, mapping: str | None = None) -> Log:
         if path.suffix == ".parquet":
             return log_of_parquet(path)[0]
         if is_bag_of_ros(path) and not is_own_bag(path):
-            raise LogError(
-                f"{path}: is no recording of hilserver; name a mapping of its topics, a file or one"
-                f" of {', '.join(builtin_mappings())}"
-            )
+            refuse_unmapped(path)
         return read_log(path, known_columns())
     except OSError as error:
         raise LogError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None

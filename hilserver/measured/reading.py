@@ -11,10 +11,10 @@ from hilserver.arrays import Indices
 from hilserver.errors import LogError
 from hilserver.logs.bag_reader import is_own_bag
 from hilserver.logs.reading import is_bag_of_ros, refuse_others
-from hilserver.measured.bag import is_bag, read_bag
+from hilserver.measured.bag import is_bag, read_bag, refuse_unmapped
 from hilserver.measured.data import Channel, MeasuredLog, Source, Span
 from hilserver.measured.frames import Sampling
-from hilserver.measured.mapping import LogMapping, builtin_mappings, load_mapping
+from hilserver.measured.mapping import LogMapping, load_mapping
 from hilserver.measured.pauses import cut_at_pauses, without_jumps
 from hilserver.measured.tables import (
     Recording,
@@ -128,10 +128,7 @@ def _read(path: Path, mapping: LogMapping | None, sampling: Sampling | None) -> 
 def _by_kind(path: Path, mapping: LogMapping | None, sampling: Sampling | None) -> Recording:
     if mapping is None:
         if is_bag_of_ros(path) and not is_own_bag(path):
-            raise LogError(
-                f"{path}: a bag needs a mapping of its topics; name a file or one of"
-                f" {', '.join(builtin_mappings())}"
-            )
+            refuse_unmapped(path)
         refuse_foreign(path)
         read = read_own_parquet if path.suffix == ".parquet" else read_own
         return read(path, sampling)

@@ -308,7 +308,11 @@ KINDS = {
     ),
     "bag mapping for a table": (csv(), TOPICS, "names topics of a bag, this is a table"),
     "column mapping for a bag": (bag(), COLUMNS, "names columns, this is a bag"),
-    "bag without mapping": (bag(), None, "a bag needs a mapping of its topics; name"),
+    "bag without mapping": (
+        bag(),
+        None,
+        r"a bag needs a mapping of its topics; name .*; its topics are .*/iotbot/rpm \(iotbot",
+    ),
     "topic missing": (
         bag(topics=("/iotbot/rmp",)),
         TOPICS,
