@@ -69,6 +69,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="instead of hidden causes: the gain on these recordings, beside simple rivals",
     )  # fmt: skip
     parser.add_argument(
+        "--time", action="store_true",
+        help="instead: the CPU time of diagnoses of 10 min, or --duration, with 0, 1 and 6 effects",
+    )  # fmt: skip
+    parser.add_argument(
         "--drawn", type=int, default=0, metavar="N",
         help="with --recordings: a campaign on N drawings of two thirds of their blocks instead",
     )  # fmt: skip
@@ -86,6 +90,10 @@ def _recordings(text: str) -> tuple[str, list[Path]]:
 
 def run(args: argparse.Namespace) -> list[Result]:
     """Run what has no result yet, print the tables and return their rows."""
+    if args.time:
+        from benchmarks.diagnose_time import time_spent  # noqa: PLC0415 (slow to import)
+
+        return time_spent(args.duration, args.jobs)
     if args.seeds < 1 or args.jobs < 1:
         msg = "--seeds and --jobs must be at least 1."
         raise FailedError(msg)

@@ -49,6 +49,7 @@ from hilserver.plant.parameters import RobotParameters
 
 T = TypeVar("T")
 
+HALVES = "selecting anew without each half of the log"
 HORIZON_S = 5.0  # length of the free runs for which the gain is reported
 
 
@@ -105,8 +106,10 @@ def judge(
     """
     tracker, rng = Tracker(progress), np.random.default_rng(seed)
     member = examine(log, robot, rng, jobs, tracker, running=running)
-    tracker("measuring the gain", 0.0)
+    tracker(HALVES, 0.0)
     answers = answers_of(member.judged, seed, jobs)
+    tracker.timed("halves")
+    tracker("measuring the gain", 0.0)
     own = [answer.explained.gains(HORIZON_S, rng) for answer in answers]
     of_patch = [answer.named.gains(HORIZON_S, rng) for answer in answers]
     total, notices = _all_of(own), member.log.notices

@@ -26,12 +26,6 @@ class Segments:
     def __len__(self) -> int:
         return len(self.span)
 
-    def shares(self, jobs: int) -> list[slice]:
-        """Return the segments as at most `jobs` shares of about equal length."""
-        aims = np.linspace(0, self.ticks, max(jobs, 1) + 1)[1:-1]
-        ends = [0, *np.searchsorted(self.first, aims).tolist(), len(self)]
-        return [slice(a, b) for a, b in pairwise(ends) if a < b]
-
     @property
     def ticks(self) -> int:
         """Rows of the dense arrays."""

@@ -1,6 +1,7 @@
 """The campaign: its score, its intervals, and that it goes on where it stopped."""
 
 import argparse
+import itertools
 import json
 import sys
 import types
@@ -10,7 +11,7 @@ import pytest
 from hilserver_injector import Recipe
 from hilserver_injector.cases import CLASSES, Answer, Case, cases
 
-from benchmarks import diagnose, diagnose_results, diagnose_worker
+from benchmarks import diagnose, diagnose_results, diagnose_time, diagnose_worker
 from benchmarks.binomial import clopper_pearson
 from benchmarks.diagnose_scoring import ellipsoid_of, score
 from benchmarks.diagnose_table import Row, rows
@@ -224,6 +225,25 @@ def test_results_of_other_sources_or_lengths_are_not_counted(tmp_path, engine, m
     stamps = [json.loads(line) for line in (tmp_path / FILE).read_text("utf-8").splitlines()]
     assert [r["setting"] for r in stamps] == ["4 s", "4 s", "5 s"]
     assert stamps[0]["sources"] == diagnose_results.sources() != stamps[1]["sources"]
+
+
+def test_the_time_without_the_nested_gain_is_all_but_what_that_reports(tmp_path, monkeypatch):
+    def engine(log, assembly, *, jobs, progress):
+        progress("drive: effect of a", 0.5)
+        progress("drive: effect of b", 1.0)
+        progress(diagnose_time.HALVES, 0.0)
+        progress("measuring the gain", 0.0)
+
+    ticks = itertools.count(0.0, 2.0)
+    clock = types.SimpleNamespace(process_time=lambda: next(ticks))
+    monkeypatch.setattr(diagnose_time, "time", clock)
+    monkeypatch.setattr(diagnose_time, "diagnose", engine)
+    monkeypatch.setattr(diagnose_time, "documents", lambda diagnosis: {})
+    found = {r.name: r for r in diagnose.run(arguments(tmp_path, ["--time"]))}
+    assert len(found) == 6
+    assert found["six effects, nested gain"].value == 10.0
+    assert found["six effects, without"].value == 8.0
+    assert found["no effect, nested gain"].raw["drive"] == 4.0
 
 
 def test_stopped_campaign_prints_what_it_has(tmp_path, engine, monkeypatch, capsys):

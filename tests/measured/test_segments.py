@@ -112,17 +112,3 @@ def test_runs_are_continuous_stretches():
     for _, segment, part in runs:
         assert set(stack.segment[part]) == {segment}
         assert np.all(np.diff(stack.t_s[part]) > 0.0)
-
-
-@hypothesis.given(SPANS, st.integers(1, 5))
-@hypothesis.settings(max_examples=60, deadline=None)
-def test_shares_hold_every_segment_once_and_in_order(lengths, jobs):
-    segments = cut(log_of(lengths), PERIOD_S, 10.0)
-    shares = segments.shares(jobs)
-    assert [i for share in shares for i in range(len(segments))[share]] == list(
-        range(len(segments))
-    )
-    assert len(shares) <= jobs
-    rows = [segments.first[share.stop] - segments.first[share.start] for share in shares]
-    longest = np.diff(segments.first).max(initial=0)
-    assert max(rows, default=0) <= segments.ticks / jobs + 2 * longest

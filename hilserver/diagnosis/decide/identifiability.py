@@ -91,7 +91,7 @@ def cosines(library: Library, point: Point, index: int) -> Array:
         mine = columns[:, point.model.slices[index].start]
     mine = orthogonal(mine, others)
     base = basis(others)
-    theirs = library.columns.astype(np.float64).T
+    theirs = np.ascontiguousarray(library.columns.T, dtype=np.float64)
     along, with_base = theirs @ mine, theirs @ base
     out = np.zeros(len(library.candidates))
     norm = float(mine @ mine) + 1e-300

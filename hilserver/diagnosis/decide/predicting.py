@@ -31,6 +31,8 @@ def before_settling(
     """
     whole, harm = point, None
     for richer in before:
+        if richer is whole:
+            continue
         step = Step(problem, richer, whole)
         if step.harms:
             whole, harm = richer, step.gain

@@ -44,6 +44,37 @@ class NoiseModel:
         return math.hypot(self.white_sd, self.ou_sd)
 
 
+@dataclass(frozen=True)
+class Filter:
+    """The Kalman filters of some stretches, one after the other: what each does at every sample.
+
+    Attributes
+    ----------
+    keep : ndarray, shape (n,)
+        Share of the level that lasts since the sample before; 0 where a stretch begins.
+    gain : ndarray, shape (n,)
+        Share of a surprise that the level takes up.
+    scale : ndarray, shape (n,)
+        Whitened sample by surprise; 0: the sample is skipped.
+    """
+
+    keep: Array
+    gain: Array
+    scale: Array
+
+    @classmethod
+    def empty(cls, n: int) -> "Filter":
+        """Return the filters of `n` samples, which `Whitener.prepare` fills."""
+        return cls(np.zeros(n), np.zeros(n), np.zeros(n))
+
+    def whiten(self, columns: Array) -> Array:
+        """Whiten columns, shape (n,) or (n, k): each passes the same linear operator."""
+        table = np.ascontiguousarray(columns if columns.ndim > 1 else columns[:, None], float)
+        out = np.empty_like(table)
+        filter_columns(table, self.keep, self.gain, self.scale, out)
+        return out.reshape(np.shape(columns))
+
+
 class Whitener:
     """The whitening operator of one noise model.
 
@@ -63,6 +94,15 @@ class Whitener:
             raise ValueError(f"no noise to whiten with: {model}")
         self.model = model
 
+    def prepare(self, f: Filter, part: slice, t_s: Array, weights: Array) -> None:
+        """Fill one stretch of filters; stamps and weights are those of all samples."""
+        model, places = self.model, (f.keep[part], f.gain[part], f.scale[part])
+        if model.ou_sd == 0.0:
+            f.scale[part] = np.sqrt(weights[part]) / model.white_sd
+            return
+        variances = model.white_sd**2, model.ou_sd**2, model.ou_tau_s
+        fill_gains(t_s[part], weights[part], *variances, *places)
+
     def whiten(self, t_s: Array, columns: Array, weights: Array | None = None) -> Array:
         """Whiten the columns of one span.
 
@@ -81,13 +121,9 @@ class Whitener:
         ndarray of float64, of the shape of `columns`
             Independent with variance 1, if the columns were this noise.
         """
-        t_s = np.ascontiguousarray(t_s, float)
-        table = np.ascontiguousarray(columns, float).reshape(len(t_s), -1)
-        every = np.ones(len(t_s)) if weights is None else np.ascontiguousarray(weights, float)
-        out = np.empty_like(table)
-        model = self.model
-        filter_columns(t_s, table, every, model.white_sd**2, model.ou_sd**2, model.ou_tau_s, out)
-        return out.reshape(np.shape(columns))
+        found, every = Filter.empty(len(t_s)), np.ones(len(t_s)) if weights is None else weights
+        self.prepare(found, slice(None), np.asarray(t_s, float), np.asarray(every, float))
+        return found.whiten(columns)
 
 
 def robust_weights(innovations: Array, dof: float) -> Array:
@@ -114,36 +150,49 @@ def robust_weights(innovations: Array, dof: float) -> Array:
 
 
 @kernel()
-def filter_columns(
-    t_s: Any, columns: Any, weights: Any, white: float, ou: float, tau_s: float, out: Any
+def fill_gains(
+    t_s: Any,
+    weights: Any,
+    white: float,
+    ou: float,
+    tau_s: float,
+    keeps: Any,
+    gains: Any,
+    scales: Any,
 ) -> None:
-    """Run the Kalman filter over one span.
+    """Run the variances of the Kalman filter over one span.
 
     `white` and `ou` are variances. The state is the Ornstein-Uhlenbeck process, stationary at the
     first sample.
     """
-    n, width = columns.shape
-    level = np.zeros(width)
-    variance = ou
-    step, keep = 0.0, 1.0
-    for i in range(n):
+    variance, step, keep = ou, 0.0, 1.0
+    keeps[:] = 0.0
+    for i in range(len(t_s)):
         if i > 0:
             if t_s[i] - t_s[i - 1] != step:
                 step = t_s[i] - t_s[i - 1]
                 keep = math.exp(-step / tau_s)
             variance = ou + keep * keep * (variance - ou)
-            for j in range(width):
-                level[j] *= keep
+            keeps[i] = keep
         weight = weights[i]
         if not weight > 0.0:
-            for j in range(width):
-                out[i, j] = 0.0
+            gains[i], scales[i] = 0.0, 0.0
             continue
         innovation = max(variance + white, 1e-12 * ou)
-        gain = weight * variance / innovation
-        scale = math.sqrt(weight / innovation)
+        gains[i] = weight * variance / innovation
+        scales[i] = math.sqrt(weight / innovation)
+        variance *= max(1.0 - gains[i], 0.0)
+
+
+@kernel()
+def filter_columns(columns: Any, keeps: Any, gains: Any, scales: Any, out: Any) -> None:
+    """Run the levels of the Kalman filters over all columns."""
+    n, width = columns.shape
+    level = np.zeros(width)
+    for i in range(n):
+        keep, gain, scale = keeps[i], gains[i], scales[i]
         for j in range(width):
-            surprise = columns[i, j] - level[j]
-            out[i, j] = scale * surprise
-            level[j] += gain * surprise
-        variance *= max(1.0 - gain, 0.0)
+            before = keep * level[j]
+            surprise = columns[i, j] - before
+            out[i, j] = scale * surprise if scale > 0.0 else 0.0
+            level[j] = before + gain * surprise

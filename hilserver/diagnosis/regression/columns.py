@@ -1,6 +1,7 @@
 """The sensitivities of all candidates of a stage, whitened and laid out for the screen."""
 
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 
@@ -10,6 +11,8 @@ from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.screen import SQUARE, Blocks, Scores, directions, score
 
 RIDGE = 1e-3
+AT_ONCE: Final = 8
+"""Candidates that are whitened together: the rows of a table, and of memory, are shared."""
 
 
 @dataclass
@@ -24,6 +27,8 @@ class Library:
     owner: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     # shape (n, k): all directions, whitened, initial poses projected out
     columns: Columns = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    # shape (blocks, k): sums of their squares
+    squares: Columns = field(default_factory=lambda: np.zeros((0, 0), np.float32))
     norms: list[Array] = field(default_factory=list)  # lengths of every candidate's own columns
 
     def __post_init__(self) -> None:
@@ -38,13 +43,17 @@ class Library:
         problem, begin = self.problem, 0
         bases = problem.bases(problem.nuisance(point.predicted, point.poses))
         self.norms = []
-        for raw in self.raw:
-            white = problem.project(problem.whiten(raw.astype(np.float64)), bases)
-            self.norms.append(np.sqrt((white**2).sum(axis=0)) + 1e-300)
-            spread = directions(white)
+        for first in range(0, len(self.raw), AT_ONCE):
+            some = self.raw[first : first + AT_ONCE]
+            table = np.concatenate(some, axis=1, dtype=np.float64)
+            ends = np.cumsum([raw.shape[1] for raw in some])[:-1]
+            white = np.split(problem.project(problem.whiten(table), bases), ends, axis=1)
+            self.norms += [np.sqrt((own**2).sum(axis=0)) + 1e-300 for own in white]
+            spread = np.concatenate([directions(own) for own in white], axis=1)
             end = begin + spread.shape[1]
             self.columns[:, begin:end] = spread[self.blocks.order]
             begin = end
+        self.squares = self.blocks.squares(self.columns)
 
     def ridge(self, point: Point, rows: Mask | None = None) -> Array:
         """Return coefficients of all directions at once for what a model leaves.
@@ -81,4 +90,5 @@ class Library:
             point.left[order].astype(np.float32),
             self.blocks,
             None if accepted is None else accepted[order].astype(np.float32),
+            self.squares,
         )

@@ -5,6 +5,7 @@ from typing import Final
 import numpy as np
 
 from hilserver.arrays import Array, Mask
+from hilserver.diagnosis.regression.free_poses import Bases
 from hilserver.diagnosis.regression.linear import ridge
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Model
@@ -29,7 +30,8 @@ def fit(
     rows : ndarray of bool, shape (blocks,), optional
         Blocks that count; all.
     """
-    point = problem.point(model, start.poses, pose_steps=0)
+    known = model is start.model and start.noise is problem.noise
+    point = start if known else problem.point(model, start.poses, pose_steps=0)
     if not model.fitted:
         return point
     used = np.ones(problem.stack.n_blocks, dtype=bool) if rows is None else rows
@@ -75,10 +77,10 @@ def _step(problem: Problem, point: Point, raw: Array, used: Mask) -> tuple[Point
         Whitened sensitivities.
     """
     steering = used
-    nuisance = problem.nuisance(point.predicted, point.poses)
-    white = problem.project(raw, problem.bases(nuisance))
+    bases = problem.bases(problem.nuisance(point.predicted, point.poses))
+    white = problem.project(raw, bases)
     for _ in range(ATTEMPTS):
-        found, expected, diverged = _attempted(problem, point, raw, white, nuisance, used, steering)
+        found, expected, diverged = _attempted(problem, point, raw, white, bases, used, steering)
         diverged &= steering
         steering = steering & ~diverged
         few = 2 * steering.sum() < used.sum()
@@ -92,7 +94,7 @@ def _attempted(
     point: Point,
     raw: Array,
     white: Array,
-    nuisance: Array | None,
+    bases: Bases | None,
     used: Mask,
     steering: Mask,
 ) -> tuple[Point | None, float, Mask]:
@@ -109,8 +111,8 @@ def _attempted(
         expected = float(gains[steering].sum())
         if expected < LEAST_EXPECTED:
             break
-        if nuisance is not None:
-            poses = poses + problem.pose_step(point.white - raw @ away, nuisance)
+        if bases is not None:
+            poses = poses + bases.step(point.white - raw @ away)
         trial = problem.point(point.model.with_theta(theta), poses, pose_steps=0)
         gained = point.loss - trial.loss
         if gained[used].sum() > 0.0:

@@ -22,6 +22,7 @@ from hilserver.diagnosis.noise.fitting import (
 )
 from hilserver.diagnosis.noise.quick_noise import isolated, noise_of_neighbours, plain_noise, spikes
 from hilserver.diagnosis.noise.readings import Reading, noise_of_readings
+from hilserver.diagnosis.noise.whitening import Filter
 from hilserver.diagnosis.regression.free_poses import Bases, FreePoses
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.stack import Stack
@@ -40,6 +41,7 @@ class Point:
     white: Array  # shape (n,): whitened residual
     left: Array  # shape (n,): the same, initial poses projected out
     loss: Array  # shape (blocks,): sum of the squares of `left` over each block
+    noise: Mapping[str, NoiseModel] | None = None  # under which it was evaluated
 
     @property
     def deviance(self) -> float:
@@ -63,8 +65,9 @@ class Problem:
         if not len(self.weights):
             self.weights = np.ones(len(self.stage.stack))
         self._runs = list(self.stage.stack.runs())
+        self._filter = (self.noise, np.zeros(0), Filter.empty(0))
         self._known: deque[tuple[Point, Array]] = deque(maxlen=2)
-        self._poses = FreePoses(self.stage.stack.segment, len(self.stage.segments))
+        self._poses = FreePoses.of(self.stage.stack.segment, len(self.stage.segments))
         limits = self.stage.log.limits
         self.readings = {
             name: Reading.of(self.stack.values[edge], limits.get(name, np.inf))
@@ -110,19 +113,13 @@ class Problem:
     # --- whitening and projection -----------------------------------------------------------------
     def whiten(self, columns: Array) -> Array:
         """Whiten raw columns, shape (n,) or (n, k), channel by channel and segment by segment."""
-        two = columns[:, None] if columns.ndim == 1 else columns
-        out = np.empty_like(two)
-        white = {n for n in self.stack.channels if self.noise[n].ou_sd == 0.0}
-        for name in white:
-            edge = self.stack.edges[name]
-            scale = np.sqrt(self.weights[edge]) / self.noise[name].white_sd
-            out[edge] = scale[:, None] * two[edge]
-        for name, _, part in self._runs:
-            if name in white:
-                continue
-            whitener = Whitener(self.noise[name])
-            out[part] = whitener.whiten(self.stack.t_s[part], two[part], self.weights[part])
-        return out[:, 0] if columns.ndim == 1 else out
+        noise, weights, known = self._filter
+        if noise is not self.noise or weights is not self.weights:
+            noise, weights, known = self.noise, self.weights, Filter.empty(len(self.stack))
+            for name, _, part in self._runs:
+                Whitener(noise[name]).prepare(known, part, self.stack.t_s, weights)
+            self._filter = noise, weights, known
+        return known.whiten(columns)
 
     def bases(self, nuisance: Array | None) -> Bases | None:
         """Return bases of what the initial poses of the segments explain."""
@@ -130,27 +127,24 @@ class Problem:
 
     def project(self, white: Array, bases: Bases | None) -> Array:
         """Take the free initial poses out of whitened columns."""
-        return white if bases is None else self._poses.project(white, bases)
-
-    def pose_step(self, white: Array, nuisance: Array) -> Array:
-        """Return the step of the initial poses that explains most of a whitened residual."""
-        return self._poses.step(self.whiten(nuisance), white)
+        return white if bases is None else bases.project(white)
 
     # --- points -----------------------------------------------------------------------------------
     def point(self, model: Model, poses: Array, *, pose_steps: int = 1) -> Point:
         """Evaluate a model, with its initial poses refitted."""
         terms = model.terms
         predicted = self.predict(terms, poses, keep=True)
-        nuisance = self.nuisance(predicted, poses)
+        bases = self.bases(self.nuisance(predicted, poses))
         white = self.whiten(self.residual(predicted))
-        for _ in range(pose_steps if nuisance is not None else 0):
-            assert nuisance is not None
-            poses = poses + self.pose_step(white, nuisance)
+        for _ in range(pose_steps if bases is not None else 0):
+            assert bases is not None
+            poses = poses + bases.step(white)
             predicted = self.predict(terms, poses, keep=True)
-            nuisance = self.nuisance(predicted, poses)
+            bases = self.bases(self.nuisance(predicted, poses))
             white = self.whiten(self.residual(predicted))
-        left = self.project(white, self.bases(nuisance))
-        return Point(model, poses, predicted, white, left, self.stack.block_sums(left * left))
+        left = self.project(white, bases)
+        loss = self.stack.block_sums(left * left)
+        return Point(model, poses, predicted, white, left, loss, self.noise)
 
     def columns(self, point: Point, model: Model, which: Sequence[int] | None = None) -> Array:
         """Return the raw sensitivities of the parameters of a model, all or some: shape (n, k)."""

@@ -91,6 +91,12 @@ class Blocks:
         counts = np.bincount(block, minlength=n_blocks)
         return cls(np.argsort(block, kind="stable"), np.concatenate([[0], np.cumsum(counts)]))
 
+    def squares(self, columns: Real) -> Real:
+        """Return the sums of squares of columns, shape (n, k), over every block."""
+        bounds = zip(self.starts[:-1], self.starts[1:], strict=True)
+        parts = [columns[low:high] for low, high in bounds]
+        return np.stack([np.einsum("ij,ij->j", part, part) for part in parts])
+
     def products(self, columns: Real, others: Real) -> Array:
         """Return ``columns' others`` of every block; shapes (n, k), (n, m) give (blocks, k, m).
 
@@ -103,19 +109,25 @@ class Blocks:
         return out
 
 
-def score(columns: Real, left: Real, blocks: Blocks, accepted: Real | None = None) -> Scores:
+def score(
+    columns: Real,
+    left: Real,
+    blocks: Blocks,
+    accepted: Real | None = None,
+    squares: Real | None = None,
+) -> Scores:
     """Score directions against a whitened residual; all arrays in the order of the blocks.
 
     The accepted causes' columns are projected out of the directions (efficient score); what is left
     of a direction inside them is rounding and no evidence.
+
+    Parameters
+    ----------
+    squares : ndarray, shape (blocks, k), optional
+        `Blocks.squares` of the directions, where they are known.
     """
-    squares = np.einsum("ij,ij->j", columns, columns)
-    own = np.stack(
-        [
-            np.einsum("ij,ij->j", columns[low:high], columns[low:high])
-            for low, high in zip(blocks.starts[:-1], blocks.starts[1:], strict=True)
-        ]
-    )
+    own = blocks.squares(columns) if squares is None else squares
+    whole = own.sum(axis=0)
     if accepted is None or accepted.shape[1] == 0:
         per = blocks.products(columns, left[:, None])[:, :, 0]
     else:
@@ -130,7 +142,7 @@ def score(columns: Real, left: Real, blocks: Blocks, accepted: Real | None = Non
         own = own - 2.0 * np.einsum("bjk,kj->bj", cross, weight)
         own = own + np.einsum("kj,bkl,lj->bj", weight, gram, weight)
     information = own.sum(axis=0)
-    usable = information > 1e-6 * squares + 1e-12
+    usable = information > 1e-6 * whole + 1e-12
     per = np.where(usable, per, 0.0)
     total, safe = per.sum(axis=0), np.where(usable, information, 1.0)
     size = np.where(usable, total / safe, 0.0)

@@ -201,8 +201,9 @@ def clean(problem: Problem, library: Library, point: Point) -> None:
         raw = library.effect(library.ridge(point), slice(None))
     left = problem.residual(point.predicted) - raw
     nuisance = problem.nuisance(point.predicted, point.poses)
-    if nuisance is not None:
-        step = problem.pose_step(problem.whiten(left), nuisance)
+    bases = problem.bases(nuisance)
+    if nuisance is not None and bases is not None:
+        step = bases.step(problem.whiten(left))
         left = left - (nuisance * step[problem.stack.segment]).sum(axis=1)
     problem.estimate_noise(left)
 

@@ -235,6 +235,7 @@ def _turn_apart(x: State, apart: Any, k: int) -> None:
 def run_pose(
     p: Parameters,
     x: State,
+    which: Any,
     first: Any,
     left: Any,
     right: Any,
@@ -248,6 +249,8 @@ def run_pose(
 
     Parameters
     ----------
+    which : ndarray of int64
+        Segments to run; the rows of the others stay as they are.
     left, right : ndarray, shape (ticks,)
         Sum of the speeds of the two wheels of a side [rpm].
     apart : ndarray, shape (2, ticks) or (2, 0)
@@ -259,7 +262,7 @@ def run_pose(
         Written: x [m], y [m], yaw [rad] not wrapped, turn rate [rad/s].
     """
     dt, is_mecanum, aside = p.dt, p.mecanum != 0.0, 0.0
-    for s in range(first.size - 1):
+    for s in which:
         for i in range(3):
             x.pose[i] = pose_0[s, i]
         turned = pose_0[s, 2]

@@ -118,10 +118,10 @@ class PoseStage(Stage):
         self.free_pose = self.has_position or self.has_yaw
         self._state = initial_state(robot)
         self._encoder_gain = pack(robot).encoder_gain
-        self._shares = self.segments.shares(jobs)
-        self._pool = ThreadPoolExecutor(jobs) if len(self._shares) > 1 else None
-        self._last: tuple[tuple[bytes, bytes], Array] | None = None
-        self._tag_rows()
+        self._pool = ThreadPoolExecutor(jobs) if jobs > 1 else None
+        self._jobs, self._every = jobs, np.arange(len(self.segments))
+        self._last: tuple[tuple[bytes, ...], Array] | None = None
+        self._judge_samples()
 
     def _settling_s(self) -> Array:
         """Return how long in each segment the wheels depend on how they were interpolated.
@@ -147,8 +147,7 @@ class PoseStage(Stage):
     def on(self, stack: Stack) -> "PoseStage":
         """Return the stage with some of its samples."""
         other = super().on(stack)
-        other._last = None
-        other._tag_rows()
+        other._judge_samples()
         return other
 
     def uncut(self) -> "PoseStage":
@@ -203,33 +202,30 @@ class PoseStage(Stage):
     def simulate(self, terms: Mapping[str, float], poses: Array) -> Array:
         """Return x, y, yaw (not wrapped) and turn rate at every tick, shape (ticks, 4)."""
         inner = {k: v for k, v in terms.items() if not k.startswith("shift.")}
-        return self._run(self._pack(inner), poses)
+        return self._run(self._pack(inner), poses, self._every)
 
     def _pack(self, terms: Mapping[str, float]) -> Parameters:
         p = pack(robot_with(self.robot, terms))
         p.dt = self.period_s
         return p
 
-    def _run(self, p: Parameters, poses: Array, *, keep: bool = False) -> Array:
-        """Run the kinematics, or return the last run if only sensors have changed since."""
-        key = (p.numbers[:_SENSORS].tobytes(), poses.tobytes())
+    def _run(self, p: Parameters, poses: Array, which: Indices, *, keep: bool = False) -> Array:
+        """Run some segments, or return their last run if only sensors have changed since."""
+        key = (p.numbers[:_SENSORS].tobytes(), poses.tobytes(), which.tobytes())
         last = self._last
         if last is not None and last[0] == key:
             return last[1]
         dense = np.empty((self.segments.ticks, 4))
-        left, right, apart = self._turned(p)
+        wheels = self._turned(p)
 
-        def run(share: slice) -> None:
-            ends = self.segments.first[share.start : share.stop + 1]
-            angles, y = self.angle_0[share], Outputs.zeros()
-            run_pose(
-                p, self._state.copy(), ends, left, right, apart, poses[share], angles, y, dense
-            )
+        def run(share: Indices) -> None:
+            x, y, first = self._state.copy(), Outputs.zeros(), self.segments.first
+            run_pose(p, x, share, first, *wheels, poses, self.angle_0, y, dense)
 
         if self._pool is None:
-            run(slice(0, len(self.segments)))
+            run(which)
         else:
-            list(self._pool.map(run, self._shares))
+            list(self._pool.map(run, np.array_split(which, self._jobs)))
         if keep:
             self._last = (key, dense)
         return dense
@@ -255,7 +251,7 @@ class PoseStage(Stage):
         """
         inner = {k: v for k, v in terms.items() if not k.startswith("shift.")}
         p = self._pack(inner)
-        return self.shown(self._run(p, poses, keep=keep), p, terms)
+        return self.shown(self._run(p, poses, self._used, keep=keep), p, terms)
 
     def shown(self, dense: Array, p: Parameters, terms: Mapping[str, float]) -> Array:
         """Return what tag and gyro show of a dense pose."""
@@ -363,9 +359,10 @@ class PoseStage(Stage):
         offset = z[:n] - w[:n] * np.exp(1j * yaw)
         return np.array([np.median(offset.real), np.median(offset.imag), yaw])
 
-    def _tag_rows(self) -> None:
-        """Find the distinct stamps of the tag's channels: each is evaluated once."""
+    def _judge_samples(self) -> None:
+        """Find what the samples need: their segments, and distinct stamps of the tag's channels."""
         stack = self.stack
+        self._last, self._used = None, np.unique(stack.segment)
         names = [n for n in TAG if n in stack.edges]
         if not names:
             return

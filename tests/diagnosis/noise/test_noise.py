@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hilserver.diagnosis.noise.fitting import NoiseModel, Whitener, fit_noise, robust_weights
+from hilserver.diagnosis.noise.whitening import Filter
 from tests.diagnosis.uwb_trolley import range_errors
 
 NAVIGATION = NoiseModel(0.01, 0.05, 0.6)
@@ -68,6 +69,19 @@ def test_skipped_samples_leave_no_trace():
     assert (white[~kept] == 0.0).all()
     alone = Whitener(NAVIGATION).whiten(t_s[kept], r[kept])
     np.testing.assert_allclose(white[kept], alone, rtol=1e-9)
+
+
+def test_stretches_of_several_channels_are_whitened_each_by_itself():
+    rng = np.random.default_rng(6)
+    t_s, weights = rng.random(90).cumsum(), rng.uniform(0.0, 2.0, 90)
+    columns, parts = rng.normal(size=(90, 3)), [slice(0, 40), slice(40, 60), slice(60, 90)]
+    every, models = Filter.empty(90), [NAVIGATION, NoiseModel(0.006), NAVIGATION]
+    for model, part in zip(models, parts, strict=True):
+        Whitener(model).prepare(every, part, t_s, weights)
+    white = every.whiten(columns)
+    for model, part in zip(models, parts, strict=True):
+        alone = Whitener(model).whiten(t_s[part], columns[part], weights[part])
+        np.testing.assert_array_equal(white[part], alone)
 
 
 @settings(max_examples=30, deadline=None)
