@@ -14,7 +14,7 @@ from hilserver.diagnosis.decide.identifiability import Rival
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.intervals import own_share
-from hilserver.diagnosis.regression.linear import orthogonal, saved
+from hilserver.diagnosis.regression.linear import SHORTEST, basis, orthogonal, saved
 from hilserver.diagnosis.regression.problem import Point, Problem, apart
 from hilserver.diagnosis.regression.screen import Blocks, adjusted, null_maxima, score
 from hilserver.diagnosis.replay.model import Fitted, Model
@@ -116,9 +116,14 @@ def with_drift(library: Library, point: Point, rng: np.random.Generator) -> Drif
 def _singles(library: Library) -> tuple[list[int], Array]:
     """Return the linear candidates of one parameter and their columns, in the log's order."""
     chosen = [i for i, c in enumerate(library.candidates) if c.linear and c.n == 1]
-    columns = np.empty((len(library.problem.stack), len(chosen)))
+    columns = np.empty((len(library.problem.stack), len(chosen)), order="F")
     columns[library.blocks.order] = library.columns[:, np.isin(library.owner, chosen)]
     return chosen, columns
+
+
+def _beside(base: Array, column: Array) -> Array:
+    """Return a column without what an orthonormal basis explains."""
+    return np.asarray(column - base @ (base.T @ column))
 
 
 def _taken_up(library: Library, point: Point, rng: np.random.Generator) -> Point:
@@ -130,14 +135,14 @@ def _taken_up(library: Library, point: Point, rng: np.random.Generator) -> Point
     if not free:
         return point
     blocks, accepted = library.blocks, problem.accepted(point)
-    order, time = blocks.order, course(problem)
-    base = np.empty((len(columns), 0)) if accepted is None else accepted
-    found = []
+    order, time = blocks.order, course(problem)[:, 0]
+    base = basis(np.empty((len(columns), 0)) if accepted is None else accepted)
+    left, found = _beside(base, point.left), []
     for k in free:  # beside a size of its own: without, only the end that differs would count
-        mean = np.column_stack([base, columns[:, [k]]])
-        change = orthogonal(columns[:, [k]] * time, mean)
-        left = orthogonal(point.left, mean)
-        found.append(score(change[order], left[order], blocks))
+        own = _beside(base, _beside(base, columns[:, k]))
+        own = own[:, None] / max(float(np.sqrt(own @ own)), SHORTEST)
+        change = _beside(own, _beside(base, columns[:, k] * time))
+        found.append(score(change[order][:, None], _beside(own, left)[order], blocks))
     t, gain = (np.array([float(getattr(s, name)[0]) for s in found]) for name in ("t", "gain"))
     p = adjusted(t, null_maxima(found, rng))
     best = int(np.argmax(gain))

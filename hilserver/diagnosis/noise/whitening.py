@@ -151,14 +151,7 @@ def robust_weights(innovations: Array, dof: float) -> Array:
 
 @kernel()
 def fill_gains(
-    t_s: Any,
-    weights: Any,
-    white: float,
-    ou: float,
-    tau_s: float,
-    keeps: Any,
-    gains: Any,
-    scales: Any,
+    t_s: Any, weights: Any, white: float, ou: float, tau_s: float, kept: Any, gain: Any, scale: Any
 ) -> None:
     """Run the variances of the Kalman filter over one span.
 
@@ -166,22 +159,22 @@ def fill_gains(
     first sample.
     """
     variance, step, keep = ou, 0.0, 1.0
-    keeps[:] = 0.0
+    kept[:] = 0.0
     for i in range(len(t_s)):
         if i > 0:
             if t_s[i] - t_s[i - 1] != step:
                 step = t_s[i] - t_s[i - 1]
                 keep = math.exp(-step / tau_s)
             variance = ou + keep * keep * (variance - ou)
-            keeps[i] = keep
+            kept[i] = keep
         weight = weights[i]
         if not weight > 0.0:
-            gains[i], scales[i] = 0.0, 0.0
+            gain[i], scale[i] = 0.0, 0.0
             continue
         innovation = max(variance + white, 1e-12 * ou)
-        gains[i] = weight * variance / innovation
-        scales[i] = math.sqrt(weight / innovation)
-        variance *= max(1.0 - gains[i], 0.0)
+        gain[i] = weight * variance / innovation
+        scale[i] = math.sqrt(weight / innovation)
+        variance *= max(1.0 - gain[i], 0.0)
 
 
 @kernel()

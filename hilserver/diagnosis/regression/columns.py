@@ -37,12 +37,16 @@ class Library:
         widths = [1 if r.shape[1] == 1 else len(SQUARE) for r in self.raw]
         self.owner = np.repeat(np.arange(len(self.raw)), widths)
         self.columns = np.empty((len(stack), int(sum(widths))), dtype=np.float32)
+        self._made_for: tuple[object, object] = (None, None)
 
     def rewhiten(self, point: Point) -> None:
         """Whiten and project all columns with the problem's present noise."""
-        problem, begin = self.problem, 0
-        bases = problem.bases(problem.nuisance(point.predicted, point.poses))
-        self.norms = []
+        problem = self.problem
+        nuisance = problem.nuisance(point.predicted, point.poses)
+        noise, known = self._made_for
+        if noise is problem.noise and (nuisance is None or known is point):
+            return
+        bases, begin, self.norms = problem.bases(nuisance), 0, []
         for first in range(0, len(self.raw), AT_ONCE):
             some = self.raw[first : first + AT_ONCE]
             table = np.concatenate(some, axis=1, dtype=np.float64)
@@ -53,7 +57,7 @@ class Library:
             end = begin + spread.shape[1]
             self.columns[:, begin:end] = spread[self.blocks.order]
             begin = end
-        self.squares = self.blocks.squares(self.columns)
+        self.squares, self._made_for = self.blocks.squares(self.columns), (problem.noise, point)
 
     def ridge(self, point: Point, rows: Mask | None = None) -> Array:
         """Return coefficients of all directions at once for what a model leaves.

@@ -13,6 +13,7 @@ the long tails of Student's law. One such direction would set the critical value
 every t is given as the normal deviation of equal probability.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from hilserver.arrays import Array, Indices
+from hilserver.compiled import kernel
 from hilserver.diagnosis.thresholds import SCREEN_LEVEL
 
 Real = NDArray[Any]  # of 32 or 64 bits
@@ -168,17 +170,40 @@ def null_maxima(scores: Sequence[Scores], rng: np.random.Generator, flips: int =
         used = s.information > 1e-12
         if not used.any():
             continue
-        own, information = s.own[:, used].astype(np.float64), s.information[used]
+        own = s.own[:, used].astype(np.float64)
+        information = s.information[used].astype(np.float64)
         rest = s.blocks[:, used] - s.size[used] * own
         signs = rng.integers(0, 2, size=(flips, len(own))).astype(np.float64) * 2.0 - 1.0
-        total = signs @ rest
-        size = total / information
-        scatter = (rest**2).sum(axis=0) - 2.0 * size * (signs @ (rest * own))
-        scatter += size**2 * (own**2).sum(axis=0)
-        deviation = np.sqrt(np.maximum(scatter, information))
-        t = normal(total / deviation, s.freedom[used])
-        largest = np.maximum(largest, np.abs(t).max(axis=1))
+        squares = (rest**2).sum(axis=0), (own**2).sum(axis=0)
+        products = signs @ rest, signs @ (rest * own)
+        raise_maxima(*products, *squares, information, s.freedom[used], largest)
     return largest
+
+
+@kernel()
+def raise_maxima(
+    total: Any, cross: Any, left: Any, square: Any, information: Any, freedom: Any, largest: Any
+) -> None:
+    """Raise the largest normal deviation of every flip to that of the directions.
+
+    Parameters
+    ----------
+    total, cross : ndarray, shape (flips, k)
+        Sums over the flipped blocks of what they leave, and of that times their information.
+    left, square : ndarray, shape (k,)
+        Sums of squares over the blocks: of what they leave, of their information.
+    """
+    flips, k = total.shape
+    scale = (8.0 * freedom + 1.0) / (8.0 * freedom + 3.0)
+    for f in range(flips):
+        for j in range(k):
+            size = total[f, j] / information[j]
+            scatter = left[j] - 2.0 * size * cross[f, j] + size * size * square[j]
+            t = abs(total[f, j]) / math.sqrt(max(scatter, information[j]))
+            if scale[j] * t <= largest[f]:
+                continue  # its normal deviation is smaller still
+            z = scale[j] * math.sqrt(freedom[j] * math.log1p(t * t / freedom[j]))
+            largest[f] = max(largest[f], z)
 
 
 def adjusted(t: Array, maxima: Array) -> Array:

@@ -96,15 +96,24 @@ def decimate(x: Array, y: Array, n: int = LINE_POINTS) -> tuple[Array, Array]:
     """Return at most `n` points that keep smallest and largest value of every piece."""
     if len(x) <= n:
         return x, y
-    pieces = np.array_split(np.arange(len(x)), n // 2)
-    kept = []
-    for piece in pieces:
-        part = y[piece]
-        if np.isfinite(part).any():
-            kept += sorted({int(piece[np.nanargmin(part)]), int(piece[np.nanargmax(part)])})
-        else:
-            kept.append(int(piece[0]))
+    length, longer = divmod(len(x), n // 2)
+    edge = longer * (length + 1)  # the first pieces are longer by one
+    first, rest = _extremes(y[:edge], length + 1), _extremes(y[edge:], length)
+    kept = np.concatenate([first, rest + edge])
     return x[kept], y[kept]
+
+
+def _extremes(y: Array, length: int) -> Indices:
+    """Return where pieces of one length have their ends; of one without a number its beginning."""
+    pieces = y.reshape(-1, length)
+    blank = np.isnan(pieces)
+    least, most = (
+        np.argmin(np.where(blank, np.inf, sign * pieces), axis=1) for sign in (1.0, -1.0)
+    )
+    ends = np.sort(np.stack([least, most], axis=1), axis=1)
+    ends[~np.isfinite(pieces).any(axis=1)] = 0
+    differ = np.stack([np.ones(len(ends), dtype=bool), ends[:, 0] < ends[:, 1]], axis=1)
+    return np.asarray((ends + length * np.arange(len(ends))[:, None])[differ])
 
 
 def thinned(x: Array, y: Array, run: Indices) -> tuple[Array, Array]:
