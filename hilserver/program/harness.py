@@ -34,6 +34,9 @@ def _run(main: Callable[[], int]) -> int:
         for line in str(error).splitlines():
             print(f"hilserver: {line}", file=sys.stderr)
         return error.exit_code
+    except MemoryError:
+        print("hilserver: there is not enough memory for this; take smaller files", file=sys.stderr)
+        return EXIT_FAILED
     except BrokenPipeError:  # nobody reads what we print: a pager, or who started us, has ended
         _drop_output()
         return EXIT_FAILED

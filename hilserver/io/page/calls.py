@@ -165,9 +165,12 @@ class Calls:
         client = self._live.find(number)
         if client is None or client.browser is not browser:
             raise RefusedError("this page has no live connection")
-        if self._live.driver not in (None, number, taken_from):
-            raise RefusedError("another browser drives: say that you take control from it")
-        await self._driving.take(client)
+
+        def check() -> None:
+            if self._live.driver not in (None, number, taken_from):
+                raise RefusedError("another browser drives: say that you take control from it")
+
+        await self._driving.take(client, check)
         if self._live.find(number) is not client:  # it has left meanwhile
             self._driving.leave(client)
 

@@ -1,7 +1,9 @@
 """Who drives, and the way of its commands: one browser at a time, only on a fresh picture."""
 
 import asyncio
-from collections.abc import Mapping
+import math
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -11,6 +13,7 @@ from hilserver.io.page.hand import RefusedError
 from hilserver.plant.layout import WHEELS
 from hilserver.signals.numbers import is_finite_number
 
+BOARD_S = 1.5  # the board is written and sent twice a second each
 _MODES = {"wheels": 0, "twist": 1}
 
 
@@ -70,15 +73,29 @@ class Driving:
         self._deadman_ms = deadman_ms
         self._next: Command | None = None
         self._news = asyncio.Event()
+        self._taken_s = -math.inf
         self._turn = asyncio.Lock()  # what one browser has sent is done before another one's
 
-    async def take(self, seat: Seat) -> None:
-        """Give the wheel to `seat`, and control to the page; RefusedError if that may not be."""
+    @property
+    def is_new(self) -> bool:
+        """Whether control was taken so lately that the board may not say so yet."""
+        return time.monotonic() - self._taken_s < BOARD_S
+
+    async def take(self, seat: Seat, check: Callable[[], None] = lambda: None) -> None:
+        """Give the wheel to `seat`, and control to the page; RefusedError if that may not be.
+
+        Parameters
+        ----------
+        check : callable
+            Raises RefusedError; called when it is its turn, after who was quicker.
+        """
         if not seat.browser.hand.rights.drive:
             raise RefusedError("your role does not allow driving")
         async with self._turn:
+            check()
             await seat.browser.hand.write({"control.source": "page"})
             before, self.driver, self._next = self.driver, seat, None
+            self._taken_s = time.monotonic()
         if before is not None and before is not seat:
             before.tell({"type": "refused", "text": "another browser has taken the wheel"})
 

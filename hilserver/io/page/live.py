@@ -229,7 +229,8 @@ class Live:
         """Number of the socket that drives, if the page does."""
         seat = self._driving.driver
         is_there = seat is not None and self.find(seat.number) is not None
-        return seat.number if seat and is_there and self.board.get("owner") == "page" else None
+        drives = self.board.get("owner") == "page" or self._driving.is_new
+        return seat.number if seat and is_there and drives else None
 
     def _slow(self) -> dict[str, Any]:
         return {

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from hilserver.io.page.driving import Driving
+from hilserver.io.page.hand import RefusedError
 
 PAGE, NOBODY = {"control.source": "page"}, {"control.source": "nobody"}
 STEPS = 6
@@ -84,3 +85,20 @@ async def test_who_leaves_stands_first_and_gives_control_back(rig):
     (_, rest), (_, given) = written[1:]
     assert rest["twist.linear_m_s"] == rest["twist.angular_rad_s"] == 0.0
     assert given == NOBODY
+
+
+@pytest.mark.parametrize("late", range(2 * STEPS))
+async def test_of_two_that_ask_at_once_the_second_is_asked_whether_it_means_it(rig, late):
+    driving, first, second, _ = rig
+
+    def check():
+        if driving.driver is not None:
+            raise RefusedError("another browser drives")
+
+    asked = asyncio.create_task(driving.take(first, check))
+    await turns(late + 1)
+    with pytest.raises(RefusedError, match="another browser drives"):
+        await driving.take(second, check)
+    await asked
+    assert driving.driver is first
+    assert driving.is_new
