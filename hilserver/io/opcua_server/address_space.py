@@ -2,10 +2,12 @@
 
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 from asyncua import ua
 
+from hilserver import __version__
 from hilserver.io.opcua_server import model
 from hilserver.io.opcua_server.method_table import Method
 from hilserver.io.opcua_server.nameplate import GROUP, LOCALIZED_TEXT, Entry
@@ -13,6 +15,7 @@ from hilserver.io.opcua_server.units import NAMESPACE_URI as UNITS_URI
 from hilserver.io.opcua_server.units import Unit
 
 _READ_WRITE = ua.AccessLevel.CurrentRead.mask | ua.AccessLevel.CurrentWrite.mask
+_PUBLISHED = datetime.fromtimestamp(Path(__file__).stat().st_mtime, UTC)
 _WAITING = ua.StatusCode(ua.StatusCodes.BadWaitingForInitialData)
 OBJECTS = ua.NodeId(ua.ObjectIds.ObjectsFolder)
 SERVER = ua.NodeId(ua.ObjectIds.Server)
@@ -43,7 +46,7 @@ class AddressSpaceBuilder:
         return ua.QualifiedName(text, self._index)
 
     def roots(self) -> None:
-        """Add DI's DeviceSet below Objects, and the robot below it."""
+        """Add DI's DeviceSet, the robot below it, and what is known of both namespaces."""
         kinds = ua.ObjectIds
         self._object(
             self.device_set,
@@ -63,6 +66,8 @@ class AddressSpaceBuilder:
             event_notifier=ua.EventNotifier.SubscribeToEvents.mask,
         )
         self.reference(SERVER, self.robot, kinds.HasNotifier, ua.NodeClass.Object)
+        self._namespace(model.NAMESPACE_URI, self._index, __version__, ua.IdType.String)
+        self._namespace(model.DI_NAMESPACE_URI, self._di_index, model.DI_VERSION, ua.IdType.Numeric)
 
     def nameplate(self, entries: Iterable[Entry]) -> None:
         """Add the nameplate: properties of the robot, which a group names a second time."""
@@ -76,6 +81,25 @@ class AddressSpaceBuilder:
             typed = ua.Variant(shown, ua.VariantType(kind))
             entry = self.property(model.ROBOT, name, typed, kind, self._di_index)
             self.reference(group, entry, kinds.Organizes, ua.NodeClass.Variable)
+
+    def _namespace(self, uri: str, index: int, version: str, ids: ua.IdType) -> None:
+        """Describe one of our namespaces where clients look (OPC 10000-5, 6.3.13)."""
+        kinds, path = ua.ObjectIds, f"namespaces.{index}"
+        parent, name = ua.NodeId(kinds.Server_Namespaces), ua.QualifiedName(uri, index)
+        self._object(
+            self.node_id(path), name, parent, kinds.HasComponent, kinds.NamespaceMetadataType, uri
+        )
+        no_ranges = ua.Variant([], ua.VariantType.String, is_array=True)
+        for entry, value, kind in (
+            ("NamespaceUri", uri, kinds.String),
+            ("NamespaceVersion", version, kinds.String),
+            ("NamespacePublicationDate", _PUBLISHED, kinds.DateTime),
+            ("IsNamespaceSubset", index == self._di_index, kinds.Boolean),
+            ("StaticNodeIdTypes", ua.Variant([ids], ua.VariantType.Int32), kinds.IdType),
+            ("StaticNumericNodeIdRange", no_ranges, kinds.NumericRange),
+            ("StaticStringNodeIdPattern", "", kinds.String),
+        ):
+            self.property(path, entry, value, kind)
 
     def folders(self, folders: Iterable[model.Folder]) -> None:
         """Add folders; each after the one that holds it."""

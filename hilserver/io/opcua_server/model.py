@@ -20,6 +20,7 @@ if TYPE_CHECKING:  # clients use these names too, and need no compiler
 
 NAMESPACE_URI = "urn:hilserver:robot"
 DI_NAMESPACE_URI = "http://opcfoundation.org/UA/DI/"
+DI_VERSION = "1.04"  # of OPC 10000-100, whose names we use
 DI_DEVICE_SET = 5001  # numeric identifier of DeviceSet in the DI namespace (OPC 10000-100)
 
 ROBOT = "robot"  # node id of the object that holds everything of ours

@@ -70,6 +70,19 @@ async def test_namespaces_have_fixed_order(client: RobotClient) -> None:
     assert uris[2:] == ["urn:hilserver:robot", DI_NAMESPACE_URI]
 
 
+async def test_our_namespaces_are_described_where_clients_look(client: RobotClient) -> None:
+    found = {}
+    for node in await client.get_node(ua.NodeId(ua.ObjectIds.Server_Namespaces)).get_children():
+        properties = await node.get_properties()
+        values = {(await p.read_browse_name()).Name: await p.read_value() for p in properties}
+        assert values["NamespaceUri"] == (await node.read_browse_name()).Name
+        found[values["NamespaceUri"]] = values
+    ours, di = found["urn:hilserver:robot"], found[DI_NAMESPACE_URI]
+    assert ours["NamespaceVersion"] == hilserver.__version__
+    assert (ours["IsNamespaceSubset"], di["IsNamespaceSubset"]) == (False, True)
+    assert (ours["StaticNodeIdTypes"], di["StaticNodeIdTypes"]) == ([1], [0])
+
+
 async def test_every_signal_is_a_variable_of_its_type(client: RobotClient) -> None:
     for signal in TABLE:
         name, data_type, rank, dims, access, description = await attributes(
