@@ -31,6 +31,9 @@ if TYPE_CHECKING:  # loading the scheduler takes longer than most commands
 EventDict = MutableMapping[str, Any]
 
 KEYS_MAX = 1024
+# A robot that starts and stops often within a minute must show every change of its state.
+ALLOWED_AT_ONCE = 20
+_OFTEN = {EventKind.STATE, EventKind.SAFE_STATE, EventKind.PEER_LOST, EventKind.PEER_RESTORED}
 TEXT_LENGTH_MAX = 2000
 EXPECTED_ERRORS = (UserError, OSError, TimeoutError, EOFError, asyncio.CancelledError)
 TRACING_LIBRARY = "asyncua"  # logs a traceback whenever a client disconnects in mid-answer
@@ -62,9 +65,9 @@ class _Repeats:
 class RepeatLimiter:
     """A structlog processor that drops a line seen less than `window_s` ago, and counts it.
 
-    Two lines are the same when they differ in nothing but numbers. A line may carry
-    ``repeat_allow``: so many of it pass per window (default 1). At most `KEYS_MAX` different lines
-    are remembered; beyond that the one not seen for longest is forgotten.
+    Two lines are the same when they differ in nothing but numbers. Events of `_OFTEN` come
+    several times before the limit holds. At most `KEYS_MAX` different lines are remembered; beyond
+    that the one not seen for longest is forgotten.
     """
 
     def __init__(self, window_s: float, clock_s: Callable[[], float] = time.monotonic) -> None:
@@ -75,7 +78,7 @@ class RepeatLimiter:
 
     def __call__(self, _logger: object, _method: str, event: EventDict) -> EventDict:
         """Return `event`, with ``suppressed`` where lines were left out; or raise DropEvent."""
-        allowed = event.pop("repeat_allow", 1)
+        allowed = ALLOWED_AT_ONCE if event.get("kind") in _OFTEN else 1
         text = _NUMBERS.sub("#", str(event.get("event")))
         key = _NUMBERS.sub("#", repr(sorted(event.items())))
         now_s = self._clock_s()
@@ -195,14 +198,6 @@ def log_overrun(overrun: "OverrunReport") -> None:
     )
 
 
-_ALWAYS_LOGGED = {
-    EventKind.STATE,
-    EventKind.SAFE_STATE,
-    EventKind.PEER_LOST,
-    EventKind.PEER_RESTORED,
-}
-
-
 def log_event(event: Event) -> None:
     """Log an event of the bus; overruns have their own line with more figures (`log_overrun`)."""
     if event.kind is EventKind.OVERRUN:
@@ -211,8 +206,7 @@ def log_event(event: Event) -> None:
     write = (
         log.error if event.severity >= 700 else log.warning if event.severity >= 300 else log.info
     )
-    allowed = 20 if event.kind in _ALWAYS_LOGGED else 1
-    write(event.message, kind=str(event.kind), source=event.source, repeat_allow=allowed)
+    write(event.message, kind=str(event.kind), source=event.source)
 
 
 class _StreamLogger:

@@ -63,9 +63,9 @@ class Series:
         part = self.between(from_s, to_s)
         lows = -np.inf if low is None else low
         highs = np.inf if high is None else high
-        part._fail_where(
-            ~((part.values >= lows) & (part.values <= highs)), f"{lows:g} .. {highs:g}"
-        )
+        one_end = f"fell below {lows:g}" if high is None else f"rose above {highs:g}"
+        what = one_end if low is None or high is None else f"left {lows:g} .. {highs:g}"
+        part._fail_where(~((part.values >= lows) & (part.values <= highs)), what)
 
     def assert_near(
         self,
@@ -87,7 +87,7 @@ class Series:
         if callable(reference):
             reference = reference(part.time_s - self.time_s[0])
         distance = np.abs(part.values - reference)
-        part._fail_where(~(distance <= tolerance), f"the reference +- {tolerance:g}")
+        part._fail_where(~(distance <= tolerance), f"left the reference +- {tolerance:g}")
 
     def settle_time_s(self, target: float, tolerance: float) -> float | None:
         """Return after which time it stays within `tolerance` of `target` [s]; None: never."""
@@ -131,12 +131,12 @@ class Series:
         if len(self) == 0:
             raise AssertionError(f"{self.name}: nothing was captured; advance inside the capture")
 
-    def _fail_where(self, wrong: NDArray[np.bool_], band: str) -> None:
+    def _fail_where(self, wrong: NDArray[np.bool_], what: str) -> None:
         if not wrong.any():
             return
         at = int(np.argmax(wrong))
         raise AssertionError(
-            f"{self.name} left {band} {self.unit}: {self.values[at]:g} at {self.time_s[at]:.3f} s"
+            f"{self.name} {what} {self.unit}: {self.values[at]:g} at {self.time_s[at]:.3f} s"
             f" (tick {self.tick[at]}), {int(wrong.sum())} of {len(self)} samples are outside"
         )
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from hilserver.core.events import Event, EventKind
 from hilserver.errors import FailedError
 from hilserver.monitoring.logging_setup import (
+    ALLOWED_AT_ONCE,
     KEYS_MAX,
     RepeatLimiter,
     log_event,
@@ -256,11 +257,10 @@ def test_a_defect_that_repeats_tells_its_traceback_once() -> None:
     assert len(json_lines(stream)) == 1
 
 
-def test_a_line_may_be_allowed_more_often() -> None:
+def test_changes_of_state_are_shown_more_often() -> None:
     limiter = RepeatLimiter(10.0, Clock())
-    lines = [passed(limiter, "state: paused", repeat_allow=3) for _ in range(5)]
-    assert [line is not None for line in lines] == [True, True, True, False, False]
-    assert lines[0] == {"event": "state: paused"}
+    lines = [passed(limiter, "paused", kind="state") for _ in range(ALLOWED_AT_ONCE + 2)]
+    assert [line is not None for line in lines] == [True] * ALLOWED_AT_ONCE + [False] * 2
 
 
 def test_window_0_lets_everything_pass() -> None:

@@ -18,6 +18,10 @@ def test_within_names_the_first_sample_outside():
         AssertionError, match=r"x left 0 \.\. 2 m: 3 at 0\.200 s \(tick 2\), 1 of 4"
     ):
         series([1, 2, 3, 2]).assert_within(0, 2)
+    with pytest.raises(AssertionError, match="x fell below 2 m: 1 at"):
+        series([2, 1]).assert_within(low=2)
+    with pytest.raises(AssertionError, match="x rose above 2 m: 3 at"):
+        series([2, 3]).assert_within(high=2)
     series([9, 2, 3]).assert_within(1, 3, from_s=0.1)
     series([2, 3, 9]).assert_within(1, 3, to_s=0.15)
 
