@@ -9,9 +9,10 @@ from collections.abc import Iterable
 from functools import partial
 from typing import Final
 
-from hilserver.diagnosis.decide.promise import Step
+from hilserver.diagnosis.decide.promise import HORIZON_S, Step
 from hilserver.diagnosis.decide.selection import MOST_FITTED, attempt, best_starts
 from hilserver.diagnosis.decide.trial import holds, implausible
+from hilserver.diagnosis.regression.by_ends import halfway
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.schema.decisions import Decision
@@ -57,6 +58,14 @@ def with_nameless(p: Prepared, whole: Point, rows: list[Decision]) -> Point:
         rows.append(Decision(cause, "refused", Step(p.problem, whole, further).gain, COMES))
         whole = further
     return whole
+
+
+def for_its_ends(problem: Problem, whole: Point) -> Point:
+    """Return a model with the parameters that predict, see `halfway`.
+
+    Where segments are long the noise is known, and the fit to all samples is the best there is.
+    """
+    return halfway(problem, whole, HORIZON_S) if problem.is_short else whole
 
 
 def _further(p: Prepared, whole: Point) -> Point | None:

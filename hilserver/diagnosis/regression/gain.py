@@ -153,18 +153,14 @@ def missed(problem: Problem, predicted: Array, w: Windows) -> dict[str, NDArray[
     return out
 
 
-def blocks_at(problem: Problem, key: str, at: Mapping[str, Indices]) -> Indices:
-    """Return the block in which each free run begins or ends."""
-    name = YAW if key == "yaw_rad" else POSITION[0]
-    return problem.stack.block[problem.stack.edges[name]][at[name]]
-
-
 def free_run_errors(problem: Problem, predicted: Array, w: Windows) -> dict[str, Errors]:
     """Return errors at the end of free runs that start at the measured pose."""
-    return {
-        key: Errors(np.abs(off), blocks_at(problem, key, w.end))
-        for key, off in missed(problem, predicted, w).items()
-    }
+    out = {}
+    for key, off in missed(problem, predicted, w).items():
+        name = YAW if key == "yaw_rad" else POSITION[0]
+        block = problem.stack.block[problem.stack.edges[name]]
+        out[key] = Errors(np.abs(off), block[w.end[name]])
+    return out
 
 
 def compare(before: Errors, after: Errors, horizon_s: float, rng: np.random.Generator) -> Gain:

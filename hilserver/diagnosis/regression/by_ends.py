@@ -1,0 +1,112 @@
+"""Parameters by what a gain is measured with: the errors at the end of free runs.
+
+Least squares of all samples follows the whole course of a run, transients as well, whose form no
+cause has exactly. In short segments no noise model says how much of the course that is. What a user
+runs a model for is where a run ends: here that alone is fitted, in absolute errors, which a few
+runs that go wrong altogether do not steer. It uses less of the data, so it scatters more.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.arrays import Array
+from hilserver.diagnosis.regression.gain import Windows, missed, windows
+from hilserver.diagnosis.regression.linear import ridge
+from hilserver.diagnosis.regression.problem import Point, Problem
+
+DAMPED_BY_ENDS: Final = 1e-4  # see `linear`: not every parameter shows at the end of a run
+MOST_STEPS: Final = 12
+SETTLED: Final = 1e-3  # share of the cost; a step that gains less is the last
+
+Misses = Mapping[str, NDArray[Any]]
+"""By quantity, shape (runs,); a position is x + iy."""
+
+
+def halfway(problem: Problem, by_all: Point, horizon_s: float) -> Point:
+    """Return a model halfway between its fit to all samples and that to the ends of free runs.
+
+    Both aim at the same values, and err in different ways: one by what it takes for noise, the
+    other by how little it uses. Their mean is nearer than either.
+    """
+    by_ends = fit_by_ends(problem, by_all, horizon_s)
+    if by_ends is by_all:
+        return by_all
+    theta = 0.5 * (by_all.model.theta() + by_ends.model.theta())
+    return problem.point(by_all.model.with_theta(theta), by_all.poses)
+
+
+def fit_by_ends(problem: Problem, start: Point, horizon_s: float) -> Point:
+    """Return a model with the parameters whose free runs end nearest to what was measured.
+
+    Parameters
+    ----------
+    start : Point
+        The model as it is fitted to all samples.
+    horizon_s : float
+        Length of the runs.
+    """
+    runs = windows(problem, horizon_s)
+    if runs is None or not start.model.fitted:
+        return start
+    # the first model says what a usual miss is, once for all: or the cost would not be one
+    ends = _Ends(problem, runs, start.predicted)
+    point, least = start, ends.cost(start.predicted)
+    for _ in range(MOST_STEPS):
+        step, found = ends.step(point), least
+        for share in (1.0, 0.5, 0.2):  # as in `fitting`
+            theta = np.clip(point.model.theta() + share * step, *point.model.borders())
+            trial = problem.point(point.model.with_theta(theta), point.poses)
+            if (found := ends.cost(trial.predicted)) < least:
+                break
+        if found >= least:
+            break
+        last = least - found < SETTLED * least
+        point, least = trial, found
+        if last:
+            break
+    return point
+
+
+class _Ends:
+    """The ends of some free runs; a miss counts by the median one that the first model leaves.
+
+    Parameters
+    ----------
+    predicted : ndarray, shape (n,)
+        By the first model.
+    """
+
+    def __init__(self, problem: Problem, runs: Windows, predicted: Array) -> None:
+        self.problem, self.runs = problem, runs
+        off = missed(problem, predicted, runs)
+        self.scale = {k: max(float(np.median(np.abs(one))), 1e-9) for k, one in off.items()}
+
+    def _off(self, predicted: Array) -> Misses:
+        off = missed(self.problem, predicted, self.runs)
+        return {key: one / self.scale[key] for key, one in off.items()}
+
+    def cost(self, predicted: Array) -> float:
+        """Return the sum of all misses: squares where they are small, lengths where large."""
+        off = self._off(predicted).values()
+        return float(sum(np.sum(np.sqrt(1.0 + np.abs(one) ** 2) - 1.0) for one in off))
+
+    def step(self, point: Point) -> Array:
+        """Return the step of a model's parameters that lowers the cost most, if all is linear."""
+        off = self._off(point.predicted)
+        # of iteratively reweighted least squares, the root: it multiplies misses and effects
+        weight = {key: (1.0 + np.abs(one) ** 2) ** -0.25 for key, one in off.items()}
+        sizes = [s for f in point.model.fitted for s in f.candidate.step]
+        columns, effects = self.problem.columns(point, point.model).T, []
+        for column, size in zip(columns, sizes, strict=True):
+            moved = self._off(point.predicted + size * column)
+            effects.append(_flat({k: (off[k] - moved[k]) / size for k in off}, weight))
+        return ridge(np.stack(effects, axis=1), _flat(off, weight), DAMPED_BY_ENDS)
+
+
+def _flat(off: Misses, weight: Mapping[str, Array]) -> Array:
+    """Return all misses in one vector, both coordinates of a position, by their weights."""
+    parts = [weight[key] * part for key, one in off.items() for part in (one.real, one.imag)]
+    return np.concatenate(parts)
