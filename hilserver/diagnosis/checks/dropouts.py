@@ -42,8 +42,8 @@ def _finding(faults: Faults, what: str) -> Finding:
     shares = [fault.figure for fault in faults.values()]
     share, interval = float(np.median(shares)), (min(shares) * 0.8, max(shares) * 1.2)
     text = (
-        f"{listed(list(faults))}: {100 * share:.2g} % of the samples {what}, in bursts: look for"
-        " the recorder's or the radio's interruptions."
+        f"{listed(list(faults))}: {100 * share:.2g} % of the samples {what}: look for the"
+        " recorder's or the radio's interruptions."
     )
     return data_fault("dropouts", faults, share, interval, "1", text)
 

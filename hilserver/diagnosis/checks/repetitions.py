@@ -39,7 +39,9 @@ from hilserver.diagnosis.thresholds import (
     HELD_SHARE,
     HELD_SLOWEST_HZ,
     HELD_SPREAD,
+    IRREGULAR,
     LARGE_STEP_RPM,
+    NEGLIGIBLE,
     SHORTEST_BURST,
 )
 from hilserver.measured.channels import GYRO, NAV_X, NAV_Y, SETPOINTS, YAW
@@ -237,15 +239,19 @@ def _alike(faults: Faults) -> list[dict[str, Fault]]:
 
 
 def repeated(channel: Channel) -> Fault | None:
-    """Return a channel without the samples that repeat the one before in bursts; None if sound.
+    """Return a channel without the samples that repeat the one before; None if sound.
 
     Judged only where equal values are no accident: in a channel with noise of its own, which a
-    computed one (the duty) and a coarse one have not. Rounded noise repeats itself now and then.
+    computed one (the duty) and a coarse one have not. Rounded noise repeats itself now and then:
+    there a burst counts; where no value comes twice otherwise, a single repetition does.
     """
     if len(channel) < 200:
         return None
     runs = runs_of(channel)
-    short = runs.length < SHORTEST_BURST
+    once = len(np.unique(channel.values[runs.first])) > (1.0 - IRREGULAR) * len(runs.first)
+    once = once and float(np.mean(runs.length > 1)) > NEGLIGIBLE
+    shortest = 2 if once else SHORTEST_BURST
+    short = runs.length < shortest
     if not short.any() or np.mean(runs.length[short] == 1) < 0.95:
         return None
     steps = np.diff(channel.values)
@@ -258,7 +264,8 @@ def repeated(channel: Channel) -> Fault | None:
     burst &= size[runs.first] < size.max()  # a limited sensor stands there, too
     sudden = burst & (runs.before > least) & (runs.after > least)
     samples = int(runs.length[burst].sum())
-    by_chance = len(runs.length) * float(np.mean(runs.length > 1)) ** (SHORTEST_BURST - 1)
+    pairs = 0.0 if once else float(np.mean(runs.length > 1))
+    by_chance = len(runs.length) * pairs ** (SHORTEST_BURST - 1)
     fewest = max(FEWEST_EVENTS * (1.0 + by_chance), 0.7 * burst.sum())
     if sudden.sum() < fewest or samples > 0.5 * len(channel):
         return None

@@ -296,6 +296,22 @@ def test_repeated_samples_are_dropouts_and_left_out(table):
     assert np.mean(kept == ~lost) > 0.999  # of two bursts in one the second may be short
 
 
+@pytest.mark.parametrize(("share", "found"), [(0.1, True), (0.002, False)])
+def test_single_samples_that_repeat_the_one_before_are_dropouts(table, share, found):
+    """Of values that never come twice one repetition is no chance; a few are not worth a word."""
+    t, columns = table
+    lost = np.random.default_rng(2).random(len(t)) < share
+    last = np.maximum.accumulate(np.where(lost, 0, np.arange(len(t))))
+    spoilt = {n: v[last] if n in SPEEDS else v for n, v in columns.items()}
+    if not found:
+        assert not check(log_of(t, spoilt), ROBOT).findings
+        return
+    cause, value, channels, log = fault(t, spoilt)
+    assert (cause, channels) == ("dropouts", set(SPEEDS))
+    assert value.value == pytest.approx(share, rel=0.1)
+    assert np.array_equal(log[SPEEDS[0]].t_s, t[~lost])
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_rounded_noise_that_repeats_itself_now_and_then_is_no_dropout(seed):
     t, columns = drive(seed, length_s=600.0)
