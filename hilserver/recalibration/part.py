@@ -21,7 +21,7 @@ from hilserver.metrics import Source
 from hilserver.plant.layout import WHEELS
 from hilserver.recalibration import patches, process
 from hilserver.recalibration.change import ChangeDetector, Residuals
-from hilserver.recalibration.history import History
+from hilserver.recalibration.history import History, broken
 from hilserver.recalibration.loop import Loop, Note, present
 from hilserver.recalibration.orders import Order, Share, Todo
 from hilserver.recalibration.proposals import Proposal, Stage, Step
@@ -84,6 +84,9 @@ class Recalibration(Part):
         begun_s = self._news.last * config.window_s
         self.loop = Loop(config.every_s, Spending(config.false_per_year), begun_s)
         self.loop.restore(self._history.lines, patches.split(self._differing)[0], self._news.last)
+        if (line := broken(self._history.lines)) is not None:
+            self._failed(f"{self._history.path}: line {line} does not follow from those before it:"
+                         " it was changed, or lines are missing")  # fmt: skip
         self._history.lines.clear()
         if (window := process.cut_short(self._folder)) is not None:
             why = "the daemon was killed during its look"

@@ -338,6 +338,16 @@ async def test_a_damaged_history_is_one_sentence(tmp_path, answers):
             pass
 
 
+async def test_a_history_that_somebody_changed_is_an_event(tmp_path, answers):
+    async with daemon_in(tmp_path) as (_, part):
+        await proposed(part, answers)
+    file = tmp_path / "recalibration" / FILE
+    file.write_text(file.read_text().replace('"value": 0.03', '"value": 0.3'))
+    async with daemon_in(tmp_path) as (daemon, _):
+        said = [e.message for e in daemon.events.recent if e.kind == "recalibration"]
+        assert any("line 3 does not follow from those before it" in text for text in said)
+
+
 async def test_a_recorder_that_ends_is_an_event(tmp_path, answers, monkeypatch):
     words = ["sh", "-c", "echo 'hilserver: no space is left' >&2; exit 1"]
     monkeypatch.setattr(process, "recorder", lambda *_: words)
