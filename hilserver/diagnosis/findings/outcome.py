@@ -318,10 +318,15 @@ def extension(findings: Iterable[Finding], fitted: Mapping[int, Fitted]) -> tupl
     return tuple(out)
 
 
-def worsened(*gains: Mapping[str, Gain]) -> str | None:
-    """Return why no extension is written: the whole interval of a quantity is a loss; or None."""
-    for key, gain in (item for some in gains for item in some.items()):
-        if gain.ci95 is not None and gain.ci95[1] < 1.0:
+def worsened(total: Mapping[str, Gain], *patches: Mapping[str, Gain]) -> str | None:
+    """Return why no extension is written, or None.
+
+    The whole interval of a quantity that the patch changes is a loss: with the patch alone, or with
+    all that predicts.
+    """
+    changed = {key for gains in patches for key, gain in gains.items() if gain.ratio != 1.0}
+    for key, gain in (item for some in (total, *patches) for item in some.items()):
+        if key in changed and gain.ci95 is not None and gain.ci95[1] < 1.0:
             low, high = gain.ci95
             return (
                 f"no model patch: its terms make {key} worse on data that took no part in the fit"

@@ -46,7 +46,7 @@ class AddressSpaceBuilder:
         return ua.QualifiedName(text, self._index)
 
     def roots(self) -> None:
-        """Add DI's DeviceSet, the robot below it, and what is known of both namespaces."""
+        """Add DI's DeviceSet and the robot below it."""
         kinds = ua.ObjectIds
         self._object(
             self.device_set,
@@ -66,6 +66,9 @@ class AddressSpaceBuilder:
             event_notifier=ua.EventNotifier.SubscribeToEvents.mask,
         )
         self.reference(SERVER, self.robot, kinds.HasNotifier, ua.NodeClass.Object)
+
+    def namespaces(self) -> None:
+        """Describe both namespaces; a nodeset does so by its models."""
         self._namespace(model.NAMESPACE_URI, self._index, __version__, ua.IdType.String)
         self._namespace(model.DI_NAMESPACE_URI, self._di_index, model.DI_VERSION, ua.IdType.Numeric)
 

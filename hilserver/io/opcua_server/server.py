@@ -146,6 +146,7 @@ class OpcUaServer(Part):
         di_index = await server.register_namespace(model.DI_NAMESPACE_URI)
         builder = AddressSpaceBuilder(iserver.node_mgt_service, robot_index, di_index)
         builder.roots()
+        builder.namespaces()
         builder.nameplate(nameplate(world.config, application_uri(self._config)))
         builder.folders(self._folders)
         for row in self._rows:
