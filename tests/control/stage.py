@@ -7,6 +7,7 @@ import time
 import numpy as np
 import yaml
 
+from hilserver.io.peer_link.link import SETTLED_S
 from tests.control.clients import SPEEDS_RPM, RefusedError, client
 from tests.control.robot import COMMUNICATION_MS, LEASE_MS, SAFE, SAFE_RAMP_S, STANDING_RPM
 
@@ -163,6 +164,8 @@ class Stage:
             self.forget(source)
 
     def _cut(self, source):
+        if source == "peer":
+            time.sleep(SETTLED_S)  # a link of less comes back later than what is missing is stale
         self.clients[source].do("cut")
 
     def _killed(self, source):
