@@ -142,8 +142,8 @@ class OpcUaServer(Part):
 
     async def _build(self, server: HardenedServer) -> None:
         iserver, world = server.iserver, self._world
-        robot_index = await server.register_namespace(model.NAMESPACE_URI)
-        di_index = await server.register_namespace(model.DI_NAMESPACE_URI)
+        uris = model.NAMESPACE_URI, model.DI_NAMESPACE_URI
+        robot_index, di_index = [await server.register_namespace(uri) for uri in uris]
         builder = AddressSpaceBuilder(iserver.node_mgt_service, robot_index, di_index)
         builder.roots()
         builder.namespaces()
@@ -161,8 +161,7 @@ class OpcUaServer(Part):
         for name, signal_place in self._variables.places.items():
             builder.set_place(builder.node_id(name), signal_place)
         self._parameters = ParameterVariables(world.parameters, place)
-        self._owner_place = place(model.CONTROL_SOURCE)
-        self._owner_shown = ""
+        self._owner_place, self._owner_shown = place(model.CONTROL_SOURCE), ""
         self._diagnostics = {
             group: Diagnostics(
                 builder,
