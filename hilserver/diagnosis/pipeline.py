@@ -15,7 +15,7 @@ from hilserver.errors import EXIT_DONE, LogError, UserError
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.frames import Sampling
 from hilserver.measured.proposal import FILE as PROPOSAL
-from hilserver.measured.proposal import ForeignTable
+from hilserver.measured.proposal import ForeignLog
 from hilserver.measured.reading import read_measured
 
 
@@ -92,7 +92,7 @@ def run(task: Task, progress: Report | None = None) -> Outcome:
     share_arenas()
     try:
         diagnosis = judge(task, progress)
-    except ForeignTable as error:
+    except ForeignLog as error:
         files = {PROPOSAL: error.proposal} if error.proposal else {}
         return Outcome(error.exit_code, str(error), files=files)
     except UserError as error:

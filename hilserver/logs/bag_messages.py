@@ -47,13 +47,17 @@ class Bag:
     # stamp of reception [ns] and the message, of the topics that were asked for
     messages: dict[str, list[tuple[int, bytes]]] = field(default_factory=dict)
     notices: list[str] = field(default_factory=list)
+    most: int | None = None  # messages of a topic that are kept; all without it
 
     def take(self, name: str, stamp_ns: int, data: bytes, budget: Budget) -> None:
         """Keep a message; one that was packed by itself is unpacked."""
+        kept = self.messages.setdefault(name, [])
+        if self.most is not None and len(kept) >= self.most:
+            return
         if data.startswith(ZSTD_MAGIC):
             data = budget.unzstd(data)
         budget.keep(len(data))
-        self.messages.setdefault(name, []).append((stamp_ns, data))
+        kept.append((stamp_ns, data))
 
 
 def is_bag(path: Path) -> bool:
@@ -61,9 +65,12 @@ def is_bag(path: Path) -> bool:
     return path.name.endswith((*SUFFIXES, *PACKED)) or path.is_dir()
 
 
-def read_messages(path: Path, wanted: set[str]) -> list[Bag]:
-    """Read some topics of a file or folder, one `Bag` for each file; LogError if it cannot be."""
-    return [_read_file(file, wanted) for file in _files(path)]
+def read_messages(path: Path, wanted: set[str], most: int | None = None) -> list[Bag]:
+    """Read some topics of a file or folder, one `Bag` for each file; LogError if it cannot be.
+
+    `most` is how many messages of a topic are kept.
+    """
+    return [_read_file(file, wanted, most) for file in _files(path)]
 
 
 def _files(path: Path) -> Sequence[Path]:
@@ -76,22 +83,21 @@ def _files(path: Path) -> Sequence[Path]:
     return [file for name, file in files.items() if name not in twice]
 
 
-def _read_file(path: Path, wanted: set[str]) -> Bag:
-    budget = Budget(path)
+def _read_file(path: Path, wanted: set[str], most: int | None) -> Bag:
+    budget, bag = Budget(path), Bag(path, most=most)
     if not path.name.endswith(PACKED):
-        return _read_plain(path, path, wanted, budget)
+        return _read_plain(bag, path, wanted, budget)
     with tempfile.TemporaryDirectory(prefix="hilserver-") as folder:
         plain = Path(folder) / path.stem
         try:
             budget.unzstd_file(path, plain)
         except zstandard.ZstdError as error:
             raise LogError(f"{path}: cannot be unpacked ({error}); copy it again") from None
-        return _read_plain(path, plain, wanted, budget)
+        return _read_plain(bag, plain, wanted, budget)
 
 
-def _read_plain(path: Path, plain: Path, wanted: set[str], budget: Budget) -> Bag:
+def _read_plain(bag: Bag, plain: Path, wanted: set[str], budget: Budget) -> Bag:
     read = _read_sqlite if plain.suffix == ".db3" else _read_mcap
-    bag = Bag(path)
     read(bag, plain, wanted, budget)
     return bag
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Collection
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 
@@ -10,11 +9,11 @@ from hilserver.arrays import Array, Indices
 from hilserver.errors import LogError, meant
 from hilserver.logs.bag_messages import Topic, is_bag, read_messages
 from hilserver.logs.table import first_of_equal, repeated_stamps
-from hilserver.measured.mapping import LogMapping, builtin_mappings
+from hilserver.measured.mapping import LogMapping
 from hilserver.measured.messages import Decoder, TopicError
 from hilserver.measured.tables import Recording, Stamped, as_signal
 
-__all__ = ["is_bag", "read_bag", "refuse_unmapped"]
+__all__ = ["is_bag", "read_bag"]
 
 
 def read_bag(path: Path, mapping: LogMapping) -> Recording:
@@ -52,18 +51,6 @@ def read_bag(path: Path, mapping: LogMapping) -> Recording:
         for stamps_ns, columns in parts
     ]
     return Recording(path, stamped, notices=notices)
-
-
-def refuse_unmapped(path: Path) -> NoReturn:
-    """Raise LogError: a bag of others needs a mapping; its topics are named, to write one."""
-    topics = {
-        name: topic.type for bag in read_messages(path, set()) for name, topic in bag.topics.items()
-    }
-    known = ", ".join(f"{name} ({kind})" for name, kind in sorted(topics.items()))
-    raise LogError(
-        f"{path}: a bag needs a mapping of its topics; name a file or one of"
-        f" {', '.join(builtin_mappings())}; its topics are {known:.600}"
-    )
 
 
 def _refuse_absent(path: Path, mapping: LogMapping, topics: Collection[str]) -> None:

@@ -9,7 +9,8 @@ from hilserver.logs import Log, read_log
 from hilserver.logs.bag_reader import is_own_bag
 from hilserver.logs.reading import is_bag_of_ros, refuse_others
 from hilserver.logs.rewriting import as_table
-from hilserver.measured.bag import read_bag, refuse_unmapped
+from hilserver.measured.bag import read_bag
+from hilserver.measured.bag_proposal import refuse_unmapped
 from hilserver.measured.mapping import load_mapping
 from hilserver.measured.names import known_columns
 from hilserver.measured.tables import Recording, log_of_parquet, read_mapped

@@ -103,7 +103,7 @@ class Field:
         return meant(self.path, known, f"it has {', '.join(known):.200}")
 
     def _element(self, holder: Any, items: Any, key: int | str) -> Any:
-        names = _names(holder, items)
+        names = names_of(holder, items)
         if isinstance(key, str) and key not in names:
             known = f"it has {', '.join(names):.200}" if names else "count from 0"
             raise self._gone(
@@ -129,21 +129,21 @@ class Field:
         return math.atan2(2.0 * (q.w * q.z + q.x * q.y), norm**2 - 2.0 * (q.y**2 + q.z**2))
 
 
-def _items(message: Any) -> list[tuple[str, Any]]:
+def items_of(message: Any) -> list[tuple[str, Any]]:
     """Return names and values of what a message holds."""
     if dataclasses.is_dataclass(message):
         return [(f.name, getattr(message, f.name)) for f in dataclasses.fields(message)]
     return list(getattr(message, "__dict__", {}).items())
 
 
-def _names(holder: Any, items: Any) -> list[str]:
+def names_of(holder: Any, items: Any) -> list[str]:
     """Return what the elements of a list are called: by themselves, or by a list beside it."""
     if isinstance(items, list) and items:
         for own in _OWN_NAMES:
             names = [getattr(item, own, None) for item in items]
             if all(isinstance(name, str) for name in names):
                 return [str(name) for name in names]
-    for _, other in _items(holder):
+    for _, other in items_of(holder):
         if isinstance(other, list) and other and all(isinstance(name, str) for name in other):
             return other
     return []
@@ -152,8 +152,8 @@ def _names(holder: Any, items: Any) -> list[str]:
 def _fields(message: Any, prefix: str = "") -> list[str]:
     """Return the numbers that a message has, by their paths."""
     found = []
-    for name, value in _items(message):
-        if _items(value):
+    for name, value in items_of(message):
+        if items_of(value):
             found += _fields(value, f"{prefix}{name}.")
         elif not name.startswith("__"):
             found.append(f"{prefix}{name}")

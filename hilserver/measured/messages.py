@@ -49,7 +49,7 @@ class Decoder:
     def __init__(self, where: str, topic: Topic) -> None:
         self._where, self._topic = where, topic
         self.notices: list[str] = []  # what could not be read
-        self._decode = self._decoder()
+        self.decode = self._decoder()  # bytes to a message
 
     def _decoder(self) -> Callable[[bytes], Any]:
         topic = self._topic
@@ -60,7 +60,7 @@ class Decoder:
                 f"{self._where}: its messages are {topic.serialization or 'of no known kind'}; cdr,"
                 " ros1 and json can be read: convert the topic to CSV"
             )
-        store, name = self._store(), _full(topic.type)
+        store, name = self._store(), full_type(topic.type)
         if name not in store.fielddefs:
             raise TopicError(
                 f"{self._where}: the definition of its type '{topic.type}' is not in the bag;"
@@ -86,7 +86,7 @@ class Decoder:
             types = (
                 get_types_from_idl(topic.definition)
                 if topic.encoding == "ros2idl"
-                else get_types_from_msg(topic.definition, _full(topic.type))
+                else get_types_from_msg(topic.definition, full_type(topic.type))
             )
             store = get_typestore(Stores.EMPTY)
             store.register({**known.fielddefs, **types})
@@ -119,7 +119,7 @@ class Decoder:
         failed = ""
         for row, (received_ns, data) in enumerate(messages):
             try:
-                message = self._decode(data)
+                message = self.decode(data)
                 stamps[row] = _header_ns(self._where, message) if from_header else received_ns
             except LogError:
                 raise
@@ -156,7 +156,7 @@ class Decoder:
             self.notices.append(f"{self._where}: {absent} of {n} messages are no samples: {reason}")
 
 
-def _full(name: str) -> str:
+def full_type(name: str) -> str:
     """Return a type as ROS 2 names it: ROS 1 leaves the ``msg`` out."""
     package, _, rest = name.partition("/")
     return name if "/" in rest or not rest else f"{package}/msg/{rest}"

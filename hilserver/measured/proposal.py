@@ -1,7 +1,7 @@
-"""A mapping file for a foreign table, guessed from the names of its columns."""
+"""A mapping file for a log of others, guessed from the names of its columns."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Final
 
@@ -24,14 +24,14 @@ _WHEELS: Final = (
 _TIMES: Final = {"t", "time", "timestamp", "stamp", "secs", "seconds", "nsecs"}
 _TIME_UNITS: Final = {"ms": "ms", "us": "us", "ns": "ns", "nsecs": "ns"}
 _TIME_DIGITS: Final = {19: "ns", 16: "us", 13: "ms"}  # of whole numbers that count from 1970
-_SENT: Final = {"setpoint", "set", "cmd", "command", "target", "ref", "desired", "sp", "goal"}
+SENT: Final = {"setpoint", "set", "cmd", "command", "target", "ref", "desired", "sp", "goal"}
 _DUTY: Final = {"duty", "pwm", "effort"}
 _SPEED: Final = {"speed", "vel", "velocity", "rpm", "omega", "w"}
 _COUNTS: Final = {"tick", "ticks", "count", "counts", "counter", "enc", "encoder", "pulses"}
 _ANGLE: Final = {"angle", "position", "pos"}
 _OTHER: Final = {"current", "torque", "temp", "temperature", "force", "amps", "acc", "name", "id"}
 """What a wheel has besides, and no signal is."""
-_ODOMETRY: Final = {"odom", "odometry", "wheelodom"}
+ODOMETRY: Final = {"odom", "odometry", "wheelodom"}
 _NUMBERED: Final = re.compile(r"(.*?)\[?(\d)\]?(\D*)")
 _OF_WHEELS: Final = {*_SPEED, *_COUNTS, *_ANGLE, *_DUTY, "wheel", "motor", "joint"}
 _ORDER: Final = {2: ("left", "right"), 4: ("fl", "fr", "rl", "rr")}
@@ -49,17 +49,12 @@ _UNITS: Final = (
 )
 
 
-class ForeignTable(LogError):
-    """A table without any signal of ours, and the mapping file that may fit it."""
+class ForeignLog(LogError):
+    """A log without any signal of ours."""
 
-    def __init__(self, path: object, header: Sequence[str], row: Sequence[str] = ()) -> None:
-        columns = ", ".join(f"'{name}'" for name in header)
-        # text of a mapping file; empty where no column looks like a signal
-        self.proposal = propose(header, row)
-        super().__init__(
-            f"{path}: row 1: none of the columns {columns:.600} is a signal of hilserver; name them"
-            " in a mapping file and give it with --mapping"
-        )
+    def __init__(self, message: str, proposal: str) -> None:
+        super().__init__(message)
+        self.proposal = proposal  # text of a mapping file that may fit it; empty without a guess
 
 
 def propose(header: Sequence[str], row: Sequence[str] = ()) -> str:
@@ -72,52 +67,66 @@ def propose(header: Sequence[str], row: Sequence[str] = ()) -> str:
     """
     time = ""
     channels: dict[str, str] = {}
-    for name, words in zip(header, _meanings(header, row), strict=True):
+    for name, words in zip(header, meanings(header, row), strict=True):
         if not time and words & _TIMES:
             first = dict(zip(header, row, strict=False)).get(name, "").strip()
             unit = _TIME_DIGITS.get(len(first) if first.isdecimal() else 0, "s")
             unit = next((u for word, u in _TIME_UNITS.items() if word in words), unit)
             unit = DATED if _is_date(first) else unit
-            time = f"time: {{column: {_quoted(name)}, unit: {unit}}}"
+            time = f"time: {{column: {quoted(name)}, unit: {unit}}}"
             continue
-        for signal in _signals(words, _unit(name, "wheel.fl.speed_rpm")):
-            channels.setdefault(signal, _line(signal, name, words))
+        for signal, at in lines(name, words, f"column: {quoted(name)}"):
+            channels.setdefault(signal, at)
+    return text(
+        channels, time or "time: {rate_hz: 50}   # no column of times was seen: write the row rate"
+    )
+
+
+def text(channels: Mapping[str, str], *time: str) -> str:
+    """Return a mapping file of the lines of its channels; empty without a channel."""
     if not channels:
         return ""
-    lines = [
-        "# Guessed from the names of the columns: check every line, above all units and signs.",
+    parts = [
+        "# Guessed from names: check every line, above all units and signs.",
         "# Right wheels turn backwards when the robot drives forward: where they count forward as",
         "# positive, 'sign: -1' turns them round.",
-        time or "time: {rate_hz: 50}   # no column of times was seen: write the rate of the rows",
+        *time,
         "# The machine that was recorded, else the configured one. Two wheels: no wheelbase_m.",
         "# plant: {wheel_radius_m: 0.1, track_m: 0.4, wheelbase_m: 0.3}",
         "plant: {}",
         "channels:",
         *(channels[signal] for signal in sorted(channels)),
     ]
-    return "\n".join(lines) + "\n"
+    return "\n".join(parts) + "\n"
+
+
+def lines(name: str, words: set[str], at: str) -> Iterator[tuple[str, str]]:
+    """Yield each signal that numbers of this name may be, with its line of a mapping."""
+    for signal in _signals(words, _unit(name, "wheel.fl.speed_rpm")):
+        yield signal, line(signal, name, words, at)
 
 
 def _is_date(text: str) -> bool:
     return not text.isdecimal() and utc_ns(text) is not None
 
 
-def _line(signal: str, name: str, words: set[str]) -> str:
+def line(signal: str, name: str, words: set[str], at: str) -> str:
+    """Return the line of a signal that stands `at` a column, or topic and field."""
     unit, note = _unit(name, signal), ""
     if signal.endswith("angle_rad") and words & _COUNTS:
         unit = ', unit: "1", scale: 0.001'
         note = "   # counts: write 2 pi / counts per turn as the scale"
-    elif signal.endswith("speed_rpm") and not unit and "velocity" in words:
+    elif signal.endswith(("speed_rpm", "setpoint_rpm")) and not unit and "velocity" in words:
         unit, note = ", unit: rad/s", "   # rad/s, as in JointState?"
     elif signal.endswith("speed_rpm") and not unit and "rpm" not in words:
         note = "   # rpm? Counts are an angle: wheel.fl.angle_rad, with a scale"
-    elif signal.startswith("nav.") and words & _ODOMETRY:
+    elif signal.startswith("nav.") and words & ODOMETRY:
         note = "   # made of the wheels' speeds? Then it shows none of their errors: leave it out"
     sign = ", sign: -1" if signal.startswith(("wheel.fr", "wheel.rr")) else ""
-    return f"  {signal}: {{column: {_quoted(name)}{unit}{sign}}}{note}"
+    return f"  {signal}: {{{at}{unit}{sign}}}{note}"
 
 
-def _meanings(header: Sequence[str], row: Sequence[str]) -> list[set[str]]:
+def meanings(header: Sequence[str], row: Sequence[str]) -> list[set[str]]:
     """Return the words of every column; numbered ones are wheels, named by the row or in order."""
     numbered = {name: match for name in header if (match := _NUMBERED.fullmatch(name))}
     names = {
@@ -128,19 +137,20 @@ def _meanings(header: Sequence[str], row: Sequence[str]) -> list[set[str]]:
     alike: dict[tuple[str, str], list[str]] = {}
     for match in numbered.values():
         alike.setdefault((match[1], match[3]), []).append(match[2])
-    meanings = []
+    found = []
     for name in header:
-        words = _words(name)
+        words = words_of(name)
         if name in numbered and words & _OF_WHEELS:
             match = numbered[name]
             digits = sorted(alike[match[1], match[3]])
             order = _ORDER.get(len(digits), ("",) * len(digits))
-            words |= _words(names.get(match[2]) or order[digits.index(match[2])])
-        meanings.append(words)
-    return meanings
+            words |= words_of(names.get(match[2]) or order[digits.index(match[2])])
+        found.append(words)
+    return found
 
 
-def _words(name: str) -> set[str]:
+def words_of(name: str) -> set[str]:
+    """Return the words of a name, in lower case, and those of two neighbours."""
     words = [word.lower() for word in _WORD.findall(name)]
     return {*words, *("".join(pair) for pair in pairwise(words))}
 
@@ -149,16 +159,16 @@ def _signals(words: set[str], unit: str) -> list[str]:
     """Return the signals that a column with these words may be; `unit` is that of a speed."""
     wheels = next((found for names, found in _WHEELS if words & names), ())
     if wheels:
-        for names, quantity in ((_SENT, "setpoint_rpm"), (_DUTY, "duty_pct")):
+        for names, quantity in ((SENT, "setpoint_rpm"), (_DUTY, "duty_pct")):
             if words & names:
                 return [f"wheel.{wheel}.{quantity}" for wheel in wheels]
         if words & _OTHER:
             return []
         is_angle = words & {*_COUNTS, *_ANGLE} and not words & _SPEED and not unit
         return [f"wheel.{wheel}.{'angle_rad' if is_angle else 'speed_rpm'}" for wheel in wheels]
-    if words & _SENT and words & {"linear", "v", "x"}:
+    if words & SENT and words & {"linear", "v", "x"}:
         return ["twist.linear_m_s"]
-    if words & _SENT and words & {"angular", "w", "z", "omega"}:
+    if words & SENT and words & {"angular", "w", "z", "omega"}:
         return ["twist.angular_rad_s"]
     if words & _GYRO and not words & {"accel", "acc", "x", "y"}:
         return [GYRO]
@@ -182,5 +192,6 @@ def _unit(name: str, signal: str) -> str:
     return ""
 
 
-def _quoted(name: str) -> str:
+def quoted(name: str) -> str:
+    """Return a name as YAML takes it."""
     return name if re.fullmatch(r"[A-Za-z_][\w.]*", name) else '"' + name.replace('"', '\\"') + '"'

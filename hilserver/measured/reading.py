@@ -11,7 +11,8 @@ from hilserver.arrays import Indices
 from hilserver.errors import LogError
 from hilserver.logs.bag_reader import is_own_bag
 from hilserver.logs.reading import is_bag_of_ros, refuse_others
-from hilserver.measured.bag import is_bag, read_bag, refuse_unmapped
+from hilserver.measured.bag import is_bag, read_bag
+from hilserver.measured.bag_proposal import refuse_unmapped
 from hilserver.measured.data import Channel, MeasuredLog, Source, Span
 from hilserver.measured.frames import Sampling
 from hilserver.measured.mapping import LogMapping, load_mapping

@@ -17,7 +17,7 @@ from hilserver.measured.frames import Sampling, frames_of, is_of_the_daemon, own
 from hilserver.measured.mapping import DATED, PER_SECOND, LogMapping
 from hilserver.measured.names import known_columns
 from hilserver.measured.parquet import read_parquet
-from hilserver.measured.proposal import ForeignTable
+from hilserver.measured.proposal import ForeignLog, propose
 from hilserver.measured.thresholds import ABSURD
 
 
@@ -78,9 +78,13 @@ def refuse_foreign(path: Path) -> None:
         return  # the reader says what it is
     is_misspelt = any("." in name and nearest(name, known_columns()) for name in header)
     if not is_misspelt and {*known_columns(), BLOCK, SEGMENT}.isdisjoint(header):
-        foreign = ForeignTable(path, header, first)
-        if foreign.proposal:  # else the reader says what is wrong
-            raise foreign
+        columns = ", ".join(f"'{name}'" for name in header)
+        if proposal := propose(header, first):  # else the reader says what is wrong
+            raise ForeignLog(
+                f"{path}: row 1: none of the columns {columns:.600} is a signal of hilserver; name"
+                " them in a mapping file and give it with --mapping",
+                proposal,
+            )
 
 
 def _machine(log: Log) -> str | None:

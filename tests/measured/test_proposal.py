@@ -6,7 +6,7 @@ import yaml
 from hilserver.commands import main
 from hilserver.errors import LogError
 from hilserver.measured.mapping import load_mapping
-from hilserver.measured.proposal import ForeignTable, propose
+from hilserver.measured.proposal import ForeignLog, propose
 from hilserver.measured.reading import read_measured
 
 FOREIGN = "time_ms,left_rad_s,right_rad_s,cmd_left_rpm,cmd_right_rpm,x,y,heading_deg,gyro_z,vbat"
@@ -115,7 +115,7 @@ def test_the_first_row_names_the_joints_and_the_unit_of_time(tmp_path):
     row = ["1700000000000000000", "right_wheel_joint", "left_wheel_joint", "1.0", "2.0"]
     lines = [header, *([str(int(row[0]) + i * 10**7), *row[1:]] for i in range(200))]
     (tmp_path / "log.csv").write_text("\n".join(map(",".join, lines)) + "\n")
-    with pytest.raises(ForeignTable) as error:
+    with pytest.raises(ForeignLog) as error:
         read_measured([tmp_path / "log.csv"])
     (tmp_path / "map.yaml").write_text(error.value.proposal)
     mapping = load_mapping(tmp_path / "map.yaml")
@@ -142,7 +142,7 @@ def test_dates_in_the_first_row_are_proposed_as_such(tmp_path, separator):
     rows = [f"2026-11-25 12:00:{0.02 * i:06.3f},{i}" for i in range(120)]
     path = tmp_path / "log.csv"
     path.write_text("\n".join(["Zeit time,left_rpm", *rows, ""]).replace(",", separator))
-    with pytest.raises(ForeignTable) as refusal:
+    with pytest.raises(ForeignLog) as refusal:
         read_measured([path])
     assert 'time: {column: "Zeit time", unit: iso}' in refusal.value.proposal
     (tmp_path / "map.yaml").write_text(refusal.value.proposal)
