@@ -11,10 +11,16 @@ import pytest
 from hilserver import commands
 
 ROOT = Path(__file__).parents[1]
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+PAGES = sorted(
+    page
+    for place in ("*.md", "docs/**/*.md", "examples/**/*.md", "deploy/**/*.md")
+    for page in ROOT.glob(place)
+    if "node_modules" not in page.parts
+)
 COMMAND_LINE = re.compile(r" *(?:\$ )?(?:sudo )?(?:\.venv/bin/)?hilserver (?!is )(\w.*)")
 WORD = re.compile(r"\w+")
 LINK = re.compile(r"\]\(([^)#\s]+)[^)]*\)")
+LINK_TO = re.compile(r"\]\((?!https?:|opc\.tcp:)([^)\s]+)")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -69,12 +75,14 @@ def test_root_modules_are_those_of_the_map() -> None:
 
 
 def command_lines() -> Iterator[tuple[str, str]]:
-    """Give page and words of every `hilserver ...` line in a block of code."""
+    """Give page and words of every `hilserver ...` line in a block of code, fenced or indented."""
     for page in PAGES:
-        for block in re.findall(r"^ *```\w*\n(.*?)^ *```", page.read_text("utf-8"), re.S | re.M):
-            for line in block.splitlines():
-                if match := COMMAND_LINE.match(line):
-                    yield str(page.relative_to(ROOT)), match[1]
+        is_fenced = False
+        for line in page.read_text("utf-8").splitlines():
+            is_fenced ^= line.lstrip().startswith("```")
+            match = COMMAND_LINE.match(line)
+            if match and (is_fenced or line.startswith("    ")):
+                yield str(page.relative_to(ROOT)), match[1]
 
 
 @pytest.mark.parametrize(("page", "line"), list(command_lines()))
