@@ -12,7 +12,7 @@ from typing import Final
 from hilserver.diagnosis.decide.promise import HORIZON_S, Step
 from hilserver.diagnosis.decide.selection import MOST_FITTED, attempt, best_starts
 from hilserver.diagnosis.decide.trial import holds, implausible
-from hilserver.diagnosis.regression.by_ends import halfway
+from hilserver.diagnosis.regression.by_ends import fit_by_ends
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.schema.decisions import Decision
@@ -60,12 +60,17 @@ def with_nameless(p: Prepared, whole: Point, rows: list[Decision]) -> Point:
     return whole
 
 
-def for_its_ends(problem: Problem, whole: Point) -> Point:
-    """Return a model with the parameters that predict, see `halfway`.
+def halfway(problem: Problem, by_all: Point) -> Point:
+    """Return a model halfway between its fit to all samples and that to the ends of free runs.
 
-    Where segments are long the noise is known, and the fit to all samples is the best there is.
+    One errs by what it takes for noise, the other by how little it uses; their mean is nearer than
+    either. Where segments are long the noise is known, and all samples are best.
     """
-    return halfway(problem, whole, HORIZON_S) if problem.is_short else whole
+    by_ends = fit_by_ends(problem, by_all, HORIZON_S) if problem.is_short else by_all
+    if by_ends is by_all:
+        return by_all
+    theta = 0.5 * (by_all.model.theta() + by_ends.model.theta())
+    return problem.point(by_all.model.with_theta(theta), by_all.poses)
 
 
 def _further(p: Prepared, whole: Point) -> Point | None:

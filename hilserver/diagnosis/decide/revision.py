@@ -10,7 +10,7 @@ from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.decide.anchors import Anchor, anchor_off, scale_or_anchor
 from hilserver.diagnosis.decide.drift import changing_alike, with_drift
 from hilserver.diagnosis.decide.identifiability import Rival, prune, with_best_rivals
-from hilserver.diagnosis.decide.predicting import before_settling, for_its_ends, with_nameless
+from hilserver.diagnosis.decide.predicting import before_settling, halfway, with_nameless
 from hilserver.diagnosis.decide.promise import Step
 from hilserver.diagnosis.decide.scrubbing import bent_turn, late_turn, scrubs
 from hilserver.diagnosis.decide.selection import Selected, with_noise_anew
@@ -40,10 +40,7 @@ class Judged:
     point: Point
     """The causes that have a name."""
     whole: Point
-    """What predicts: beside these, columns of causes that were found right and lost their names.
-
-    In short segments its parameters are others, see `for_its_ends`.
-    """
+    """What predicts: beside these, columns of causes that were found right and lost their names."""
     ties: Mapping[str, list[Rival]]
     unknown: list[Unknown]
     drift: dict[str, float]
@@ -116,9 +113,10 @@ def revised(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     whole = before_settling(problem, point, (weighed, selected.point), rows)
     if not drift:
         whole = with_nameless(p, whole, rows)
-    whole = for_its_ends(problem, whole)
+    named = halfway(problem, point)
+    whole = named if whole is point else halfway(problem, whole)
     return Judged(
-        p, selected, point, whole, kept, unknown, drift, scores, scrubbed, anchor, in_doubt
+        p, selected, named, whole, kept, unknown, drift, scores, scrubbed, anchor, in_doubt
     )
 
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hilserver.arrays import Array
-from hilserver.diagnosis.decide.predicting import for_its_ends
+from hilserver.diagnosis.decide.predicting import halfway
 from hilserver.diagnosis.decide.revision import Judged, revised
 from hilserver.diagnosis.decide.selection import select
 from hilserver.diagnosis.findings.estimate import estimate_of
@@ -104,5 +104,4 @@ def _model(half: Judged, barred: set[str], named: bool) -> Model:
     if not gone:
         return point.model
     problem, less = half.prepared.problem, without_causes(point.model, gone)
-    fitted = fit(problem, less, point, iterations=3)
-    return (fitted if named else for_its_ends(problem, fitted)).model
+    return halfway(problem, fit(problem, less, point, iterations=3)).model

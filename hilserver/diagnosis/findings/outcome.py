@@ -18,6 +18,7 @@ from hilserver.diagnosis.catalogue.vocabulary import (
 )
 from hilserver.diagnosis.decide.anchors import Anchor
 from hilserver.diagnosis.decide.lost_steps import LostSteps, lost_steps
+from hilserver.diagnosis.decide.predicting import halfway
 from hilserver.diagnosis.decide.revision import Judged
 from hilserver.diagnosis.decide.scrubbing import as_friction
 from hilserver.diagnosis.decide.structure import Unknown
@@ -104,7 +105,7 @@ def named_findings(j: Judged) -> tuple[Finding, ...]:
             causes.append(rival.candidate.cause)
             behind |= {rival.candidate.cause} if implausible(rival.fitted) else set()
             index = rival.point.model.fitted.index(rival.fitted)
-            values |= parameters(problem, rival.point)[index]
+            values |= parameters(problem, halfway(problem, rival.point))[index]
         twins = _twins(j, f, own[i].get(cause))
         causes += [cause_of(name).name for name in twins]
         causes.sort(key=behind.__contains__)

@@ -25,19 +25,6 @@ Misses = Mapping[str, NDArray[Any]]
 """By quantity, shape (runs,); a position is x + iy."""
 
 
-def halfway(problem: Problem, by_all: Point, horizon_s: float) -> Point:
-    """Return a model halfway between its fit to all samples and that to the ends of free runs.
-
-    Both aim at the same values, and err in different ways: one by what it takes for noise, the
-    other by how little it uses. Their mean is nearer than either.
-    """
-    by_ends = fit_by_ends(problem, by_all, horizon_s)
-    if by_ends is by_all:
-        return by_all
-    theta = 0.5 * (by_all.model.theta() + by_ends.model.theta())
-    return problem.point(by_all.model.with_theta(theta), by_all.poses)
-
-
 def fit_by_ends(problem: Problem, start: Point, horizon_s: float) -> Point:
     """Return a model with the parameters whose free runs end nearest to what was measured.
 

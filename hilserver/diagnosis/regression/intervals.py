@@ -15,7 +15,7 @@ def own_share(cause: str) -> float:
     return traits_of(cause).abrupt or INEXACT
 
 
-def covariance(problem: Problem, point: Point, columns: Array | None) -> tuple[Array, int]:
+def covariance(problem: Problem, point: Point, columns: Array) -> tuple[Array, int]:
     """Return the covariance of a model's parameters and its degrees of freedom.
 
     The larger of the sandwich over the blocks and the one that trusts the noise model.
@@ -25,7 +25,6 @@ def covariance(problem: Problem, point: Point, columns: Array | None) -> tuple[A
     columns : ndarray, shape (n, k)
         Whitened sensitivities, initial poses projected out (`Problem.accepted`).
     """
-    assert columns is not None
     n, k = problem.stack.n_blocks, columns.shape[1]
     sums = problem.stack.block_sums(columns * point.left[:, None])
     used = max(int(sums.any(axis=1).sum()), k + 2)
@@ -45,9 +44,12 @@ def whole_covariance(
     columns : ndarray, shape (n, k), optional
         `Problem.accepted`, where it is known already.
     """
-    if columns is None:
-        columns = problem.accepted(point)
+    columns = problem.accepted(point) if columns is None else columns
+    assert columns is not None
     cov, dof = covariance(problem, point, columns)
+    if problem.is_short:  # see `halfway`: the variance that it has more (Hausman 1978)
+        away = linear.ridge(columns, point.left)
+        cov += np.outer(away, away)
     fitted = point.model.fitted
     share = [own_share(f.candidate.cause) for f in fitted for _ in f.theta]
     variance = np.diag(cov) + (np.array(share) * point.model.theta()) ** 2

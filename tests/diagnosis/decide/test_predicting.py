@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hilserver.diagnosis.decide import predicting
-from hilserver.diagnosis.decide.predicting import before_settling, for_its_ends, with_nameless
+from hilserver.diagnosis.decide.predicting import before_settling, halfway, with_nameless
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.stages import Prepared
 from tests.diagnosis import toy
@@ -65,5 +65,7 @@ def test_a_column_stays_without_its_name_where_held_out_errors_would_grow():
 def test_ends_of_runs_count_where_the_noise_is_not_known(short, monkeypatch):
     p, named = prepared(1.0)
     monkeypatch.setattr(type(p.problem), "is_short", property(lambda problem: short))
-    monkeypatch.setattr(predicting, "halfway", lambda problem, point, horizon_s: p.base)
-    assert for_its_ends(p.problem, named) is (p.base if short else named)
+    other = fit(p.problem, toy.model("large"), p.base, iterations=0)
+    monkeypatch.setattr(predicting, "fit_by_ends", lambda problem, point, horizon_s: other)
+    theta = halfway(p.problem, named).model.theta()
+    assert theta == pytest.approx(named.model.theta() / (1.0 + short))

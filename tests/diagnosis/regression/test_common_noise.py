@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hilserver.diagnosis.decide.selection import with_noise_anew
+from hilserver.diagnosis.decide.selection import select, with_noise_anew
 from hilserver.diagnosis.regression.fitting import fit
 from tests.diagnosis import toy
 
@@ -62,3 +62,21 @@ def test_long_segments_learn_their_noise_from_the_model():
         assert mine == {name: noise.sd for name, noise in problem.noise.items()}
         sizes.append(mine)
     assert sizes[0] != sizes[1]
+
+
+def test_what_a_first_fit_misses_is_not_confirmed_by_its_weights():
+    """Samples far from the model without a cause weigh less, and those are what shows the cause."""
+    rng = np.random.default_rng(5)
+    columns = {"a": rng.normal(size=SHORT)}
+    values = 3.0 * columns["a"] + rng.normal(size=SHORT)
+    problem = toy.problem(values, columns, block_s=0.1)
+    library, base = toy.library(problem)
+    problem.estimate_noise(problem.residual(base.predicted))
+    base = problem.point(base.model, base.poses)
+    library.rewhiten(base)
+    point = select(problem, library, base, rng).point
+    assert point.model.causes == ("a",)
+    again = with_noise_anew(problem, library, point)
+    at, later = (p.model.theta()[0] for p in (point, again))
+    sd = float(np.sqrt(np.sum(columns["a"] ** 2))) ** -1
+    assert at == pytest.approx(later, abs=0.1 * sd)

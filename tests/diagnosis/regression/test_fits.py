@@ -85,6 +85,20 @@ def test_more_data_and_stronger_columns_make_intervals_narrower():
     assert np.ptp(extra, axis=1)[1] == pytest.approx(wide[1])
 
 
+@pytest.mark.parametrize("n", [200, 600])
+def test_away_from_the_fit_to_all_samples_an_interval_reaches_there_in_short_segments(n):
+    """There parameters are halfway to another fit; elsewhere they are where all samples say."""
+    rng = np.random.default_rng(6)
+    columns = columns_of(rng, n=n)
+    problem = toy.problem(sum(columns.values()) + rng.normal(size=n), columns, block_s=0.1)
+    at = fitted(problem, "c0", "c1")
+    sd = np.ptp(intervals(problem, at), axis=1) / 4.0
+    away = at.model.with_theta(at.model.theta() + 10.0 * sd * [1.0, 0.0])
+    moved = intervals(problem, problem.point(away, at.poses))
+    assert problem.is_short == (n == 200)
+    assert (moved[0, 0] < at.model.theta()[0]) == problem.is_short
+
+
 def test_the_covariance_is_never_smaller_than_the_noise_model_says():
     problem = drawn(4, noise_sd=0.3)  # told: 1
     point = fitted(problem, "c0", "c1")
