@@ -18,6 +18,7 @@ from hilserver.program.ending import ENDING
 from hilserver.program.guard import guarded
 from hilserver.program.shared_memory import DEFAULT_IMAGE, check_free
 from hilserver.program.writer import Writer
+from hilserver.small_file import read_small
 
 EXAMPLE = "hilserver run --demo"
 
@@ -119,8 +120,8 @@ def _write_schema(path: Path) -> int:
 def _peek(path: Path | None) -> tuple[str, str]:
     """Return ``image.name`` and ``logging.format`` of a file that nobody has checked yet."""
     found = {"image": {"name": DEFAULT_IMAGE}, "logging": {"format": "auto"}}
-    with contextlib.suppress(OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError):
-        content = {} if path is None else yaml.safe_load(path.read_text(encoding="utf-8"))
+    with contextlib.suppress(Exception):  # what is wrong with it, its check says in words
+        content = {} if path is None else yaml.safe_load(read_small(path).decode("utf-8"))
         for name, section in found.items():
             given = content.get(name) if isinstance(content, dict) else None
             found[name] = section | (given if isinstance(given, dict) else {})

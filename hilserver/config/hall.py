@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hilserver.plant.errors import PlantError
 from hilserver.plant.hall import Solid, default_hall, default_solids, wall_solids
 from hilserver.signals.numbers import is_finite_number
+from hilserver.small_file import read_small
 
 MOST_WALLS: Final = 4096
 MOST_SOLIDS: Final = 256
@@ -41,9 +42,11 @@ def load_hall(hall: str, base_dir: Path) -> Hall:
     path = base_dir / hall
     where = f"sensors.tof.hall: {path}"
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError) as error:
-        reason = str(error).splitlines()[0]
+        content = yaml.safe_load(read_small(path).decode("utf-8"))
+    except OSError as error:
+        raise PlantError(f"{where} cannot be read: {error.strerror}.") from error
+    except Exception as error:  # a wrong tag makes YAML's reader raise anything
+        reason = (str(error).splitlines() or ["it is no YAML"])[0]
         raise PlantError(f"{where} cannot be read: {reason}.") from error
     walls = content.get("walls") if isinstance(content, dict) else None
     if not isinstance(walls, list) or len(walls) > MOST_WALLS:

@@ -78,9 +78,10 @@ class InputGate:
         Kinds of sources, highest priority first; those left out may not command.
     monotonic_ns : callable
         Clock for the age of inputs.
-
     fallback : str
         Who has control when its holder is gone: ``nobody``, or the source ``before``.
+    in_real_time : bool
+        Whether a command is as old as the time since it came in; simulated time stands meanwhile.
 
     Attributes
     ----------
@@ -101,6 +102,7 @@ class InputGate:
         priority: Sequence[str] = SOURCES,
         fallback: str = NOBODY,
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
+        in_real_time: bool = True,
     ) -> None:
         self.owner, self.leases = owner, leases
         leases.begin(owner)
@@ -113,7 +115,7 @@ class InputGate:
         self._table = table
         self._image = image
         self._events = events
-        self._now_ns = monotonic_ns
+        self._now_ns, self.in_real_time = monotonic_ns, in_real_time
         self._last_ns: dict[str, int] = {}
         self._newest: dict[int, tuple[str, float]] = {}
         self._change: tuple[int, int] | None = None
@@ -138,7 +140,7 @@ class InputGate:
         values : mapping
             Signal name to number, Boolean, or four numbers for an array.
         received_ns : int, optional
-            When they came in, CLOCK_MONOTONIC; now by default.
+            When they came in, CLOCK_MONOTONIC; now by default. What they command lapses from then.
         renews : bool
             Whether what the source holds may go on; False while it lacks something.
 
@@ -153,7 +155,8 @@ class InputGate:
         if self._counted:
             group += self.stamps(rows, self._time_s(now_ns))
         speaker = self._speaker
-        placed = self._passed_on(source, group) + self._placed(source, group, renews=renews)
+        came_ns = now_ns if renews else None
+        placed = self._passed_on(source, group) + self._placed(source, group, came_ns)
         if group and not self._image.push(placed):
             refused |= dict.fromkeys(rows, Refusal.QUEUE_FULL)
             rows, self._speaker = {}, speaker
@@ -191,11 +194,8 @@ class InputGate:
         self._samples.update(groups)
         rows: list[Row] = []
         for group in sorted(groups):
-            for name, value in (
-                (f"samples_{group}", self._samples[group]),
-                (f"time_{group}_s", time_s),
-            ):
-                rows.append(Row(self._table.slot(f"internal.{name}"), value, tick=tick))
+            news = {f"samples_{group}": self._samples[group], f"time_{group}_s": time_s}
+            rows += [Row(self._table.slot(f"internal.{n}"), v, tick=tick) for n, v in news.items()]
         return rows
 
     def _time_s(self, now_ns: int) -> float:
@@ -215,16 +215,21 @@ class InputGate:
         before, self._speaker = self._speaker, source
         return [] if before in ("", source) else [self.leases.hand_over(kind)]
 
-    def _placed(self, source: str, rows: list[Row], *, renews: bool) -> list[Row]:
-        """Return rows for the place of the source's kind, and what renews its lease."""
+    def _placed(self, source: str, rows: list[Row], came_ns: int | None = None) -> list[Row]:
+        """Return rows for the place of the source's kind; they renew its lease from then."""
         kind, place = kind_of(source), self.leases.place
         placed = [row._replace(slot=place(kind, row.slot)) for row in rows]
         is_command = any(not self._table.by_slot(row.slot).is_measured for row in rows)
-        return placed + self.leases.renewal(source) if renews and is_command else placed
+        renews = is_command and came_ns is not None
+        return placed + self._renewal(source, came_ns or 0) if renews else placed
 
-    def renew(self, source: str) -> None:
-        """Let what `source` holds go on: it was heard, and has nothing new to say."""
-        self._image.push(self.leases.renewal(source))
+    def renew(self, source: str, received_ns: int) -> None:
+        """Let what `source` holds go on: it was heard then, and has nothing new to say."""
+        self._image.push(self._renewal(source, received_ns))
+
+    def _renewal(self, source: str, came_ns: int) -> list[Row]:
+        age_ns = max(self._now_ns() - came_ns, 0) if self.in_real_time else 0
+        return self.leases.renewal(source, age_ns)
 
     def _check(self, name: str, value: object) -> tuple[float, ...] | Refusal:
         if name not in self._table or self._table[name].hidden:
@@ -344,7 +349,7 @@ class InputGate:
         """Keep what the source wrote last, with status UncertainLastUsableValue."""
         slots = [slot for slot, (writer, _) in self._newest.items() if writer == source]
         rows = [Row(slot, math.nan, UNCERTAIN_LAST_USABLE_VALUE) for slot in slots]
-        self._image.push(self._placed(source, rows, renews=False))
+        self._image.push(self._placed(source, rows))
 
     def expect(self, source: str, names: Iterable[str]) -> None:
         """Mark signals that a configured source will write: BadWaitingForInitialData until then."""
@@ -353,7 +358,7 @@ class InputGate:
             for name in names
             for slot in self._table[name].slots
         ]
-        self._image.push(self._placed(source, rows, renews=False))
+        self._image.push(self._placed(source, rows))
 
     def end(self) -> None:
         """End every lease: nothing is commanded until a source does so anew."""

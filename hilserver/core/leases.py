@@ -72,10 +72,10 @@ class Leases:
             return slot
         return self._slot(leases.VALUES + self._number(kind) * leases.ROW + slot)
 
-    def renewal(self, source: str) -> list[Row]:
+    def renewal(self, source: str, age_ns: int = 0) -> list[Row]:
         """Return the row that renews what `source` holds; none if that never lapses."""
         place = self._places.get(source) or self._places.get(source.partition(":")[0])
-        return [] if place is None else [Row(self._slot(place), 1.0)]
+        return [] if place is None else [Row(self._slot(place), float(age_ns))]
 
     def hand_over(self, kind: str) -> Row:
         """Return the row that gives control to the sources of `kind`."""

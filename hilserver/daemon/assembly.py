@@ -336,6 +336,8 @@ def _settings(
 
 def _outputs(block: BlockUse) -> list[BlockOutput]:
     return [
-        BlockOutput(block.output_signal(o.name), o.unit, o.low, o.high, o.description)
+        BlockOutput(
+            block.output_signal(o.name), o.unit, o.low, o.high, o.description, o.is_replayed
+        )
         for o in block.declaration.outputs
     ]

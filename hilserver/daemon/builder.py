@@ -198,6 +198,7 @@ def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
         owner=config.first_source,
         priority=config.sources,
         fallback=config.control.fallback,
+        in_real_time=pace.backend != "virtual",
     )
     folder = assembly.folder / config.snapshots.folder
     snapshots = SnapshotStore(image, folder, dict(assembly.identity))

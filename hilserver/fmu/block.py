@@ -17,9 +17,16 @@ from hilserver.fmu.library import Instance, Library
 from hilserver.fmu.process import Child
 from hilserver.fmu.wiring import Start, Wiring, signals, wire
 from hilserver.kernel.composition import Foreign, News, Setting
-from hilserver.plant.blocks import MOST_PER_BLOCK, BlockDeclaration, BlockError
+from hilserver.plant.blocks import MOST_PER_BLOCK, BlockDeclaration, BlockError, Output
 
 SLOW_SHARE: Final = 0.5  # a call is slow from this share of a tick on
+LATE: Final = Output(
+    "process_late",
+    low=-(2**53),
+    high=2**53,
+    description="Slices without an answer so far; negative once it was given up",
+    is_replayed=True,
+)
 
 
 @dataclass(frozen=True)
@@ -99,7 +106,7 @@ def load_fmu_block(
         name=fmu.identifier,
         function=exchange.run_beside if process else calls.run_here,
         inputs=wiring.input_names,
-        outputs=signals(wiring, outputs),
+        outputs=(*signals(wiring, outputs), *([LATE] if process else [])),
         state={},
         parameters={v.name: float(given.get(v.name, v.start)) for v in wiring.parameters},
         source=fmu.path,

@@ -24,7 +24,7 @@ EXACT: Final = 2.0**53  # integers up to here are float64 without loss
 @kernel(int64(int64))
 def _place(row: int) -> int:
     """Return the index of a row in `a`."""
-    return at.ROWS + row * at.VARIABLE_WORDS
+    return at.ROWS + row * at.CALL_WORDS
 
 
 @kernel()
@@ -67,7 +67,7 @@ def _decode(raw: Any, kind: int, size: int, values: Any) -> None:
 
 @kernel()
 def set_values(first: int, n_rows: int, values: Any, a: Any) -> int:
-    """Hand numbers to the variables of some rows; return the worst status."""
+    """Hand numbers to the variables of some rows, a call for each; return the worst status."""
     worst, begin = 0, 0
     for row in range(first, first + n_rows):
         r = _place(row)
@@ -77,9 +77,9 @@ def set_values(first: int, n_rows: int, values: Any, a: Any) -> int:
         if a[r + at.R_KIND] != at.FLOAT or a[r + at.R_BYTES] != 8:
             _encode(piece, a[r + at.R_KIND], a[r + at.R_BYTES], scratch)
             data = scratch.ctypes.data
-        reference = a[r + at.R_REFERENCE :].ctypes.data
+        references, m = a[a[r + at.R_REFERENCES] :].ctypes.data, a[r + at.R_VARIABLES]
         status = ask(
-            a[r + at.R_FUNCTION], a[at.A_INSTANCE], reference, 1, data, n, 0, 0.0, 0.0
+            a[r + at.R_FUNCTION], a[at.A_INSTANCE], references, m, data, n, 0, 0.0, 0.0
         )  # the number of values is an argument of 3.0 only
         worst, begin = max(worst, status), begin + n
     return int(worst)
@@ -95,8 +95,8 @@ def get_values(first: int, n_rows: int, values: Any, a: Any) -> int:
         piece, scratch = values[begin : begin + n], a[a[at.A_SCRATCH] :]
         own = a[r + at.R_KIND] != at.FLOAT or a[r + at.R_BYTES] != 8
         data = scratch.ctypes.data if own else piece.ctypes.data
-        reference = a[r + at.R_REFERENCE :].ctypes.data
-        status = ask(a[r + at.R_FUNCTION], a[at.A_INSTANCE], reference, 1, data, n, 0, 0.0, 0.0)
+        references, m = a[a[r + at.R_REFERENCES] :].ctypes.data, a[r + at.R_VARIABLES]
+        status = ask(a[r + at.R_FUNCTION], a[at.A_INSTANCE], references, m, data, n, 0, 0.0, 0.0)
         if own:
             _decode(scratch, a[r + at.R_KIND], a[r + at.R_BYTES], piece)
         worst, begin = max(worst, status), begin + n

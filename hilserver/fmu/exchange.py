@@ -3,9 +3,10 @@
 An ask has a number. The plant takes the answer to the last one and asks the next in the same run:
 outputs are one slice old, and it never waits, not even where it catches up itself and leaves the
 child no time: such slices are counted by themselves. While no answer is there the outputs hold and
-the slices that pass are owed: the next ask is for all of them. The child keeps its state after
-every ask, in two places by turns: that before the ask under way is complete when a snapshot is
-taken.
+the slices that pass are owed: the next ask is for all of them. How many were late is the block's
+last output and an input of a replay, in which the same slices are late. The child keeps its state
+after every ask, in two places by turns: that before the ask under way is complete when a snapshot
+is taken.
 """
 
 from typing import Any
@@ -77,24 +78,30 @@ def run_beside(tick: int, dt_s: float, u: Any, y: Any, x: Any, p: Any, a: Any) -
     """Show what the child has answered and ask it for the next slice."""
     if x[at.X_FAILED] != 0.0:
         return 0
-    s = _shared(a)
-    if a[at.A_WAITS] != 0:
+    s, n = _shared(a), y.shape[0] - 1
+    was_late = abs(y[n]) > x[at.X_LATE]  # in the run that is replayed
+    if a[at.A_WAITS] != 0 and not was_late:
         _wait(a, s)
-    if a[at.A_DEAD] != 0 or load_acquire(s, at.S_DONE) != s[at.S_ASKED]:
+    if was_late or a[at.A_DEAD] != 0 or load_acquire(s, at.S_DONE) != s[at.S_ASKED]:
         x[at.X_OWED] += 1.0
+        x[at.X_LATE] += 1.0
         a[at.A_LATE] += 1
         had_ns = monotonic_ns(a[at.A_TIMESPEC :]) - a[at.A_ASKED]
         a[at.A_HURRIED] += 1 if had_ns < WHOLE_SLICE * dt_s * 1e9 else 0
-        if a[at.A_DEAD] == 0 and x[at.X_OWED] < a[at.A_LIMIT]:
+        ends = a[at.A_DEAD] != 0 or x[at.X_OWED] >= a[at.A_LIMIT]
+        if was_late:
+            ends = y[n] < 0.0
+        y[n] = -x[at.X_LATE] if ends else x[at.X_LATE]
+        if not ends:
             return 0
-        give_up(at.SILENT, y, x, a)
+        give_up(at.SILENT, y[:n], x, a)
         return at.SILENT
     status = s[at.S_STATUS]
     if status > at.WARNING:
-        give_up(status, y, x, a)
+        give_up(status, y[:n], x, a)
         return int(status)
     outputs = s[at.N_SHARED + u.shape[0] + p.shape[0] :].view(np.float64)
-    _copy_numbers(outputs, y)
+    _copy_numbers(outputs, y[:n])
     x[at.X_STEPS] += x[at.X_PENDING]
     x[at.X_PENDING], x[at.X_OWED] = 1.0 + x[at.X_OWED], 0.0
     _post(int(x[at.X_STEPS]), int(x[at.X_PENDING]), False, u, p, a, s)
@@ -107,7 +114,7 @@ def keep_beside(u: Any, y: Any, x: Any, p: Any, a: Any) -> None:
     s = _shared(a)
     if a[at.A_CAPACITY] != 0 and s[at.S_LOAD] != s[at.S_ASKED]:
         words = x.view(np.int64)
-        _copy_numbers(_store((s[at.S_ASKED] - 1) & 1, u, y, x, p, s), words[at.X_BYTES :])
+        _copy_numbers(_store((s[at.S_ASKED] - 1) & 1, u, y[:-1], x, p, s), words[at.X_BYTES :])
 
 
 @kernel(KEEP)
@@ -119,7 +126,7 @@ def adopt_beside(u: Any, y: Any, x: Any, p: Any, a: Any) -> None:
         x[at.X_FAILED] = 1.0 if a[at.A_STATUS] else 0.0
         return
     words = x.view(np.int64)
-    _copy_numbers(words[at.X_BYTES :], _store(2 + ((s[at.S_ASKED] + 1) & 1), u, y, x, p, s))
+    _copy_numbers(words[at.X_BYTES :], _store(2 + ((s[at.S_ASKED] + 1) & 1), u, y[:-1], x, p, s))
     a[at.A_STATUS] = 0
     _post(int(x[at.X_STEPS]), int(x[at.X_PENDING]), True, u, p, a, s)
 

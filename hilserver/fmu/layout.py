@@ -27,7 +27,7 @@ from numpy.typing import NDArray
     A_EARLY,
     A_LAST_TIME,
     A_CAPACITY,  # bytes that a state may have
-    A_INPUTS,  # rows of variables
+    A_INPUTS,  # rows: variables of one type that follow each other go through one call
     A_PARAMETERS,
     A_OUTPUTS,
     A_FRESH,  # 1: all parameters are set before the next step
@@ -55,9 +55,10 @@ N_HEAD: Final = 39
 
 SLOW_CALLS: Final = 256
 """Pairs of tick and duration [ns] behind the head: the slow calls, the newest over the oldest."""
-ROWS: Final = N_HEAD + 2 * SLOW_CALLS  # rows of the variables: inputs, parameters, outputs
-R_REFERENCE, R_COUNT, R_BYTES, R_KIND, R_FUNCTION = range(5)
-VARIABLE_WORDS: Final = 5
+ROWS: Final = N_HEAD + 2 * SLOW_CALLS  # rows of calls: inputs, parameters, outputs
+R_REFERENCES, R_VARIABLES, R_COUNT, R_BYTES, R_KIND, R_FUNCTION = range(6)
+"""Index of the references (uint32), number of variables and values, their type, the function."""
+CALL_WORDS: Final = 6
 
 FLOAT, SIGNED, UNSIGNED, BOOLEAN = range(4)  # kinds of numbers
 
@@ -66,8 +67,9 @@ X_STEPS: Final = 0  # steps that the stored state has seen
 X_PENDING: Final = 1  # steps that a child has been asked for since
 X_OWED: Final = 2  # slices that passed since it was asked
 X_FAILED: Final = 3
-X_BYTES: Final = 4
-X_STATE: Final = 5
+X_LATE: Final = 4  # slices without an answer so far
+X_BYTES: Final = 5
+X_STATE: Final = 6
 
 # --- words that a child shares --------------------------------------------------------------------
 S_ASKED, S_DONE, S_LOAD, S_STEPS, S_PENDING, S_STATUS, S_CURRENT = range(7)

@@ -1,7 +1,8 @@
 """The machine code of an FMU: loaded, its functions by name, an instance started and ended."""
 
 import ctypes
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numba
@@ -13,7 +14,7 @@ from hilserver.compiled import kernel
 from hilserver.compiled.cache import c_function
 from hilserver.fmu import calls
 from hilserver.fmu.description import Fmu, Variable
-from hilserver.fmu.wiring import Wiring
+from hilserver.fmu.wiring import Start, Wiring
 from hilserver.plant.blocks import BlockError
 
 _TIMES: Final = ("SetupExperiment", "EnterInitializationMode", "ExitInitializationMode")
@@ -121,13 +122,13 @@ class Instance:
         self._instance = ctypes.c_void_p(self._instantiated(name.encode()))
         if not self._instance:
             raise BlockError(f"does not start: {self.message or 'it gives no reason'}")
-        for variable, value in wiring.start:
-            self._set_start(variable, value)
+        self._set_start(dict(wiring.start))
         self._initialise()
         self.addresses = self._addresses(wiring, slow_ns)  # `a` of the kernels, of this process
         self.outputs = np.zeros(wiring.n_outputs)  # `y` at time 0
-        n_before = len(wiring.inputs) + len(wiring.parameters)
-        self._check(calls.get_values(n_before, len(wiring.outputs), self.outputs, self.addresses))
+        a = self.addresses
+        n_before = int(a[at.A_INPUTS] + a[at.A_PARAMETERS])
+        self._check(calls.get_values(n_before, int(a[at.A_OUTPUTS]), self.outputs, a))
         self.initial = self._state()  # `x` of the kernels at time 0
 
     @property
@@ -171,14 +172,18 @@ class Instance:
             why = self.message or f"a function answered {at.STATUS.get(status, status)}"
             raise BlockError(f"does not start: {why}")
 
-    def _set_start(self, variable: Variable, value: float | str | bool) -> None:
-        reference = ctypes.c_uint32(variable.reference)
-        if variable.type == "String":
-            data: Any = (ctypes.c_char_p * 1)(str(value).encode())
-        else:
-            data = (_C_TYPES[variable.kind, variable.bytes] * 1)(_as_start(variable, value))
-        one = ctypes.c_size_t(1)  # the second is an argument of 3.0 only
-        self._call(f"Set{variable.type}", ctypes.byref(reference), one, data, one)
+    def _set_start(self, given: Mapping[Variable, Start]) -> None:
+        """Set start values, those of one type in one call."""
+        for same in _of_one_type(sorted(given, key=lambda v: v.type)):
+            n, first = len(same), same[0]
+            references = (ctypes.c_uint32 * n)(*(v.reference for v in same))
+            if first.type == "String":
+                data: Any = (ctypes.c_char_p * n)(*(str(given[v]).encode() for v in same))
+            else:
+                of_type = _C_TYPES[first.kind, first.bytes] * n
+                data = of_type(*(_as_start(v, given[v]) for v in same))
+            size = ctypes.c_size_t(n)  # the second is an argument of 3.0 only
+            self._call(f"Set{first.type}", references, size, data, size)
 
     def _initialise(self) -> None:
         zero = ctypes.c_double(0.0)
@@ -191,18 +196,22 @@ class Instance:
         self._call("ExitInitializationMode")
 
     def _addresses(self, wiring: Wiring, slow_ns: int) -> NDArray[np.int64]:
-        rows = [
-            (v.reference, v.count, v.bytes, v.kind, self._library.address(f"{verb}{v.type}"))
-            for verb, variables in wiring.rows
-            for v in variables
-        ]
-        scratch = at.ROWS + at.VARIABLE_WORDS * len(rows)
-        known = scratch + max((row[1] for row in rows), default=0)
+        groups = [[(verb, same) for same in _of_one_type(vs)] for verb, vs in wiring.rows]
+        rows, references, values = [], np.zeros(0, dtype=np.int64), 0
+        first = at.ROWS + at.CALL_WORDS * sum(map(len, groups))
+        for verb, same in itertools.chain(*groups):
+            n, v = sum(v.count for v in same), same[0]
+            function = self._library.address(f"{verb}{v.type}")
+            rows.append((first + references.size, len(same), n, v.bytes, v.kind, function))
+            references = np.append(references, _packed([v.reference for v in same]))
+            values = max(values, n)
+        scratch = first + references.size
+        known = scratch + values
         a = np.zeros(known + wiring.n_parameters, dtype=np.int64)
-        a[at.ROWS : scratch] = np.array(rows, dtype=np.int64).ravel()
+        a[at.ROWS : first] = np.array(rows, dtype=np.int64).ravel()
+        a[first:scratch] = references
         a[at.A_SCRATCH], a[at.A_KNOWN], a[at.A_FRESH] = scratch, known, 1
-        a[at.A_INPUTS], a[at.A_OUTPUTS] = len(wiring.inputs), len(wiring.outputs)
-        a[at.A_PARAMETERS] = len(wiring.parameters)
+        a[at.A_INPUTS], a[at.A_PARAMETERS], a[at.A_OUTPUTS] = map(len, groups)
         a[at.A_INSTANCE], a[at.A_VERSION] = self._instance.value or 0, self._fmu.version
         a[at.A_DO_STEP] = self._library.address("DoStep")
         if self._fmu.stores_state:
@@ -231,6 +240,18 @@ def text_of(words: NDArray[np.int64]) -> str:
     """Return a message of an FMU as one line."""
     raw = words.tobytes().partition(b"\0")[0]
     return " ".join(raw.decode(errors="replace").split()).rstrip(".")
+
+
+def _of_one_type(variables: Iterable[Variable]) -> Iterator[list[Variable]]:
+    """Yield neighbours of one type, which go through one call."""
+    for _, same in itertools.groupby(variables, lambda v: v.type):
+        yield list(same)
+
+
+def _packed(references: Sequence[int]) -> NDArray[np.int64]:
+    """Return numbers of 32 bits, two in a word."""
+    padded = [*references, *[0] * (len(references) % 2)]
+    return np.array(padded, dtype=np.uint32).view(np.int64)
 
 
 def _libc(name: str) -> int:

@@ -83,7 +83,8 @@ def wire(
     tunable.sort(key=lambda v: v.name not in start)  # those that the user cares about come first
     wiring = Wiring(
         inputs=list(dict.fromkeys(taken)),
-        parameters=tunable[:MOST_PER_BLOCK],
+        # Those of one type are set in one call: what fits together only must not come apart.
+        parameters=sorted(tunable[:MOST_PER_BLOCK], key=lambda v: v.type),
         outputs=list(dict.fromkeys(shown)),
         start=[(_startable(fmu, name, value), value) for name, value in start.items()],
         left_out=max(0, len(tunable) - MOST_PER_BLOCK),

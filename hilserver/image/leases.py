@@ -26,8 +26,8 @@ NO_KIND: Final = -1
 class Lease(Record):
     """What one source holds."""
 
-    renewed: int  # not 0: a row of this tick has renewed it
-    since: int  # when it was renewed last [ns]; 0: nothing is held
+    renewed: int  # not 0: a row of this tick has renewed it; 1 + age of what renewed it [ns]
+    since: int  # when what renewed it last came in [ns]; 0: nothing is held
     limit: int  # [ns]; 0: it never lapses
     policy: int
     kind: int
@@ -153,7 +153,7 @@ def apply_lease(index: int, value: float, status: int, values: Any, words: Any) 
     elif index == END:
         end_leases(words)
     elif index >= FIRST_LEASE:
-        lease_at((index - FIRST_LEASE) // LEASE_WORDS, words).renewed = 1
+        lease_at((index - FIRST_LEASE) // LEASE_WORDS, words).renewed = 1 + int(value)
     else:
         command((index - VALUES) // ROW, (index - VALUES) % ROW, value, status, words)
 

@@ -11,6 +11,8 @@ from hilserver.core.staleness import Staleness, Transition
 from hilserver.io.link_faults import FaultBook
 from hilserver.io.link_status import PeerStatus
 
+LEFT_OVER_NS = 100_000_000
+"""So long after a standstill of ours what is read may have come in before it, or during it."""
 OFFERED_AGAIN = frozenset({Refusal.NOT_IN_CONTROL, Refusal.QUEUE_FULL})
 """Reasons that are not the value's: the next group may be accepted as it is."""
 
@@ -47,12 +49,31 @@ class Source:
         self.staleness = Staleness(round(driver.limit_ms * 1e6), commanding)
         self._label, self._gate, self._publish = label, gate, publish
         self._on_stale, self._fresh = driver.on_stale, fresh
+        self._looked_ns = self._usual_ns = self._stood_since_ns = self._left_over_until_ns = 0
+
+    def came_ns(self, now_ns: int) -> int:
+        """Return when what is read now came in; after a standstill of ours it may be its begin.
+
+        Whoever has sent it may be gone since.
+        """
+        self._stood_still(now_ns)
+        is_left_over = now_ns < self._left_over_until_ns and self._gate.in_real_time
+        return self._stood_since_ns if is_left_over else now_ns
+
+    def _stood_still(self, now_ns: int) -> bool:
+        """Note a standstill that ends now: one that a command does not survive."""
+        longest_ns = self._usual_ns + self.staleness.limit_ns
+        if not self._looked_ns or now_ns - self._looked_ns <= longest_ns:
+            return False
+        self._stood_since_ns, self._left_over_until_ns = self._looked_ns, now_ns + LEFT_OVER_NS
+        self._looked_ns = now_ns
+        return True
 
     def write(
         self, values: Mapping[str, object], now_ns: int, *, of: str = "", renews: bool = True
     ) -> Outcome:
         """Hand one group to the gate; report what is wrong with it, as values of `of`."""
-        refused = self._gate.write(self.name, values, renews=renews)
+        refused = self._gate.write(self.name, values, received_ns=now_ns, renews=renews)
         wrong = {name: why for name, why in refused.items() if why not in OFFERED_AGAIN}
         for name, why in wrong.items():
             sentence = f"{of}{name} = {values[name]!r:.60} was refused: {why}"
@@ -65,6 +86,9 @@ class Source:
 
     def watch(self, now_ns: int) -> Transition | None:
         """Judge its silence; called a few times within the limit. Return what changed."""
+        if not self._stood_still(now_ns):
+            self._usual_ns = now_ns - self._looked_ns
+        self._looked_ns = now_ns
         self.faults.expire(now_ns)
         transition = self.staleness.check(now_ns)
         self.status.stale = self.staleness.stale

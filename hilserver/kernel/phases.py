@@ -68,9 +68,8 @@ def drive(now_ns: int, at: Places, values: Any, words: Any) -> None:
     for number in range(d.count):
         lease = lease_at(number, words)
         if lease.renewed != 0:
+            lease.since = max(now_ns + 1 - lease.renewed, 1)
             lease.renewed = lease.lapsed = 0
-            lease.since = max(now_ns, 1)
-            continue
         if held or lease.limit == 0 or lease.since == 0 or lease.lapsed != 0:
             continue
         if lease.kind == d.owner and now_ns - lease.since > lease.limit:

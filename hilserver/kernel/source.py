@@ -153,6 +153,14 @@ def _piece(region: Region) -> str:
     return f"values[{region.base} : {region.base + region.length}]"
 
 
+def _replayed(number: int, block: BlockUse, layout: Layout) -> list[str]:
+    """Return what takes the last outputs from the frame, where a replay has put them."""
+    n = sum(output.is_replayed for output in block.declaration.outputs)
+    y = layout.regions[f"{block.name}.y"]
+    last = f"values[{y.base + y.length - n} : {y.base + y.length}]"
+    return [f"parts.read_inputs(OUTPUTS_{number}[-{n}:], {last}, values, words)"] if n else []
+
+
 def _block_call(number: int, block: BlockUse, period_s: float, layout: Layout) -> list[str]:
     drive = f"parts.drive(COMMANDS_{number}, FROM_{number}, RANGES_{number}, {{y}}, values, words)"
     u, y, x, p = (_piece(layout.regions[f"{block.name}.{array}"]) for array in "uyxp")
@@ -160,6 +168,7 @@ def _block_call(number: int, block: BlockUse, period_s: float, layout: Layout) -
         return [
             f"# {block.name}",
             f"parts.read_inputs(INPUTS_{number}, {u}, values, words)",
+            *_replayed(number, block, layout),
             f"if step_{number}(tick, {period_s!r}, {_arrays(block, layout)}) != 0:",
             f"    fault = {number + 1}",
             f"parts.write_outputs(OUTPUTS_{number}, {y}, values, words)",

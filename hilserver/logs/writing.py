@@ -1,13 +1,15 @@
 """Which writer a recording gets: its suffix decides."""
 
+import contextlib
 import errno
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from hilserver.errors import FailedError
 from hilserver.logs.bag_writer import BagWriter, Storage
-from hilserver.logs.csv_writer import CsvWriter
+from hilserver.logs.csv_writer import CsvWriter, changes_path, meta_path
 from hilserver.logs.mcap_writer import McapWriter
 from hilserver.logs.writer import LogWriter
 
@@ -21,7 +23,7 @@ def open_writer(
     utc_minus_monotonic_ns: int = 0,
     bag: Storage | None = None,
 ) -> LogWriter:
-    """Begin a log; the suffix chooses the format.
+    """Begin a log; the suffix chooses the format. What cannot begin leaves no file.
 
     Parameters
     ----------
@@ -41,6 +43,7 @@ def open_writer(
     """
     if bag is None:
         check_suffix(path)
+    is_new = not path.exists()
     try:
         if bag is not None:
             return BagWriter(path, run, slots, utc_minus_monotonic_ns, bag)
@@ -48,7 +51,17 @@ def open_writer(
             return CsvWriter(path, run, slots)
         return McapWriter(path, run, slots, utc_minus_monotonic_ns)
     except OSError as error:
+        if is_new:
+            _forget(path)
         raise FailedError(f"{path}: cannot be written: {reason(error)}") from None
+
+
+def _forget(path: Path) -> None:
+    """Remove what was made of a log."""
+    shutil.rmtree(path, ignore_errors=True)
+    for file in (path, meta_path(path), changes_path(path)):
+        with contextlib.suppress(OSError):
+            file.unlink()
 
 
 def check_suffix(path: Path) -> None:

@@ -11,6 +11,8 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from hilserver.small_file import read_small
+
 KEY_BITS = 2048
 MAX_CERTIFICATE_BYTES = 16 * 1024
 
@@ -120,7 +122,7 @@ def first_of_chain(data: bytes) -> bytes:
 
 def load_certificate(path: Path) -> x509.Certificate:
     """Read a certificate file; ValueError or OSError if that fails."""
-    return parse_certificate(path.read_bytes()[: MAX_CERTIFICATE_BYTES + 1])
+    return parse_certificate(read_small(path, MAX_CERTIFICATE_BYTES))
 
 
 def to_der(certificate: x509.Certificate) -> bytes:

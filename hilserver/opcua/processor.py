@@ -84,6 +84,7 @@ class Processor:
         self.is_congested = False
         self._transport = transport
         self.sockname = transport.get_extra_info("sockname")
+        self.socket = transport.get_extra_info("socket")
         name = transport.get_extra_info("peername")
         self.address = str(name[0]) if name else "unknown"
         self._connection = GuardedConnection(policies, iserver.trust, self.address)

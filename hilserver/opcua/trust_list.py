@@ -38,6 +38,7 @@ from hilserver.opcua.certificate import (
     thumbprint,
     to_der,
 )
+from hilserver.small_file import read_small
 
 MAX_REJECTED = 100
 FOLDERS = ("own", "trusted", "rejected", "revoked")
@@ -106,7 +107,7 @@ def files_in(folder: Path) -> Iterator[Path]:
 
 def _load_list(path: Path) -> x509.CertificateRevocationList | None:
     try:
-        data = path.read_bytes()
+        data = read_small(path)
         if data.lstrip().startswith(b"-----BEGIN"):
             return x509.load_pem_x509_crl(data)
         return x509.load_der_x509_crl(data)
@@ -235,7 +236,7 @@ class TrustList:
             certificate = load_certificate(path)
             path = key_path
             is_exposed = is_open_to_others(path)
-            key = parse_key(path.read_bytes())
+            key = parse_key(read_small(path))
         except FileNotFoundError:
             raise ConfigError(
                 f"{path} is missing: make a certificate with 'hilserver certs make'"

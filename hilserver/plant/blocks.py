@@ -53,6 +53,7 @@ class Output:
     low: float = -1e9
     high: float = 1e9
     description: str = ""  # one line for the address space
+    is_replayed: bool = False  # hidden, and an input as well: in a replay it is the recorded one
 
 
 @dataclass(frozen=True, slots=True)

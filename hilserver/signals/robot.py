@@ -39,6 +39,7 @@ class BlockOutput:
     low: float
     high: float
     description: str
+    is_replayed: bool = False
 
 
 class _Builder:
@@ -295,7 +296,8 @@ def robot_table(
         _add_estimate(b)
         _add_samples(b)
     for block in blocks:
-        b.add(block.name, block.unit, out, block.low, block.high, block.description)
+        way, hidden = (Direction.IN, True) if block.is_replayed else (out, False)
+        b.add(block.name, block.unit, way, block.low, block.high, block.description, hidden=hidden)
     b.alias("wheels.setpoints_rpm", [f"wheel.{w}.setpoint_rpm" for w in WHEELS], "All set-points")
     b.alias("wheels.speeds_rpm", [f"wheel.{w}.speed_rpm" for w in WHEELS], "All wheel speeds")
     return SignalTable(b.signals)

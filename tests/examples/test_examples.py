@@ -23,6 +23,7 @@ from tests.loopback.rig import configuration, running, wait_until
 from tests.node_red.node_red import NodeRed, missing, with_sink
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
+PATIENCE_S = 180.0
 
 
 def started(script, *arguments, **environment):
@@ -64,7 +65,7 @@ async def test_a_left_right_controller_moves_all_four_wheels():
                 names = (f"wheel.{w}.speed_rpm" for w in ("fl", "rl", "fr", "rr"))
                 return [daemon.image.frame_values[daemon.table.slot(name)] for name in names]
 
-            await wait_until(lambda: min(speeds()[:2]) > 15 and max(speeds()[2:]) < -15, 30)
+            await wait_until(lambda: min(speeds()[:2]) > 15 and max(speeds()[2:]) < -15, PATIENCE_S)
             left_front, left_rear, right_front, right_rear = speeds()
             assert left_front == pytest.approx(left_rear, abs=1.0)
             assert right_front == pytest.approx(right_rear, abs=1.0)
@@ -159,7 +160,7 @@ async def test_node_red_as_a_client_drives_a_circle(tmp_path):
         try:
             yaw = daemon.table.slot("velocity.angular_rad_s")
             await wait_until(lambda: daemon.image.frame_values[yaw] > 0.4, 60)
-            await wait_until(lambda: poses.exists() and "pose.x_m" in poses.read_text(), 30)
+            await wait_until(lambda: poses.exists() and "pose.x_m" in poses.read_text(), PATIENCE_S)
         finally:
             await node_red.kill()
 

@@ -7,10 +7,11 @@ import pytest
 
 from hilserver.daemon.builder import build
 from hilserver.image import Row
-from tests.fmu.rig import configured, make
+from tests.fmu.rig import configured, description, make
 
 BLOCK = {"name": "motor", "inputs": {"u": "wheel.fl.setpoint_rpm"}}
 """One wiring for all tests: its step is compiled once."""
+FIXED = 'name="lag" valueReference="4" causality="parameter" variability="fixed"'
 
 
 @pytest.fixture(scope="session")
@@ -19,6 +20,8 @@ def fmus(tmp_path_factory):
     for version in (2, 3):
         make(folder / f"lag{version}.fmu", version)
         make(folder / f"stateless{version}.fmu", version, "-DSTATELESS", state=False)
+        both = description(version).replace(FIXED, FIXED.replace("fixed", "tunable"))
+        make(folder / f"together{version}.fmu", version, "-DTOGETHER", text=both)
     return folder
 
 

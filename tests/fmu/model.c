@@ -1,5 +1,6 @@
 /* An FMU for tests: a lag with gain, and what models of others do wrong on demand.
-   Compile with -DFMI=2 or -DFMI=3; with -DSTATELESS it cannot store its state. */
+   Compile with -DFMI=2 or -DFMI=3; with -DSTATELESS it cannot store its state, with -DTOGETHER
+   it takes gain and lag in one call only. */
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -115,12 +116,20 @@ static double *real(Model *m, uint32_t reference) {
 }
 
 static int set_real(Model *m, const uint32_t *vr, size_t n, const double *values) {
+    bool gain = false, lag = false;
     for (size_t i = 0; i < n; i++) {
         double *place = real(m, vr[i]);
+        gain |= vr[i] == GAIN;
+        lag |= vr[i] == LAG;
         if (vr[i] == V) memcpy(m->v, values, sizeof m->v);
         else if (place == NULL) return ERROR;
-        else *place = values[i];
+        else *place = *values;
+        values += vr[i] == V ? 2 : 1;
     }
+#ifdef TOGETHER
+    if (gain != lag) say(m, "gain and lag belong together");
+    return gain == lag ? OK : ERROR;
+#endif
     return OK;
 }
 static int get_real(Model *m, const uint32_t *vr, size_t n, double *values) {

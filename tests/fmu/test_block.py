@@ -40,6 +40,19 @@ async def test_it_computes_to_the_bit_what_the_model_says(robot, version, proces
 
 @BOTH
 @PLACES
+async def test_parameters_of_one_type_are_set_in_one_call(robot, version, process):
+    start = {"Gain": 3, "mischief": 0, "lag": 0.2}
+    async with robot(f"together{version}", process=process, start=start) as r:
+        await r.run(N, fl=10.0)
+        assert r.fault == 0
+        assert r.output("y") == lag(10.0, N - process, gain=3.0, lag_s=0.2)[-1]
+        r.core.snapshots.reset()
+        await r.run(N, fl=10.0)
+        assert r.fault == 0
+
+
+@BOTH
+@PLACES
 async def test_a_snapshot_holds_its_state(robot, version, process):
     async with robot(f"lag{version}", process=process) as r:
         await r.run(N, fl=10.0)
@@ -119,6 +132,14 @@ async def test_arrays_and_small_numbers(robot):
         await r.run(1)
         assert r.output("total") == 4.0 + 10.0 * 7.0
         assert r.output("small") == 4.0
+
+
+async def test_arrays_and_numbers_of_one_type_go_through_one_call(robot):
+    inputs = {"u": "wheel.fl.setpoint_rpm", "v[1]": "sim.tick", "v[2]": "wheel.fl.setpoint_rpm"}
+    async with robot("lag3", inputs=inputs) as r:
+        await r.run(5, fl=7.0)
+        assert r.output("sum") == 3.0 + 10.0 * 7.0
+        assert r.output("y") == lag(7.0, 5)[-1]
 
 
 async def test_restored_at_its_start_it_shows_its_first_outputs(robot):

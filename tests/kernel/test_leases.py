@@ -1,6 +1,7 @@
 """Commands are leases: who has control drives by his row, and what is not renewed lapses."""
 
 import contextlib
+import time
 
 import pytest
 
@@ -137,9 +138,33 @@ async def test_what_is_renewed_goes_on_also_without_a_new_value():
         await drive(core, "peer:plc", 40.0)
         for _ in range(5):
             await core.scheduler.advance(LIMIT_TICKS - 1)
-            core.gate.renew("peer:plc")
+            core.gate.renew("peer:plc", time.monotonic_ns())
         await core.scheduler.advance(1)
         assert now(core) == 40.0
+
+
+async def test_a_command_lapses_from_when_it_came_in():
+    async with robot("zero") as core:
+        core.gate.write("peer:plc", {LEFT: 40.0}, renews=False)
+        core.image.push(core.gate.leases.renewal("peer:plc", (LIMIT_TICKS - 50) * 1_000_000))
+        await core.scheduler.advance(LIMIT_TICKS)
+        assert series(core, 0).count(40.0) == 51
+        assert [lapse.source for lapse in core.gate.leases.lapses()] == ["peer:plc"]
+
+
+@pytest.mark.parametrize("on_stale", ["zero", "ramp"])
+async def test_what_came_in_before_a_standstill_of_ours_is_never_driven(on_stale):
+    async with robot(on_stale) as core:
+        core.gate.in_real_time = True
+        await core.scheduler.advance(10)
+        long_ago_ns = time.monotonic_ns() - (LIMIT_TICKS + 1) * 1_000_000
+        core.gate.write("peer:plc", {LEFT: 40.0}, received_ns=long_ago_ns)
+        await core.scheduler.advance(10)
+        assert on_stale == "ramp" or set(series(core, 0)) == {0.0}
+        assert (now(core, "internal.command") == 2.0) == (on_stale == "ramp")
+        core.gate.in_real_time = False
+        await drive(core, "peer:plc", 40.0)
+        assert on_stale == "ramp" or now(core) == 40.0, "it drives again with the next command"
 
 
 async def test_a_peer_that_lacks_an_input_does_not_renew():

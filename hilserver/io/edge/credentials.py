@@ -5,6 +5,7 @@ from pathlib import Path
 
 from hilserver.config.edge import EdgeConfig
 from hilserver.errors import ConfigError
+from hilserver.small_file import read_small
 
 
 class _Socket(ssl.SSLSocket):
@@ -34,7 +35,7 @@ def _password(config: EdgeConfig, folder: Path) -> str | None:
     if path is None:
         return None
     try:
-        lines = (folder / path).read_text(encoding="utf-8").splitlines()
+        lines = read_small(folder / path).decode("utf-8").splitlines()
     except OSError as error:
         raise ConfigError(f"password_file: {path} cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:

@@ -172,8 +172,9 @@ class Endpoint(Part):
     # --- what viewers publish ---------------------------------------------------------------------
 
     def _take_all(self, inbox: Inbox) -> None:
-        if values := inbox.take():
-            self._world.gate.write(SOURCE, values)
+        values, received_ns = inbox.take()
+        if values:
+            self._world.gate.write(SOURCE, values, received_ns=received_ns)
 
     def _understood(self, topic: str, encoding: str, data: bytes) -> Mapping[str, object]:
         if topic == SET and encoding == "json":

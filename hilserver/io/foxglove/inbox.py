@@ -37,13 +37,14 @@ class Inbox(ServerListener):
         self._channels: dict[tuple[int, int], tuple[str, str]] = {}
         self._lock = threading.Lock()
         self._newest: dict[str, object] = {}
+        self._came_ns = 0
         self._complained_s = 0.0
 
-    def take(self) -> Mapping[str, object]:
-        """Return what came since the last call."""
+    def take(self) -> tuple[Mapping[str, object], int]:
+        """Return what came since the last call, and when the last of it came (CLOCK_MONOTONIC)."""
         with self._lock:
             newest, self._newest = self._newest, {}
-        return newest
+        return newest, self._came_ns
 
     def on_client_advertise(self, client: Any, channel: Any) -> None:
         """Remember which channel of which client is which topic."""
@@ -76,6 +77,7 @@ class Inbox(ServerListener):
         with self._lock:
             is_first = not self._newest
             self._newest |= written
+            self._came_ns = time.monotonic_ns()
         if is_first:
             self._wake()
 

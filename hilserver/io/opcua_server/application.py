@@ -29,6 +29,7 @@ from hilserver.core.inputs import InputGate, Refusal, kind_of
 from hilserver.core.leases import NOBODY, TELEOP
 from hilserver.errors import ControlRefused, UserError
 from hilserver.image import ProcessImage
+from hilserver.io.arrival import came_ns
 from hilserver.io.opcua_server.method_table import CALLER, METHODS, Method, Parts
 from hilserver.io.opcua_server.model import CONTROL_SOURCE, DATA_TYPES, SHELL
 from hilserver.io.opcua_server.parameters import ParameterVariables
@@ -137,7 +138,7 @@ class RobotApplication(Application):
 
         Gives way while the items are judged, and between groups that are latched apart.
         """
-        source = session.visitor.source
+        source, received_ns = session.visitor.source, came_ns(session.processor.socket)
         answers: list[Answer] = []
         group: dict[str, tuple[int, object]] = {}
         changes: dict[str, tuple[int, ua.Variant]] = {}
@@ -154,13 +155,13 @@ class RobotApplication(Application):
             if name == CONTROL_SOURCE or name in group:
                 # The order of a request holds: taking control acts on the writes behind it, and
                 # of two writes to one signal the later wins.
-                self._hand_over(group, answers, source)
+                self._hand_over(group, answers, source, received_ns)
                 group = {}
             if name == CONTROL_SOURCE:
                 answers[position] = self._take_control(item.Value.Value, session)
             else:
                 group[name] = (position, _plain(self._table[name], item.Value.Value))
-        self._hand_over(group, answers, source)
+        self._hand_over(group, answers, source, received_ns)
         self._change(changes, answers, source)
         return answers
 
@@ -173,12 +174,16 @@ class RobotApplication(Application):
             answers[changes[name][0]] = Answer(STATUS_OF[reason], text)
 
     def _hand_over(
-        self, group: dict[str, tuple[int, object]], answers: list[Answer], source: str
+        self,
+        group: dict[str, tuple[int, object]],
+        answers: list[Answer],
+        source: str,
+        received_ns: int,
     ) -> None:
         if not group:
             return
         values = {name: value for name, (_, value) in group.items()}
-        turned_down = self._gate.write(source, values)
+        turned_down = self._gate.write(source, values, received_ns=received_ns)
         for name, reason in turned_down.items():
             why = self._gate.explain(source, name, reason)
             answers[group[name][0]] = Answer(STATUS_OF[reason], why)

@@ -58,7 +58,7 @@ class FileSeries:
         Raises
         ------
         FailedError
-            If it cannot be made.
+            If it cannot be made, or the disk is nearly full.
         """
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -69,6 +69,7 @@ class FileSeries:
             if number > 999_999:
                 raise FailedError(f"{self._path}: too many files of this name; choose another")
             self.current = self._file(number)
+        self._check_room("cannot begin")
         writer = open_writer(self.current, run, slots, utc_minus_monotonic_ns, self._bag)
         self._opened += 1
         self._remove_old()
@@ -94,10 +95,13 @@ class FileSeries:
                 f"{self.current}: the recording has ended at {n_bytes / 1e6:.0f} MB, its limit; see"
                 " recording.max_mb, --max-mb and --keep"
             )
+        self._check_room("has ended")
+
+    def _check_room(self, what: str) -> None:
         free = shutil.disk_usage(self.current.parent).free
-        if free < limits.keep_free_bytes:
+        if free < self._limits.keep_free_bytes:
             raise FailedError(
-                f"{self.current}: the recording has ended, as {free / 1e6:.0f} MB are left on the"
+                f"{self.current}: the recording {what}, as {free / 1e6:.0f} MB are left on the"
                 " disk; remove some files, or see recording.keep_free_mb and --keep-free-mb"
             )
 

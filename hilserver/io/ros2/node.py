@@ -260,6 +260,7 @@ class Ros2Node(Part):
             self._hand_over(subscribed, values, now_ns)
 
     def _hand_over(self, subscribed: Subscribed, values: dict[str, object], now_ns: int) -> None:
+        now_ns = self._source.came_ns(now_ns)
         wrong = self._source.write(values, now_ns, of=f"{subscribed.topic}: ").wrong
         if subscribed.commands and not wrong:
             self._source.staleness.heard(now_ns)
@@ -273,7 +274,9 @@ class Ros2Node(Part):
         except ValueError as error:
             self._report(Ros2Fault.BAD_MESSAGE, service.name, f"{service.name}: {error}")
             return
-        refusals = self._world.gate.write(NAME, values) if values else {}
+        refusals, came_ns = {}, self._source.came_ns(time.monotonic_ns())
+        if values:
+            refusals = self._world.gate.write(NAME, values, received_ns=came_ns)
         service.answer(request, answer(not refusals))
 
     # --- what is judged ---------------------------------------------------------------------------

@@ -207,9 +207,9 @@ class ShieldLink(Part):
 
     def _take_requests(self) -> None:
         words = self.status.words
-        if words[w.RING_TAIL] < words[w.RING_HEAD]:
+        is_new = words[w.RING_TAIL] < words[w.RING_HEAD]
+        if is_new:
             self._world.gate.leases.limit(NAME, self.device.limit_ns * 1e-6)
-            self._world.gate.renew(NAME)
         while words[w.RING_TAIL] < words[w.RING_HEAD]:
             row = w.RING_ROWS + 4 * (int(words[w.RING_TAIL]) & (w.WAITING_MOST - 1))
             command, flags, payload, received_ns = words[row : row + 4].tolist()
@@ -219,8 +219,11 @@ class ShieldLink(Part):
             self._heard_ns = received_ns
             terminated = not flags & w.ALONE
             data = payload.to_bytes(8, "little", signed=True)
+            received_ns = self._source.came_ns(received_ns)
             self._source.staleness.heard(received_ns)
             self.device.take(Request(command, data, received_ns, terminated))
+        if is_new:
+            self._world.gate.renew(NAME, received_ns)
 
     async def _watch(self) -> None:
         while True:

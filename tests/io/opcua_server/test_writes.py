@@ -1,6 +1,8 @@
 """Inputs: what is accepted, what is refused, with which code, and what reaches the plant."""
 
 import math
+import socket
+import time
 
 import pytest
 from asyncua import ua
@@ -201,3 +203,40 @@ async def test_reason_in_words_for_clients_that_ask(rig: Rig, client: RobotClien
     info = response.DiagnosticInfos[0]
     assert "'peer' has control" in info.AdditionalInfo
     assert response.ResponseHeader.StringTable[info.LocalizedText] == info.AdditionalInfo
+
+
+class SendsAndStands:
+    """A transport that stops the event loop as soon as a request is on its way."""
+
+    def __init__(self, transport, seconds):
+        self._transport, self._seconds, self.sent_ns = transport, seconds, 0
+
+    def __getattr__(self, name):
+        return getattr(self._transport, name)
+
+    def write(self, data):
+        fd = self._transport.get_extra_info("socket").fileno()
+        connection = socket.socket(fileno=fd)
+        connection.send(data)
+        connection.detach()
+        self.sent_ns = time.monotonic_ns()
+        time.sleep(self._seconds)
+
+
+async def test_a_command_that_waited_for_our_event_loop_came_in_when_it_was_sent(
+    rig: Rig, client: RobotClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stands_s, came, write = 1.0, [], rig.gate.write
+    protocol = client.uaclient.protocol
+    stands = SendsAndStands(protocol.transport, stands_s)
+
+    def noting(source, values, *, received_ns):
+        came.append(received_ns)
+        return write(source, values, received_ns=received_ns)
+
+    monkeypatch.setattr(rig.gate, "write", noting)
+    monkeypatch.setattr(protocol, "transport", stands)
+    assert await client.write((FL, 30.0, T.Double)) == ["Good"]
+    assert came[0] < stands.sent_ns + stands_s / 2 * 1e9
+    monkeypatch.undo()
+    assert await client.write((FL, 31.0, T.Double)) == ["Good"]

@@ -1,5 +1,6 @@
 """A recording has a largest size, and leaves room on the disk."""
 
+import errno
 import shutil
 from collections import namedtuple
 
@@ -7,9 +8,11 @@ import pytest
 
 from hilserver.errors import FailedError
 from hilserver.io.recorder.series import FileSeries, Limits
+from hilserver.logs.writer import WholeFile
 
 Usage = namedtuple("Usage", "total used free")
 Writer = namedtuple("Writer", "n_bytes")
+SIGNAL = {"name": "sim.tick", "unit": "1", "slots": [0], "direction": "out"}
 
 
 def test_it_ends_at_its_size(tmp_path):
@@ -37,3 +40,25 @@ def test_it_ends_before_the_disk_is_full(tmp_path, monkeypatch):
     series = FileSeries(tmp_path / "run.mcap", limits=Limits(keep_free_bytes=2e8))
     with pytest.raises(FailedError, match="100 MB are left on the disk"):
         series.check(Writer(0))
+
+
+@pytest.mark.parametrize("name", ["run.mcap", "run.csv"])
+def test_what_cannot_begin_leaves_no_file(tmp_path, monkeypatch, name):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(WholeFile, "append", full)
+    run = {"schema": 1, "base_period_ns": 1_000_000, "configuration": None, "signals": [SIGNAL]}
+    with pytest.raises(FailedError, match="no space is left"):
+        FileSeries(tmp_path / name).open(run, [0], 0)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_on_a_disk_that_is_nearly_full_nothing_begins_and_nothing_is_lost(tmp_path, monkeypatch):
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(10**10, 10**10 - 10**8, 10**8))
+    before = tmp_path / "run.mcap"
+    before.write_bytes(b"of yesterday")
+    series = FileSeries(before, limits=Limits(keep_free_bytes=2e8))
+    with pytest.raises(FailedError, match="the recording cannot begin, as 100 MB are left"):
+        series.open({}, [0], 0)
+    assert before.read_bytes() == b"of yesterday"
