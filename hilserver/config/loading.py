@@ -115,6 +115,8 @@ def _too_deep(path: Path, mark: Any) -> ConfigError:
 
 
 _NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+_UNREADABLE = (ValueError, LookupError, AttributeError)
+"""What YAML's reader raises for ``!!float ''``, ``!!bool maybe``, ``!!timestamp x``."""
 
 
 def _construct(path: Path, root: yaml.Node | None) -> Any:
@@ -133,6 +135,11 @@ def _construct(path: Path, root: yaml.Node | None) -> Any:
                 f"{path}:{node.start_mark.line + 1}: YAML takes {node.value} for a number to the"
                 " base 60; write the plain number"
             )
+        if isinstance(node, yaml.ScalarNode) and "\0" in node.value:
+            raise ConfigError(
+                f"{path}:{node.start_mark.line + 1}: a text holds the character NUL, which no name"
+                " of a file has; leave it out"
+            )
         if isinstance(node, yaml.MappingNode):
             seen: dict[str, int] = {}
             for key, _ in node.value:
@@ -146,20 +153,24 @@ def _construct(path: Path, root: yaml.Node | None) -> Any:
                     )
                 seen[name] = line
     try:
-        return yaml.constructor.SafeConstructor().construct_document(root)
+        found = yaml.constructor.SafeConstructor().construct_document(root)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         raise ConfigError(f"{path}:{line}: {error.problem}") from None
-    except ValueError as error:
-        line = next(node.start_mark.line for node, _ in _walk(root) if not _is_readable(node)) + 1
-        raise ConfigError(f"{path}:{line}: a value cannot be read: {error}") from None
+    except _UNREADABLE as error:
+        node = next(node for node, _ in _walk(root) if not _is_readable(node))
+        kind = node.tag.rpartition(":")[2]
+        why = error if isinstance(error, ValueError) else f"{node.value!r:.60} is no {kind}"
+        line = node.start_mark.line + 1
+        raise ConfigError(f"{path}:{line}: a value cannot be read: {why}") from None
+    return {} if found is None else found
 
 
 def _is_readable(node: yaml.Node) -> bool:
     try:
         if isinstance(node, yaml.ScalarNode):
             yaml.constructor.SafeConstructor().construct_document(node)
-    except ValueError:
+    except _UNREADABLE:
         return False
     return True
 

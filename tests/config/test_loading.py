@@ -56,6 +56,11 @@ def complaint(tmp_path, text):
         ("backend: !!python/object:os.system x\n", "config.yaml:1: "),
         ("backend: 2024-13-45\n", "config.yaml:1: a value cannot be read: month"),
         ("? [a]\n: 1\n", "config.yaml:1: "),
+        ("\nbackend: !!float ''\n", "config.yaml:2: a value cannot be read: '' is no float"),
+        ("backend: !!int ''\n", "config.yaml:1: a value cannot be read: '' is no int"),
+        ("backend: !!bool maybe\n", "config.yaml:1: a value cannot be read: 'maybe' is no bool"),
+        ("backend: !!timestamp x\n", "config.yaml:1: a value cannot be read: 'x' is no timestamp"),
+        ('\nbackend: "a\\0b"\n', "config.yaml:2: a text holds the character NUL"),
     ],
 )
 def test_one_sentence_with_file_line_and_key(tmp_path, text, expected):
@@ -70,6 +75,12 @@ def test_every_complaint_is_told_at_once(tmp_path):
 def test_absent_file(tmp_path):
     with pytest.raises(ConfigError, match="no such file"):
         load(tmp_path / "absent.yaml", Root)
+
+
+@pytest.mark.parametrize("nothing", ["~\n", "# a remark\n", "---\n"])
+def test_nothing_but_a_remark_means_the_defaults(tmp_path, nothing):
+    (tmp_path / "config.yaml").write_text(nothing)
+    assert load(tmp_path / "config.yaml", Root) == Root()
 
 
 def test_an_empty_file_means_the_defaults(tmp_path):

@@ -39,8 +39,10 @@ class RecordingGate:
     refuse: dict[str, Refusal] = field(default_factory=dict)
     stale: list[str] = field(default_factory=list)
 
+    in_real_time: bool = True
+
     def write(
-        self, source: str, values: Mapping[str, object], *, renews: bool = True
+        self, source: str, values: Mapping[str, object], *, received_ns: int, renews: bool = True
     ) -> dict[str, Refusal]:
         assert source == "peer:iot2050"
         refused = {name: self.refuse[name] for name in values if name in self.refuse}
