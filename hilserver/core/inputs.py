@@ -8,7 +8,7 @@ that one tick latches. What is refused is counted, published as an event, and ne
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from enum import StrEnum
 
 from hilserver.core.events import Event, EventBus, EventKind
@@ -129,6 +129,8 @@ class InputGate:
         values: Mapping[str, object],
         *,
         received_ns: int | None = None,
+        age_ns: int = 0,
+        news: Collection[str] | None = None,
         renews: bool = True,
     ) -> dict[str, Refusal]:
         """Check `values` and hand the accepted ones, as one group, to the next tick.
@@ -141,6 +143,10 @@ class InputGate:
             Signal name to number, Boolean, or four numbers for an array.
         received_ns : int, optional
             When they came in, CLOCK_MONOTONIC; now by default. What they command lapses from then.
+        age_ns : int
+            How long before that their source took them.
+        news : collection of str, optional
+            Signals whose values are samples of their own, not those of before; by default all.
         renews : bool
             Whether what the source holds may go on; False while it lacks something.
 
@@ -153,7 +159,8 @@ class InputGate:
         rows, offered, refused = self._sort(source, values)
         group = offered + [row for found in rows.values() for row in found]
         if self._counted:
-            group += self.stamps(rows, self._time_s(now_ns))
+            new = rows if news is None else rows.keys() & news
+            group += self.stamps(new, self._time_s(now_ns), age_ns * 1e-9)
         speaker = self._speaker
         came_ns = now_ns if renews else None
         placed = self._passed_on(source, group) + self._placed(source, group, came_ns)
@@ -188,13 +195,16 @@ class InputGate:
                 offered += [row for row in found if row.slot < N_COMMANDS]
         return rows, offered, refused
 
-    def stamps(self, names: Iterable[str], time_s: float, tick: int = 0) -> list[Row]:
+    def stamps(
+        self, names: Iterable[str], time_s: float, age_s: float = 0.0, tick: int = 0
+    ) -> list[Row]:
         """Return what counts a sample of each measured group, in simulated time."""
         groups = {n.split(".")[1] for n in names if n.startswith(MEASURED)} & self._counted
         self._samples.update(groups)
         rows: list[Row] = []
         for group in sorted(groups):
             news = {f"samples_{group}": self._samples[group], f"time_{group}_s": time_s}
+            news[f"taken_{group}_s"] = max(time_s - age_s, 0.0)
             rows += [Row(self._table.slot(f"internal.{n}"), v, tick=tick) for n, v in news.items()]
         return rows
 

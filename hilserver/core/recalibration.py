@@ -21,6 +21,9 @@ class Decisions:
 
     reject = postpone = accept
 
+    def refused(self, sentence: str) -> None:
+        """Say nothing: the answer has said it."""
+
     def table(self) -> Table:
         """Return nothing."""
         return {}
@@ -35,6 +38,7 @@ class Figures:
     """What is counted."""
 
     looks: dict[str, int] = field(default_factory=dict)  # by verdict
+    decisions: dict[str, int] = field(default_factory=dict)  # by what became of them
     failures: int = 0  # windows that could not be judged, lines that could not be written
     waits: bool = False  # a proposal is open
     changed: bool = False  # the gap has left its usual range since the last look
@@ -50,6 +54,14 @@ RECALIBRATION_METRICS: Final[tuple[Metric[Figures], ...]] = (
         "Windows that were diagnosed, by what was found.",
         ("verdict",),
         lambda now: (((name,), counter(n)) for name, n in sorted(now.looks.items())),
+    ),
+    Metric(
+        "hil_recalibration_decisions_total",
+        Kind.COUNTER,
+        "Decisions on proposals: accepted, rejected, postponed, refused to who made them, or undone"
+        " because the patch could not act.",
+        ("outcome",),
+        lambda now: (((name,), counter(n)) for name, n in sorted(now.decisions.items())),
     ),
     Metric(
         "hil_recalibration_failures_total",

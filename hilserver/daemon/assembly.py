@@ -96,7 +96,11 @@ class _Builder:
         table = self._checked(
             ("blocks",),
             lambda: robot_table(
-                _ranges(robot), outputs, body=body is not None, observer=observer is not None
+                _ranges(robot),
+                outputs,
+                body=body is not None,
+                observer=observer is not None,
+                samples=config.recalibration.enabled,
             ),
         )
         self._check_wiring(table, blocks)

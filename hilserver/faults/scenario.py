@@ -193,7 +193,7 @@ class Stage:
                 slots = self._table[name].slots
                 places = [self._gate.leases.place("scenario", slot) for slot in slots]
                 rows += [Row(s, n, tick=tick) for s, n in zip(places, numbers, strict=True)]
-            rows += self._gate.stamps(step.write, tick * self._period_s, tick)
+            rows += self._gate.stamps(step.write, tick * self._period_s, tick=tick)
         return rows
 
     def _numbers(self, name: str, value: Any) -> tuple[float, ...] | Refusal:

@@ -70,10 +70,19 @@ class Source:
         return True
 
     def write(
-        self, values: Mapping[str, object], now_ns: int, *, of: str = "", renews: bool = True
+        self,
+        values: Mapping[str, object],
+        now_ns: int,
+        *,
+        of: str = "",
+        age_ns: int = 0,
+        news: Collection[str] | None = None,
+        renews: bool = True,
     ) -> Outcome:
         """Hand one group to the gate; report what is wrong with it, as values of `of`."""
-        refused = self._gate.write(self.name, values, received_ns=now_ns, renews=renews)
+        refused = self._gate.write(
+            self.name, values, received_ns=now_ns, age_ns=age_ns, news=news, renews=renews
+        )
         wrong = {name: why for name, why in refused.items() if why not in OFFERED_AGAIN}
         for name, why in wrong.items():
             sentence = f"{of}{name} = {values[name]!r:.60} was refused: {why}"

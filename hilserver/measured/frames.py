@@ -6,7 +6,7 @@ their output stands: what stands there is one sample, taken at the last tick of 
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import yaml
@@ -14,10 +14,10 @@ import yaml
 from hilserver.arrays import Array, Indices, Mask
 from hilserver.config.root import Config
 from hilserver.logs import Log
-from hilserver.measured.channels import MODE, OF_MODE
+from hilserver.measured.channels import MODE, OF_MODE, SETPOINTS
 from hilserver.measured.names import is_input, known_signals
 from hilserver.measured.thresholds import ENOUGH_ROWS, FEWEST_VALUES
-from hilserver.signals import MEASURED
+from hilserver.signals import MEASURED, SAMPLED
 
 TICK: Final = "sim.tick"
 COMMAND: Final = "internal.command"
@@ -25,6 +25,8 @@ POSE_REQUEST: Final = "internal.pose_request"
 SECTIONS: Final = ("scheduler", "sensors", "plant")
 BAD: Final = 0x8000_0000
 UNCERTAIN: Final = 0x4000_0000
+RARE: Final = 0.05  # share of the samples
+OLDEST_S: Final = 1.0  # a stamp that makes a sample older than that is wrong
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,13 @@ class Frames:
     on_ticks: bool  # see `MeasuredLog`
 
 
+class _Taken(NamedTuple):
+    """When the source of a measured group took its samples."""
+
+    fresh: Mask  # shape (n,); rows that brought one
+    age_s: Array  # shape (n,)
+
+
 def is_of_the_daemon(log: Log) -> bool:
     """Return whether the daemon wrote the rows: with what it says of its run, or tick by tick."""
     return log.is_ours or TICK in log.columns
@@ -93,6 +102,7 @@ def frames_of(log: Log, sampling: Sampling | None) -> Frames:
     rows = {name: _usable(log, name) for name in log.columns}
     tick = _ticks(log, sampling)
     enough = np.ones(len(log), dtype=np.bool_) if tick is None else _enough(tick)
+    taken = {} if sampling is None else _taken(rows, log.t_s, sampling)
     segment = log.segment.copy()
     if POSE_REQUEST in rows:
         segment += np.cumsum(np.diff(rows[POSE_REQUEST], prepend=rows[POSE_REQUEST][:1]) != 0)
@@ -100,6 +110,12 @@ def frames_of(log: Log, sampling: Sampling | None) -> Frames:
     age_s: dict[str, Array] = {}
     for name, values in _chosen(rows, _rows(log) if tick is None else tick).items():
         columns[name] = values
+        if (own := taken.get(name.partition(".")[0])) and f"{MEASURED}{name}" in rows:
+            columns[name] = np.where(own.fresh, rows[f"{MEASURED}{name}"], np.nan)
+            if not is_input(name):
+                columns[name] = _without_rare_repeats(columns[name])
+            age_s[name] = own.age_s
+            continue
         if sampling is None or tick is None or is_input(name):
             continue
         period = sampling.period(name)
@@ -111,7 +127,54 @@ def frames_of(log: Log, sampling: Sampling | None) -> Frames:
         columns[name] = np.where(fresh, values, np.nan)
         if period > 1:
             age_s[name] = np.multiply(tick % period, sampling.base_period_s, dtype=np.float64)
-    return Frames(columns, age_s, segment, on_ticks=sampling is not None)
+    return Frames(columns, age_s, segment, on_ticks=sampling is not None and not taken)
+
+
+def _taken(rows: Mapping[str, Array], t_s: Array, sampling: Sampling) -> dict[str, _Taken]:
+    """Return the samples of the measured groups of which a recording has count and time.
+
+    They came as late as their way took; by the stamps of their source they lie in time as the robot
+    had them. The wheels' lie on its ticks, which are no whole number of ours away.
+    """
+    came: dict[str, tuple[Indices, Array]] = {}
+    for group in SAMPLED:
+        count, stamp = (rows.get(f"internal.{n}") for n in (f"samples_{group}", f"taken_{group}_s"))
+        if count is None or stamp is None:
+            continue
+        at = np.flatnonzero(np.diff(count, prepend=count[:1]) > 0.0)
+        if len(at) >= FEWEST_VALUES:
+            age_s = t_s[at] - stamp[at]
+            is_true = (age_s >= 0.0) & (age_s <= OLDEST_S)
+            came[group] = at, np.where(is_true, stamp[at], t_s[at])
+    if "wheel" in came:
+        tick_s = sampling.period("wheel") * sampling.base_period_s
+        at, stamps = came["wheel"]
+        phase = np.angle(np.exp(2j * np.pi * (stamps - t_s[0]) / tick_s).mean()) / (2.0 * np.pi)
+        came = {group: (at, stamps - phase * tick_s) for group, (at, stamps) in came.items()}
+        at, stamps = came["wheel"]
+        came["wheel"] = at, t_s[0] + tick_s * np.rint((stamps - t_s[0]) / tick_s)
+    return {group: _risen(t_s, *own) for group, own in came.items()}
+
+
+def _without_rare_repeats(values: Array) -> Array:
+    """Return samples without those that were missing: a channel that never repeats a value did not.
+
+    Others of its group came at the time, and its last value stands beside them.
+    """
+    there = np.flatnonzero(np.isfinite(values))
+    again = np.diff(values[there], prepend=np.nan) == 0.0
+    if again.mean() < RARE:
+        values[there[again]] = np.nan
+    return values
+
+
+def _risen(t_s: Array, at: Indices, stamps: Array) -> _Taken:
+    """Return samples by row, those left out that are no newer than one before them."""
+    fresh, age_s = np.zeros(len(t_s), dtype=np.bool_), np.zeros(len(t_s))
+    newest = np.maximum.accumulate(np.append(-np.inf, stamps))[:-1]
+    fresh[at[stamps > newest]] = True
+    age_s[at] = t_s[at] - stamps
+    return _Taken(fresh, age_s)
 
 
 def _enough(tick: Indices) -> Mask:
@@ -160,6 +223,9 @@ def _chosen(rows: Mapping[str, Array], tick: Indices) -> dict[str, Array]:
         if name.startswith(MEASURED) and np.nan_to_num(values).any()
     }
     known = known_signals()
+    followed = {n: rows[f"{MEASURED}{n}"] for n in SETPOINTS if f"{MEASURED}{n}" in rows}
+    if any(n in measured for n in SETPOINTS):  # the robot says itself what it was asked for
+        return measured | followed
     inputs = {name: values for name, values in rows.items() if name in known and is_input(name)}
     inputs |= {COMMAND: rows[COMMAND]} if COMMAND in rows and rows[COMMAND].any() else {}
     outputs = {

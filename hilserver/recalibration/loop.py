@@ -169,17 +169,22 @@ class Loop:
         before = self.proposal
         if before is None or before.stage is not Stage.ACCEPTED:
             return []
+        fields: dict[str, Any] = {"window": todo.window, "p": compared.p}
+        if not compared.flips.resolves(EFFECT_LEVEL):  # the robot stood: the next window says it
+            return [Note("effect", {**fields, "verdict": "too_short"})]
         self._accepted_in = None
         is_better = compared.flips.holds(EFFECT_LEVEL)
         after = before.after(Step.GAINED if is_better else Step.LOST)
         self.proposal = replace(after, effect=compared.gain)
-        fields = {"window": todo.window, "p": compared.p, "proposal": self.proposal.as_json()}
+        fields["proposal"] = self.proposal.as_json()
         if is_better:
             text = f"proposal {before.number} was right: {gained(compared.gain)}"
             return [Note("effect", {**fields, "verdict": "better"}, text)]
-        text = f"proposal {before.number} has not made the gap smaller; the former model is offered"
-        notes = [Note("effect", {**fields, "verdict": "not_better"}, text, 500)]
-        return notes + self._propose(back(before, self.count + 1, todo.window))
+        text = f"proposal {before.number} has not made the gap smaller"
+        note = Note("effect", {**fields, "verdict": "not_better"}, text, 500)
+        if not before.gain:  # it took one back: neither of the two models is better
+            return [note]
+        return [note, *self._propose(back(before, self.count + 1, todo.window))]
 
     # --- decisions --------------------------------------------------------------------------------
 
@@ -267,4 +272,4 @@ def gained(gain: Mapping[str, Quantity]) -> str:
 
 def announced(proposal: Proposal) -> str:
     """Return the sentence of the event."""
-    return f"proposal {proposal.number}: {proposal.sentence} AcceptProposal or RejectProposal"
+    return f"proposal {proposal.number} waits for a decision: {proposal.sentence}"

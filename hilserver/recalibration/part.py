@@ -35,6 +35,8 @@ DRIVEN_RPM: Final = 1.0
 AUTOMATIC: Final = "automatic"
 KEPT_REPORTS: Final = 20
 MOST_TEXT: Final = 500
+REPEATED_S: Final = 10.0  # a refusal that comes again within that is counted alone
+MOST_REFUSALS: Final = 20  # different ones that are said in that time
 
 _log = structlog.get_logger(__name__)
 
@@ -58,6 +60,7 @@ class Recalibration(Part):
         self.figures = Figures()
         self.metrics = (Source(RECALIBRATION_METRICS, self._counted),)
         self._last = {"kind": "", "verdict": "", "sentence": ""}
+        self._refusals: dict[str, float] = {}
         self._frame: Frame | None = None
         world.files.recalibration = self
 
@@ -144,7 +147,7 @@ class Recalibration(Part):
             made = self.loop.proposal
             if made is not None and made is not before and made.stage is Stage.OPEN:
                 self._offer(made, order.report)
-        if made is not None and made.waits and self._config.accept == "automatic":
+        if made is not None and made.stage is Stage.OPEN and self._config.accept == "automatic":
             await self._accept_by_itself(made)
 
     def _order(self, window: Window, todo: Todo) -> Order:
@@ -213,10 +216,26 @@ class Recalibration(Part):
     def _accepted(self, decided: Proposal, who: str) -> None:
         self.loop.adopt(decided, self._news.last + 1)
         self._detector.restart()
-        self._say(f"proposal {decided.number} is accepted by {who}")
+        self._decided(decided, who)
+
+    def _decided(self, decided: Proposal, who: str) -> None:
+        sentence = f"proposal {decided.number} is {decided.stage} by {who}"
+        self._last = {"kind": "decision", "verdict": str(decided.stage), "sentence": sentence}
+        self._count(str(decided.stage))
+        self._say(sentence)
+
+    def refused(self, sentence: str) -> None:
+        """Count a decision that was refused, and say it unless it has just been said."""
+        self._count("refused")
+        now_s = time.monotonic()
+        self._refusals = {t: s for t, s in self._refusals.items() if now_s - s < REPEATED_S}
+        if sentence not in self._refusals and len(self._refusals) < MOST_REFUSALS:
+            self._refusals[sentence] = now_s
+            self._say(sentence, 400)
 
     def _undone(self, why: str) -> None:
         """Write down that a decision came to nothing."""
+        self._count("undone")
         left = self.loop.proposal
         assert left is not None
         with contextlib.suppress(FailedError):
@@ -247,7 +266,7 @@ class Recalibration(Part):
             decided = self.loop.decided(step, number)
             self._history.append("decision", who=who, proposal=decided.as_json())
             self.loop.adopt(decided, self._news.last + 1)
-            self._say(f"proposal {number} is {decided.stage} by {who}")
+            self._decided(decided, who)
 
     @property
     def _differing(self) -> dict[str, float]:
@@ -268,6 +287,8 @@ class Recalibration(Part):
         measured: dict[str, float] = {}
         simulated: dict[str, float] = {}
         for name in gate.measured:
+            if table[name].writable:
+                continue  # a set-point that it follows: no answer of a model
             there, here = table.slot(f"{MEASURED}{name}"), table.slot(name)
             if frame.status[there] == GOOD and frame.status[here] == GOOD:
                 measured[name] = float(frame.values[there])
@@ -297,6 +318,9 @@ class Recalibration(Part):
             self._failed(str(error))
         if note.sentence:
             self._say(note.sentence, note.severity)
+
+    def _count(self, outcome: str) -> None:
+        self.figures.decisions[outcome] = self.figures.decisions.get(outcome, 0) + 1
 
     def _failed(self, text: str) -> None:
         self.figures.failures += 1

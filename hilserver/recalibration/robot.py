@@ -1,7 +1,8 @@
 """The "real robot" of ``hilserver run --twin``: another program's machine behind an OPC UA server.
 
 It drives as the model says until a cause appears that the daemon does not know. What it measures
-has the noise of real sensors; the set-points that it follows are served beside it.
+has the noise of real sensors; the set-points that it follows are served beside it, all with the
+time at which they were its own.
 """
 
 import argparse
@@ -13,7 +14,7 @@ import os
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from typing import Final
 
 import numpy as np
@@ -50,7 +51,10 @@ Pose = NDArray[np.float64]
 
 def peer(endpoint: str) -> PeerConfig:
     """Return the peer configuration for the robot at `endpoint`."""
-    read = {node_id(node): signal for node, signal in SETPOINTS.items()}
+    read: dict[str, str | tuple[str, ...]] = {
+        node_id(node): (signal, f"{MEASURED}{signal}") if "setpoint" in signal else signal
+        for node, signal in SETPOINTS.items()
+    }
     read |= {node_id(name): f"{MEASURED}{name}" for name in MEASURES}
     return PeerConfig(
         name="robot",
@@ -131,12 +135,13 @@ async def drive(server: ControllerServer, seed: int) -> None:
     loop = asyncio.get_running_loop()
     nodes = {signal: node for node, signal in SETPOINTS.items()} | {n: n for n in MEASURES}
     source = rows(seed)
-    begin_s, sequence = math.nan, 0
+    begin_s, begun, sequence = math.nan, datetime.now(UTC), 0
     offered: dict[str, object] = {}
     # The first row compiles the injector.
     while ahead := await asyncio.to_thread(lambda: list(itertools.islice(source, AHEAD))):
         for t_s, values in ahead:
-            begin_s = loop.time() - t_s if math.isnan(begin_s) else begin_s
+            if math.isnan(begin_s):
+                begin_s, begun = loop.time() - t_s, datetime.now(UTC) - timedelta(seconds=t_s)
             offered |= {nodes[n]: v for n, v in values.items() if n in nodes}
             left_s = begin_s + t_s - loop.time()
             if left_s < -LATE_S:
@@ -144,7 +149,8 @@ async def drive(server: ControllerServer, seed: int) -> None:
             await asyncio.sleep(left_s)
             sequence += 1
             await server.offer(
-                {**offered, "enable": True, SEQUENCE: sequence % 2**32}, datetime.now(UTC)
+                {**offered, "enable": True, SEQUENCE: sequence % 2**32},
+                begun + timedelta(seconds=t_s),
             )
             offered = {}
 

@@ -18,6 +18,8 @@ SIGNALS: Final = (
     "internal.command",
     "internal.pose_request",
     "measured.*",
+    "internal.samples_*",
+    "internal.taken_*",
 )
 """What a look needs; not `drive.enable`: the safe state of the model stops no real robot."""
 _NAME: Final = re.compile(rf"{STEM}_(\d{{4,6}}){re.escape(SUFFIX)}")

@@ -230,8 +230,9 @@ def _add_samples(b: _Builder) -> None:
     for group in SAMPLED:
         text = f"Samples of measured.{group}.*"
         b.add(f"internal.samples_{group}", "1", Direction.IN, 0, 2**53, text, hidden=True)
-        text = f"When the last of measured.{group}.* came, in simulated time"
-        b.add(f"internal.time_{group}_s", "s", Direction.IN, 0, 1e9, text, hidden=True)
+        for what, happened in (("time", "came"), ("taken", "was taken by its source")):
+            text = f"When the last of measured.{group}.* {happened}, in simulated time"
+            b.add(f"internal.{what}_{group}_s", "s", Direction.IN, 0, 1e9, text, hidden=True)
 
 
 def _add_estimate(b: _Builder) -> None:
@@ -267,10 +268,12 @@ def robot_table(
     *,
     body: bool = False,
     observer: bool = False,
+    samples: bool = False,
 ) -> SignalTable:
     """Return the table of the four-wheeled robot, followed by the outputs of own blocks.
 
-    Those of the mechatronic model and the observer, where they run, stand before them.
+    Those of the mechatronic model and the observer, where they run, stand before them. The samples
+    of what is measured are counted for an observer, or where it is asked for.
     """
     b = _Builder()
     _add_inputs(b, ranges)
@@ -290,10 +293,15 @@ def robot_table(
     b.add("internal.edition", "1", out, 0, 2**53, text, hidden=True)
     for name, unit, low, high, text in outputs:
         b.add(f"{MEASURED}{name}", unit, Direction.IN, low, high, f"Real robot: {text}")
+    for wheel in WHEELS:
+        text = f"Real robot: set-point that its {wheel} wheel follows at the time"
+        name, rpm = f"{MEASURED}wheel.{wheel}.setpoint_rpm", ranges.max_rpm
+        b.add(name, "rpm", Direction.IN, -rpm, rpm, text)
     for name, unit, low, high, text in _body_outputs() if body else ():
         b.add(name, unit, out, low, high, text)
     if observer:
         _add_estimate(b)
+    if observer or samples:
         _add_samples(b)
     for block in blocks:
         way, hidden = (Direction.IN, True) if block.is_replayed else (out, False)

@@ -47,4 +47,4 @@ SOURCES: tuple[Source, ...] = ("scenario", "page", "opcua", "shield", "ros2", "p
 """Kinds of sources that may command, in the default order of priority (highest first)."""
 
 MEASURED = "measured."  # beginning of the names under which values of the real robot come in
-SAMPLED = ("wheel", "imu", "nav")  # groups of them whose samples are counted for the observer
+SAMPLED = ("wheel", "imu", "nav")  # groups of them whose samples are counted

@@ -141,3 +141,57 @@ def test_frames_left_out_in_which_nothing_changes_give_the_same_samples():
     np.testing.assert_array_equal(np.isfinite(thin) & is_new[kept], is_new[kept])
     extra = np.isfinite(thin) & ~is_new[kept]
     assert extra.sum() <= (np.isfinite(whole) & ~is_new).sum()
+
+
+def taken(late_ticks, lie=lambda _: 0.0, n=100):
+    """A robot that reports every 20 ms on ticks of its own, and when the rows come in."""
+    rng = np.random.default_rng(1)
+    came = 20 * np.arange(1, n + 1) + late_ticks + rng.integers(0, late_ticks + 1, n)
+    which = np.searchsorted(came, np.arange(20 * n + 100), side="right")
+    true_s = 0.02 * np.arange(n + 1) + 0.00037
+    return {
+        f"measured.{SETPOINT}": lambda tick: which[tick],
+        f"measured.{SPEED}": lambda tick: 0.5 * which[tick],
+        f"measured.{NAV}": lambda tick: 1.0 + which[tick] // 5,
+        SETPOINT: lambda _: 7.0,
+        "control.mode": lambda _: 1.0,
+        "internal.samples_wheel": lambda tick: which[tick],
+        "internal.taken_wheel_s": lambda tick: true_s[which[tick]] + lie(which[tick]),
+        "internal.samples_nav": lambda tick: which[tick] // 5,
+        "internal.taken_nav_s": lambda tick: true_s[which[tick] // 5 * 5],
+    }
+
+
+@pytest.mark.parametrize("late_ticks", [0, 15])
+def test_samples_lie_where_their_source_took_them(tmp_path, late_ticks):
+    log = read(write_frames(tmp_path / "run.csv", taken(late_ticks), n=2040))
+    for name, size in ((SETPOINT, 1.0), (SPEED, 0.5)):
+        assert np.allclose(log[name].t_s, 0.02 / size * log[name].values, atol=1e-9)
+        assert len(log[name]) >= 99
+    assert np.allclose(log[NAV].t_s, 0.1 * (log[NAV].values - 1.0), atol=1e-9)
+    assert not log.on_ticks
+    assert "control.mode" not in log  # the robot says what it follows; ours is no input of it
+
+
+@pytest.mark.parametrize(
+    ("lie", "left"),
+    [
+        (lambda k: 5.0 * (k > 50), 99),  # from the future: as it came
+        (lambda k: -2.0 * (k > 50), 99),  # of long ago: as it came
+        (lambda k: -0.3 * (k > 50), 84),  # back: what is no newer than before is none
+    ],
+)
+def test_a_source_that_lies_about_time_makes_no_samples_of_it(tmp_path, lie, left):
+    log = read(write_frames(tmp_path / "run.csv", taken(15, lie), n=2040))
+    assert (np.diff(log[SPEED].t_s) > 0.0).all()
+    assert left <= len(log[SPEED]) <= left + 1
+
+
+def test_a_channel_that_was_missing_beside_others_has_no_sample(tmp_path):
+    columns = taken(0)
+    which, columns[f"measured.{SPEED}"] = columns[f"measured.{SETPOINT}"], None
+    columns[f"measured.{SPEED}"] = lambda tick: which(tick) - (which(tick) == 60)
+    log = read(write_frames(tmp_path / "run.csv", columns, n=2040))
+    assert 60.0 not in log[SPEED].values
+    assert (log[SPEED].values == 59.0).sum() == 1
+    assert (log[SETPOINT].values == 60.0).sum() == 1

@@ -1,14 +1,17 @@
 """A look at windows that another program has made."""
 
+import numpy as np
 import pytest
 from hilserver_injector.make import make
 from hilserver_injector.recipe import Recipe
 
+from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.schema.evidence import FittedTerm
 from hilserver.diagnosis.schema.findings import Parameter
+from hilserver.measured.channels import DUTIES
 from hilserver.recalibration.judging import Judge, proposed, values_of
 from hilserver.recalibration.orders import Todo
-from tests.recalibration.windows import order, write
+from tests.recalibration.windows import order, record, write
 
 HIDDEN = {"rotation_gain": 0.06}
 
@@ -55,6 +58,33 @@ def test_a_damaged_window_is_named(tmp_path):
 
 def test_a_window_that_is_gone_is_named(tmp_path):
     assert "window_0002.mcap" in judged(tmp_path / "window_0002.mcap", None).error
+
+
+def duty_beyond_the_model(path):
+    """Root mean square of what the model leaves of the duties [%]."""
+    judge = Judge(order(path))
+    stage = DriveStage(judge.log, judge.robot, block_s=1.0)
+    rows = np.concatenate([np.arange(len(stage.stack))[stage.stack.edges[n]] for n in DUTIES])
+    return float((stage.stack.values - stage.predict({}))[rows].std())
+
+
+@pytest.mark.parametrize("late_ticks", [0, 10])
+def test_set_points_that_reach_the_robot_late_are_taken_when_it_followed_them(tmp_path, late_ticks):
+    """Its duties have a noise of 0.15 %; nothing else is left where all of it is stamped."""
+    path = record(tmp_path / "window.csv", {}, 3, late_ticks=late_ticks, length_s=30.0)
+    assert duty_beyond_the_model(path) < 0.17
+
+
+def test_set_points_that_nobody_has_stamped_leave_more_than_noise(tmp_path):
+    path = record(tmp_path / "window.csv", {}, 3, stamped=False, length_s=30.0)
+    assert duty_beyond_the_model(path) > 0.3
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("floor", [{}, HIDDEN])
+def test_set_points_that_reach_the_robot_late_are_no_change(tmp_path, floor):
+    look = judged(record(tmp_path / "window.csv", floor, 4), Todo(2, floor, look=True)).look
+    assert (look.verdict, look.sentence) == ("as_running" if floor else "nothing", "")
 
 
 @pytest.mark.long

@@ -156,6 +156,32 @@ def test_a_decision_that_did_not_help_offers_the_former_model():
     assert present(offered) == {"rotation_gain": 0.03}
 
 
+def test_a_window_that_cannot_say_leaves_the_effect_to_the_next():
+    """The robot stood still: no block differs, and the former model is not offered for that."""
+    robot = Robot()
+    robot.proposed()
+    robot.decide(Step.ACCEPT)
+    robot.next()
+    robot.next(measure=Compared(1.0, 1.0, 0))
+    assert robot.notes[-2].fields["verdict"] == "too_short"
+    assert robot.loop.proposal.stage is Stage.ACCEPTED
+    robot.next(measure=BETTER)
+    assert robot.loop.proposal.stage is Stage.BETTER
+
+
+def test_two_models_of_which_none_is_better_do_not_take_turns():
+    robot = Robot()
+    robot.proposed()
+    robot.decide(Step.ACCEPT)
+    robot.next()
+    robot.next()
+    assert robot.loop.proposal.number == 2
+    robot.decide(Step.ACCEPT)
+    robot.next()
+    robot.next()
+    assert (robot.loop.proposal.number, robot.loop.proposal.stage) == (2, Stage.NOT_BETTER)
+
+
 def test_what_was_rejected_is_not_proposed_again():
     robot = Robot()
     robot.proposed()

@@ -16,7 +16,7 @@ from hilserver.errors import ControlRefused, FailedError
 from hilserver.recalibration import link, process
 from hilserver.recalibration.history import FILE, broken
 from hilserver.recalibration.orders import Compared, Looked, Order, Result, Todo
-from hilserver.recalibration.proposals import Quantity, Stage, Term
+from hilserver.recalibration.proposals import Quantity, Stage, Step, Term
 from hilserver.recalibration.windows import Window
 from tests.io.opcua_server.rig import RobotClient
 from tests.loopback.rig import configuration, scrape, wait_until
@@ -118,7 +118,11 @@ async def test_a_proposal_is_shown_accepted_and_measured(tmp_path, answers):
         await exported(daemon, 'looks_total{verdict="named"} 1.0')
         assert broken(lines(tmp_path)) is None
         said = [e.message for e in daemon.events.recent if e.kind == "recalibration"]
-        assert any("AcceptProposal" in text for text in said)
+        assert said[0] == f"proposal 1 waits for a decision: {NAMED.sentence}"
+        why = "was refused: proposal 1 is accepted, not open"
+        assert f"AcceptProposal by anonymous engineer {why}" in said
+        await exported(daemon, 'decisions_total{outcome="accepted"} 1.0')
+        await exported(daemon, 'decisions_total{outcome="refused"} 1.0')
 
 
 async def exported(daemon, text):
@@ -156,8 +160,24 @@ async def test_only_an_engineer_decides(tmp_path, answers, role):
             for method in ("AcceptProposal", "RejectProposal", "PostponeProposal"):
                 code = (await client.call(method, number(1))).StatusCode.name
                 assert code == "BadUserAccessDenied"
+                assert (await client.call(method, number(1))).StatusCode.name == code
             await wait_until(lambda: shown(client, "proposal.stage", "open"))
         assert daemon.core.parameters.differing == {}
+        said = [e.message for e in daemon.events.recent if "was refused" in e.message]
+        assert said == [  # once each, however often it is tried
+            f"{method} by anonymous {role} was refused: your role does not allow this call"
+            for method in ("AcceptProposal", "RejectProposal", "PostponeProposal")
+        ]
+        await exported(daemon, 'decisions_total{outcome="refused"} 6.0')
+
+
+async def test_a_flood_of_refusals_drives_no_other_event_out(tmp_path, answers):
+    async with daemon_in(tmp_path) as (daemon, part):
+        for k in range(1000):
+            part.refused(f"AcceptProposal by eve was refused: {k} is not the newest proposal")
+        said = [e for e in daemon.events.recent if e.kind == "recalibration"]
+        assert 0 < len(said) < 50
+        await exported(daemon, 'decisions_total{outcome="refused"} 1000.0')
 
 
 async def test_who_decided_is_written_down(tmp_path, answers):
@@ -261,6 +281,32 @@ async def test_within_ranges_it_acts_by_itself(tmp_path, answers, high, acts):
         await windows(part, answers, Result(look=NAMED), Result(confirm=BETTER))
         assert bool(daemon.core.parameters.differing) == acts
         assert part.loop.proposal.stage is (Stage.ACCEPTED if acts else Stage.OPEN)
+
+
+async def test_what_an_engineer_has_postponed_does_not_act_by_itself(tmp_path, answers):
+    ranges = {"rotation_gain": [-0.05, 0.05]}
+    async with daemon_in(tmp_path, accept="automatic", ranges=ranges) as (daemon, part):
+        await windows(part, answers, Result(look=NAMED))
+        part._config = part._config.model_copy(update={"accept": "engineer"})
+        await windows(part, answers, Result(confirm=BETTER))
+        await part.postpone(1, "eve")
+        part._config = part._config.model_copy(update={"accept": "automatic"})
+        await windows(part, answers, Result(look=Looked("nothing")))
+        assert part.loop.proposal.stage is Stage.POSTPONED
+        assert daemon.core.parameters.differing == {}
+
+
+async def test_a_kill_between_decision_and_patch_leaves_the_proposal_open(tmp_path, answers):
+    """The line of the decision is on disk, and nothing of the patch has acted."""
+    async with daemon_in(tmp_path) as (_, part):
+        await proposed(part, answers)
+        decided = part.loop.decided(Step.ACCEPT, 1)
+        part._history.append("decision", who="eve", proposal=decided.as_json())
+    async with daemon_in(tmp_path) as (daemon, part):
+        assert part.loop.proposal.stage is Stage.OPEN
+        assert daemon.core.parameters.differing == {}
+        await part.accept(1, "eve")
+        assert daemon.core.parameters.differing == {"terms.rotation_gain": 0.03}
 
 
 async def test_a_proposal_waits_for_the_next_run(tmp_path, answers):

@@ -213,11 +213,17 @@ class RobotApplication(Application):
 
     async def call(self, request: ua.CallMethodRequest, session: Any) -> CallAnswer:
         """Answer one call; what it does knows who asked."""
-        mine = CALLER.set(session.user.name or f"anonymous {session.user.rights.name.lower()}")
+        who = session.user.name or f"anonymous {session.user.rights.name.lower()}"
+        mine = CALLER.set(who)
         try:
-            return await super().call(request, session)
+            answer = await super().call(request, session)
         finally:
             CALLER.reset(mine)
+        method = self._methods.get(request.MethodId)
+        if answer.text and method is not None and method.refused is not None:
+            why = answer.text.removeprefix(f"{method.name}: ")
+            method.refused(self._parts, f"{method.name} by {who} was refused: {why}")
+        return answer
 
     async def run(self, request: ua.CallMethodRequest) -> CallAnswer:
         """Do what a method says; its arguments are of their types."""

@@ -65,6 +65,8 @@ class Method:
     # ValueError for one out of range and UserError for what is not possible now
     act: Callable[..., Any]
     arguments: tuple[Argument, ...] = ()
+    # is given a sentence where a call was refused, whatever the reason
+    refused: Callable[[Parts, str], None] | None = None
 
     @property
     def node_id(self) -> str:
@@ -82,6 +84,10 @@ def _inject(on: Parts, text: str) -> object:
     from hilserver.faults.model import parse_faults  # noqa: PLC0415 - clients need no compiler
 
     return on.faults.inject(*parse_faults(text))
+
+
+def _undecided(on: Parts, sentence: str) -> None:
+    on.files.recalibration.refused(sentence)
 
 
 _SIGNAL = Argument("signal", STRING, "Name of the signal")
@@ -198,18 +204,21 @@ METHODS = (
         "Lay the patch of a proposal over the plant, from one tick on",
         lambda on, number: on.files.recalibration.accept(number, CALLER.get()),
         (_NUMBER,),
+        _undecided,
     ),
     Method(
         "RejectProposal",
         "Go on without a proposal; it is not made again",
         lambda on, number: on.files.recalibration.reject(number, CALLER.get()),
         (_NUMBER,),
+        _undecided,
     ),
     Method(
         "PostponeProposal",
         "Leave a proposal open and remind nobody",
         lambda on, number: on.files.recalibration.postpone(number, CALLER.get()),
         (_NUMBER,),
+        _undecided,
     ),
     Method(
         "SaveParameters",

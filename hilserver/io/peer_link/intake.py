@@ -16,6 +16,7 @@ SEQUENCE_SIGNAL = "input.sequence"
 
 REPEATS_TOLERATED = 3
 """So many batches may change values under one sequence number before it is called repeating."""
+OLDEST_NS = 1_000_000_000  # a stamp that makes a sample older than that is wrong
 
 
 class Intake:
@@ -48,6 +49,8 @@ class Intake:
         self._last_values: dict[str, object] = {}
         self._news_ns: int | None = None
         self._repeats = 0
+        self._fresh: set[str] = set()  # inputs of which a new sample has come
+        self._age_ns = 0  # of the newest batch, by the stamp of its source
 
     def expect(self, nodes: Iterable[str], now_ns: int) -> None:
         """Hold every input as unusable until its first good sample."""
@@ -69,6 +72,7 @@ class Intake:
         """
         advanced = self._counter is None
         news = changed = False
+        self._age_ns = 0
         for node, verdict in samples:
             is_new, has_changed = self._compare(node, verdict)
             self._judge_stamp(node, verdict, now_ns)
@@ -86,6 +90,8 @@ class Intake:
                 changed |= has_changed
             for name in self._inputs.get(node, ()):
                 self._keep(name, verdict.value)
+                if is_new:
+                    self._fresh.add(name)
         if news:
             self._observe_interval(now_ns)
         if advanced:
@@ -156,6 +162,7 @@ class Intake:
             self._faults.report(FaultKind.STAMP_AHEAD, node, sentence, now_ns)
             return
         self._status.one_way.observe(max(latency_ns, 0))
+        self._age_ns = max(latency_ns, 0) if latency_ns < OLDEST_NS else 0
 
     def _observe_interval(self, now_ns: int) -> None:
         if self._news_ns is not None:
@@ -169,7 +176,11 @@ class Intake:
         if not self._picture or self._staleness.waiting:
             return
         renews = not self._staleness.lacks_input
-        for signal in self._source.write(self._picture, now_ns, renews=renews).wrong:
+        outcome = self._source.write(
+            self._picture, now_ns, age_ns=self._age_ns, news=self._fresh, renews=renews
+        )
+        self._fresh = set()
+        for signal in outcome.wrong:
             self._refused[signal] = self._picture.pop(signal)
 
     def _watch_repeats(self, now_ns: int) -> None:

@@ -49,7 +49,6 @@ export function diagnosisView(context: Context): View {
       ...(files.sweeps.length ? files.sweeps.map(sweepItem) : [h("li", { class: "note" }, `No sweeps yet: hilserver sweep FILE -o ${files.folders["sweeps"]}/NAME makes one.`)]),
     );
   }
-  load().catch((error: Error) => toast(error.message, "error"));
 
   async function diagnose(log: string, mapping = ""): Promise<void> {
     toast(`Diagnosis ${await call("diagnose", log, mapping)} has started.`);
@@ -91,8 +90,14 @@ export function diagnosisView(context: Context): View {
   }
 
   let shown = "";
+  let listed = "";
   function slow(): void {
     const { jobs: told, board } = live.slow;
+    const made = `${board.patch} ${board.recalibration?.proposal?.number}`;
+    if (made !== listed) {
+      listed = made;
+      load().catch((error: Error) => toast(error.message, "error"));
+    }
     const text = JSON.stringify(told);
     if (text !== shown || !jobs.children.length) {
       shown = text;

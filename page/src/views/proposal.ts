@@ -16,6 +16,13 @@ const LOOKS: Record<string, string> = {
   not_confirmed: "What was named was not confirmed on the next window.",
   no_test: "What was named cannot be confirmed: the next window was too short for that.",
   known: "What was named again is decided, or waits for that.",
+  proposal: "A cause was named and confirmed on a window that took no part: decide.",
+  accepted: "The patch acts; the next whole window says whether the gap has fallen.",
+  rejected: "The proposal is rejected; it is not made again.",
+  postponed: "The proposal is postponed.",
+  better: "The gap has fallen.",
+  not_better: "The gap has not fallen.",
+  too_short: "The robot moved too little to say whether the gap has fallen: the next window will.",
 };
 const STAGES: Record<string, string> = { not_better: "not better", accepted: "accepted, being measured" };
 
@@ -40,7 +47,7 @@ export function proposalCard(context: Context): { element: HTMLElement; show: (b
 function said(look: Record<string, string | number | boolean>): string {
   if (look["is_looking"]) return "A window is being diagnosed.";
   if (look["gap_changed"]) return "The gap has left its usual range; the next window is diagnosed.";
-  return String(LOOKS[String(look["verdict"])] ?? look["sentence"] ?? "") || "The first window is being recorded.";
+  return String(LOOKS[String(look["verdict"] || (look["kind"] === "proposal" && "proposal"))] ?? look["sentence"] ?? "") || "The first window is being recorded.";
 }
 
 function proposed(context: Context, p: Proposal): HTMLElement {

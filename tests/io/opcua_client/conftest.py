@@ -4,7 +4,7 @@ import asyncio
 import logging
 import math
 import time
-from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from collections.abc import AsyncIterator, Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
@@ -38,13 +38,24 @@ class RecordingGate:
     groups: list[dict[str, object]] = field(default_factory=list)
     refuse: dict[str, Refusal] = field(default_factory=dict)
     stale: list[str] = field(default_factory=list)
+    news: list[Collection[str] | None] = field(default_factory=list)
+    ages_ns: list[int] = field(default_factory=list)
 
     in_real_time: bool = True
 
     def write(
-        self, source: str, values: Mapping[str, object], *, received_ns: int, renews: bool = True
+        self,
+        source: str,
+        values: Mapping[str, object],
+        *,
+        received_ns: int,
+        age_ns: int = 0,
+        news: Collection[str] | None = None,
+        renews: bool = True,
     ) -> dict[str, Refusal]:
         assert source == "peer:iot2050"
+        self.news.append(news)
+        self.ages_ns.append(age_ns)
         refused = {name: self.refuse[name] for name in values if name in self.refuse}
         self.groups.append({k: v for k, v in values.items() if k not in refused})
         return refused

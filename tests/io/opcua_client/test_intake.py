@@ -11,7 +11,7 @@ from hilserver.io.link_faults import HOLD_NS
 from hilserver.io.link_status import PeerStatus
 from hilserver.io.opcua_client.validation import judge
 from hilserver.io.peer_link.intake import Intake
-from hilserver.io.peer_link.samples import FaultKind
+from hilserver.io.peer_link.samples import FaultKind, Verdict
 from hilserver.io.source import Source
 from tests.io.opcua_client.conftest import URI, RecordingGate, peer_config
 
@@ -121,3 +121,28 @@ def test_a_fault_is_told_once_and_ends_when_it_was_not_seen_for_long():
     assert bench.status.faults
     bench.faults.expire(bench.now_ns + HOLD_NS + 1)
     assert not bench.status.faults
+
+
+def test_what_the_peer_has_not_sampled_anew_is_no_sample():
+    """Every group is the whole picture, but the tag has a clock of its own."""
+    read = {FL: "measured.wheel.fl.speed_rpm", RR: "measured.nav.x_m"}
+    bench = Bench(read=read)
+    bench.receive((FL, 1.0), (RR, 5.0), (SEQ, 1))
+    bench.receive((FL, 2.0), (SEQ, 2))
+    bench.receive((FL, 3.0))  # its number follows
+    bench.receive((SEQ, 3))
+    assert [group["measured.nav.x_m"] for group in bench.gate.groups] == [5.0] * 3
+    assert [sorted(news) for news in bench.gate.news] == [sorted(read.values())] + [[read[FL]]] * 2
+
+
+def test_how_old_samples_are_follows_from_the_stamp_of_the_number():
+    bench = Bench()
+    bench.intake.offset.read(0, 100, 1_000_050)
+    bench.intake.offset.read(100, 200, 1_000_150)
+    stamps = (0, 10_000_000, 15_000_000, 20_000_000)
+    for k, stamp_ns in enumerate((*stamps, -5_000_000_000, 500_000_000)):
+        bench.now_ns += 10_000_000
+        verdict = Verdict(value=k, stamp_ns=1_000_000 + stamp_ns)
+        bench.intake.receive([(FL, Verdict(value=float(k))), (SEQ, verdict)], bench.now_ns)
+    # the first proves nothing, then 10, 15 and 20 ms; one is older, the last one from the future
+    assert bench.gate.ages_ns == [0, 10_000_000, 15_000_000, 20_000_000, 0, 0]
