@@ -93,16 +93,9 @@ class _Builder:
         outputs = [output for block in blocks for output in _outputs(block)]
         body, p = self._body(robot, periods_s), pack(robot)
         observer = self._observer(robot, p, slices)
-        table = self._checked(
-            ("blocks",),
-            lambda: robot_table(
-                _ranges(robot),
-                outputs,
-                body=body is not None,
-                observer=observer is not None,
-                samples=config.recalibration.enabled,
-            ),
-        )
+        has = {"body": body is not None, "observer": observer is not None}
+        has["samples"] = config.recalibration.enabled
+        table = self._checked(("blocks",), lambda: robot_table(_ranges(robot), outputs, **has))
         self._check_wiring(table, blocks)
         composition = Composition(
             table=table,
