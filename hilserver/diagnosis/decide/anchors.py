@@ -7,7 +7,6 @@ hundred columns of unknown structure four would hardly count.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import singledispatch
 from typing import Final
 
 import numpy as np
@@ -30,7 +29,6 @@ from hilserver.diagnosis.regression.screen import (
     score,
 )
 from hilserver.diagnosis.replay.pose_stage import PoseStage
-from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.thresholds import (
     INEXACT,
     INSTEAD_LEAST_GAIN,
@@ -58,34 +56,31 @@ class Anchor:
     largest: float  # how far the position moves where it moves most, per metre of the range
 
 
-@dataclass(frozen=True)
-class _Fields:
-    """The fields of four anchors on the positions of a log."""
+def _fields(problem: Problem, point: Point) -> tuple[Array, Array] | None:
+    """Return the fields of four anchors, or None where no position is judged in one frame.
 
-    moved: Array  # shape (4, m, 2): see `unknown.anchor_fields`
-    white: Array  # shape (n, 4): their columns, whitened, initial poses projected out
-
-    def anchor(self, best: int, error_m: float, half_m: float) -> Anchor:
-        """Return one of the four."""
-        return Anchor(SIDES[best], error_m, half_m, float(np.hypot(*self.moved[best].T).max()))
-
-
-@singledispatch
-def _fields(stage: Stage, problem: Problem, point: Point) -> _Fields | None:
-    """Return the fields of four anchors, or None where no position is judged in one frame."""
-    del stage, problem, point
-    return None
-
-
-@_fields.register
-def _(stage: PoseStage, problem: Problem, point: Point) -> _Fields | None:
-    if stage.begins_anew or POSITION[0] not in problem.stack.edges:
+    Returns
+    -------
+    ndarray, shape (4, m, 2)
+        See `unknown.anchor_fields`.
+    ndarray, shape (n, 4)
+        Their columns, whitened, initial poses projected out.
+    """
+    stage = problem.stage
+    if (
+        not isinstance(stage, PoseStage)
+        or stage.begins_anew
+        or POSITION[0] not in stage.stack.edges
+    ):
         return None
     motion = Motion(stage, problem, point)
     moved = anchor_fields(motion)
     columns = np.stack([motion.placed(*field.T) for field in moved], axis=1)
-    bases = problem.bases(problem.nuisance(point.predicted, point.poses))
-    return _Fields(moved, problem.project(problem.whiten(columns), bases))
+    return moved, problem.shown(point, columns)
+
+
+def _anchor(moved: Array, number: int, error_m: float, half_m: float) -> Anchor:
+    return Anchor(SIDES[number], error_m, half_m, float(np.hypot(*moved.T).max()))
 
 
 def anchor_off(
@@ -112,11 +107,11 @@ def anchor_off(
         Family-wise over the anchors, weighted so that it compares with the level of the screen.
     """
     problem = library.problem
-    fields = _fields(problem.stage, problem, point)
+    fields = _fields(problem, point)
     if fields is None:
         return None
     stack = problem.stack
-    white = orthogonal(fields.white, problem.accepted(point))
+    moved, white = fields[0], orthogonal(fields[1], problem.accepted(point))
     blocks = Blocks.of(stack.block, stack.n_blocks)
     scores = score(white[blocks.order], point.left[blocks.order], blocks)
     best = int(np.argmax(scores.gain))
@@ -135,7 +130,8 @@ def anchor_off(
     ):
         return None
     half_m = 1.96 * float(scores.deviation[best] / scores.information[best])
-    return fields.anchor(best, float(scores.size[best]), half_m), p * SCREEN_LEVEL / ANCHOR_LEVEL
+    found = _anchor(moved[best], best, float(scores.size[best]), half_m)
+    return found, p * SCREEN_LEVEL / ANCHOR_LEVEL
 
 
 @dataclass(frozen=True)
@@ -147,19 +143,10 @@ class Contest:
     """
 
     index: int  # of the scale among the accepted causes
-    # deviance that one anchor, or all four less one for each, saves more than the scale
+    # deviance that one anchor, or all four less one for each, saves more than the scale: beyond
+    # `TIE` the scale is none, within it the data do not decide
     more: float
     anchor: Anchor  # the one that explains most in its place
-
-    @property
-    def lost(self) -> bool:
-        """Whether the scale is none."""
-        return self.more > TIE
-
-    @property
-    def open(self) -> bool:
-        """Whether the data do not decide it."""
-        return abs(self.more) <= TIE
 
 
 def scale_or_anchor(problem: Problem, point: Point) -> Contest | None:
@@ -168,18 +155,18 @@ def scale_or_anchor(problem: Problem, point: Point) -> Contest | None:
     index = next((i for i, c in enumerate(point.model.causes) if traits_of(c).field), None)
     if accepted is None or index is None:
         return None
-    fields = _fields(problem.stage, problem, point)
+    fields = _fields(problem, point)
     if fields is None:
         return None
     others, own = apart(point, accepted, index)
     target = orthogonal(point.left + own, others)
-    white = orthogonal(fields.white, others)
+    moved, white = fields[0], orthogonal(fields[1], others)
     explained = float(target @ target - point.left @ point.left)
     squares, along = (white**2).sum(axis=0) + 1e-300, white.T @ target
     best = int(np.argmax(along**2 / squares))
     most = max(float(along[best] ** 2 / squares[best]), joint_gain(white, target))
     error_m, half_m = float(along[best] / squares[best]), 1.96 / float(np.sqrt(squares[best]))
-    return Contest(index, most - explained, fields.anchor(best, error_m, half_m))
+    return Contest(index, most - explained, _anchor(moved[best], best, error_m, half_m))
 
 
 def _rival(library: Library, point: Point) -> float:

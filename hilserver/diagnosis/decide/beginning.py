@@ -12,7 +12,6 @@ from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted, Model
-from hilserver.diagnosis.thresholds import LEAST_GAIN
 
 Terms = Mapping[str, float]
 
@@ -41,7 +40,7 @@ def begun(
     while any(map(at_bound, point.model.fitted)):
         inside = tuple(f for f in point.model.fitted if not at_bound(f))
         point = fit(problem, Model(inside), point, iterations=3)
-    return prune(problem, point, LEAST_GAIN)
+    return prune(problem, point)
 
 
 def causes_of(candidates: Sequence[Candidate], terms: Terms) -> Iterator[Fitted]:

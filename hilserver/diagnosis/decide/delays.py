@@ -10,6 +10,7 @@ from typing import Final
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.traits import traits_of
+from hilserver.diagnosis.decide.identifiability import MOST_SWAPS
 from hilserver.diagnosis.decide.promise import Step
 from hilserver.diagnosis.decide.trial import holds, possible
 from hilserver.diagnosis.regression.columns import Library
@@ -18,8 +19,6 @@ from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.decisions import Action, Decision
 
-MOST_MOVES: Final = 4
-"""In a row."""
 EXCHANGED: Final = "another delay in its place explains the data better"
 SUPERFLUOUS: Final = "beside another delay it does not hold on held-out blocks"
 
@@ -29,7 +28,7 @@ def with_other_delays(library: Library, point: Point, rows: list[Decision]) -> P
     problem = library.problem
     if problem.stage.memoryless:  # times of the drive act each in its own way
         return point
-    for _ in range(MOST_MOVES):
+    for _ in range(MOST_SWAPS):
         action: Action = "swapped"
         other, why = _exchanged(library, point), EXCHANGED
         if other is None:
@@ -68,7 +67,7 @@ def _exchanged(library: Library, point: Point) -> Point | None:
             if not possible(trial):
                 continue
             saved = point.deviance - trial.deviance
-            if saved > most and holds(problem, point, trial.model, trial):
+            if saved > most and holds(problem, point, trial):
                 best, most = trial, saved
     return best
 
@@ -80,6 +79,6 @@ def _without_one(problem: Problem, point: Point) -> Point | None:
         return None
     for index in places:
         less = fit(problem, point.model.without(index), point, iterations=3)
-        if not holds(problem, less, point.model, point):
+        if not holds(problem, less, point):
             return less
     return None

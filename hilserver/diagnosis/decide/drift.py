@@ -11,8 +11,9 @@ from hilserver.arrays import Array, Mask
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.decide.identifiability import Rival
+from hilserver.diagnosis.decide.selection import MOST_FITTED
 from hilserver.diagnosis.regression.columns import Library
-from hilserver.diagnosis.regression.fitting import fit
+from hilserver.diagnosis.regression.fitting import DAMPED, fit
 from hilserver.diagnosis.regression.intervals import own_share
 from hilserver.diagnosis.regression.linear import SHORTEST, basis, orthogonal, saved
 from hilserver.diagnosis.regression.problem import Point, Problem, apart
@@ -25,11 +26,7 @@ from hilserver.diagnosis.thresholds import (
     REST_LEVEL,
 )
 
-RIVALS: Final = 3  # causes whose change is tried in full
 PARTS_OF_LOG: Final = 4  # of the log, each with a size and a trend of its own
-TREND_DAMPING: Final = 1e-6  # of a size beside its trend, see `linear`
-FEWEST_IN_PARTS: Final = 2 * PARTS_OF_LOG
-"""Blocks; in fewer a change cannot be separated from noise."""
 
 
 @dataclass(frozen=True)
@@ -56,15 +53,6 @@ def parts(problem: Problem) -> list[Mask]:
     middle = stack.block_sums(time) / np.maximum(np.bincount(stack.block, None, stack.n_blocks), 1)
     number = np.clip((0.5 * PARTS_OF_LOG * (middle + 1.0)).astype(int), 0, PARTS_OF_LOG - 1)
     return [number == k for k in range(PARTS_OF_LOG)]
-
-
-def inside(point: Point) -> bool:
-    """Return whether all parameters are physically possible."""
-    return all(
-        low <= value <= high
-        for f in point.model.fitted
-        for value, low, high in zip(f.theta, f.candidate.low, f.candidate.high, strict=True)
-    )
 
 
 def drifting(problem: Problem, point: Point, rng: np.random.Generator) -> dict[str, float]:
@@ -100,7 +88,7 @@ def with_drift(library: Library, point: Point, rng: np.random.Generator) -> Drif
     it; and one that drifts otherwise can look like part of the floor or a weaker battery.
     """
     first = point
-    if library.problem.stack.n_blocks < FEWEST_IN_PARTS:
+    if library.problem.stack.n_blocks < 2 * PARTS_OF_LOG:  # what changes would be noise
         return Drifting(point, {}, 0.0)
     point = _taken_up(library, point, rng)
     p = drifting(library.problem, point, rng)
@@ -149,8 +137,7 @@ def _taken_up(library: Library, point: Point, rng: np.random.Generator) -> Point
     if p[best] >= REST_LEVEL or gain[best] <= REST_LEAST_GAIN:
         return point
     c = library.candidates[chosen[free[best]]]
-    trial = fit(problem, point.model.plus(c, c.beginning), point, iterations=3)
-    return trial if inside(trial) else point
+    return fit(problem, point.model.plus(c, c.beginning), point, iterations=3)
 
 
 def _rearranged(
@@ -170,13 +157,17 @@ def _rearranged(
     float
         Deviance with sizes and trends of their own.
     """
-    problem = library.problem
+    problem, taken = library.problem, point.model.causes
+    accepted = problem.accepted(point)
+    assert accepted is not None
     cost = partial(left_by_changes, problem, start=point)
     model, least = point.model, cost(point.model)
     for index, f in enumerate(point.model.fitted):
         if f.candidate.cause not in drift:
             continue
-        for c in _rivals(library, point, index):
+        others, own = apart(point, accepted, index)
+        best = _by_change(library, orthogonal(point.left + own, others), others)
+        for c in [c for c in best if c.cause not in taken][:MOST_FITTED]:
             if c.cause in model.causes:  # taken in the place of another
                 continue
             other = model.swapped(index, c, c.beginning)
@@ -191,8 +182,7 @@ def _rearranged(
     model, least = _without_stand_ins(problem, model, first, drift, cost, least)
     model, least = _one_for_all(library, model, first, cost, least)
     if model is not point.model:
-        trial = fit(problem, model, point, iterations=5)
-        point = trial if inside(trial) else point
+        point = fit(problem, model, point, iterations=5)
     return point, least
 
 
@@ -218,7 +208,7 @@ def _left_in(problem: Problem, model: Model, start: Point, mask: Mask) -> float:
     if columns is None or not rows.any():
         return left
     trend = columns[rows] * course(problem)[rows]
-    return left - saved(orthogonal(trend, columns[rows]), point.left[rows], TREND_DAMPING)
+    return left - saved(orthogonal(trend, columns[rows]), point.left[rows], DAMPED)
 
 
 def _without_stand_ins(
@@ -261,7 +251,7 @@ def _one_for_all(
         return model, least
     problem = library.problem
     target = problem.point(Model(), first.poses).left
-    for c in _by_change(library, target, None)[:RIVALS]:
+    for c in _by_change(library, target, None)[:MOST_FITTED]:
         other = Model().plus(c, c.beginning)
         found = cost(other)
         if found < least + INSTEAD_LEAST_GAIN:
@@ -269,22 +259,12 @@ def _one_for_all(
     return model, least
 
 
-def _rivals(library: Library, point: Point, index: int) -> list[Candidate]:
-    """Return the linear causes that could best stand in the place of another."""
-    accepted = library.problem.accepted(point)
-    assert accepted is not None
-    others, own = apart(point, accepted, index)
-    target, taken = orthogonal(point.left + own, others), point.model.causes
-    best = [c for c in _by_change(library, target, others) if c.cause not in taken]
-    return best[:RIVALS]
-
-
 def _by_change(library: Library, target: Array, others: Array | None) -> list[Candidate]:
     """Return the linear candidates; first those whose size and trend explain most of a target."""
     chosen, columns = _singles(library)
     time = course(library.problem)
     gains = [
-        (saved(orthogonal(np.column_stack([own, own * time]), others), target, TREND_DAMPING), i)
+        (saved(orthogonal(np.column_stack([own, own * time]), others), target, DAMPED), i)
         for i, own in zip(chosen, columns.T[:, :, None], strict=True)
     ]
     return [library.candidates[i] for _, i in sorted(gains, reverse=True)]

@@ -125,46 +125,41 @@ def rivals(library: Library, point: Point, index: int, near: Sequence[Trial] = (
         Others that explained nearly as much when the cause was accepted. A large effect need not
         look like the slope of its cause: a limit does nothing until it is reached.
     """
-    cosine = cosines(library, point, index)
-    best: dict[str, int] = {}
-    taken = set(point.model.causes)
-    for i, c in enumerate(library.candidates):
-        if c.cause in taken or cosine[i] < RIVAL_COSINE:
+    problem, taken = library.problem, point.model.causes
+    best: dict[str, tuple[Candidate, tuple[float, ...], float]] = {}
+    for c, alike in zip(library.candidates, cosines(library, point, index).tolist(), strict=True):
+        if c.cause in taken or alike < RIVAL_COSINE:
             continue
-        if c.cause not in best or cosine[i] > cosine[best[c.cause]]:
-            best[c.cause] = i
-    starts = [(library.candidates[i], library.candidates[i].beginning) for i in best.values()]
-    found = _fitted(library.problem, point, index, starts)
-    found = [replace(r, cosine=float(cosine[best[r.candidate.cause]])) for r in found]
-    starts = [(t.candidate, t.theta) for t in near if t.candidate.cause not in {*best, *taken}]
-    others = _fitted(library.problem, point, index, starts)
-    if any(r.close and r.cosine <= GROUP_COSINE for r in found + others):
-        without = fit(library.problem, point.model.without(index), point, iterations=3)
+        if c.cause not in best or alike > best[c.cause][2]:
+            best[c.cause] = c, c.beginning, alike
+    more = [(t.candidate, t.theta, 0.0) for t in near if t.candidate.cause not in {*best, *taken}]
+    saved = explained(problem, point, index) if best or more else 0.0
+    starts = (*best.values(), *more)
+    tried = (_in_its_place(problem, point, index, saved, *start) for start in starts)
+    found = [rival for rival in tried if rival is not None]
+    if any(r.close and r.cosine <= GROUP_COSINE for r in found):
+        without = fit(problem, point.model.without(index), point, iterations=3)
         found = [_compared(r, without, point) for r in found]
-        others = [_compared(r, without, point) for r in others]
-    found += [r for r in others if r.ties]
-    return sorted(found, key=lambda r: r.worse)
+    return sorted((r for r in found if r.ties or r.candidate.cause in best), key=lambda r: r.worse)
 
 
-def _fitted(
+def _in_its_place(
     problem: Problem,
     point: Point,
     index: int,
-    starts: Sequence[tuple[Candidate, tuple[float, ...]]],
-) -> list[Rival]:
-    """Return the possible ones of some candidates, fitted in the place of an accepted cause."""
-    accepted, found = point.model.fitted[index].candidate, []
-    saved = explained(problem, point, index) if starts else 0.0
-    gross = point.deviance > GROSS * len(point.left)
-    for c, theta in starts:
-        trial = fit(problem, point.model.swapped(index, c, theta), point, iterations=5)
-        if not possible(trial):
-            continue
-        difference = trial.loss - point.loss
-        penalty = cost(c, saved) - cost(accepted, saved)
-        worse = float(difference.sum()) + penalty
-        found.append(Rival(c, trial, 0.0, worse, deviations(difference, penalty), gross))
-    return found
+    saved: float,
+    c: Candidate,
+    theta: tuple[float, ...],
+    alike: float,
+) -> Rival | None:
+    """Return a candidate, fitted in the place of an accepted cause, if it is possible."""
+    trial = fit(problem, point.model.swapped(index, c, theta), point, iterations=5)
+    if not possible(trial):
+        return None
+    difference = trial.loss - point.loss
+    penalty = cost(c, saved) - cost(point.model.fitted[index].candidate, saved)
+    worse, gross = float(difference.sum()) + penalty, point.deviance > GROSS * len(point.left)
+    return Rival(c, trial, alike, worse, deviations(difference, penalty), gross)
 
 
 def _compared(rival: Rival, without: Point, point: Point) -> Rival:
@@ -222,17 +217,16 @@ def with_best_rivals(
     return point, ties
 
 
-def prune(problem: Problem, point: Point, least: float) -> Point:
-    """Drop causes that the others have made superfluous."""
+def prune(problem: Problem, point: Point) -> Point:
+    """Drop causes that the others have made superfluous, the weakest first."""
     while point.model.fitted:
-        losses = []
-        for index in range(len(point.model.fitted)):
-            without = fit(problem, point.model.without(index), point, iterations=3)
-            saved = without.loss - point.loss
-            losses.append((float(saved.sum()), deviations(saved), without))
-        weakest = min(range(len(losses)), key=lambda i: losses[i][0])
-        gain, t, without = losses[weakest]
-        if gain > least and t > 2.0:
+        less = [
+            fit(problem, point.model.without(index), point, iterations=3)
+            for index in range(len(point.model.fitted))
+        ]
+        weakest = min(less, key=lambda other: float((other.loss - point.loss).sum()))
+        saved = weakest.loss - point.loss
+        if float(saved.sum()) > LEAST_GAIN and deviations(saved) > 2.0:
             break
-        point = without
+        point = weakest
     return point

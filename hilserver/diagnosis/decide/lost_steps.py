@@ -1,6 +1,5 @@
 """Set-points that came late or never: what a link that loses messages leaves in the residual."""
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -14,17 +13,8 @@ from hilserver.measured.data import Channel
 RESPONSE_S: Final = 0.15  # in which the wheel answers a step
 
 
-@dataclass(frozen=True)
-class LostSteps:
-    """Set-point steps that the log shows as sent and that reached the wheels late or never."""
-
-    share: float  # of the steps that can be judged
-    events: int
-    judged: int
-
-
-def lost_steps(problem: Problem, point: Point) -> LostSteps | None:
-    """Return how many steps of the set-points were lost on the way; None if few can be judged.
+def lost_steps(problem: Problem, point: Point) -> tuple[int, int]:
+    """Return how many set-point steps reached the wheels late or never, and how many are judged.
 
     A step that waits for the next message is late by one message, others are not at all: after
     every step what is seen is compared with the simulated response, and with the same one later.
@@ -33,7 +23,7 @@ def lost_steps(problem: Problem, point: Point) -> LostSteps | None:
     log, stack, stage = problem.stage.log, problem.stack, problem.stage
     both = [(a, b) for a, b in zip(SETPOINTS, SPEEDS, strict=True) if a in log and b in stack.edges]
     if not both:
-        return None
+        return 0, 0
     residual = problem.residual(point.predicted)
     shown = stage.signals(point.model.terms, point.poses)
     rate_hz = 1.0 / stage.segments.period_s
@@ -60,8 +50,8 @@ def lost_steps(problem: Problem, point: Point) -> LostSteps | None:
                     continue
                 late.append(float(r[low:high] @ g[low:high]) / power > 0.5)
     if len(late) < 12:
-        return None
-    return LostSteps(float(np.mean(late)), int(np.sum(late)), len(late))
+        return 0, 0
+    return sum(late), len(late)
 
 
 def _row_s(setpoint: Channel, speed: Channel) -> float:

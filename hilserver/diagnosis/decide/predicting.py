@@ -78,13 +78,13 @@ def _further(p: Prepared, whole: Point) -> Point | None:
     problem, library = p.problem, p.library
     gross = whole.deviance > GROSS * len(whole.left)
     starts = best_starts(library.scores(whole), library, frozenset(whole.model.causes))
-    fitted = partial(attempt, problem, whole, library, t=0.0, p=1.0, gross=gross)
+    fitted = partial(attempt, problem, whole, library, p=1.0, gross=gross)
     trials = [trial for index, _ in starts[:MOST_FITTED] if (trial := fitted(index)) is not None]
     for trial in sorted(trials, key=lambda trial: -trial.gain):
         point = trial.point
         new = point.model.fitted[-1]
         if trial.gain <= LEAST_GAIN or implausible(new):
             continue
-        if holds(problem, whole, point.model, point) and not Step(problem, whole, point).harms:
+        if holds(problem, whole, point) and not Step(problem, whole, point).harms:
             return point
     return None

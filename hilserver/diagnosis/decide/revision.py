@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Final
 
 import numpy as np
 
@@ -14,21 +15,18 @@ from hilserver.diagnosis.decide.predicting import before_settling, halfway, with
 from hilserver.diagnosis.decide.promise import Step
 from hilserver.diagnosis.decide.scrubbing import bent_turn, late_turn, scrubs
 from hilserver.diagnosis.decide.selection import Selected, with_noise_anew
-from hilserver.diagnosis.decide.structure import (
-    Unknown,
-    families_of,
-    imitated,
-    remaining,
-    without_unknown,
-)
+from hilserver.diagnosis.decide.structure import Unknown, imitated, remaining, without_unknown
 from hilserver.diagnosis.decide.trial import at_bound, implausible, worth_a_name
+from hilserver.diagnosis.decide.unknown import families_of
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.screen import Scores
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.schema.decisions import Action, Decision
-from hilserver.diagnosis.thresholds import GROSS, LEAST_GAIN, LEFT_SHARE
+from hilserver.diagnosis.thresholds import GROSS, LEAST_GAIN, LEFT_SHARE, TIE
+
+BY_STRUCTURE: Final = "unknown structure explains as much"
 
 
 @dataclass
@@ -61,41 +59,20 @@ class Judged:
 def revised(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged:
     """Weigh the selected causes against rivals, each other and unknown structure."""
     problem, rows = p.problem, selected.rows
-    point, ties = _weighed(p, selected)
-    weighed = point
-    explained = max(p.base.deviance - point.deviance, 0.0) if point.model.fitted else 0.0
-    unknown = remaining(problem, point, rng, families_of(problem, point), explained)
-    doubtful = _harmless(problem, point, without_unknown(problem, point, unknown))
-    if point.model.fitted:
-        contest = scale_or_anchor(problem, point)
-        doubtful |= {contest.index} if contest is not None and contest.lost else set()
-    for index in sorted(doubtful, reverse=True):
-        point = _dropped(problem, point, index, rows)
-    while point.model.fitted:
-        imitation = imitated(problem, point, families_of(problem, point))
-        if imitation is None:
-            break
-        point = _dropped(problem, point, imitation, rows)
-    if point is not weighed or (unknown and explained > 0.0):
-        unknown = remaining(problem, point, rng, families_of(problem, point), 0.0) or unknown
-    drift: dict[str, float] = {}
-    changing = with_drift(p.library, point, rng)
-    left = point.deviance - changing.gain
-    clear = not problem.stage.memoryless or left < GROSS * len(point.left)
-    if changing.p and clear and changing.gain > max((u.gain for u in unknown), default=0.0):
-        why = "another cause changes along the log"
-        rows += _left_out(problem, point, changing.point, "dropped", why)
-        point, drift, unknown = changing.point, changing.p, []
+    weighed, ties = _weighed(p, selected)
+    explained = max(p.base.deviance - weighed.deviance, 0.0) if weighed.model.fitted else 0.0
+    point, unknown = _beside_structure(problem, weighed, explained, rng, rows)
+    point, unknown, drift = _changing(p, point, unknown, rng, rows)
     point, silent = _named_only(problem, point, ties, rows)
     drift = {cause: p for cause, p in drift.items() if cause in point.model.causes}
     if silent:
-        unknown = remaining(problem, point, rng, families_of(problem, point), explained)
+        unknown = _remaining(problem, point, rng, explained)
     if not drift and fails(p, point):
         rows += _left_out(problem, point, p.base, "dropped", "far more remains than it explains")
         point, unknown = problem.point(Model(), p.base.poses), []
     if not point.model.fitted and not unknown and point is not weighed:
         # a gross misfit is never left without a word
-        unknown = remaining(problem, point, rng, families_of(problem, point), 0.0)
+        unknown = _remaining(problem, point, rng, 0.0)
     scrubbed = scrubs(problem, point, unknown)
     if scrubbed:
         point = _without_what_tyres_do(problem, point, explained, rows)
@@ -103,7 +80,7 @@ def revised(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     if anchor is not None:
         unknown = []
     last = None if drift else scale_or_anchor(problem, point)
-    in_doubt = last.anchor if last is not None and last.open else None
+    in_doubt = last.anchor if last is not None and abs(last.more) <= TIE else None
     kept = {
         c: changing_alike(problem, point, found) if c in drift else found
         for c, found in ties.items()
@@ -120,6 +97,51 @@ def revised(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     )
 
 
+def _remaining(
+    problem: Problem, point: Point, rng: np.random.Generator, explained: float
+) -> list[Unknown]:
+    return remaining(problem, point, rng, families_of(problem, point), explained)
+
+
+def _beside_structure(
+    problem: Problem,
+    weighed: Point,
+    explained: float,
+    rng: np.random.Generator,
+    rows: list[Decision],
+) -> tuple[Point, list[Unknown]]:
+    """Return a model without causes that unknown structure stands for, and that structure."""
+    point, unknown = weighed, _remaining(problem, weighed, rng, explained)
+    doubtful = _harmless(problem, point, without_unknown(problem, point, unknown))
+    contest = scale_or_anchor(problem, point)
+    doubtful |= {contest.index} if contest is not None and contest.more > TIE else set()
+    for index in sorted(doubtful, reverse=True):
+        point = _dropped(problem, point, index, rows, BY_STRUCTURE)
+    while (found := imitated(problem, point, families_of(problem, point))) is not None:
+        point = _dropped(problem, point, found, rows, BY_STRUCTURE)
+    if point is not weighed or (unknown and explained > 0.0):
+        unknown = _remaining(problem, point, rng, 0.0) or unknown
+    return point, unknown
+
+
+def _changing(
+    p: Prepared,
+    point: Point,
+    unknown: list[Unknown],
+    rng: np.random.Generator,
+    rows: list[Decision],
+) -> tuple[Point, list[Unknown], dict[str, float]]:
+    """Return the model in which causes change along the log where that explains more."""
+    changing = with_drift(p.library, point, rng)
+    left = point.deviance - changing.gain
+    clear = not p.problem.stage.memoryless or left < GROSS * len(point.left)
+    if changing.p and clear and changing.gain > max((u.gain for u in unknown), default=0.0):
+        why = "another cause changes along the log"
+        rows += _left_out(p.problem, point, changing.point, "dropped", why)
+        return changing.point, [], changing.p
+    return point, unknown, {}
+
+
 def _named_only(
     problem: Problem, point: Point, ties: Mapping[str, Sequence[Rival]], rows: list[Decision]
 ) -> tuple[Point, bool]:
@@ -131,9 +153,7 @@ def _named_only(
         if index is None:
             return point, large
         large = large or worth_a_name(point.model.fitted[index])
-        less = fit(problem, point.model.without(index), point, iterations=3)
-        rows += _left_out(problem, point, less, "dropped", reasons[index] or "")
-        point = less
+        point = _dropped(problem, point, index, rows, reasons[index] or "")
 
 
 def no_name(problem: Problem, f: Fitted, ties: Mapping[str, Sequence[Rival]]) -> str | None:
@@ -165,10 +185,12 @@ def _harmless(problem: Problem, point: Point, doubtful: Iterable[int]) -> set[in
     return found
 
 
-def _dropped(problem: Problem, point: Point, index: int, rows: list[Decision]) -> Point:
-    """Return a model without a cause that unknown structure stands for."""
+def _dropped(
+    problem: Problem, point: Point, index: int, rows: list[Decision], reason: str
+) -> Point:
+    """Return a model without one of its causes."""
     less = fit(problem, point.model.without(index), point, iterations=3)
-    rows += _left_out(problem, point, less, "dropped", "unknown structure explains as much")
+    rows += _left_out(problem, point, less, "dropped", reason)
     return less
 
 
@@ -179,7 +201,7 @@ def _weighed(p: Prepared, selected: Selected) -> tuple[Point, dict[str, list[Riv
         return point, {}
     exchanged, ties = with_best_rivals(p.library, point, selected.near)
     rows += _left_out(problem, point, exchanged, "swapped", "a rival explains the data better")
-    point = prune(problem, exchanged, LEAST_GAIN)
+    point = prune(problem, exchanged)
     rows += _left_out(problem, exchanged, point, "dropped", "the others have made it superfluous")
     simpler = with_fewer(problem, point, ties)
     if simpler is None:
@@ -197,9 +219,7 @@ def _without_what_tyres_do(
         (partial(bent_turn, problem, explained=explained), "bend the turn as well"),
     ):
         while (index := found(point)) is not None:
-            less = fit(problem, point.model.without(index), point, iterations=3)
-            rows += _left_out(problem, point, less, "dropped", f"tyres that scrub {does}")
-            point = less
+            point = _dropped(problem, point, index, rows, f"tyres that scrub {does}")
     return point
 
 
@@ -211,7 +231,7 @@ def with_fewer(problem: Problem, point: Point, ties: Mapping[str, list[Rival]]) 
     if len(point.model.fitted) < 2:
         return None
     for rival in (r for found in ties.values() for r in found):
-        less = prune(problem, rival.point, LEAST_GAIN)
+        less = prune(problem, rival.point)
         fewer = len(less.model.fitted) < len(point.model.fitted)
         stands = rival.candidate.cause in less.model.causes
         if not fewer or not stands or less.deviance >= point.deviance + LEAST_GAIN:

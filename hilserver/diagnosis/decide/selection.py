@@ -104,7 +104,6 @@ def attempt(
     point: Point,
     library: Library,
     index: int,
-    t: float,
     p: float,
     *,
     gross: bool = False,
@@ -126,7 +125,7 @@ def attempt(
     trial = fit(problem, point.model.plus(c, begin), point, iterations=3)
     if not possible(trial):
         return None
-    return Trial(c, trial, point.deviance - trial.deviance, t, p)
+    return Trial(c, trial, point.deviance - trial.deviance, p)
 
 
 def both_at_once(problem: Problem, point: Point, library: Library) -> Point:
@@ -152,7 +151,7 @@ def both_at_once(problem: Problem, point: Point, library: Library) -> Point:
         if not physical(trial):
             continue
         least = SELECTION_LEAST_SAVED + TIE * added
-        if point.deviance - trial.deviance > least and holds(problem, point, trial.model, trial):
+        if point.deviance - trial.deviance > least and holds(problem, point, trial):
             return trial
     return point
 
@@ -193,17 +192,16 @@ def _plausible(
     """
     beginning = problem.noise, problem.weights
     first = search(frozenset())
-    barred = frozenset(f.candidate.cause for f in first.point.model.fitted if _excessive(f))
-    if not barred:
+    excessive = [f for f in first.point.model.fitted if _excessive(f)]
+    if not excessive:
         return first
     own = problem.noise, problem.weights
     _use_noise(problem, library, beginning, base)
-    other = search(barred)
-    impossible = any(at_bound(f) for f in first.point.model.fitted if _excessive(f))
+    other = search(frozenset(f.candidate.cause for f in excessive))
+    impossible = any(map(at_bound, excessive))
     noises = own, (problem.noise, problem.weights)
     ours, theirs = (sum(_cost(problem, s, n) for n in noises) for s in (first, other))
-    cheaper = theirs <= ours
-    if not any(map(_excessive, other.point.model.fitted)) and (impossible or cheaper):
+    if not any(map(_excessive, other.point.model.fitted)) and (impossible or theirs <= ours):
         gone = [c for c in first.point.model.causes if c not in other.point.model.causes]
         why = "of a size that no machine has; others explain as much"
         other.rows[:0] = [Decision(cause, "swapped", None, why) for cause in gone]
@@ -262,7 +260,6 @@ def _forward(
         tried = pool.map(
             partial(attempt, problem, point, library, gross=gross),
             [index for index, _ in starts],
-            ts,
             ps,
         )
         trials = [trial for trial in tried if trial is not None]
@@ -358,7 +355,7 @@ def _accepted(
         elif z <= limit:
             why = f"{saved}, but only {z:.1f} standard errors from zero; {limit:.1f} are needed"
             unsure.append(replace(trial, point=fitted))
-        elif not holds(problem, point, fitted.model, fitted):
+        elif not holds(problem, point, fitted):
             why = f"{saved}, but not on held-out blocks"
         elif any(_part_of(problem, other, trial, least) for other in unsure):
             why = f"{saved}, but nothing beside a cause that saves more and shows in too few blocks"

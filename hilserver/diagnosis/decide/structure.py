@@ -1,12 +1,13 @@
 """Unknown structure: what remains after the library, without a name."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hilserver.arrays import Array
-from hilserver.diagnosis.decide.unknown import Family, families
+from hilserver.diagnosis.decide.unknown import Family
+from hilserver.diagnosis.regression.columns import RIDGE
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.linear import orthogonal, saved, scaled
 from hilserver.diagnosis.regression.problem import Point, Problem, apart
@@ -29,23 +30,15 @@ from hilserver.diagnosis.thresholds import (
     RIVAL_COSINE,
 )
 
-ALIKE_DAMPING = 1e-3  # of families, whose columns are much alike, see `linear`
-
 
 @dataclass(frozen=True)
 class Unknown:
     """A family of columns that the remaining error depends on."""
 
-    family: Family
+    family: Family  # without what the accepted causes explain
     t: float
     p: float
     gain: float  # deviance that the whole family saves, less one per column
-    white: Array  # shape (n, k): its columns, whitened and projected
-
-
-def families_of(problem: Problem, point: Point) -> Iterable[Family]:
-    """Return the families of a stage."""
-    return families(problem.stage, problem, point)
 
 
 def remaining(
@@ -69,38 +62,28 @@ def remaining(
     Single samples that are far off, as those of a slow sensor about a step, are no gross misfit.
     Not so where set-points are followed: one may have come and gone between two rows of the log.
     """
-    stack = problem.stack
-    bases = problem.bases(problem.nuisance(point.predicted, point.poses))
-    accepted = problem.accepted(point)
+    stack, accepted = problem.stack, problem.accepted(point)
     blocks = Blocks.of(stack.block, stack.n_blocks)
-    order = blocks.order
-    scores, strong = [], []
     bounded = float(np.minimum(point.left**2, OUTLIER_SD**2).sum())
     gross = not point.model.fitted and bounded > GROSS * len(point.left)
     gross = gross and stack.n_blocks >= FEWEST_BLOCKS and not problem.stage.follows_setpoints
+    least = max(REST_LEAST_GAIN, LEAST_USEFUL * len(stack), INEXACT * explained)
+    scores, strong = [], []
     most: Unknown | None = None
     for family in families:
-        white = problem.project(problem.whiten(family.columns), bases)
-        before = (white**2).sum(axis=0)
-        white = orthogonal(white, accepted)
-        white[:, (white**2).sum(axis=0) < 1e-4 * before] = 0.0
-        scores.append(score(white[order], point.left[order], blocks))
+        white = orthogonal(family.white, accepted)
+        white[:, (white**2).sum(axis=0) < 1e-4 * (family.white**2).sum(axis=0)] = 0.0
+        scores.append(score(white[blocks.order], point.left[blocks.order], blocks))
         t = float(np.abs(scores[-1].t).max(initial=0.0))
         if t <= least_t(REST_LEVEL) and not gross:
             continue
-        slim = Family(family.name, family.regressors, np.zeros((0, 0)))
-        u = Unknown(slim, t, 1.0, joint_gain(white, point.left), white)
+        u = Unknown(replace(family, white=white), t, 1.0, joint_gain(white, point.left))
         if gross and (most is None or u.gain > most.gain):
             most = u
-        least = max(REST_LEAST_GAIN, LEAST_USEFUL * len(stack), INEXACT * explained)
         if t > least_t(REST_LEVEL) and u.gain > least and holds_out(problem, white, point.left):
             strong.append(u)
-    maxima = null_maxima(scores, rng)
-    found = []
-    for u in strong:
-        p = float(adjusted(np.array([u.t]), maxima)[0])
-        if p < REST_LEVEL:
-            found.append(Unknown(u.family, u.t, p, u.gain, u.white))
+    ps = adjusted(np.array([u.t for u in strong]), null_maxima(scores, rng))
+    found = [replace(u, p=float(p)) for u, p in zip(strong, ps, strict=True) if p < REST_LEVEL]
     if not found and most is not None:
         return [most]
     return sorted(found, key=lambda u: -u.gain)
@@ -117,12 +100,10 @@ def imitated(problem: Problem, point: Point, families: Iterable[Family]) -> int 
     accepted = problem.accepted(point)
     if accepted is None:
         return None
-    bases = problem.bases(problem.nuisance(point.predicted, point.poses))
     better = np.zeros(len(point.model.fitted))
     for family in families:  # one at a time: those of the drive together would fill the memory
-        white = problem.project(problem.whiten(family.columns), bases)
         for index in range(len(better)):
-            more = _better(problem, white, point, accepted, index)
+            more = _better(problem, family.white, point, accepted, index)
             better[index] = max(better[index], more)
     return int(np.argmax(better)) if better.any() else None
 
@@ -159,7 +140,7 @@ def _saved_held_out(problem: Problem, columns: Array, target: Array) -> Array:
 def joint_gain(white: Array, left: Array) -> float:
     """Return the deviance that all columns save together, less one per column."""
     shown = white[:, white.any(axis=0)]
-    return saved(shown, left, ALIKE_DAMPING) - float(shown.shape[1])
+    return saved(shown, left, RIDGE) - float(shown.shape[1])
 
 
 def holds_out(problem: Problem, white: Array, left: Array, least: float = REST_LEAST_GAIN) -> bool:
@@ -188,7 +169,7 @@ def without_unknown(problem: Problem, point: Point, unknown: Sequence[Unknown]) 
     """
     if not unknown or not point.model.fitted:
         return []
-    columns = np.concatenate([u.white for u in unknown[:2]], axis=1)
+    columns = np.concatenate([u.family.white for u in unknown[:2]], axis=1)
     base, _ = np.linalg.qr(columns + 1e-12)
     doubtful = []
     strength = max(u.gain for u in unknown)

@@ -11,7 +11,7 @@ from hilserver.diagnosis.regression.intervals import covariance
 from hilserver.diagnosis.regression.linear import orthogonal
 from hilserver.diagnosis.regression.problem import Point, Problem, apart
 from hilserver.diagnosis.regression.screen import freedom_of, normal
-from hilserver.diagnosis.replay.model import Fitted, Model
+from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.thresholds import (
     INEXACT,
     SELECTION_LEAST_SAVED,
@@ -27,7 +27,6 @@ class Trial:
     candidate: Candidate
     point: Point
     gain: float
-    t: float
     p: float
 
     @property
@@ -74,7 +73,7 @@ def physical(point: Point) -> bool:
     return possible(point) and all(map(worth_a_name, point.model.fitted))
 
 
-def holds(problem: Problem, before: Point, model: Model, start: Point) -> bool:
+def holds(problem: Problem, before: Point, after: Point) -> bool:
     """Return whether a cause improves the blocks that took no part in its fit, both ways.
 
     Each half of the blocks is predicted from a fit on the other: together they must improve
@@ -87,7 +86,7 @@ def holds(problem: Problem, before: Point, model: Model, start: Point) -> bool:
         if not train.any() or train.all():
             return True
         without = fit(problem, before.model, before, rows=train, iterations=2)
-        point = fit(problem, model, start, rows=train, iterations=2)
+        point = fit(problem, after.model, after, rows=train, iterations=2)
         part = fold == test
         saved.append(float((without.loss - point.loss)[part].sum()))
     return sum(saved) > SELECTION_LEAST_SAVED and min(saved) > -1.0

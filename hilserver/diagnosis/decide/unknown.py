@@ -7,7 +7,6 @@ the body velocity (pose) or of speed and duty (drive) that depends on its regres
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import singledispatch
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from hilserver.diagnosis.regression.disturbance import Motion
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.pose_stage import PoseStage
-from hilserver.diagnosis.replay.stage import Stage
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, YAW
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.units import RAD_S_PER_RPM
@@ -29,6 +27,9 @@ PEAKS, FINEST_HZ = 3, 5.0
 ANCHORS_OUTSIDE = 0.1
 """How far outside of the driven place ranging anchors are taken to stand, by its width."""
 
+Raw = tuple[str, tuple[str, ...], list[Array]]
+"""A family with its raw columns, per unit of an arbitrary coefficient."""
+
 
 @dataclass(frozen=True)
 class Family:
@@ -36,75 +37,66 @@ class Family:
 
     name: str
     regressors: tuple[str, ...]  # signals, or ``t_s``, strongest first
-    columns: Array  # shape (n, k): raw, per unit of an arbitrary coefficient
+    white: Array  # shape (n, k): columns, whitened, initial poses projected out
 
 
-@singledispatch
-def families(stage: Stage, problem: Problem, point: Point) -> Iterable[Family]:
-    """Return what a disturbance of what a stage replays could depend on."""
-    raise NotImplementedError(f"no structure of a {stage.name} is known")
+def families_of(problem: Problem, point: Point) -> Iterator[Family]:
+    """Yield what a disturbance of what a stage replays could depend on."""
+    stage = problem.stage
+    if isinstance(stage, PoseStage):
+        found = _of_the_body(Motion(stage, problem, point), problem, point)
+    else:
+        assert isinstance(stage, DriveStage)
+        found = _of_the_drive(stage, problem, point)
+    bases = problem.bases(problem.nuisance(point.predicted, point.poses))
+    for name, regressors, columns in found:
+        white = problem.project(problem.whiten(np.stack(columns, axis=1)), bases)
+        yield Family(name, regressors, white)
 
 
-@families.register
-def _(stage: PoseStage, problem: Problem, point: Point) -> list[Family]:
-    """Return what a disturbance of the body's velocity could depend on."""
-    m = Motion(stage, problem, point)
-    zero, v, om = np.zeros_like(m.v), m.v, m.om
-    on = m.moving
-
-    def family(name: str, regressors: Sequence[str], shapes: Sequence[Array]) -> Family:
-        columns = []
-        for shape in shapes:
-            columns.append(m.column(shape * v, zero, zero))
-            columns.append(m.column(zero, zero, shape * om))
-        return Family(name, tuple(regressors), np.stack(columns, axis=1))
-
-    heading = [f(k * m.yaw) for k in (1, 2) for f in (np.cos, np.sin)]
-    place_x, place_y = _unit(m.x), _unit(m.y)
-    found = []
-    signal = YAW if YAW in problem.stack.edges else "pose.yaw_rad"
-    columns = [m.column(*d) for h in heading for d in
-               ((h * on, zero, zero), (zero, h * on, zero), (zero, zero, h * on),
-                (h * v, zero, zero), (zero, h * v, zero), (zero, zero, h * np.abs(v)),
-                (zero, zero, h * om))]  # fmt: skip
+def _of_the_body(m: Motion, problem: Problem, point: Point) -> Iterator[Raw]:
+    """Yield what a disturbance of the body's velocity could depend on."""
+    v, om, on, edges = m.v, m.om, m.moving, problem.stack.edges
+    ahead, aside, turn = m.ahead, m.aside, m.turn
     if not m.stage.begins_anew:
-        found.append(Family("heading", (signal, "pose.yaw_rad"), np.stack(columns, axis=1)))
-    if POSITION[0] in problem.stack.edges and not m.stage.begins_anew:
-        shapes = [place_x, place_y, place_x**2, place_y**2, place_x * place_y,
-                  np.sin(np.pi * place_x), np.sin(np.pi * place_y)]  # fmt: skip
-        found.append(family("place", POSITION, shapes))
-        found.append(_ranging(m))
+        waves = [f(k * m.yaw) for k in (1, 2) for f in (np.cos, np.sin)]
+        columns = [c for h in waves for c in (
+            ahead(h * on), aside(h * on), turn(h * on), ahead(h * v), aside(h * v),
+            turn(h * np.abs(v)), turn(h * om),
+        )]  # fmt: skip
+        yield "heading", (YAW if YAW in edges else "pose.yaw_rad", "pose.yaw_rad"), columns
+    if POSITION[0] in edges and not m.stage.begins_anew:
+        x, y = _unit(m.x), _unit(m.y)
+        shapes = (x, y, x**2, y**2, x * y, np.sin(np.pi * x), np.sin(np.pi * y))
+        yield "place", POSITION, [c for h in shapes for c in (ahead(h * v), turn(h * om))]
+        yield RANGING, POSITION, [m.placed(*field.T) for field in anchor_fields(m)]
     size, spin = np.abs(v) / (np.abs(v).max() + 1e-9), np.abs(om) / (np.abs(om).max() + 1e-9)
-    speed = [m.column(zero, zero, size * on * _side(om, TURNING)), m.column(size * v, zero, zero),
-             m.column(size**2 * v, zero, zero), m.column(zero, size * v, zero),
-             m.column(zero, zero, v), m.column(zero, zero, size * v),
-             m.column(zero, zero, size**2 * om),
-             m.column(_side(v, DRIVING), zero, zero)]  # fmt: skip
-    found.append(Family("speed", ("velocity.linear_m_s",), np.stack(speed, axis=1)))
-    turn = [m.column(zero, zero, spin * om), m.column(zero, zero, spin**2 * om),
-            m.column(spin**2 * v, zero, zero), m.column(zero, spin * om, zero),
-            m.column(om, zero, zero), m.column(np.abs(om), zero, zero),
-            m.column(zero, zero, np.abs(om)), m.column(zero, np.abs(om), zero),
-            m.column(zero, zero, _side(om, TURNING))]  # fmt: skip
-    found.append(Family("turn", ("velocity.angular_rad_s",), np.stack(turn, axis=1)))
+    yield "speed", ("velocity.linear_m_s",), [
+        turn(size * on * _side(om, TURNING)), ahead(size * v), ahead(size**2 * v), aside(size * v),
+        turn(v), turn(size * v), turn(size**2 * om), ahead(_side(v, DRIVING)),
+    ]  # fmt: skip
+    yield "turn", ("velocity.angular_rad_s",), [
+        turn(spin * om), turn(spin**2 * om), ahead(spin**2 * v), aside(spin * om), ahead(om),
+        ahead(np.abs(om)), turn(np.abs(om)), aside(np.abs(om)), turn(_side(om, TURNING)),
+    ]  # fmt: skip
     went, turned = m.last_side(v, DRIVES), m.last_side(om, TURNS)
-    driven = [m.column(zero, zero, went * om), m.column(went * v, zero, zero)]
-    spun = [m.column(turned * v, zero, zero), m.column(zero, zero, turned * om)]
+    driven, spun = [turn(went * om), ahead(went * v)], [ahead(turned * v), turn(turned * om)]
     for tau_s in (0.3, 1.0, 3.0):
-        past_v, past_om = m.smoothed(v, tau_s), m.smoothed(om, tau_s)
-        driven += [m.column(past_v - v, zero, zero),
-                   m.column(_side(past_v, DRIVING) * on, zero, zero),
-                   m.column(_side(past_v, DRIVING) * np.abs(v), zero, zero)]  # fmt: skip
-        spun += [m.column(zero, zero, past_om - om),
-                 m.column(zero, zero, _side(past_om, TURNING) * on),
-                 m.column(zero, zero, _side(past_om, TURNING) * np.abs(om))]  # fmt: skip
-    names = ("velocity.linear_m_s", "wheels.speeds_rpm")
-    found.append(Family("history of the speed", names, np.stack(driven, axis=1)))
-    names = ("velocity.angular_rad_s", "wheels.speeds_rpm")
-    found.append(Family("history of the turn", names, np.stack(spun, axis=1)))
-    strongest = () if GYRO not in problem.stack.edges else peaks(problem, point, (GYRO,))
-    found.append(_periodic_pose(m, strongest))
-    return found
+        past, past_om = m.smoothed(v, tau_s), m.smoothed(om, tau_s)
+        side, side_om = _side(past, DRIVING), _side(past_om, TURNING)
+        driven += [ahead(past - v), ahead(side * on), ahead(side * np.abs(v))]
+        spun += [turn(past_om - om), turn(side_om * on), turn(side_om * np.abs(om))]
+    yield "history of the speed", ("velocity.linear_m_s", "wheels.speeds_rpm"), driven
+    yield "history of the turn", ("velocity.angular_rad_s", "wheels.speeds_rpm"), spun
+    found = () if GYRO not in edges else peaks(problem, point, (GYRO,))
+    waves = [wave * on for wave in _waves(m.t, found)]
+    yield "time", ("t_s",), [c for wave in waves for c in (turn(wave), ahead(wave))]
+
+
+def _waves(t_s: Array, found: Iterable[float]) -> list[Array]:
+    """Return cosine and sine of the strongest frequencies [Hz] and of usual ones."""
+    every = (*found, *FREQUENCIES_HZ)
+    return [wave(2.0 * np.pi * f * t_s) for f in every for wave in (np.cos, np.sin)]
 
 
 def anchor_fields(m: Motion) -> Array:
@@ -123,11 +115,6 @@ def anchor_fields(m: Motion) -> Array:
     away = away / np.linalg.norm(away, axis=2, keepdims=True)
     normal = np.linalg.inv(np.einsum("nki,nkj->nij", away, away))
     return np.asarray(np.einsum("nij,nkj->kni", normal, away))
-
-
-def _ranging(m: Motion) -> Family:
-    columns = [m.placed(*field.T) for field in anchor_fields(m)]
-    return Family(RANGING, POSITION, np.stack(columns, axis=1))
 
 
 def peaks(problem: Problem, point: Point, names: Sequence[str]) -> tuple[float, ...]:
@@ -156,16 +143,6 @@ def peaks(problem: Problem, point: Point, names: Sequence[str]) -> tuple[float, 
     return tuple(out)
 
 
-def _periodic_pose(m: Motion, found: Sequence[float]) -> Family:
-    zero, columns = np.zeros_like(m.v), []
-    for f in (*found, *FREQUENCIES_HZ):
-        for wave in (np.cos, np.sin):
-            shape = wave(2.0 * np.pi * f * m.t)
-            columns.append(m.column(zero, zero, shape * m.moving))
-            columns.append(m.column(shape * m.moving, zero, zero))
-    return Family("time", ("t_s",), np.stack(columns, axis=1))
-
-
 def _side(values: Array, knee: float) -> Array:
     """Return the sign of a signal, smooth at zero, where a sharp one would follow the noise."""
     return np.asarray(np.tanh(values / knee))
@@ -176,9 +153,8 @@ def _unit(values: Array) -> Array:
     return np.asarray(np.clip((2.0 * values - low - high) / max(high - low, 1e-9), -1.5, 1.5))
 
 
-@families.register
-def _(stage: DriveStage, problem: Problem, point: Point) -> Iterator[Family]:
-    """Return what a disturbance of speed and duty could depend on."""
+def _of_the_drive(stage: DriveStage, problem: Problem, point: Point) -> Iterator[Raw]:
+    """Yield what a disturbance of speed and duty could depend on."""
     stack = problem.stack
     _, seen, duty = stage.simulate(point.model.terms)
     rate = 1.0 / stage.segments.period_s
@@ -195,50 +171,29 @@ def _(stage: DriveStage, problem: Problem, point: Point) -> Iterator[Family]:
                 column[edge] = dense[np.rint(stack.at[edge]).astype(np.int64)]
         return column
 
-    def disturbed(wheels: Sequence[int], shape: Array) -> list[Array]:
-        """Columns of a load that needs `shape` more duty: the loop answers, the speed dips."""
-        dip = -np.gradient(shape) * rate * 0.005
-        return [
-            np.sum([of_wheel(w, None, shape) for w in wheels], axis=0),
-            np.sum([of_wheel(w, dip, None) for w in wheels], axis=0),
-        ]
+    def loaded(wheels: Sequence[int], shape: Array) -> Array:
+        """Column of a load that needs `shape` more duty."""
+        return np.asarray(np.sum([of_wheel(w, None, shape) for w in wheels], axis=0))
 
-    for source in range(4):
-        columns = []
-        for w in range(4):
-            if w == source:
-                continue
-            columns += [of_wheel(w, seen[:, source], duty[:, source])]
-            columns += disturbed((w,), seen[:, source])
-            columns += disturbed((w,), slope[:, source] / 100.0)
-        name = WHEELS[source]
-        yield (
-            Family(
-                f"wheel {name}",
-                (f"wheel.{name}.setpoint_rpm", f"wheel.{name}.speed_rpm", f"wheel.{name}.duty_pct"),
-                np.stack(columns, axis=1),
-            )
-        )
-    for w in range(4):
-        columns = []
-        for k in (1, 2):
-            for wave in (np.cos, np.sin):
-                columns += disturbed((w,), wave(k * angle[:, w]))
-        yield (
-            Family(
-                f"angle {WHEELS[w]}", (f"wheel.{WHEELS[w]}.angle_rad",), np.stack(columns, axis=1)
-            )
-        )
-    columns = []
+    def disturbed(w: int, shape: Array) -> list[Array]:
+        """Columns of such a load of one wheel: the loop answers, the speed dips."""
+        return [loaded((w,), shape), of_wheel(w, -np.gradient(shape) * rate * 0.005, None)]
+
+    for source, name in enumerate(WHEELS):
+        own, columns = seen[:, source], []
+        for w in (w for w in range(4) if w != source):
+            columns.append(of_wheel(w, own, duty[:, source]))
+            columns += [*disturbed(w, own), *disturbed(w, slope[:, source] / 100.0)]
+        signals = ("setpoint_rpm", "speed_rpm", "duty_pct")
+        yield f"wheel {name}", tuple(f"wheel.{name}.{signal}" for signal in signals), columns
+    for w, name in enumerate(WHEELS):
+        waves = [wave(k * angle[:, w]) for k in (1, 2) for wave in (np.cos, np.sin)]
+        columns = [column for wave in waves for column in disturbed(w, wave)]
+        yield f"angle {name}", (f"wheel.{name}.angle_rad",), columns
     duties = [n for n in DUTIES if n in stack.edges]
     found = peaks(problem, point, duties or [n for n in SPEEDS if n in stack.edges])
-    for f in (*found, *FREQUENCIES_HZ):
-        for wave in (np.cos, np.sin):
-            columns += disturbed(range(4), wave(2.0 * np.pi * f * t))[:1]
-    yield (Family("time", ("t_s",), np.stack(columns, axis=1)))
-    columns = []
-    for w in range(4):
-        n = seen[:, w]
-        for shape in (n * np.abs(n) / 60.0, n**3 / 3600.0, np.abs(n)):
-            columns += disturbed((w,), shape)[:1]
-    yield (Family("speed", SPEEDS, np.stack(columns, axis=1)))
+    yield "time", ("t_s",), [loaded(range(4), wave) for wave in _waves(t, found)]
+    yield "speed", SPEEDS, [
+        loaded((w,), shape) for w, n in enumerate(seen.T)
+        for shape in (n * np.abs(n) / 60.0, n**3 / 3600.0, np.abs(n))
+    ]  # fmt: skip

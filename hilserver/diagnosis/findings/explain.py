@@ -144,8 +144,53 @@ def _lower(text: str) -> str:
 
 
 def _say(cause: str, parameters: Mapping[str, Parameter]) -> str:
+    """Return the sentence of a cause, its parameters in their places."""
     own = {n: p for n, p in parameters.items() if n == cause or n.startswith(f"{cause}.")}
-    return _Filling(cause, own).fill(sentences()[cause].says)
+    by_part = {part.name: p for n, p in own.items() if (part := _part(n)) is not None}
+    parts = CAUSES[cause].parts
+    known = [by_part[part.name] for part in parts if part.name in by_part]
+    main = next(iter((*known, *own.values())), None)
+
+    def chosen(match: re.Match[str]) -> str:
+        if main is None:
+            return f"{match[1]} or {match[2]}"
+        return match[1] if main.value >= (parts[0].null or 0.0) else match[2]
+
+    def filled(match: re.Match[str]) -> str:
+        name = match[2]
+        if match[1]:
+            return _value(name, own.get(f"{cause}.{name}"))
+        if name == "where":
+            return ", ".join(n.removeprefix(f"{cause}.") for n in own if n != cause) or "a channel"
+        if name == "values":
+            return _all_of(own) or "some"
+        if main is None:
+            return "somewhat" if name == "percent" else "some"
+        size = abs(main.value)
+        shown = {"value": (main.value, main.unit), "size": (size, main.unit),
+                 "percent": (100 * size, "%"), "number": (size, "1")}  # fmt: skip
+        return number(*shown[name])
+
+    return _FIELD.sub(filled, _CHOICE.sub(chosen, sentences()[cause].says))
+
+
+def _all_of(own: Mapping[str, Parameter]) -> str:
+    """Return all parameters of a cause but those that shape it."""
+    return ", ".join(
+        f"{name.partition('.')[2] or name} {number(p.value, p.unit)}"
+        for name, p in own.items()
+        if (part := _part(name)) is None or not part.shape
+    )
+
+
+def _value(part: str, parameter: Parameter | None) -> str:
+    """Return one parameter; of a wheel its name, or those of all that it may be."""
+    if parameter is None:
+        return "?"
+    if part == "wheel":
+        possible = dict.fromkeys(map(int, parameter.ci95 or (parameter.value,)))
+        return " or ".join(WHEEL_WORDS[WHEELS[wheel]] for wheel in possible)
+    return number(parameter.value, parameter.unit)
 
 
 def _part(name: str) -> Part | None:
@@ -154,76 +199,3 @@ def _part(name: str) -> Part | None:
         return part_of(name)
     except KeyError:
         return None
-
-
-class _Filling:
-    """Puts the parameters of one cause into its template."""
-
-    def __init__(self, cause: str, parameters: Mapping[str, Parameter]) -> None:
-        self._cause = CAUSES[cause]
-        self._parameters = parameters
-        self._main = self._main_part()
-
-    def _main_part(self) -> Parameter | None:
-        by_part = {
-            part.name: p for n, p in self._parameters.items() if (part := _part(n)) is not None
-        }
-        for part in self._cause.parts:
-            if part.name in by_part:
-                return by_part[part.name]
-        return next(iter(self._parameters.values()), None)
-
-    def fill(self, template: str) -> str:
-        return _FIELD.sub(self._field, _CHOICE.sub(self._choice, template))
-
-    def _choice(self, match: re.Match[str]) -> str:
-        if self._main is None:
-            return f"{match[1]} or {match[2]}"
-        null = self._cause.parts[0].null
-        return match[1] if self._main.value >= (null or 0.0) else match[2]
-
-    def _field(self, match: re.Match[str]) -> str:
-        if match[1]:
-            return self._part(match[2])
-        return {
-            "value": self._value,
-            "size": self._size,
-            "percent": self._percent,
-            "number": self._number,
-            "where": self._where,
-            "values": self._values,
-        }[match[2]]()
-
-    def _value(self) -> str:
-        return "some" if self._main is None else number(self._main.value, self._main.unit)
-
-    def _size(self) -> str:
-        return "some" if self._main is None else number(abs(self._main.value), self._main.unit)
-
-    def _percent(self) -> str:
-        return "somewhat" if self._main is None else number(100 * abs(self._main.value), "%")
-
-    def _number(self) -> str:
-        return "some" if self._main is None else number(abs(self._main.value))
-
-    def _where(self) -> str:
-        cause = self._cause.name
-        places = [name.removeprefix(f"{cause}.") for name in self._parameters if name != cause]
-        return ", ".join(places) or "a channel"
-
-    def _values(self) -> str:
-        texts = [
-            f"{name.partition('.')[2] or name} {number(p.value, p.unit)}"
-            for name, p in self._parameters.items()
-            if (part := _part(name)) is None or not part.shape
-        ]
-        return ", ".join(texts) or "some"
-
-    def _part(self, part: str) -> str:
-        parameter = self._parameters.get(f"{self._cause.name}.{part}")
-        if parameter is None:
-            return "?"
-        if part == "wheel":
-            possible = dict.fromkeys(map(int, parameter.ci95 or (parameter.value,)))
-            return " or ".join(WHEEL_WORDS[WHEELS[wheel]] for wheel in possible)
-        return number(parameter.value, parameter.unit)

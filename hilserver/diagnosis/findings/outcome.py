@@ -1,7 +1,7 @@
 """From fitted models to findings: parameters with intervals, groups, sentences."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from hilserver.diagnosis.catalogue.vocabulary import (
     part_of,
 )
 from hilserver.diagnosis.decide.anchors import Anchor
-from hilserver.diagnosis.decide.lost_steps import LostSteps, lost_steps
+from hilserver.diagnosis.decide.lost_steps import lost_steps
 from hilserver.diagnosis.decide.predicting import halfway
 from hilserver.diagnosis.decide.revision import Judged
 from hilserver.diagnosis.decide.scrubbing import as_friction
@@ -36,6 +36,7 @@ from hilserver.measured.channels import POSITION, SETPOINTS
 from hilserver.measured.names import signal_unit
 
 COARSE_SHARE: Final = 0.002  # half the interval of a step found in the spectrum, by the step
+LEAST_OUTLIERS: Final = 0.004  # share of the positions
 
 
 def parameters(problem: Problem, point: Point) -> dict[int, dict[str, Parameter]]:
@@ -128,9 +129,9 @@ def other_findings(j: Judged) -> list[Finding]:
         found.append(far)
     if j.anchor is not None:
         found.append(misplaced_anchor(*j.anchor))
-    steps = lost_steps(problem, j.point)
-    if steps is not None and steps.share > NEGLIGIBLE and steps.events >= FEWEST_EVENTS:
-        found.append(lost(steps))
+    late, judged = lost_steps(problem, j.point)
+    if late >= FEWEST_EVENTS and late > NEGLIGIBLE * judged:
+        found.append(lost(late, judged))
     elif j.unknown:
         found.append(structure(j.unknown, problem.stage.block, deviating(problem, j.point)))
     return found
@@ -159,36 +160,25 @@ def fitted_finding(
     causes: Sequence[str], values: dict[str, Parameter], p: float, drifts: bool
 ) -> Finding:
     """Return the finding of a fitted cause, the first, and those that could stand in its place."""
-    alone = Verdict.DATA_FAULT if CAUSES[causes[0]].block == "data" else Verdict.NAMED
-    verdict = alone if len(causes) == 1 else Verdict.NAMED_GROUP
-    return _explained(
-        Finding(
-            verdict=Verdict.DRIFT if drifts else verdict,
-            causes=tuple(causes),
-            block=CAUSES[causes[0]].block,
-            parameters=values,
-            p_adjusted=p,
-            separating_experiment=separating_experiment(causes) if len(causes) > 1 else None,
-        )
-    )
+    block, one = CAUSES[causes[0]].block, len(causes) == 1
+    alone = Verdict.DATA_FAULT if block == "data" else Verdict.NAMED
+    verdict = Verdict.DRIFT if drifts else alone if one else Verdict.NAMED_GROUP
+    experiment = None if one else separating_experiment(causes)
+    return _finding(verdict, causes, block, p, parameters=values, separating_experiment=experiment)
 
 
-def _explained(finding: Finding) -> Finding:
+def _finding(
+    verdict: Verdict, causes: Iterable[str], block: Block, p: float, **fields: Any
+) -> Finding:
+    """Return a finding with its sentence."""
+    finding = Finding(verdict=verdict, causes=tuple(causes), block=block, p_adjusted=p, **fields)
     return finding.model_copy(update={"explanation": explain_finding(finding)})
 
 
 def _named(name: str, parameters: dict[str, Parameter], p: float = 0.001) -> Finding:
     """Return the finding of a cause that no fit of the plant shows, with its sentence."""
     cause = cause_of(name)
-    return _explained(
-        Finding(
-            verdict=Verdict.NAMED,
-            causes=(cause.name,),
-            block=cause.block,
-            parameters=parameters,
-            p_adjusted=p,
-        )
-    )
+    return _finding(Verdict.NAMED, (cause.name,), cause.block, p, parameters=parameters)
 
 
 def _within(value: float, half: float, unit: str) -> Parameter:
@@ -215,35 +205,23 @@ def structure(unknown: Sequence[Unknown], block: Block, most: dict[str, Paramete
     most : dict of str to Parameter
         The signal that deviates most, see `deviating`.
     """
-    names: list[str] = []
-    for u in unknown:
-        names += [r for r in u.family.regressors if r not in names]
-    return _explained(
-        Finding(
-            verdict=Verdict.STRUCTURE_NOT_IN_LIBRARY,
-            causes=(),
-            block=block,
-            p_adjusted=unknown[0].p,
-            regressors=tuple(names[:6]),
-            parameters=most,
-        )
-    )
+    names = dict.fromkeys(r for u in unknown for r in u.family.regressors)
+    return _finding(
+        Verdict.STRUCTURE_NOT_IN_LIBRARY, (), block, unknown[0].p,
+        regressors=tuple(names)[:6], parameters=most,
+    )  # fmt: skip
 
 
-def lost(steps: LostSteps) -> Finding:
+def lost(late: int, judged: int) -> Finding:
     """Return the finding of set-points that were logged as sent and never arrived."""
     text = (
-        f"{steps.events} of {steps.judged} set-point steps stand in the log as sent, but reached"
+        f"{late} of {judged} set-point steps stand in the log as sent, but reached"
         " the wheels a message too late or never: messages were lost on the way."
     )
-    return Finding(
-        verdict=Verdict.STRUCTURE_NOT_IN_LIBRARY,
-        causes=(),
-        block="drive",
-        p_adjusted=0.001,
-        regressors=(*SETPOINTS, "input.sequence"),
-        explanation=text,
-    )
+    return _finding(
+        Verdict.STRUCTURE_NOT_IN_LIBRARY, (), "drive", 0.001,
+        regressors=(*SETPOINTS, "input.sequence"), explanation=text,
+    )  # fmt: skip
 
 
 def coarse(step_rpm: float) -> Finding:
@@ -268,7 +246,7 @@ def _field(anchor: Anchor) -> dict[str, Parameter]:
     return {POSITION_FIELD: _within(size_m, half_m, "m")}
 
 
-def outliers(problem: Problem, point: Point, least_share: float = 0.004) -> Finding | None:
+def outliers(problem: Problem, point: Point) -> Finding | None:
     """Return the finding of outliers in the position, if there are more than noise explains.
 
     An outlier stands out from its neighbours: where all of them are off, the model is.
@@ -286,17 +264,14 @@ def outliers(problem: Problem, point: Point, least_share: float = 0.004) -> Find
     noise = max(
         float(np.hypot(problem.noise[n].white_sd, problem.noise[n].ou_sd)) for n in POSITION
     )
-    left_out = ((problem.weights[x] == 0.0) | (problem.weights[y] == 0.0)) & (
-        size > max(0.3, 5.0 * noise)
-    )
-    n, k = len(left_out), int(left_out.sum())
-    if n == 0 or k < 6 or k / n < least_share:
+    left_out = (problem.weights[x] == 0.0) | (problem.weights[y] == 0.0)
+    sizes = size[left_out & (size > max(0.3, 5.0 * noise))]
+    n, k = len(size), len(sizes)
+    if k < 6 or k / n < LEAST_OUTLIERS:
         return None
-    share = k / n
+    share, middle = k / n, float(np.median(sizes))
     half = 1.96 * np.sqrt(share * (1.0 - share) / n)
-    sizes = size[left_out]
-    half_size = 2.0 * 1.2533 * sizes.std(ddof=1) / np.sqrt(k) + 0.01 * float(np.median(sizes))
-    middle = float(np.median(sizes))
+    half_size = 2.0 * 1.2533 * sizes.std(ddof=1) / np.sqrt(k) + 0.01 * middle
     found = zip(OUTLIERS, (share, middle), (half, half_size), strict=True)
     values = {name: _within(value, width, unit_of(name)) for name, value, width in found}
     return _named(OUTLIERS[0], values)
@@ -304,18 +279,13 @@ def outliers(problem: Problem, point: Point, least_share: float = 0.004) -> Find
 
 def extension(findings: Iterable[Finding], fitted: Mapping[int, Fitted]) -> tuple[FittedTerm, ...]:
     """Return the plant terms that the findings switch on."""
-    out = []
+    out: list[FittedTerm] = []
     for index, finding in enumerate(findings):
-        if index in fitted:
-            names = tuple(fitted[index].terms)
-        elif finding.causes == (SPEED_STEP,):
-            names = finding.causes  # known from the values alone
-        else:
-            continue
-        for name in names:
-            if name in OF_THE_LOG or name not in finding.parameters:
-                continue
-            out.append(FittedTerm(name, finding.parameters[name]))
+        names: Iterable[str] = fitted[index].terms if index in fitted else ()
+        if finding.causes == (SPEED_STEP,):  # known from the values alone
+            names = finding.causes
+        own = (n for n in names if n in finding.parameters and n not in OF_THE_LOG)
+        out += [FittedTerm(name, finding.parameters[name]) for name in own]
     return tuple(out)
 
 

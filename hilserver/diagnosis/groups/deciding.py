@@ -7,8 +7,9 @@ import numpy as np
 from scipy import stats
 
 from hilserver.diagnosis.decide.revision import Judged
-from hilserver.diagnosis.decide.structure import families_of, remaining
+from hilserver.diagnosis.decide.structure import remaining
 from hilserver.diagnosis.decide.trial import at_bound, implausible, worth_a_name
+from hilserver.diagnosis.decide.unknown import families_of
 from hilserver.diagnosis.groups.causes import Cause, causes_of
 from hilserver.diagnosis.groups.joint_fit import JointFit, fit_in_all
 from hilserver.diagnosis.replay.model import Fitted, Model

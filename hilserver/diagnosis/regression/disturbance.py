@@ -30,7 +30,6 @@ class Motion:
         self.x, self.y, self.yaw, self.om = (dense[take, c] for c in range(4))
         left, right = stage.left[take], stage.right[take]
         self.v, self.vy = stage.forward_m_s()[take], stage.lateral_m_s[take]
-        self.side = (left, right)
         self.t = np.concatenate([
             stage.segments.start_s[i] - stage.segments.lead_s + stage.period_s * (r - first[i])
             for i, r in enumerate(self.rows)
@@ -53,6 +52,18 @@ class Motion:
         return self._sampled(
             {POSITION[0]: place.real, POSITION[1]: place.imag, YAW: yaw, GYRO: dom}
         )
+
+    def ahead(self, d: Array) -> Array:
+        """Return the raw column of a disturbance of the speed ahead."""
+        return self.column(d, np.zeros_like(d), np.zeros_like(d))
+
+    def aside(self, d: Array) -> Array:
+        """Return the raw column of a disturbance of the speed to the side."""
+        return self.column(np.zeros_like(d), d, np.zeros_like(d))
+
+    def turn(self, d: Array) -> Array:
+        """Return the raw column of a disturbance of the turn rate."""
+        return self.column(np.zeros_like(d), np.zeros_like(d), d)
 
     def _sampled(self, sources: Mapping[str, Array]) -> Array:
         """Return what channels show of signals on the grid; the others show nothing."""

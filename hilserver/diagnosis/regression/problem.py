@@ -172,18 +172,19 @@ class Problem:
         self._known.append((point, columns))
         return columns
 
+    def shown(self, point: Point, columns: Array) -> Array:
+        """Return raw columns as they show at a point: whitened, initial poses projected out."""
+        bases = self.bases(self.nuisance(point.predicted, point.poses))
+        return self.project(self.whiten(columns), bases)
+
     def accepted(self, point: Point) -> Array | None:
         """Return whitened, projected sensitivities of a model's own parameters."""
-        if not point.model.fitted:
-            return None
-        bases = self.bases(self.nuisance(point.predicted, point.poses))
-        return self.project(self.whiten(self.own_columns(point)), bases)
+        return self.shown(point, self.own_columns(point)) if point.model.fitted else None
 
     def effect(self, point: Point, index: int) -> Array:
         """Return what a point's cause changes, whitened and projected, shape (n,)."""
         without = self.predict(point.model.without(index).terms, point.poses)
-        white = self.whiten(self.stage.difference(point.predicted, without))
-        return self.project(white, self.bases(self.nuisance(point.predicted, point.poses)))
+        return self.shown(point, self.stage.difference(point.predicted, without))
 
     def column(self, point: Point, candidate: Candidate) -> Array:
         """Return the raw effect of a candidate per unit, or at its start value; shape (n, k)."""

@@ -79,7 +79,9 @@ def _alike(x: Array, other: Array) -> bool:
 def _critical(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> float:
     """Return the critical statistic of the structures that were found."""
     blocks = Blocks.of(problem.stack.block, problem.stack.n_blocks)
-    scores = [score(u.white[blocks.order], point.left[blocks.order], blocks) for u in unknown]
+    scores = [
+        score(u.family.white[blocks.order], point.left[blocks.order], blocks) for u in unknown
+    ]
     return critical(null_maxima(scores, np.random.default_rng(0)), REST_LEVEL)
 
 
@@ -90,8 +92,8 @@ def _left(problem: Problem, point: Point, u: Unknown) -> _Left:
     """
     edges = problem.stack.edges
     residual, used = problem.residual(point.predicted), problem.weights > 0.0
-    norm = np.sqrt((u.white**2).sum(axis=0))
-    unit = u.white[:, norm > 0.0] / norm[norm > 0.0]
+    norm = np.sqrt((u.family.white**2).sum(axis=0))
+    unit = u.family.white[:, norm > 0.0] / norm[norm > 0.0]
     size, *_ = np.linalg.lstsq(unit, point.left, rcond=1e-9)
     explained = point.left**2 - (point.left - unit @ size) ** 2
     share = {n: float(explained[e].sum()) for n, e in edges.items()}

@@ -75,7 +75,7 @@ def stays(deviance):
     values = columns["a"] + np.sqrt(deviance / (N / 2)) * columns["b"]
     problem = toy.problem(values, columns)
     point = fit(problem, toy.model("a", "b"), problem.point(Model(), NONE))
-    return "b" in prune(problem, point, at.LEAST_GAIN).model.causes
+    return "b" in prune(problem, point).model.causes
 
 
 def holds(deviance):
@@ -84,7 +84,7 @@ def holds(deviance):
     problem = toy.problem(np.full(N, np.sqrt(deviance / N)), columns)
     before = problem.point(Model(), NONE)
     point = fit(problem, toy.model("a"), before)
-    return trial.holds(problem, before, point.model, point)
+    return trial.holds(problem, before, point)
 
 
 def structure_holds(deviance):
@@ -187,8 +187,8 @@ def dominates(times):
     columns["a"][::2], columns["b"][1::2] = 1.0, 1.0
     problem = toy.problem(columns["a"] + columns["b"], columns)
     point = fit(problem, toy.model("a"), problem.point(Model(), NONE))
-    family = Family("turn", ("t_s",), np.zeros((0, 0)))
-    unknown = structure.Unknown(family, 9.0, 1e-4, N / 2 / times, columns["b"][:, None])
+    family = Family("turn", ("t_s",), columns["b"][:, None])
+    unknown = structure.Unknown(family, 9.0, 1e-4, N / 2 / times)
     return not structure.without_unknown(problem, point, [unknown])
 
 

@@ -132,7 +132,7 @@ def test_a_superfluous_cause_is_pruned():
     problem = toy.problem(0.5 * columns["a"] + rng.normal(size=N), columns)
     base = problem.point(Model(), np.zeros((0, 3)))
     both = fit(problem, toy.model("a", "b"), base)
-    assert prune(problem, both, 10.0).model.causes == ("a",)
+    assert prune(problem, both).model.causes == ("a",)
 
 
 def test_one_cause_stands_for_two_that_explain_no_more():
@@ -172,8 +172,8 @@ def test_a_weak_cause_is_not_lost_with_a_rival_that_is_weaker_still():
     point = fit(problem, toy.model("own"), base)
     weaker = fit(problem, toy.model("twin"), base)
     rival = Rival(library.candidates[1], weaker, 0.99, 1.0, 0.1, gross=False)
-    assert prune(problem, point, 10.0).model.causes == ("own",)
-    assert prune(problem, weaker, 10.0).model.causes == ()
+    assert prune(problem, point).model.causes == ("own",)
+    assert prune(problem, weaker).model.causes == ()
     assert with_fewer(problem, point, {"own": [rival]}) is None
 
 

@@ -11,7 +11,8 @@ import pytest
 from hilserver_injector import make, nothing
 
 from benchmarks.diagnose_worker import measured
-from hilserver.diagnosis.decide.structure import families_of, remaining
+from hilserver.diagnosis.decide.structure import remaining
+from hilserver.diagnosis.decide.unknown import families_of
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.stages import prepare, stages_of
 from hilserver.diagnosis.replay.model import Model
