@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, Literal, get_args
 
 Theta = Sequence[float]
@@ -75,18 +75,8 @@ def single(
     high: float = math.inf,
 ) -> Candidate:
     """Return the candidate of one term whose effect is about linear."""
-    return Candidate(
-        cause=name.partition(".")[0],
-        label=name,
-        stage=stage,
-        start=(0.0,),
-        null=(0.0,),
-        step=(step,),
-        terms=lambda theta: {name: float(theta[0])},
-        low=(low,),
-        high=(high,),
-        least=least,
-    )
+    cause = name.partition(".")[0]
+    return several(cause, name, stage, (name,), (step,), least, low=low, high=high)
 
 
 def start_grid(
@@ -100,20 +90,9 @@ def start_grid(
     high: float,
 ) -> list[Candidate]:
     """Return one candidate per start value of a parameter whose effect is not linear."""
+    made = single(name, stage, step, least, low, high)
     return [
-        Candidate(
-            cause=name.partition(".")[0],
-            label=f"{name}@{value:g}",
-            stage=stage,
-            start=(value,),
-            null=(null,),
-            step=(step,),
-            terms=lambda theta: {name: float(theta[0])},
-            low=(low,),
-            high=(high,),
-            least=least,
-            linear=False,
-        )
+        replace(made, label=f"{name}@{value:g}", start=(value,), null=(null,), linear=False)
         for value in values
     ]
 

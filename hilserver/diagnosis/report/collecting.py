@@ -120,8 +120,6 @@ def _screen(judged: Judged) -> list[ScreenRow]:
     rows: dict[str, ScreenRow] = {}
     for i, c in enumerate(library.candidates):
         mine = np.flatnonzero(library.owner == i)
-        if not mine.size:
-            continue
         j = int(mine[np.argmax(np.abs(scores.t[mine]))])
         part = next(iter(c.terms(c.start)))
         part = OF_THE_LOG.get(part, part)

@@ -54,26 +54,21 @@ def _windows(problem: Problem) -> list[Indices]:
 def _of(
     problem: Problem, point: Point, f: Fitted, columns: Array, windows: list[Indices]
 ) -> list[Course]:
-    names, jacobian = list(f.terms), _jacobian(f)
+    jacobian, times, values, halves = _jacobian(f), [], [], []
     information = np.stack([(columns[rows] ** 2).sum(axis=0) for rows in windows])
-    rows_of: dict[str, list[tuple[float, float, float]]] = {n: [] for n in names}
     for rows, own in zip(windows, information, strict=True):
         if (own < LEAST_INFORMED * information.mean(axis=0)).any():
             continue
-        step, spread, half = _estimate(problem, point.left[rows], columns[rows], rows)
-        theta = np.asarray(f.theta) + step
-        values = f.candidate.terms(tuple(theta))
-        wide = half * np.sqrt(np.einsum("ij,jk,ik->i", jacobian, spread, jacobian))
-        t_s = float(problem.stack.t_s[rows].mean())
-        for name, w in zip(names, wide, strict=True):
-            rows_of[name].append((t_s, values[name], float(w)))
+        step, spread, wide = _estimate(problem, point.left[rows], columns[rows], rows)
+        times.append(float(problem.stack.t_s[rows].mean()))
+        values.append(list(f.candidate.terms(tuple(np.asarray(f.theta) + step)).values()))
+        halves.append(wide * np.sqrt(np.einsum("ij,jk,ik->i", jacobian, spread, jacobian)))
     out = []
-    for k, (name, found) in enumerate(rows_of.items()):
-        if not jacobian[k].any() or len(found) < 2:
-            continue
-        t, value, w = (np.array(column) for column in zip(*found, strict=True))
-        public = OF_THE_LOG.get(name, name)
-        out.append(Course(public, unit_of(public), t, value, value - w, value + w))
+    for k, name in enumerate(f.terms if len(times) > 1 else ()):
+        if jacobian[k].any():
+            public, t = OF_THE_LOG.get(name, name), np.array(times)
+            value, half = (np.array([one[k] for one in all_of]) for all_of in (values, halves))
+            out.append(Course(public, unit_of(public), t, value, value - half, value + half))
     return out
 
 

@@ -6,7 +6,6 @@ one cut point, and not from the next, arises between the two.
 """
 
 from collections.abc import Collection
-from functools import singledispatch
 from typing import Final
 
 import numpy as np
@@ -17,7 +16,6 @@ from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.pose_stage import PoseStage
-from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.schema.evidence import CutRow
 from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.names import signal_unit
@@ -43,12 +41,11 @@ def cuts(stages: Collection[Prepared]) -> tuple[CutRow, ...]:
         Drive, pose or both. The configured plant is replayed, whatever was found.
     """
     known = any(p.problem.stage.follows_setpoints for p in stages)
-    rows = [row for p in stages for row in _from_all(p.problem.stage, p, known)]
+    rows = [row for p in stages for row in _from_all(p, setpoints=known)]
     return tuple(sorted(rows, key=lambda row: CUTS.index(row.cut)))
 
 
-@singledispatch
-def _from_all(stage: Stage, p: Prepared, setpoints: bool) -> list[CutRow]:
+def _from_all(p: Prepared, *, setpoints: bool) -> list[CutRow]:
     """Return the residuals of one stage from every cut point.
 
     Parameters
@@ -56,20 +53,11 @@ def _from_all(stage: Stage, p: Prepared, setpoints: bool) -> list[CutRow]:
     setpoints : bool
         The log holds those that the machine got.
     """
-    raise NotImplementedError(f"a {stage.name} has no cut points")
-
-
-@_from_all.register
-def _(stage: DriveStage, p: Prepared, setpoints: bool) -> list[CutRow]:
-    del setpoints
-    whole = _rows("setpoints", p.problem, p.problem.residual(p.base.predicted))
-    return whole + _process_only(stage, p.problem)
-
-
-@_from_all.register
-def _(stage: PoseStage, p: Prepared, setpoints: bool) -> list[CutRow]:
-    rows = []
-    if setpoints and stage.drive is not None:
+    stage, rows = p.problem.stage, []
+    if isinstance(stage, DriveStage):
+        whole = _rows("setpoints", p.problem, p.problem.residual(p.base.predicted))
+        return whole + _process_only(stage, p.problem)
+    if setpoints and isinstance(stage, PoseStage) and stage.drive is not None:
         chain = Problem(stage.as_simulated(), p.problem.noise, p.problem.weights)
         far = chain.point(Model(), chain.start_poses({}), pose_steps=POSE_STEPS)
         rows += _of_pose("setpoints", chain, far)

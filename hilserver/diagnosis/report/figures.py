@@ -160,39 +160,26 @@ def _heat_map(names: Sequence[str], cosine: Array, limit: float) -> Markup:
 
 def dependence(item: Dependence) -> Figure:
     """Draw what remains of a residual against one regressor."""
-    plot = Plot(
-        span_of(item.x),
-        span_of(item.low, item.high, np.zeros(1)),
-        f"{item.regressor} [{item.regressor_unit}]",
-        f"remaining error [{item.unit}]",
-        height=250,
-    )
+    name = f"{item.channel} over {item.regressor}"
+    labels = f"{item.regressor} [{item.regressor_unit}]", f"remaining error [{item.unit}]"
+    plot = Plot(span_of(item.x), span_of(item.low, item.high, np.zeros(1)), *labels, height=250)
     plot.level(0.0)
     plot.band(item.x, item.low, item.high, "extended")
-    plot.line(item.x, item.mean, "extended", f"{item.channel} over {item.regressor}")
-    return Figure(
-        picture([plot], f"{item.channel} over {item.regressor}"),
-        plain(f"{item.channel} over {item.regressor}"),
-        f"Statistic {number(item.statistic)}, critical {number(item.critical)}.",
-    )
+    plot.line(item.x, item.mean, "extended", name)
+    caption = f"Statistic {number(item.statistic)}, critical {number(item.critical)}."
+    return Figure(picture([plot], name), plain(name), caption)
 
 
 def course(item: Course) -> Figure:
     """Draw a parameter over time."""
-    plot = Plot(
-        span_of(item.t_s),
-        span_of(item.low, item.high),
-        "time [s]",
-        f"{item.cause} [{item.unit}]",
-        height=250,
-    )
+    labels = "time [s]", f"{item.cause} [{item.unit}]"
+    plot = Plot(span_of(item.t_s), span_of(item.low, item.high), *labels, height=250)
     plot.band(item.t_s, item.low, item.high, "extended")
     plot.line(item.t_s, item.value, "extended", item.cause)
     plot.dots(item.t_s, item.value, "extended",
               [number(float(v), item.unit) for v in item.value])  # fmt: skip
-    return Figure(
-        picture([plot], f"{item.cause} over time"), item.cause, "Fitted in windows, with 95 %."
-    )
+    svg = picture([plot], f"{item.cause} over time")
+    return Figure(svg, item.cause, "Fitted in windows, with 95 %.")
 
 
 def paths(ways: Iterable[Path]) -> list[Figure]:

@@ -2,19 +2,17 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from itertools import zip_longest
-from typing import Final
+from typing import Any, Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from hilserver.diagnosis.findings.explain import explain_finding, number
+from hilserver.diagnosis.findings.explain import QUANTITIES, explain_finding, number
 from hilserver.diagnosis.report import figures, tables, words
 from hilserver.diagnosis.report.plain import plain
-from hilserver.diagnosis.report.svg import Figure
 from hilserver.diagnosis.report.time_series import improvement, series
 from hilserver.diagnosis.schema.evidence import Evidence, Path, Series
 from hilserver.diagnosis.schema.findings import Findings, Verdict
@@ -50,7 +48,7 @@ def render(findings: Findings, evidence: Evidence) -> str:
         .render(
             findings=findings,
             evidence=evidence,
-            plots=_Plots.of(evidence),
+            plots=_plots(evidence),
             models=MODELS if extended else MODELS[:2],
             headline=words.headline(findings),
             best=words.best(gains),
@@ -74,35 +72,23 @@ def render(findings: Findings, evidence: Evidence) -> str:
     )
 
 
-@dataclass(frozen=True)
-class _Plots:
-    """All figures of the page; `same` are the channels that the extension does not change."""
+def _plots(evidence: Evidence) -> dict[str, Any]:
+    """Draw everything; the channels that the extension changes most come first.
 
-    paths: list[Figure]
-    changed: list[Figure]
-    same: list[Figure]
-    horizons: Figure | None
-    courses: list[Figure]
-    rest: list[Figure]
-    likeness: Figure | None
-
-    @classmethod
-    def of(cls, evidence: Evidence) -> "_Plots":
-        """Draw everything; the channels that the extension changes most come first."""
-        drawn = sorted(
-            (s for s in evidence.series if len(s.t_s) > 1), key=lambda s: -improvement(s)
-        )
-        is_changed = [s.extended is None or improvement(s) > 1 + LEAST_CHANGE for s in drawn]
-        like = evidence.similarity
-        return cls(
-            paths=figures.paths(evidence.paths),
-            changed=[series(s) for s, c in zip(drawn, is_changed, strict=True) if c],
-            same=[series(s) for s, c in zip(drawn, is_changed, strict=True) if not c],
-            horizons=figures.horizons(evidence.gain_by_horizon),
-            courses=[figures.course(c) for c in evidence.courses],
-            rest=[figures.dependence(d) for d in evidence.dependences],
-            likeness=None if like is None else figures.likeness(like),
-        )
+    `same` are those that it does not change.
+    """
+    drawn = sorted((s for s in evidence.series if len(s.t_s) > 1), key=lambda s: -improvement(s))
+    is_changed = [s.extended is None or improvement(s) > 1 + LEAST_CHANGE for s in drawn]
+    like = evidence.similarity
+    return {
+        "paths": figures.paths(evidence.paths),
+        "changed": [series(s) for s, c in zip(drawn, is_changed, strict=True) if c],
+        "same": [series(s) for s, c in zip(drawn, is_changed, strict=True) if not c],
+        "horizons": figures.horizons(evidence.gain_by_horizon),
+        "courses": [figures.course(c) for c in evidence.courses],
+        "rest": [figures.dependence(d) for d in evidence.dependences],
+        "likeness": None if like is None else figures.likeness(like),
+    }
 
 
 def _contents(main: str) -> list[tuple[str, Markup]]:
@@ -134,7 +120,7 @@ def environment() -> Environment:
         "style": Markup(style),  # noqa: S704 - our own
         "badges": words.BADGES,
         "cut_points": tables.CUT_POINTS,
-        "quantity": words.quantity,
+        "quantity": QUANTITIES.__getitem__,
         "screen_level": SCREEN_LEVEL,
     }
     made.filters |= {

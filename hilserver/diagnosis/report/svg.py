@@ -62,9 +62,7 @@ class Scale:
         return [t for t in inside if abs(math.log10(t) - round(math.log10(t))) < 1e-9]
 
 
-def span_of(
-    *arrays: Array | None, least: float = 1e-9, margin: float = 0.06
-) -> tuple[float, float]:
+def span_of(*arrays: Array | None, margin: float = 0.06) -> tuple[float, float]:
     """Return the range of all finite values, widened by a margin."""
     parts = [np.ravel(a) for a in arrays if a is not None and np.size(a)]
     values = np.concatenate(parts) if parts else np.zeros(1)
@@ -72,7 +70,7 @@ def span_of(
     if not len(values):
         return -1.0, 1.0
     low, high = float(values.min()), float(values.max())
-    width = max(high - low, least, 1e-6 * max(abs(low), abs(high)))
+    width = max(high - low, 1e-9, 1e-6 * max(abs(low), abs(high)))
     middle = 0.5 * (low + high)
     half = width * (0.5 + margin)
     return middle - half, middle + half
@@ -80,16 +78,14 @@ def span_of(
 
 def label(value: float) -> str:
     """Return a tick's text."""
-    if value == 0 or abs(value) < 1e-12:
+    if abs(value) < 1e-12:
         return "0"
     if 1e-3 <= abs(value) < 1e5:
-        text = f"{value:.6g}"
-    else:
-        power = math.floor(math.log10(abs(value)) + 1e-9)
-        factor = value / 10.0**power
-        text = "" if abs(factor - 1) < 1e-6 else f"{factor:.3g}·"
-        return text.replace("-", MINUS) + power_of_ten(power)
-    return text.replace("-", MINUS)
+        return f"{value:.6g}".replace("-", MINUS)
+    power = math.floor(math.log10(abs(value)) + 1e-9)
+    factor = value / 10.0**power
+    text = "" if abs(factor - 1) < 1e-6 else f"{factor:.3g}·"
+    return text.replace("-", MINUS) + power_of_ten(power)
 
 
 def decimate(x: Array, y: Array, n: int = LINE_POINTS) -> tuple[Array, Array]:
@@ -184,8 +180,8 @@ class Plot:
         run : ndarray of int64, optional
             The line breaks where it changes; shape as `x`.
         """
-        kept_x, kept_y = decimate(x, y, points) if run is None else thinned(x, y, run)
-        self._line(kept_x, kept_y, role, title)
+        kept = decimate(x, y, points) if run is None else thinned(x, y, run)
+        self._line(*kept, role, title)
 
     def track(
         self,
@@ -200,8 +196,8 @@ class Plot:
         step = max(1, math.ceil(len(xy) / points))
         gap = np.full((1, 2), np.nan)
         parts = [np.vstack([own[::step], own[-1:], gap]) for own in np.split(xy, begins)]
-        kept = np.concatenate(parts)
-        self._line(kept[:, 0], kept[:, 1], role, title)
+        x, y = np.concatenate(parts).T
+        self._line(x, y, role, title)
 
     def _line(self, x: Array, y: Array, role: str, title: str) -> None:
         if data := path_data(*self._place(x, y)):

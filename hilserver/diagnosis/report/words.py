@@ -129,7 +129,7 @@ def gains(findings: Findings) -> list[Gained]:
     """Return the gain of every quantity: first where the robot is, last what its sensors show."""
     order = list(QUANTITIES)
     return [
-        Gained(*quantity(key), when(key, gain), gain, findings.ceiling.get(key))
+        Gained(*QUANTITIES[key], when(key, gain), gain, findings.ceiling.get(key))
         for key, gain in sorted(findings.total_gain.items(), key=lambda item: order.index(item[0]))
     ]
 
@@ -165,11 +165,6 @@ def understated(findings: Findings) -> str:
         f" other half shows by itself. Not shown by both: {', '.join(missing).replace('_', ' ')}."
         " So it is more than was measured; a longer recording shows how much."
     )
-
-
-def quantity(key: str) -> tuple[str, str]:
-    """Return what a key of a gain is called, and its unit."""
-    return QUANTITIES[key]
 
 
 def is_unchanged(gain: Gain) -> bool:
