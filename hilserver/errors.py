@@ -52,3 +52,9 @@ def meant(name: str, known: Iterable[str], otherwise: str) -> str:
     """Return the hint behind a name that does not exist."""
     near = nearest(name, known)
     return otherwise if near is None else f"did you mean '{near}'?"
+
+
+def no_signal(name: str, known: Iterable[str]) -> str:
+    """Return the sentence for a name that no signal has."""
+    hint = meant(name, known, "see 'hilserver signals'")
+    return f"there is no signal '{name}'; {hint}"

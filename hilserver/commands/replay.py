@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--as-inputs",
         action="store_true",
-        help="treat our recording as a foreign log: only its set-points, from a fresh start",
+        help="take only the set-points of a recording, from a fresh start, as of a foreign log",
     )
     parser.add_argument(
         "--check",

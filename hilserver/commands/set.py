@@ -9,7 +9,7 @@ import math
 from typing import Any
 
 from hilserver.commands.remote import PARAMETERS, add_connection, ask, from_json
-from hilserver.errors import FailedError, meant
+from hilserver.errors import FailedError, no_signal
 from hilserver.signals import Ranges, robot_table
 
 EXAMPLE = "hilserver set control.source=opcua"
@@ -35,8 +35,7 @@ def run(args: argparse.Namespace) -> int:
         names += [f"{PARAMETERS}{name}" for name in table_of()]
     for name in values:
         if name not in names:
-            hint = meant(name, names, "see 'hilserver signals'")
-            raise FailedError(f"there is no signal '{name}'; {hint}")
+            raise FailedError(no_signal(name, names))
     return ask(args, lambda hand: hand.write(values), parameters)
 
 

@@ -70,7 +70,7 @@ class Staleness:
         since_ns = 0 if self._checked_ns is None else now_ns - self._checked_ns
         self._checked_ns = now_ns
         if reason and not self.stale and since_ns > self.limit_ns:
-            reason = f"our event loop stood still for {since_ns / 1e6:.0f} ms"
+            reason = f"the daemon's event loop stood still for {since_ns / 1e6:.0f} ms"
         was_stale, self.stale = self.stale, bool(reason)
         if reason:
             self.reason = reason

@@ -108,7 +108,7 @@ class Supervision:
             stalled_ms = lapse.stalled_ticks * self._period_ms / self._control.speed
             why = f"no fresh command for {lapse.limit_ms:g} ms"
             if 2 * stalled_ms > lapse.limit_ms:
-                why = f"our event loop stood still for {stalled_ms:.0f} ms"
+                why = f"the daemon's event loop stood still for {stalled_ms:.0f} ms"
             elif lapse.action == "ramp":
                 why = f"{self._drivers[lapse.source]} is silent"
             if lapse.action == "ramp":

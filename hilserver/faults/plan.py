@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
+from hilserver.errors import no_signal
 from hilserver.faults.model import Fault
 from hilserver.kernel import modifier_layout as lay
 from hilserver.kernel.modifier_layout import Kind
@@ -90,7 +91,7 @@ class Planner:
 
     def _signal(self, name: str) -> Signal:
         if name not in self._table or self._table[name].hidden:
-            raise ValueError(f"there is no signal '{name}'; see 'hilserver signals'")
+            raise ValueError(no_signal(name, (signal.name for signal in self._table)))
         if name.startswith("sim."):
             raise ValueError(f"'{name}' shows the time or the state; no fault can change it")
         return self._table[name]

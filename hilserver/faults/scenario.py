@@ -25,7 +25,7 @@ from hilserver.config.loading import MAX_BYTES, load, place
 from hilserver.config.section import Section
 from hilserver.core.inputs import InputGate, Refusal, check_value
 from hilserver.core.parameters import LiveParameters
-from hilserver.errors import ConfigError
+from hilserver.errors import ConfigError, no_signal
 from hilserver.faults.book import Faults
 from hilserver.faults.model import Fault, Seconds
 from hilserver.image import ProcessImage, Row
@@ -201,7 +201,7 @@ class Stage:
 
     def _complaint(self, name: str, value: Any) -> str:
         if name not in self._table or self._table[name].hidden:
-            return f"there is no signal '{name}'; see 'hilserver signals'"
+            return no_signal(name, (signal.name for signal in self._table))
         signal = self._table[name]
         if not signal.writable:
             return f"'{name}' is an output; a fault or force can change it"

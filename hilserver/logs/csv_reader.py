@@ -210,7 +210,10 @@ def _begin(
             f"{path}: row 1 is no header but numbers; put 't_s,<signal>,...' into the first row"
         )
     if time is not None and time not in header:
-        raise LogError(f"{path}: row 1: there is no column '{time}'; name the time column so, in s")
+        raise LogError(
+            f"{path}: row 1: there is no column '{time}'; name the time column so, in s, or map it"
+            " with --mapping"
+        )
     read = [i for i, name in enumerate(header) if name and (used is None or name in used)]
     for index in read:
         name = header[index]

@@ -112,7 +112,10 @@ def log_of_parquet(path: Path) -> tuple[Log, Table]:
     """Return a Parquet table as a log, and its rows, whose places complaints name."""
     table = read_parquet(path)
     if TIME not in table.header:
-        raise LogError(f"{path}: there is no column 't_s'; name the time column so, in s")
+        raise LogError(
+            f"{path}: there is no column 't_s'; name the time column so, in s, or map it with"
+            " --mapping"
+        )
     names = [name for name in table.header if name not in (TIME, SEGMENT, BLOCK)]
     table = in_time(table, TIME)
     columns = {name: table.column(name) for name in names}

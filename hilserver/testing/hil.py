@@ -10,7 +10,7 @@ from typing import Literal, Self
 
 from hilserver.core.inputs import Refusal
 from hilserver.daemon.daemon import Daemon
-from hilserver.errors import ControlRefused, meant
+from hilserver.errors import ControlRefused, no_signal
 from hilserver.faults.model import Fault, parse_fault
 from hilserver.image import Frame
 from hilserver.plant.errors import PlantError
@@ -159,8 +159,7 @@ class Hil:
 
     def _signal(self, name: str) -> Signal:
         if name not in self.daemon.table:
-            hint = meant(name, (s.name for s in self.daemon.table), "see 'hilserver signals'")
-            raise HilError(f"there is no signal '{name}'; {hint}")
+            raise HilError(no_signal(name, (signal.name for signal in self.daemon.table)))
         return self.daemon.table[name]
 
     def _slot(self, name: str) -> int:

@@ -23,6 +23,7 @@ BIAS = {"fault": "bias", "signal": "pose.x_m", "offset": 1.0}
         ({"fault": "bias", "peer": "a", "offset": 1}, "bias acts on signal"),
         ({"fault": "rust", "signal": "a"}, "fault: should be 'stuck'"),
         (BIAS | {"signal": "pose.z_m"}, "there is no signal 'pose.z_m'"),
+        (BIAS | {"signal": "pose.x"}, "there is no signal 'pose.x'; did you mean 'pose.x_m'"),
         (BIAS | {"signal": "internal.command"}, "there is no signal 'internal.command'"),
         (BIAS | {"signal": "sim.tick"}, "shows the time"),
         (BIAS | {"offset": float("nan")}, "finite number"),
