@@ -96,10 +96,7 @@ class Loop:
     async def change(self) -> None:
         """Change the sign of the set-point and wait for the answer.
 
-        Raises
-        ------
-        FailedError
-            If no output contains the change within two seconds.
+        FailedError if no output contains the change within two seconds.
         """
         self._answered.clear()
         self.target_rpm = -self.target_rpm

@@ -83,10 +83,7 @@ def _block_ns(run: Callable[[int], None], ticks: int) -> float:
 def run(args: argparse.Namespace) -> list[Result]:
     """Measure and return ``step_ns``, ``step_pointer_ns`` and ``step_all_terms_ns``.
 
-    Raises
-    ------
-    FailedError
-        When there is no C compiler.
+    FailedError when there is no C compiler.
     """
     blocks = int(getattr(args, "blocks", None) or BLOCKS)
     ticks = int(getattr(args, "ticks", None) or TICKS_PER_BLOCK)

@@ -37,10 +37,7 @@ class Tyre:
 class BodyParameters:
     """What MuJoCo's model and the kernel of wheels and tyres are made from.
 
-    Raises
-    ------
-    PlantError
-        When a value is not finite, out of range, or the step is too long for the tyre.
+    PlantError when a value is not finite, out of range, or the step is too long for the tyre.
     """
 
     robot: RobotParameters  # geometry, process and range finders

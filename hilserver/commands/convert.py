@@ -6,6 +6,7 @@ CSV and Parquet hold no status codes, Parquet no run to replay.
 """
 
 import argparse
+from contextlib import closing
 from pathlib import Path
 
 from hilserver.commands.options import add_mapping, add_storage, warn
@@ -62,8 +63,6 @@ def _write(log: Log, out: Path, bag: Storage | None) -> None:
         write_table_csv(log, out)
         return
     described = run_of(log)
-    writer = open_writer(out, described, range(len(described["signals"])), 0, bag)
-    try:
+    slots = range(len(described["signals"]))
+    with closing(open_writer(out, described, slots, 0, bag)) as writer:
         rewrite(log, writer)
-    finally:
-        writer.close()

@@ -61,10 +61,7 @@ async def running_controller(
 async def running_robot() -> AsyncIterator[str]:
     """Run the "real robot" of the twin while the context lasts; give its endpoint.
 
-    Raises
-    ------
-    FailedError
-        If it does not come up.
+    FailedError if it does not come up.
     """
     command = children.python("-m", "hilserver.recalibration.robot")
     async with _serving(command, "robot") as endpoint:

@@ -98,17 +98,15 @@ def run(args: argparse.Namespace) -> int:
         jobs=args.jobs,
         groups=tuple(args.group or ()),
     )
-    progress = Progress()
-    try:
-        outcome = diagnose(task, progress)
-    except SystemExit:
-        progress.say(
-            "hilserver: stopped before the diagnosis was finished: no report was written",
-            sys.stderr,
-        )
-        raise
-    finally:
-        progress.end()
+    with Progress() as progress:
+        try:
+            outcome = diagnose(task, progress)
+        except SystemExit:
+            progress.say(
+                "hilserver: stopped before the diagnosis was finished: no report was written",
+                sys.stderr,
+            )
+            raise
     if outcome.error:
         raise _ERRORS.get(outcome.exit_code, FailedError)(outcome.error + _aid(args, outcome))
     write(args.out, outcome.files)
@@ -165,9 +163,9 @@ def _each(args: argparse.Namespace) -> int:
         mapping = str(Path(mapping).absolute())
     tasks = [Task((log.absolute(),), config, mapping, seed=args.seed) for log in args.logs]
     folders = _folders(args.logs)
-    code, progress, done = EXIT_DONE, Progress(), 0
-    try:
-        with closing(_outcomes(args, tasks)) as outcomes:
+    code, done = EXIT_DONE, 0
+    with Progress() as progress, closing(_outcomes(args, tasks)) as outcomes:
+        try:
             for index, outcome in outcomes:
                 done += 1
                 progress(f"{done} of {len(tasks)} logs", done / len(tasks))
@@ -177,12 +175,10 @@ def _each(args: argparse.Namespace) -> int:
                     continue
                 write(args.out / folders[index], outcome.files)
                 progress.say(f"{folders[index]}: {outcome.line}", sys.stdout)
-    except SystemExit:
-        text = f"hilserver: stopped after {done} of {len(tasks)} logs; their reports are kept"
-        progress.say(text, sys.stderr)
-        raise
-    finally:
-        progress.end()
+        except SystemExit:
+            text = f"hilserver: stopped after {done} of {len(tasks)} logs; their reports are kept"
+            progress.say(text, sys.stderr)
+            raise
     return code
 
 

@@ -119,10 +119,7 @@ def plan(python: Path, config: Path, user: str, protect_home: str = "yes") -> li
 def check_reachable(paths: list[Path]) -> str:
     """Return the value of ProtectHome= with which an unprivileged service reaches `paths`.
 
-    Raises
-    ------
-    FailedError
-        If one of them lies where such a service cannot look at all.
+    FailedError if one of them lies where such a service cannot look at all.
     """
     protect_home = "yes"
     for path in paths:

@@ -67,10 +67,7 @@ def config_path(args: argparse.Namespace) -> Path | None:
 def out_file(text: str) -> Path:
     """Return the file to write to, tried now and not after minutes of measuring.
 
-    Raises
-    ------
-    FailedError
-        If it cannot be written.
+    FailedError if it cannot be written.
     """
     path = Path(text)
     is_new = not path.exists()

@@ -23,10 +23,7 @@ def assembled(args: argparse.Namespace) -> Assembly:
 def patch_of(args: argparse.Namespace) -> Patch | None:
     """Return the patch that was asked for, if any.
 
-    Raises
-    ------
-    ConfigError
-        If it cannot be used, or a group is named without a patch.
+    ConfigError if it cannot be used, or a group is named without a patch.
     """
     _check(args)
     return None if args.patch is None else load_patch(args.patch, args.group)

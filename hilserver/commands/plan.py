@@ -78,11 +78,8 @@ def run(args: argparse.Namespace) -> int:
         seed=args.seed,
         jobs=os.cpu_count() or 1,
     )
-    progress = Progress()
-    try:
+    with Progress() as progress:
         document, files = plan(wish, assembly, progress)
-    finally:
-        progress.end()
     write_files(args.out, files | {PAGE: render_plan(document)})
     print("\n".join(lines(document)))
     print(

@@ -7,6 +7,7 @@ log of others the set-points are taken; each holds until the next row.
 import argparse
 import asyncio
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import Final
 
@@ -146,9 +147,9 @@ class _Replay:
     async def _play(self, engine: Engine, plan: Plan, comparison: Comparison | None) -> float:
         run = make_run(engine.image.description) | {"replay_of": str(self._log.path)}
         writer = open_writer(self._args.out, run, range(engine.table.n_slots))
-        progress, done, began_s = Progress(), 0, time.monotonic()
+        done, began_s = 0, time.monotonic()
         engine.feed_state(in_rows=plan.feeds_state)
-        try:
+        with closing(writer), Progress() as progress:
             for stretch in plan.stretches:
                 if stretch.state is not None:
                     writer.add_state(State(stretch.segment, stretch.first_tick, stretch.state))
@@ -158,9 +159,6 @@ class _Replay:
                         comparison.add(batch)
                     done += len(batch.frames)
                     progress("replaying", done / plan.n_ticks)
-        finally:
-            progress.end()
-            writer.close()
         return time.monotonic() - began_s
 
     def _tell(self, comparison: Comparison) -> int:

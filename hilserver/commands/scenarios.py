@@ -66,12 +66,9 @@ def _page(args: argparse.Namespace) -> None:
     if page is None:
         raise FailedError("'scenarios page' writes a page of the source: run it in a checkout")
     chosen = [scenario(name) for name in args.names] or list(SCENARIOS.values())
-    progress = Progress()
-    try:
+    with Progress() as progress:
         for k, one in enumerate(chosen):
             progress(one.name, k / len(chosen))
             page.write_page(args.out, {one.name: page.make_entry(one)})
             progress.say(one.name, sys.stdout)
-    finally:
-        progress.end()
     print(f"The page is {args.out / page.PAGE}")

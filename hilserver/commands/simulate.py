@@ -17,8 +17,7 @@ from hilserver.commands.patching import assembled
 from hilserver.daemon.assembly import Assembly
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError
 from hilserver.faults.scenario import Play, load_scenario
-from hilserver.logs import Segmented, open_writer
-from hilserver.logs.provenance import make_run
+from hilserver.logs import Segmented
 from hilserver.logs.writing import check_suffix, reason
 from hilserver.monitoring.logging_setup import setup_logging
 from hilserver.program.progress import Progress
@@ -102,19 +101,13 @@ async def _play(
     assembly: Assembly, play: Play, duration_s: float, out: Path, verdict: Verdict | None
 ) -> None:
     period_s = assembly.base_period_ns * 1e-9
-    n_ticks, done, progress = max(round(duration_s / period_s), 1), 0, Progress()
+    n_ticks, done = max(round(duration_s / period_s), 1), 0
     async with Simulation(assembly, play) as simulation:
-        table = simulation.table
-        writer = open_writer(out, make_run(simulation.image.description), range(table.n_slots))
-        try:
-            writer.add_state(simulation.start)
+        with simulation.log(out) as writer, Progress() as progress:
             async for batch in simulation.frames(n_ticks):
                 writer.write(batch)
                 if verdict is not None:
                     verdict.add(batch)
                 done += len(batch.frames)
                 progress("simulating", done / n_ticks)
-        finally:
-            progress.end()
-            writer.close()
     print(f"simulated {n_ticks} ticks ({n_ticks * period_s:.3f} s) into {out}")

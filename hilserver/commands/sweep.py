@@ -126,21 +126,18 @@ def _sweep(prepared: Prepared, args: argparse.Namespace) -> Table:
 def _drive(prepared: Prepared, journal: Journal, args: argparse.Namespace) -> None:
     job, n = prepared.job, prepared.sweep.machines
     left = (index for index in range(n) if index not in journal.done)
-    progress, began_s, before = Progress(), time.monotonic(), len(journal.done)
+    began_s, before = time.monotonic(), len(journal.done)
     if before >= n:
         return
     workers = (
         DaskWorkers(args.dask) if args.dask else LocalWorkers(args.workers, job.limits.memory_mb)
     )
-    with workers:
-        try:
-            found = outcomes(job, prepared.machines(left), workers, mixed=args.mixed)
-            for computer, batch in found:
-                journal.add(batch, computer)
-                done, passed_s = len(journal.done), time.monotonic() - began_s
-                a_minute = 60.0 * (done - before) / max(passed_s, 1e-3)
-                rest_s = 60.0 * (n - done) / max(a_minute, 1e-3)
-                text = f"{done} of {n} machines, {a_minute:.0f} a minute, {rest_s:.0f} s left"
-                progress(text, done / n)
-        finally:
-            progress.end()
+    with workers, Progress() as progress:
+        found = outcomes(job, prepared.machines(left), workers, mixed=args.mixed)
+        for computer, batch in found:
+            journal.add(batch, computer)
+            done, passed_s = len(journal.done), time.monotonic() - began_s
+            a_minute = 60.0 * (done - before) / max(passed_s, 1e-3)
+            rest_s = 60.0 * (n - done) / max(a_minute, 1e-3)
+            text = f"{done} of {n} machines, {a_minute:.0f} a minute, {rest_s:.0f} s left"
+            progress(text, done / n)

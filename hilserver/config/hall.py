@@ -32,10 +32,7 @@ class Hall(NamedTuple):
 def load_hall(hall: str, base_dir: Path) -> Hall:
     """Return ``default``, or the hall of a YAML file, whose path is relative to `base_dir`.
 
-    Raises
-    ------
-    PlantError
-        When the file is missing or something in it is not what it should be.
+    PlantError when the file is missing or something in it is not what it should be.
     """
     if hall == "default":
         return Hall(default_hall(), default_solids())

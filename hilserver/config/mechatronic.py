@@ -64,10 +64,7 @@ class MechatronicConfig(Section):
     def body(self, robot: RobotParameters, slice_s: float) -> BodyParameters:
         """Return the body that the section describes.
 
-        Raises
-        ------
-        PlantError
-            When it cannot stand or step with these values.
+        PlantError when it cannot stand or step with these values.
         """
         return BodyParameters(
             robot=robot,

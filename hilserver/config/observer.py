@@ -141,10 +141,7 @@ def constants_of(
 ) -> NDArray[np.float64]:
     """Return what the filter's kernels take as `c`.
 
-    Raises
-    ------
-    PlantError
-        If what was found does not fit the robot.
+    PlantError if what was found does not fit the robot.
     """
     if found is None:
         return constants(figures(robot, {}, readmit_after=readmit_after), [])

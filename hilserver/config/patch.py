@@ -175,10 +175,7 @@ class Patch:
     def applied(self, plant: PlantConfig) -> PlantConfig:
         """Return the plant with the terms of the patch; those of `parameters` are not among them.
 
-        Raises
-        ------
-        ConfigError
-            If the configuration sets one of the terms itself.
+        ConfigError if the configuration sets one of the terms itself.
         """
         set_there = {main_part(n) for n, value in plant.terms.items() if value is not None}
         added: dict[str, float | None] = {}
@@ -242,10 +239,7 @@ def load_patch(path: Path, group: str | None = None) -> Patch:
 def patch_of(run: Mapping[str, Any]) -> Patch | None:
     """Return the patch that a recording says its run had.
 
-    Raises
-    ------
-    ValueError
-        If it is not one of this version.
+    ValueError if it is not one of this version.
     """
     recorded = run.get("patch")
     return None if recorded is None else Patch(ModelPatch.model_validate(recorded["content"]))

@@ -157,10 +157,7 @@ class Control:
     def set_pose(self, x_m: float, y_m: float, yaw_rad: float) -> None:
         """Put the robot at a pose at the next tick.
 
-        Raises
-        ------
-        ValueError
-            If a number is not finite or outside the range of the world.
+        ValueError if a number is not finite or outside the range of the world.
         """
         values = {
             "internal.pose_x_m": x_m,

@@ -320,10 +320,7 @@ class InputGate:
     def request(self, requester: str, kind: str, holder: object = None) -> None:
         """Let `requester` hand control to `kind`, if it may; "nobody" gives it back.
 
-        Raises
-        ------
-        ControlRefused
-            If the present owner outranks the requester.
+        ControlRefused if the present owner outranks the requester.
         """
         happening = Happening.TAKE if kind == requester else Happening.GIVE
         if kind == NOBODY:

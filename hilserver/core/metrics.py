@@ -21,10 +21,10 @@ class Inputs(NamedTuple):
 
 
 def inputs(gate: InputGate) -> Inputs:
-    """Return the figures of the gate at this moment; a source never heard is left out."""
+    """Return the figures of the gate at this moment; one of which nothing has come is left out."""
     ages = {source: gate.age_s(source) for source in gate.sources[:MAX_SOURCES]}
-    heard = {source: age_s for source, age_s in ages.items() if age_s is not None}
-    return Inputs(heard, gate.rejected)
+    known = {source: age_s for source, age_s in ages.items() if age_s is not None}
+    return Inputs(known, gate.rejected)
 
 
 def _states(now: State) -> Iterator[Row]:

@@ -147,10 +147,7 @@ class LiveParameters:
     def checked(self, values: Mapping[str, object]) -> dict[str, float]:
         """Return values by their full names, each checked by itself.
 
-        Raises
-        ------
-        PlantError
-            If there is no such parameter, or it cannot have the value.
+        PlantError if there is no such parameter, or it cannot have the value.
         """
         full = {named(name, self.table): value for name, value in values.items()}
         return {name: check(self.table[name], value) for name, value in full.items()}
@@ -158,10 +155,7 @@ class LiveParameters:
     def try_out(self, values: Mapping[str, float]) -> tuple[RobotParameters, Composition]:
         """Return what would run with these values, each checked by itself; nothing changes.
 
-        Raises
-        ------
-        PlantError
-            If they do not fit the others.
+        PlantError if they do not fit the others.
         """
         own = {n: v for n, v in values.items() if n.startswith(BLOCK)}
         plant = {n: v for n, v in values.items() if n not in own}
@@ -212,20 +206,14 @@ class LiveParameters:
     def reset(self) -> int:
         """Go back to the values of the configuration.
 
-        Raises
-        ------
-        ControlRefused
-            If the plant does not take more.
+        ControlRefused if the plant does not take more.
         """
         return self.apply({n: self.configured[n] for n in self.differing})
 
     async def taken(self, number: int) -> int:
         """Wait for a change to act; return its first tick.
 
-        Raises
-        ------
-        ControlRefused
-            If the plant does not answer.
+        ControlRefused if the plant does not answer.
         """
         deadline = asyncio.get_running_loop().time() + _TAKEN_WITHIN_S
         while (tick := self._changes.tick_of(number)) is None:

@@ -81,11 +81,8 @@ class SnapshotStore:
     async def save(self, name: str) -> Path:
         """Save the state between two ticks; return the file.
 
-        Raises
-        ------
-        ControlRefused
-            If the name is not a plain file name, the plant does not answer, there are
-            `MOST_SNAPSHOTS` already, or the disk does not take it.
+        ControlRefused if the name is not a plain file name, the plant does not answer, there are
+        `MOST_SNAPSHOTS` already, or the disk does not take it.
         """
         path = self._path(name)
         others = set(self._folder.glob("*.npz")) - {path}
@@ -107,10 +104,7 @@ class SnapshotStore:
     async def load(self, name: str, *, ends_leases: bool = False) -> int:
         """Continue from a saved state; return its tick.
 
-        Raises
-        ------
-        ControlRefused
-            If the file is absent, damaged, or was made by a run that differs.
+        ControlRefused if the file is absent, damaged, or was made by a run that differs.
         """
         path = self._path(name)
         state, meta = await asyncio.to_thread(read_snapshot, path)
@@ -135,10 +129,7 @@ class SnapshotStore:
     ) -> None:
         """Continue from `state`, as a snapshot or a recording holds it, at `tick`.
 
-        Raises
-        ------
-        ControlRefused
-            If the plant could not go on from it.
+        ControlRefused if the plant could not go on from it.
         """
         layout = self._image.layout
         if (what := unfit(state, layout.regions, layout.n_slots)) is not None:
@@ -192,10 +183,7 @@ def _write(path: Path, state: NDArray[np.int64], meta: dict[str, Any]) -> None:
 def read_snapshot(path: Path) -> tuple[NDArray[np.int64], dict[str, Any]]:
     """Return state and description of a snapshot file.
 
-    Raises
-    ------
-    ControlRefused
-        If the file is absent or damaged.
+    ControlRefused if the file is absent or damaged.
     """
     try:
         with zipfile.ZipFile(path) as packed:  # members end where they declare to end

@@ -1,12 +1,12 @@
 """When a peer's inputs are too old to drive by: a pure state machine on integer nanoseconds.
 
-A peer is stale while nothing new was heard for longer than the limit, or while one input has been
+A peer is stale while nothing new came for longer than the limit, or while one input has been
 unusable (NaN, text, bad status, missing) for longer than the limit: a robot must not go on with
-three of its four set-points. A peer is fresh from the moment at which something was heard while
+three of its four set-points. A peer is fresh from the moment at which something came while
 every input that commands had a value; until then it is waited for, not lost, so that the two sides
 can be started in any order and nodes may appear after their server.
 
-It tells; the command that a peer holds lapses in the step, whatever becomes of Python.
+It reports; the command that a peer holds lapses in the step, whatever becomes of Python.
 """
 
 from collections.abc import Collection
@@ -14,7 +14,7 @@ from enum import Enum
 
 
 class Transition(Enum):
-    """A change that the rest of the program must hear of."""
+    """A change that the rest of the program must know of."""
 
     FIRST = "first"
     LOST = "lost"
@@ -39,7 +39,7 @@ class Staleness:
         self._commanding = frozenset(commanding)
         self._known = False
         self._checked_ns: int | None = None
-        self._heard_ns: int | None = None
+        self._received_ns: int | None = None
         self._unusable_since_ns: dict[str, int] = {}
 
     @property
@@ -52,9 +52,9 @@ class Staleness:
         """Whether a stale peer still lacks an input that commands: nothing may be driven by it."""
         return self.stale and self.lacks_input
 
-    def heard(self, now_ns: int) -> None:
+    def renew(self, now_ns: int) -> None:
         """Note that something new arrived: a newer number, or a value where nothing counts."""
-        self._heard_ns = now_ns
+        self._received_ns = now_ns
 
     def unusable(self, name: str, now_ns: int) -> None:
         """Note that the newest sample of the input `name` cannot be used."""
@@ -82,9 +82,9 @@ class Staleness:
         return Transition.FIRST if first else Transition.RESTORED
 
     def _why_stale(self, now_ns: int) -> str:
-        if self._heard_ns is None:
+        if self._received_ns is None:
             return "never heard"
-        if now_ns - self._heard_ns > self.limit_ns:
+        if now_ns - self._received_ns > self.limit_ns:
             return f"nothing new for more than {self.limit_ns / 1e6:g} ms"
         if self.waiting:
             first = min(self._commanding.intersection(self._unusable_since_ns))

@@ -47,10 +47,7 @@ TRANSITIONS: Final[Mapping[Command, tuple[State | None, ...]]] = {
 def next_state(state: State, command: Command) -> State:
     """Return the state that follows `command`.
 
-    Raises
-    ------
-    ControlRefused
-        If the command is refused in `state`; says in which states it works.
+    ControlRefused if the command is refused in `state`; says in which states it works.
     """
     following = TRANSITIONS[command][state]
     if following is None:

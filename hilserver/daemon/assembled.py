@@ -49,10 +49,7 @@ class Assembly:
     def body(self) -> BodyParameters:
         """The robot's body, whether or not the mechatronic model runs.
 
-        Raises
-        ------
-        ConfigError
-            If it could not stand.
+        ConfigError if it could not stand.
         """
         try:
             return self.config.mechatronic.body(self.robot, BODY_PERIOD_MS * 1e-3)

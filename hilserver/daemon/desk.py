@@ -54,12 +54,8 @@ class Scenarios:
     async def start(self, name: str) -> None:
         """Start a scenario.
 
-        Raises
-        ------
-        ControlRefused
-            If one is playing, or there is none of that name.
-        ConfigError
-            If the file has a mistake.
+        ControlRefused if one is playing, or there is none of that name; ConfigError if the file has
+        a mistake.
         """
         self._refuse_while_playing()
         path = self._folder / name
@@ -80,10 +76,7 @@ class Scenarios:
     def stop(self) -> None:
         """End the scenario, its faults and every other; set-points go to zero.
 
-        Raises
-        ------
-        ControlRefused
-            If none is playing.
+        ControlRefused if none is playing.
         """
         playing, self._playing = self._playing, None
         if playing is None:
@@ -117,10 +110,7 @@ class Recordings:
     def start(self, name: str) -> None:
         """Start to record into a new file; it attaches within seconds.
 
-        Raises
-        ------
-        ControlRefused
-            If a recording runs, the suffix is none of ours, or the file exists.
+        ControlRefused if a recording runs, the suffix is none of ours, or the file exists.
         """
         path = self._folder / name
         if self._task is not None and not self._task.done():
@@ -145,10 +135,7 @@ class Recordings:
     def stop(self) -> None:
         """End the recording; its file is complete soon.
 
-        Raises
-        ------
-        ControlRefused
-            If nothing is being recorded.
+        ControlRefused if nothing is being recorded.
         """
         if self._task is None or self._task.done():
             raise ControlRefused("nothing is being recorded")

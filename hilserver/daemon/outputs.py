@@ -44,10 +44,7 @@ class Outputs:
     def read(self, name: str) -> tuple[float | list[float], int, int]:
         """Return value, status and planned start [ns] of a signal.
 
-        Raises
-        ------
-        LookupError
-            Before the first frame.
+        LookupError before the first frame.
         """
         frame, slots = self.frame, list(self._core.table[name].slots)
         if frame is None:

@@ -44,12 +44,8 @@ class Patches:
     async def load(self, name: str) -> None:
         """Lay a patch over the plant, in place of the one before.
 
-        Raises
-        ------
-        ControlRefused
-            If there is none of that name.
-        ConfigError
-            If the file has a mistake or does not fit the configuration.
+        ControlRefused if there is none of that name; ConfigError if the file has a mistake or does
+        not fit the configuration.
         """
         path = self._folder / name
         if not path.is_file():
@@ -64,10 +60,7 @@ class Patches:
     async def remove(self) -> None:
         """Go on with what the configuration has for the parameters of the patch.
 
-        Raises
-        ------
-        ControlRefused
-            If no patch is loaded.
+        ControlRefused if no patch is loaded.
         """
         if self._patch is None:
             raise ControlRefused("no patch is loaded")
@@ -122,10 +115,7 @@ class Patches:
     async def save(self, name: str) -> None:
         """Write the parameters that differ from the configuration as a patch.
 
-        Raises
-        ------
-        ControlRefused
-            If none differs, the file exists, or it cannot be written.
+        ControlRefused if none differs, the file exists, or it cannot be written.
         """
         path = self._folder / f"{name.removesuffix('.yaml')}.yaml"
         parameters = self._core.parameters

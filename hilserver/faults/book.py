@@ -108,10 +108,7 @@ class Faults:
     def clear(self, name: str | None = None) -> None:
         """End the fault `name`, or all injected faults; forced signals stay forced.
 
-        Raises
-        ------
-        ValueError
-            If there is no fault of that name.
+        ValueError if there is no fault of that name.
         """
         if name is None:
             going = [entry for entry in self._acting() if entry.kind is not Kind.FORCE]

@@ -62,10 +62,7 @@ class Mailbox:
     def send(self, commands: Sequence[Command]) -> None:
         """Hand over commands; one tick takes all of them.
 
-        Raises
-        ------
-        ValueError
-            If the step has no room for them now.
+        ValueError if the step has no room for them now.
         """
         if len(commands) > lay.MAIL_ROWS - self.waiting:
             raise ValueError(f"{len(commands)} commands are too many at once; try again")

@@ -156,10 +156,7 @@ class Stage:
     def play(self, scenario: Scenario, start_tick: int = 0) -> None:
         """Hand a checked scenario to the plant; its times count from `start_tick`.
 
-        Raises
-        ------
-        ConfigError
-            If it is too large for the queue of timed inputs.
+        ConfigError if it is too large for the queue of timed inputs.
         """
         rows = sorted(self._rows(scenario, start_tick), key=lambda row: row.tick)
         if rows:

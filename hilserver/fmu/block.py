@@ -63,13 +63,7 @@ class FmuModel:
         )
 
     def start(self, name: str, setting: Setting) -> Foreign:
-        """Start it.
-
-        Raises
-        ------
-        BlockError
-            If it does not start; one sentence.
-        """
+        """Start it; BlockError if it does not start; one sentence."""
         try:
             if self.beside:
                 return Beside(self, name, setting)
@@ -183,13 +177,13 @@ class Failures:
     """Says once what an FMU failed of."""
 
     def __init__(self, name: str) -> None:
-        self._name, self._told = name, 0
+        self._name, self._reported = name, 0
 
     def look(self, status: int, message: str) -> Sequence[News]:
         """Return the failure if it is a new one."""
-        if status == self._told:
+        if status == self._reported:
             return []
-        self._told = status
+        self._reported = status
         if status == 0:
             return []
         answer = at.STATUS.get(status, f"status {status}")

@@ -108,10 +108,7 @@ class Fmu:
     def variable(self, name: str) -> Variable:
         """Return a variable by its name.
 
-        Raises
-        ------
-        BlockError
-            If there is none, or a time slice cannot handle its type.
+        BlockError if there is none, or a time slice cannot handle its type.
         """
         found = self.variables.get(name)
         if found is None:

@@ -76,13 +76,7 @@ def _log_3(environment: Any, status: int, _category: Any, text: Any) -> None:
 
 
 class Library:
-    """A loaded FMU.
-
-    Raises
-    ------
-    BlockError
-        If it cannot be loaded, or lacks a function.
-    """
+    """A loaded FMU; BlockError if it cannot be loaded, or lacks a function."""
 
     def __init__(self, fmu: Fmu) -> None:
         self._fmu = fmu

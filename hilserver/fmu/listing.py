@@ -39,10 +39,7 @@ def blocks(body: str) -> dict[str, list[str]]:
 def match(pattern: str, text: str) -> tuple[str, ...]:
     """Return what the groups of a pattern find at the beginning of a line.
 
-    Raises
-    ------
-    FailedError
-        If it is not such a line.
+    FailedError if it is not such a line.
     """
     found = re.match(pattern, text)
     if found is None:

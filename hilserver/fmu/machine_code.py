@@ -106,10 +106,7 @@ def run_part(
 def source() -> str:
     """Return the C source of `ENTRY` and of all that it calls.
 
-    Raises
-    ------
-    FailedError
-        If this numba keeps its code elsewhere, or makes what C has not.
+    FailedError if this numba keeps its code elsewhere, or makes what C has not.
     """
     compiled = numba.cfunc(_SIGNATURE, nopython=True, error_model="numpy", _nrt=False)(run_part)
     try:

@@ -58,13 +58,7 @@ class Started:
 
 
 class Child:
-    """The process; its memory and its bell outlive it.
-
-    Raises
-    ------
-    BlockError
-        If it does not start.
-    """
+    """The process; its memory and its bell outlive it; BlockError if it does not start."""
 
     def __init__(self, fmu: Fmu, wiring: Wiring, name: str, setting: Setting) -> None:
         self._what = (fmu, wiring, name, setting)

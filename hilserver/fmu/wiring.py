@@ -103,10 +103,7 @@ def wire(
 def signals(wiring: Wiring, names: Mapping[str, str]) -> tuple[Output, ...]:
     """Return the outputs as they appear in the signal table, in the order of `y`.
 
-    Raises
-    ------
-    BlockError
-        If two would have one name.
+    BlockError if two would have one name.
     """
     found = []
     for variable in wiring.outputs:

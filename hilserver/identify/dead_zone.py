@@ -34,10 +34,7 @@ class DeadZone:
 def identify_dead_zone(log: MeasuredLog, resting_rpm: float = RESTING_RPM) -> list[DeadZone]:
     """Identify the dead zone of every wheel with duty and speed.
 
-    Raises
-    ------
-    LogError
-        When no wheel is swept across rest.
+    LogError when no wheel is swept across rest.
     """
     found = []
     for wheel in present(log, "duty_pct"):

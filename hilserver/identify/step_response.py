@@ -60,12 +60,8 @@ class StepResponse:
 def identify_steps(log: MeasuredLog, source: str | None = None) -> StepResponse:
     """Identify the step response of all wheels of a log together.
 
-    Of the inputs the first that has steps is taken, unless `source` names one.
-
-    Raises
-    ------
-    LogError
-        When no input jumps and holds.
+    Of the inputs the first that has steps is taken, unless `source` names one. LogError when no
+    input jumps and holds.
     """
     quantity, by_wheel = _steps(log, INPUTS if source is None else (source,))
     steps = [step for own in by_wheel.values() for step in own]

@@ -60,10 +60,7 @@ class Comparison:
 def identify_update_rate(log: MeasuredLog) -> UpdateRate:
     """Identify the update period from the first step in a log.
 
-    Raises
-    ------
-    LogError
-        Without set-point, duty and speed of a wheel, or without a step.
+    LogError without set-point, duty and speed of a wheel, or without a step.
     """
     wheels = [w for w in present(log, "duty_pct") if log.has(*_names(w))]
     if not wheels:

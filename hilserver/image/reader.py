@@ -61,10 +61,7 @@ class ImageReader:
     def attach(cls, name: str) -> "ImageReader":
         """Open the image of a running daemon for reading.
 
-        Raises
-        ------
-        FailedError
-            If there is none, or it has another version.
+        FailedError if there is none, or it has another version.
         """
         buffer = map_read_only(name)
         words = np.frombuffer(buffer, dtype=np.int64, count=2)

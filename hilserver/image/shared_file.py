@@ -37,12 +37,8 @@ def sweep(now_s: float | None = None) -> int:
 def _remove_left_behind(path: Path) -> bool:
     """Remove what a killed daemon of the same user left behind; return whether there was any.
 
-    Raises
-    ------
-    BlockingIOError
-        If its owner is alive.
-    PermissionError
-        If it belongs to another user: a daemon that adopted it would hand its memory over.
+    BlockingIOError if its owner is alive; PermissionError if it belongs to another user: a daemon
+    that adopted it would hand its memory over.
     """
     try:
         fd = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)

@@ -21,12 +21,8 @@ _BYTES = lay.N_CONTROL_WORDS * 8
 def press_stop(name: str) -> int:
     """Press Stop of the daemon with the image `name`; the ramp begins with its next tick.
 
-    Returns the number that is in force now: when it was pressed [ns], CLOCK_MONOTONIC.
-
-    Raises
-    ------
-    FailedError
-        If there is no such image, or it has another version.
+    Returns the number that is in force now: when it was pressed [ns], CLOCK_MONOTONIC. FailedError
+    if there is no such image, or it has another version.
     """
     try:
         file = os.open(path_of(name), os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)

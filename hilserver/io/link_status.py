@@ -27,7 +27,7 @@ class PeerStatus:
     state: LinkState = LinkState.STOPPED  # where the connection stands
     mode: str = ""  # how values come in now: ``subscribe``, ``poll`` or empty while not connected
     mode_reason: str = ""  # why this mode, in words
-    stale: bool = True  # inputs are older than `stale_after_ms`, or the peer was never heard
+    stale: bool = True  # inputs are older than `stale_after_ms`, or nothing has come from the peer
     last_connect_ns: int | None = None  # CLOCK_MONOTONIC [ns] of the newest session
     reconnects: int = 0  # sessions after the first one
     failed_attempts: int = 0  # attempts to connect that did not end in a session

@@ -74,10 +74,7 @@ def with_stamps(
 ) -> Iterator[list[str]]:
     """Yield the rows with nanoseconds instead of the dates in column `time`.
 
-    Raises
-    ------
-    LogError
-        If there is something else.
+    LogError if there is something else.
     """
     place = table.header.index(time)
     for row in rows:

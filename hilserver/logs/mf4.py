@@ -67,10 +67,7 @@ def _columns(log: Log) -> Iterator[tuple[str, NDArray[Any]]]:
 def read_mf4(path: Path) -> Log:
     """Read an MF4 file that `write_mf4` wrote; see `reading.read_log`.
 
-    Raises
-    ------
-    LogError
-        When asammdf is not installed, the file is damaged, or another program wrote it.
+    LogError when asammdf is not installed, the file is damaged, or another program wrote it.
     """
     library = _library(path)
     path.open("rb").close()  # the system's own words for what cannot be opened

@@ -60,10 +60,7 @@ def pack_meta(run: Mapping[str, Any], states: Sequence[State]) -> str:
 def unpack_meta(text: str) -> tuple[dict[str, Any], list[State]]:
     """Return run and states from what `pack_meta` wrote.
 
-    Raises
-    ------
-    ValueError
-        If the text is damaged or of another schema.
+    ValueError if the text is damaged or of another schema.
     """
     try:
         run: dict[str, Any] = json.loads(text)

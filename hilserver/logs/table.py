@@ -77,10 +77,7 @@ def place_of(path: Path, line: int, header: Sequence[str], name: str) -> str:
 def in_time(table: Table, time: str, segment: str = SEGMENT, block: str = BLOCK) -> Table:
     """Return the table with one row for every stamp.
 
-    Raises
-    ------
-    LogError
-        If a time is missing, or falls within a segment.
+    LogError if a time is missing, or falls within a segment.
     """
     t, run = table.column(time), table.segment(segment)
     missing = np.flatnonzero(~np.isfinite(t))

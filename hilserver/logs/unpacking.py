@@ -70,10 +70,7 @@ class Budget:
     def unpack(self, chunk: Chunk) -> bytes:
         """Return the records in a chunk of MCAP.
 
-        Raises
-        ------
-        ValueError
-            If it does not hold what it declares.
+        ValueError if it does not hold what it declares.
         """
         most = chunk.uncompressed_size
         if most > PIECE_BYTES:

@@ -35,11 +35,6 @@ def open_writer(
         Turns the frames' planned starts into UTC.
     bag : {"mcap", "sqlite3"}, optional
         Write a ROS 2 bag, a folder of this name, with this storage.
-
-    Raises
-    ------
-    FailedError
-        If the file cannot be made.
     """
     if bag is None:
         check_suffix(path)

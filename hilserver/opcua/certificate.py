@@ -97,10 +97,7 @@ def _general_name(host: str) -> x509.GeneralName:
 def parse_certificate(data: bytes) -> x509.Certificate:
     """Return the certificate in PEM or DER bytes, the first of a chain.
 
-    Raises
-    ------
-    ValueError
-        If there is none.
+    ValueError if there is none.
     """
     if len(data) > MAX_CERTIFICATE_BYTES:
         raise ValueError("larger than a certificate may be")

@@ -53,10 +53,7 @@ class FrameReader:
     def feed(self, data: bytes, now_s: float) -> Iterator[tuple[bytes, bytes]]:
         """Add what came in; yield message type and whole frame, in order.
 
-        Raises
-        ------
-        TransportError
-            If a header is none, or announces more than is accepted.
+        TransportError if a header is none, or announces more than is accepted.
         """
         self._buffer += data
         if self.since_s is None and self._buffer:

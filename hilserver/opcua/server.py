@@ -170,10 +170,8 @@ def own_certificate(
 ) -> tuple[x509.Certificate, rsa.RSAPrivateKey]:
     """Return the certificate and key of a server.
 
-    Raises
-    ------
-    ConfigError
-        If one is missing or cannot be used, or the certificate is that of another application.
+    ConfigError if one is missing or cannot be used, or the certificate is that of another
+    application.
     """
     trust = TrustList(folder / settings.certificates)
     certificate, key = trust.own(

@@ -49,10 +49,7 @@ def default_application_uri() -> str:
 def check_endpoint(text: str) -> str:
     """Return an OPC UA endpoint as it was given.
 
-    Raises
-    ------
-    ValueError
-        If it is none, or holds a password that everyone could read.
+    ValueError if it is none, or holds a password that everyone could read.
     """
     try:
         parts = urlsplit(text)

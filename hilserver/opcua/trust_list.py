@@ -224,10 +224,7 @@ class TrustList:
     ) -> tuple[x509.Certificate, rsa.RSAPrivateKey]:
         """Return our certificate and key, those of the folder where no other path is given.
 
-        Raises
-        ------
-        ConfigError
-            If a file is missing or wrong, or others than its owner can read the key.
+        ConfigError if a file is missing or wrong, or others than its owner can read the key.
         """
         certificate_path = certificate_path or self.folder / "own" / "certificate.der"
         key_path = private_key or self.folder / "own" / "key.pem"

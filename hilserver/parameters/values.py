@@ -31,10 +31,7 @@ _PARTS: Final[Mapping[str, str]] = {
 def named(name: str, table: Mapping[str, Parameter]) -> str:
     """Return the full name of a parameter: a bare cause means the first part of its term.
 
-    Raises
-    ------
-    PlantError
-        If there is no such parameter.
+    PlantError if there is no such parameter.
     """
     if name in table:
         return name
@@ -48,10 +45,7 @@ def named(name: str, table: Mapping[str, Parameter]) -> str:
 def check(parameter: Parameter, value: object) -> float:
     """Return a value as a float; whether it fits the others, `with_values` decides.
 
-    Raises
-    ------
-    PlantError
-        If it is no number, out of range, or null where that means nothing.
+    PlantError if it is no number, out of range, or null where that means nothing.
     """
     where = parameter.name
     if value is None:

@@ -25,11 +25,8 @@ from hilserver.plant.terms import complete
 def pack(robot: RobotParameters) -> Parameters:
     """Return the parameters as the kernels read them.
 
-    Raises
-    ------
-    PlantError
-        When a term does not fit the robot (a delay longer than its ring, a control period below
-        the plant slice, friction_anisotropy without a wheelbase).
+    PlantError when a term does not fit the robot (a delay longer than its ring, a control period
+    below the plant slice, friction_anisotropy without a wheelbase).
     """
     p = Parameters.zeros()
     code = compute(physical(robot), p)

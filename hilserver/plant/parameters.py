@@ -75,10 +75,7 @@ class Ranges(NamedTuple):
 class RobotParameters:
     """Everything that `robot_step` and the sensor kernels need to know.
 
-    Raises
-    ------
-    PlantError
-        When a value is not finite, out of range, or the wheel loop would be unstable.
+    PlantError when a value is not finite, out of range, or the wheel loop would be unstable.
     """
 
     period_s: float = quantity(0.001, "period of its slice", jumps="fixed", gt=0)  # plant slice T

@@ -77,10 +77,7 @@ REASONS: Final = {
 def physical(robot: RobotParameters) -> SimpleNamespace:
     """Return the numbers of a robot, by their names in `Physical`.
 
-    Raises
-    ------
-    PlantError
-        If friction_anisotropy does not fit it.
+    PlantError if friction_anisotropy does not fit it.
     """
     v = SimpleNamespace()
     own = (robot, robot.controller, robot.process, robot.imu, robot.battery, robot.tof, robot.nav)

@@ -64,10 +64,7 @@ TERMS: Final[Mapping[str, Term]] = MappingProxyType(_read())
 def main_part(name: str) -> str:
     """Return the full name of a term: the bare cause of several parts means its first part.
 
-    Raises
-    ------
-    PlantError
-        When there is no such term.
+    PlantError when there is no such term.
     """
     if name in TERMS:
         return name

@@ -2,14 +2,17 @@
 
 import sys
 import time
-from typing import TextIO
+from typing import Self, TextIO
 
 PROGRESS_AFTER_S = 2.0
 LINE_EVERY_S = 5.0
 
 
 class Progress:
-    """What is being done and how much of it is done, once it takes longer than two seconds."""
+    """What is being done and how much of it is done, once it takes longer than two seconds.
+
+    A context manager; at its end the bar is gone.
+    """
 
     def __init__(self) -> None:
         self._start_s = time.monotonic()
@@ -40,6 +43,12 @@ class Progress:
         """Print a line where the bar stood."""
         self.end()
         print(line, file=file, flush=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
 
     def end(self) -> None:
         """Wipe the bar."""

@@ -32,10 +32,7 @@ def in_use(name: str) -> FailedError:
 def check_free(name: str) -> None:
     """Refuse the name of an image that a living daemon has; whoever makes it looks again.
 
-    Raises
-    ------
-    FailedError
-        If it is in use.
+    FailedError if it is in use.
     """
     if name == MADE_UP or not _NAME.fullmatch(name):
         return

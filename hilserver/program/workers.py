@@ -50,12 +50,8 @@ def in_processes(
     """Yield the index and result of every task, as they come.
 
     Who stops before the end closes the generator (`contextlib.closing`), and the workers end at
-    once; otherwise the interpreter would wait at its end for all that is queued.
-
-    Raises
-    ------
-    FailedError
-        If a worker process is ended from outside.
+    once; otherwise the interpreter would wait at its end for all that is queued. FailedError if a
+    worker process is ended from outside.
     """
     if workers <= 1 or len(tasks) <= 1:
         yield from ((index, function(task)) for index, task in enumerate(tasks))

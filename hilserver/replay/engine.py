@@ -43,12 +43,8 @@ class Engine:
     def check(self, what: str, identity: Mapping[str, Any], state: NDArray[np.int64]) -> None:
         """Refuse what was made by kernels or a configuration that would give other bits.
 
-        Raises
-        ------
-        ConfigError
-            If the configuration differs.
-        LogError
-            If version, kernels or signals differ, or the state is of another size.
+        ConfigError if the configuration differs; LogError if version, kernels or signals differ, or
+        the state is of another size.
         """
         key = self._store.differs_in(identity)
         if key is not None:

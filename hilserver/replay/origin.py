@@ -17,12 +17,8 @@ SECTIONS = ("plant", "kinematics", "mechatronic", "sensors", "scheduler", "obser
 def assembly_of(log: Log, patch: Patch | None = None) -> Assembly:
     """Build what the recorded run was built from, or the same with another patch.
 
-    Raises
-    ------
-    LogError
-        If the recording has no configuration, or one of another version.
-    ConfigError
-        If a file that it names (hall, own block) is not there.
+    LogError if the recording has no configuration, or one of another version; ConfigError if a file
+    that it names (hall, own block) is not there.
     """
     text = None if log.run is None else log.run["configuration"]
     if log.run is None or text is None:

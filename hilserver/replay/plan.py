@@ -49,12 +49,8 @@ def plan_exact(
 ) -> Plan:
     """Plan a replay that gives the bits of the recorded run.
 
-    A snapshot `start` takes the place of the states of the recording.
-
-    Raises
-    ------
-    LogError
-        If inputs are missing, or there is no state to begin with.
+    A snapshot `start` takes the place of the states of the recording. LogError if inputs are
+    missing, or there is no state to begin with.
     """
     slots, values, status = _inputs(log, table)
     ticks = log.ticks(base_period_ns)
@@ -175,10 +171,7 @@ def _fill_forward(table: NDArray[np.float64]) -> None:
 def plan_inputs(log: Log, table: SignalTable, base_period_ns: int) -> Plan:
     """Plan a replay that holds the set-points of a log until its next row, from a fresh start.
 
-    Raises
-    ------
-    LogError
-        If the log has no set-points, or would take forever.
+    LogError if the log has no set-points, or would take forever.
     """
     names = [
         n

@@ -1,6 +1,8 @@
 """A scenario through the whole daemon in virtual time: from tick 0 on, every frame kept."""
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
 from typing import Self
 
 import numpy as np
@@ -10,8 +12,8 @@ from hilserver.daemon.assembly import Assembly, assemble_config
 from hilserver.daemon.daemon import Daemon
 from hilserver.faults.scenario import Play
 from hilserver.image import read_frames
-from hilserver.logs.log import State
-from hilserver.logs.writer import Segmented
+from hilserver.logs import LogWriter, Segmented, State, open_writer
+from hilserver.logs.provenance import make_run
 
 BATCH_TICKS, RING_FRAMES = 1000, 2048
 
@@ -38,10 +40,7 @@ def offline(assembly: Assembly) -> Assembly:
 class Simulation:
     """One run of a scenario by a robot that is quiet; an asynchronous context manager.
 
-    Raises
-    ------
-    ConfigError
-        If the scenario names what the robot does not have.
+    ConfigError if the scenario names what the robot does not have.
     """
 
     def __init__(self, assembly: Assembly, play: Play) -> None:
@@ -55,6 +54,14 @@ class Simulation:
 
     async def __aexit__(self, *error: object) -> None:
         await self._daemon.__aexit__(*error)
+
+    @contextmanager
+    def log(self, out: Path) -> Iterator[LogWriter]:
+        """Open a log of all signals, which begins with the state to replay it from."""
+        run = make_run(self.image.description)
+        with closing(open_writer(out, run, range(self.table.n_slots))) as writer:
+            writer.add_state(self.start)
+            yield writer
 
     async def frames(self, n_ticks: int) -> AsyncIterator[Segmented]:
         """Run so many ticks; give their frames, stamped with simulated time."""

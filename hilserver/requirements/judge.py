@@ -52,11 +52,7 @@ class Judge:
     """Requirements, bound to the signals of a robot.
 
     Own functions are found beside `path`. `derived` are signals of a drive that the table lacks.
-
-    Raises
-    ------
-    ConfigError
-        If a signal or function does not exist, or two have one name.
+    ConfigError if a signal or function does not exist, or two have one name.
     """
 
     def __init__(
@@ -92,10 +88,7 @@ class Judge:
     def margins(self, drive: Drive) -> dict[str, float]:
         """Return the margin of every requirement by its name.
 
-        Raises
-        ------
-        CheckError
-            If an own function raised.
+        CheckError if an own function raised.
         """
         return {
             requirement.name: margin(requirement, self._values(requirement, drive), drive.period_s)

@@ -110,10 +110,7 @@ class Types:
     def add(self, name: str, text: str) -> None:
         """Add a message type, with the types within it that its definition brings along.
 
-        Raises
-        ------
-        ValueError
-            If the definition is none.
+        ValueError if the definition is none.
         """
         from rosbags.typesys import TypesysError, get_types_from_msg  # noqa: PLC0415 -- slow
 

@@ -39,7 +39,7 @@ class Communication:
             part.name: [] for part in machine.communication
         }
         self._seen = [0] * len(machine.communication)
-        self._heard = np.zeros(2, dtype=np.int64)
+        self._newest = np.zeros(2, dtype=np.int64)
 
     def add(self, name: str, callback: SliceCallback) -> None:
         """Call `callback` in every run of slice `name`."""
@@ -55,11 +55,11 @@ class Communication:
 
     def _announced(self) -> Iterator[tuple[int, int, int, int]]:
         for index, seen in enumerate(self._seen):
-            number = int(ex.heard(self._machine.exchange.comm, index, self._heard))
+            number = int(ex.announced(self._machine.exchange.comm, index, self._newest))
             if number <= seen:
                 continue
             self._seen[index] = number
-            yield index, int(self._heard[0]), int(self._heard[1]), number - seen - 1
+            yield index, int(self._newest[0]), int(self._newest[1]), number - seen - 1
 
     def _run(self, index: int, tick: int, planned_ns: int, missed: int) -> None:
         part = self._machine.communication[index]

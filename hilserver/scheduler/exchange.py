@@ -69,7 +69,7 @@ def announce(comm: NDArray[np.int64], row: int, tick: int, planned_ns: int) -> N
 
 
 @kernel(types.int64(_WORDS, types.int64, _WORDS))
-def heard(comm: NDArray[np.int64], row: int, out: NDArray[np.int64]) -> int:
+def announced(comm: NDArray[np.int64], row: int, out: NDArray[np.int64]) -> int:
     """Read what was last announced for slice `row`.
 
     Parameters

@@ -16,10 +16,7 @@ class PeerSilentError(FailedError):
 async def wait_for_peer(answer: Awaitable[T], *, peer: str, timeout_s: float, tick: int) -> T:
     """Wait for the peer's `answer` to the outputs of `tick`.
 
-    Raises
-    ------
-    PeerSilentError
-        After `timeout_s` [s]; names the peer and the tick.
+    PeerSilentError after `timeout_s` [s]; names the peer and the tick.
     """
     try:
         async with asyncio.timeout(timeout_s):

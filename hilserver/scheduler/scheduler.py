@@ -266,12 +266,8 @@ class Scheduler:
     ) -> None:
         """Alternate `n_ticks` of simulation with one `exchange(tick)` with an external controller.
 
-        Ends when `exchange` returns False or the scheduler ends.
-
-        Raises
-        ------
-        PeerSilentError
-            If an exchange takes longer than `timeout_s` [s].
+        Ends when `exchange` returns False or the scheduler ends. PeerSilentError if an exchange
+        takes longer than `timeout_s` [s].
         """
         while not self.finished.done():
             await self.advance(n_ticks)

@@ -26,10 +26,7 @@ class Slice:
 def period_in_ticks(name: str, period_ns: int, base_period_ns: int) -> int:
     """Return the period of slice `name` in ticks.
 
-    Raises
-    ------
-    ValueError
-        If `period_ns` is no multiple of `base_period_ns`; names the nearest two.
+    ValueError if `period_ns` is no multiple of `base_period_ns`; names the nearest two.
     """
     if base_period_ns <= 0:
         raise ValueError("the base period must be positive")

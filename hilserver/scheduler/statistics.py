@@ -128,10 +128,7 @@ class Statistics:
     def attach(cls, array: NDArray[np.int64], names: Sequence[str] | None = None) -> "Statistics":
         """Read the array of another process; `names` in the order of its rows (None: "0", "1").
 
-        Raises
-        ------
-        ValueError
-            If the array holds no statistics (yet), or other slices.
+        ValueError if the array holds no statistics (yet), or other slices.
         """
         if len(array) < rows.N_HEAD or array[rows.MAGIC] != rows.MAGIC_NUMBER:
             raise ValueError("this array holds no scheduler statistics")

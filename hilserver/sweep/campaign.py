@@ -169,10 +169,7 @@ def _alone(job: Job, machine: Machine, workers: Workers) -> Result:
 def _awake(job: Job, workers: Workers) -> None:
     """Wait for a worker that is ready: one that is killed while it starts is no machine's fault.
 
-    Raises
-    ------
-    FailedError
-        If none gets so far.
+    FailedError if none gets so far.
     """
     for _ in range(STARTS):
         error = workers.submit(job, []).exception()

@@ -10,10 +10,7 @@ from hilserver.sweep.table import PASSED, Table
 def compare(a: Table, b: Table) -> str:
     """Return what differs between two sweeps of the same machines, as text.
 
-    Raises
-    ------
-    LogError
-        If the machines differ.
+    LogError if the machines differ.
     """
     mine, other = _shared(a, b)
     passed_a, passed_b = (

@@ -78,10 +78,7 @@ class Driver:
     def act(self, tick: int) -> None:
         """Call the controller after `tick`; the next one latches what it commands.
 
-        Raises
-        ------
-        WrongCommand
-            If it returned what no robot can be commanded.
+        WrongCommand if it returned what no robot can be commanded.
         """
         commands = self._controller(tick * self._period_s, self._signals)
         if commands is None:

@@ -97,10 +97,7 @@ class Draws:
 def root_of(covariance: Array) -> Array:
     """Return a matrix that, times its transpose, is the covariance.
 
-    Raises
-    ------
-    ValueError
-        If it is none: not symmetric, or with a negative variance.
+    ValueError if it is none: not symmetric, or with a negative variance.
     """
     if not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-15):
         raise ValueError("is not symmetric")

@@ -17,10 +17,8 @@ SCHEMA = "hilserver.sweep/1"
 class Journal:
     """Appends outcomes to a file; with `resume`, knows those of earlier runs.
 
-    Raises
-    ------
-    FailedError
-        If there is one already and it is not to be continued, or it is that of another sweep.
+    FailedError if there is one already and it is not to be continued, or it is that of another
+    sweep.
     """
 
     def __init__(self, folder: Path, key: str, *, resume: bool) -> None:

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from hilserver.daemon.assembly import assemble
 from hilserver.errors import FailedError
 from hilserver.faults.scenario import MAX_STEPS, Play, Scenario, Step, as_yaml
-from hilserver.logs import open_writer
-from hilserver.logs.provenance import make_run
 from hilserver.replay.simulation import Simulation
 from hilserver.sweep.batch import rig_for
 from hilserver.sweep.configuration import machine_config
@@ -35,10 +33,7 @@ CONFIG, SCENARIO, RECORDING, MARGINS = (
 def drive_again(prepared: Prepared, index: int, folder: Path) -> Outcome:
     """Write configuration, scenario, recording and margins of one machine; return its outcome.
 
-    Raises
-    ------
-    FailedError
-        If there is no such machine, or the daemon drives another way than the sweep.
+    FailedError if there is no such machine, or the daemon drives another way than the sweep.
     """
     machine = prepared.machine(index)
     if machine.p is None:
@@ -74,17 +69,11 @@ async def _record(
     judge, names = judge_of(job, assembly.table)
     kept: list[NDArray[np.float64]] = []
     async with Simulation(assembly, Play(scenario, folder / SCENARIO)) as simulation:
-        table = simulation.table
-        slots = [table.slot(name) for name in names]
-        run = make_run(simulation.image.description)
-        writer = open_writer(folder / RECORDING, run, range(table.n_slots))
-        try:
-            writer.add_state(simulation.start)
+        slots = [simulation.table.slot(name) for name in names]
+        with simulation.log(folder / RECORDING) as writer:
             async for batch in simulation.frames(job.n_ticks):
                 writer.write(batch)
                 kept.append(batch.frames.values[:, slots])
-        finally:
-            writer.close()
     columns = dict(zip(names, np.vstack(kept).T, strict=True))
     return margins_of(job, judge, assembly.base_period_ns, columns)
 

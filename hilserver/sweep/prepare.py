@@ -104,10 +104,7 @@ class Prepared:
     def robot_with(self, values: Mapping[str, float]) -> RobotParameters:
         """Return the robot with drawn values.
 
-        Raises
-        ------
-        PlantError
-            If there is no such robot; nothing is clipped.
+        PlantError if there is no such robot; nothing is clipped.
         """
         checked = {name: check(self.table[name], value) for name, value in values.items()}
         own = {name: v for name, v in checked.items() if not name.startswith(BLOCK)}

@@ -65,13 +65,7 @@ class Stepped:
             return Outcome(machine.index, error=str(problem))
 
     async def _margins(self, machine: Machine) -> tuple[float, ...]:
-        """Drive; return the margins.
-
-        Raises
-        ------
-        _Failed
-            If there are none.
-        """
+        """Drive; return the margins; _Failed if there are none."""
         job = self.job
         config = Config.model_validate(machine_config(job.config, job.folder, machine))
         assembly = assemble_config(_reachable(config), job.folder)

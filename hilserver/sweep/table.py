@@ -162,10 +162,7 @@ def _write_csv(path: Path, table: Table) -> Path:
 def read_table(folder: Path) -> Table:
     """Return the result that a sweep has left in a folder.
 
-    Raises
-    ------
-    LogError
-        If there is none, or it cannot be read.
+    LogError if there is none, or it cannot be read.
     """
     try:
         about = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))

@@ -78,7 +78,7 @@ class UdpLink(Part, asyncio.DatagramProtocol):
         with contextlib.suppress(ValueError):
             values = dict(json.loads(data))
             if not self._source.write(values, now_ns).wrong:
-                self._source.staleness.heard(now_ns)
+                self._source.staleness.renew(now_ns)
 
 
 def parts(world):

@@ -22,10 +22,7 @@ class _Socket(ssl.SSLSocket):
 def credentials(config: EdgeConfig, folder: Path) -> tuple[str | None, ssl.SSLContext | None]:
     """Return password and encryption, None without.
 
-    Raises
-    ------
-    ConfigError
-        If a file of the section cannot be read or used.
+    ConfigError if a file of the section cannot be read or used.
     """
     return _password(config, folder), _context(config, folder)
 

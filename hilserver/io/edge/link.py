@@ -226,7 +226,7 @@ class EdgeLink(Part):
             return
         now_ns = self._source.came_ns(now_ns)
         if values and not self._source.write(values, now_ns).wrong:
-            self._source.staleness.heard(now_ns)
+            self._source.staleness.renew(now_ns)
             self.status.input_received_ns.update(dict.fromkeys(values, now_ns))
 
 

@@ -49,10 +49,7 @@ class Collection:
 def collections_of(config: EdgeConfig, table: SignalTable) -> list[Collection]:
     """Return the groups of a configuration with their signals.
 
-    Raises
-    ------
-    ConfigError
-        If a pattern fits no signal.
+    ConfigError if a pattern fits no signal.
     """
     scalars = [signal for signal in table.scalars if not signal.hidden]
     found = []
@@ -161,10 +158,7 @@ def _quality(code: int) -> int:
 def written(collection: Collection, data: bytes) -> Mapping[str, object]:
     """Return what a message writes, by the names of the signals.
 
-    Raises
-    ------
-    ValueError
-        In words, if the message is no write of this group.
+    ValueError in words if the message is no write of this group.
     """
     if len(data) > MOST_BYTES:
         raise ValueError(f"{len(data)} bytes are more than a group has")

@@ -145,10 +145,7 @@ class LinkSecurity:
     ) -> ua.UserTokenPolicy:
         """Return the token policy to log in with: the password never weaker than the channel.
 
-        Raises
-        ------
-        RefusedError
-            If there is none.
+        RefusedError if there is none.
         """
         identity = self._identity
         assert identity is not None

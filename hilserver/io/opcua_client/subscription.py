@@ -50,7 +50,7 @@ class Subscription:
         self._poll_ms = poll_ms
         self._every_stamp = every_stamp
         self._handles: dict[int, str] = {}
-        self._heard_s = time.monotonic()
+        self._received_s = time.monotonic()
         self._silent_after_s = SILENT_AFTER_S
         self._sampling_asked_ms = 0.0
         self._id = 0
@@ -163,7 +163,7 @@ class Subscription:
 
     def _take(self, result: ua.PublishResult) -> None:
         now_ns = time.monotonic_ns()
-        self._heard_s = now_ns / 1e9
+        self._received_s = now_ns / 1e9
         samples = []
         for notification in result.NotificationMessage.NotificationData or ():
             if isinstance(notification, ua.DataChangeNotification):
@@ -176,15 +176,12 @@ class Subscription:
     async def watch(self, duration_s: float) -> None:
         """Wait; raise what went wrong meanwhile.
 
-        Raises
-        ------
-        LinkLostError
-            If not even keep-alives have come for three of their intervals.
+        LinkLostError if not even keep-alives have come for three of their intervals.
         """
         await asyncio.wait({self._failure}, timeout=duration_s)
         if self._failure.done():
             self._failure.result()
-        if time.monotonic() - self._heard_s > self._silent_after_s:
+        if time.monotonic() - self._received_s > self._silent_after_s:
             raise LinkLostError("the subscription fell silent")
 
     async def delete(self) -> None:

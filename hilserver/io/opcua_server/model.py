@@ -154,10 +154,7 @@ def describe(
 ) -> tuple[list[Folder], list[Variable]]:
     """Return all folders and variables of a signal table, and of parameters.
 
-    Raises
-    ------
-    ConfigError
-        If a signal (of an own block) takes the place of a folder, or has an unknown unit.
+    ConfigError if a signal (of an own block) takes the place of a folder, or has an unknown unit.
     """
     variables = [variable_of(signal) for signal in table]
     variables.append(

@@ -31,12 +31,7 @@ class OpcUaServer(Part):
     """Shows the process image over OPC UA and lets clients write inputs and call methods.
 
     Everything but `start` and `stop` is synchronous, does not wait and belongs to the event loop's
-    thread; the plant never notices.
-
-    Raises
-    ------
-    ConfigError
-        If a signal's name or unit cannot be shown.
+    thread; the plant never notices. ConfigError if a signal's name or unit cannot be shown.
     """
 
     section, label, is_early = "opcua", "OPC UA", True
@@ -89,12 +84,8 @@ class OpcUaServer(Part):
     async def start(self) -> None:
         """Build the address space and listen.
 
-        Raises
-        ------
-        FailedError
-            If the address cannot be listened on.
-        ConfigError
-            If certificate or key are missing or cannot be used.
+        FailedError if the address cannot be listened on; ConfigError if certificate or key are
+        missing or cannot be used.
         """
         server = HardenedServer(self._config, self._world.folder)
         server.set_server_name("hilserver")

@@ -77,10 +77,7 @@ UNECE: dict[str, Unit] = {
 def find_unit(symbol: str) -> Unit:
     """Return the unit of that symbol.
 
-    Raises
-    ------
-    ConfigError
-        If there is none; the sentence names those there are.
+    ConfigError if there is none; the sentence names those there are.
     """
     if symbol not in UNECE:
         raise ConfigError(f"unit '{symbol}' is unknown; write one of {', '.join(UNECE)}")

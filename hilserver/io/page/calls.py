@@ -38,10 +38,7 @@ class LogIns:
     async def log_in(self, browser: Browser, name: str, password: str) -> None:
         """Open the session of a user.
 
-        Raises
-        ------
-        RefusedError
-            If name or password is wrong, or too many were.
+        RefusedError if name or password is wrong, or too many were.
         """
         keys, now_s = keys_of(name, browser.address), time.monotonic()
         if any(self._attempts.is_blocked(key, now_s) for key in keys):

@@ -62,12 +62,8 @@ class Hand:
     async def connect(self, name: str = "", password: str = "", address: str = "") -> None:
         """Open the session, for a user at this address.
 
-        Raises
-        ------
-        RefusedError
-            If the server does not answer.
-        WrongPasswordError
-            If it does not know this user.
+        RefusedError if the server does not answer; WrongPasswordError if it does not know this
+        user.
         """
         access = self._access
         if not access.endpoint:
@@ -133,10 +129,7 @@ class Hand:
     async def read(self, names: Sequence[str]) -> list[Any]:
         """Return the values of signals; None for one that has none.
 
-        Raises
-        ------
-        RefusedError
-            If the daemon does not answer.
+        RefusedError if the daemon does not answer.
         """
         try:
             return await self._read(list(names), ua.AttributeIds.Value)

@@ -106,11 +106,7 @@ class Jobs:
         """Start a diagnosis of a log; return its number.
 
         `mapping` names one that is built in; without it that is taken which was saved for the log.
-
-        Raises
-        ------
-        RefusedError
-            If there is no such log, or one is running.
+        RefusedError if there is no such log, or one is running.
         """
         path = file_in(self._setup.folder("recordings"), log)
         if mapping and mapping not in self._setup.mappings:

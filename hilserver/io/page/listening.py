@@ -15,10 +15,7 @@ _BACKLOG = 128
 def listen(host: str, port: int) -> socket.socket:
     """Listen on `port`, or the next free one.
 
-    Raises
-    ------
-    FailedError
-        If there is none, or the address cannot be used.
+    FailedError if there is none, or the address cannot be used.
     """
     ports = [port + i for i in range(_TRIES) if port + i <= 65535] if port else [0]
     try:
@@ -43,10 +40,7 @@ def listen(host: str, port: int) -> socket.socket:
 def tls_context(certificate: Path, key: Path) -> ssl.SSLContext:
     """Return what encrypts the page.
 
-    Raises
-    ------
-    ConfigError
-        If certificate or key are missing or cannot be used.
+    ConfigError if certificate or key are missing or cannot be used.
     """
     for path in (certificate, key):
         try:

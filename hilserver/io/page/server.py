@@ -38,10 +38,7 @@ SWEEP_S = 60.0
 class PageServer:
     """Serves the page of one daemon until it is cancelled.
 
-    Raises
-    ------
-    FailedError
-        If the daemon does not run, or the page is not built.
+    FailedError if the daemon does not run, or the page is not built.
     """
 
     def __init__(self, setup: Setup) -> None:

@@ -29,10 +29,7 @@ class Stopping:
     def press(self, browser: Browser) -> None:
         """Stop the robot; returns once the press is in force.
 
-        Raises
-        ------
-        RefusedError
-            If the role of its user does not allow this, or there is no daemon.
+        RefusedError if the role of its user does not allow this, or there is no daemon.
         """
         if not browser.may_stop:
             raise RefusedError("your role does not allow this")

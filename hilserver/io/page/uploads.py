@@ -40,10 +40,7 @@ class Uploads:
     async def take(self, name: str, request: web.Request) -> int:
         """Store what a request brings; return its size in bytes.
 
-        Raises
-        ------
-        RefusedError
-            If the name is taken or no log's, another one is coming in, or it is too large.
+        RefusedError if the name is taken or no log's, another one is coming in, or it is too large.
         """
         if not is_plain(name) or Path(name).suffix not in LOG_SUFFIXES:
             raise RefusedError(

@@ -30,11 +30,7 @@ async def running_recorder(
     """Record the image `image` while the context lasts; entered once the recorder is attached.
 
     Gives a task that is done once the recording has ended, by itself or with the context.
-
-    Raises
-    ------
-    FailedError
-        If it does not come up.
+    FailedError if it does not come up.
     """
     messages: asyncio.Task[None] | None = None
     try:
@@ -65,12 +61,8 @@ def recorder_inside(
 ) -> Iterator[Callable[[], None]]:
     """Record the image `image` from inside its daemon; give what to call after every batch.
 
-    In virtual time nobody outside could keep up. Here time waits: no frame is lost.
-
-    Raises
-    ------
-    FailedError
-        If the file cannot be made.
+    In virtual time nobody outside could keep up. Here time waits: no frame is lost. FailedError if
+    the file cannot be made.
     """
     recorder = Recorder(
         image,

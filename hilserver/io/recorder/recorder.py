@@ -49,10 +49,7 @@ class Settings:
 class Recorder:
     """Records the image `name` until it is stopped or the daemon has ended.
 
-    Raises
-    ------
-    FailedError
-        If there is no such daemon, no such signal, or the file cannot be made.
+    FailedError if there is no such daemon, no such signal, or the file cannot be made.
     """
 
     def __init__(self, name: str, settings: Settings) -> None:
@@ -83,9 +80,9 @@ class Recorder:
         self._period_s = int(self._run["base_period_ns"]) * 1e-9
         self._thinner = Thinner(self._slots) if settings.sparse else None
         self._asked_s: float | None = None
-        self._told = (0, 0)
+        self._reported = (0, 0)
         self._next_s = 0.0
-        self._told_s = 0.0
+        self._reported_s = 0.0
         self._source.begin()
         first = self._source.first_state()
         if first is None:
@@ -120,10 +117,7 @@ class Recorder:
     def run(self, duration_s: float | None) -> str:
         """Record; return one line that says what was recorded.
 
-        Raises
-        ------
-        FailedError
-            If the disk is full or the file cannot be written any more.
+        FailedError if the disk is full or the file cannot be written any more.
         """
         end_s = None if duration_s is None else time.monotonic() + duration_s
         next_s = time.monotonic()
@@ -153,10 +147,7 @@ class Recorder:
     def close(self) -> str:
         """Complete the file; return one line that says what was recorded.
 
-        Raises
-        ------
-        FailedError
-            If the disk is full or the file cannot be written any more.
+        FailedError if the disk is full or the file cannot be written any more.
         """
         if self._writing.error is None:
             self._read()
@@ -172,7 +163,7 @@ class Recorder:
             if self._thinner is not None:
                 batch = self._thinner.thinned(batch)
             dropped |= len(batch.frames) > 0 and not self._writing.put(batch, wait=self._waits)
-        if dropped or self._source.lost > self._told[0]:
+        if dropped or self._source.lost > self._reported[0]:
             self._want_state()
 
     def _rotate(self, batch: Segmented) -> None:
@@ -198,8 +189,8 @@ class Recorder:
             self._asked_s = now_s
             self._source.ask_for_state()
         counts = (self._source.lost, self._writing.dropped)
-        if counts != self._told and now_s - self._told_s > SAY_AGAIN_S:
-            self._told, self._told_s = counts, now_s
+        if counts != self._reported and now_s - self._reported_s > SAY_AGAIN_S:
+            self._reported, self._reported_s = counts, now_s
             _say(f"{_losses(*counts)} so far")
 
     def _close(self) -> str:

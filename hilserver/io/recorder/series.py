@@ -78,10 +78,7 @@ class FileSeries:
     def check(self, writer: LogWriter) -> None:
         """End the recording at a limit.
 
-        Raises
-        ------
-        FailedError
-            If it is as large as it may be, or the disk is nearly full.
+        FailedError if it is as large as it may be, or the disk is nearly full.
         """
         limits, complete = self._limits, self._opened - 1
         if self._keep is not None:

@@ -27,10 +27,7 @@ _DESCRIBED_WITHIN_S = 5.0
 class Source:
     """The process image of one daemon, as a recorder sees it.
 
-    Raises
-    ------
-    FailedError
-        If no daemon runs under that name.
+    FailedError if no daemon runs under that name.
     """
 
     def __init__(self, name: str, *, is_inside: bool = False) -> None:

@@ -104,10 +104,7 @@ class Ros2Node(Part):
     async def start(self) -> None:
         """Join the domain, which takes a second; then publish, listen and serve.
 
-        Raises
-        ------
-        FailedError
-            If that is not possible.
+        FailedError if that is not possible.
         """
         self._participant = await asyncio.to_thread(self._join)
         self._participant.listen(self._on_data)
@@ -263,7 +260,7 @@ class Ros2Node(Part):
         now_ns = self._source.came_ns(now_ns)
         wrong = self._source.write(values, now_ns, of=f"{subscribed.topic}: ").wrong
         if subscribed.commands and not wrong:
-            self._source.staleness.heard(now_ns)
+            self._source.staleness.renew(now_ns)
             self.status.input_received_ns = dict.fromkeys(values, now_ns)
 
     def _serve(self, service: Service, request: Any) -> None:

@@ -39,10 +39,7 @@ _FATAL_AND_ERROR: Final = 3
 def domain_of(config: Ros2Config) -> int:
     """Return the DDS domain: the configured one, else ROS_DOMAIN_ID, else 0.
 
-    Raises
-    ------
-    ConfigError
-        If ROS_DOMAIN_ID is no domain.
+    ConfigError if ROS_DOMAIN_ID is no domain.
     """
     if config.domain is not None:
         return config.domain
@@ -137,10 +134,7 @@ class In:
 class Participant:
     """Joins the domain of a configuration.
 
-    Raises
-    ------
-    FailedError
-        If there is no such interface, or the domain is in use in this process.
+    FailedError if there is no such interface, or the domain is in use in this process.
     """
 
     def __init__(self, config: Ros2Config) -> None:

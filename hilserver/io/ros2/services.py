@@ -50,10 +50,7 @@ class Service:
     def understand(self, robot: Robot, request: Arrival) -> Answer:
         """Return what to write and what to answer.
 
-        Raises
-        ------
-        ValueError
-            If it is no request of this service.
+        ValueError if it is no request of this service.
         """
         body = request.cdr[:HEADER_BYTES] + request.cdr[HEADER_BYTES + self._identity :]
         message = self._types.decode(body, f"{self._served.type}_Request")

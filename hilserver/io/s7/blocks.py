@@ -48,10 +48,7 @@ class DataBlock:
     def written(self, item: Item, data: bytes) -> Mapping[str, object]:
         """Return what an item writes, by signal.
 
-        Raises
-        ------
-        RefusedItemError
-            If it hits a part of a number, nothing, or what is no input.
+        RefusedItemError if it hits a part of a number, nothing, or what is no input.
         """
         byte = item.bit // 8
         if byte + item.size > self.size:
@@ -79,10 +76,7 @@ class DataBlock:
 def blocks_of(server: S7Server, table: SignalTable) -> dict[int, DataBlock]:
     """Return the blocks of a configuration by their number.
 
-    Raises
-    ------
-    ConfigError
-        If there is no such signal, or its type does not fit.
+    ConfigError if there is no such signal, or its type does not fit.
     """
     scalars = {signal.name: signal for signal in table.scalars if not signal.hidden}
     blocks = {}

@@ -100,7 +100,7 @@ class S7Link(Part):
         now_ns = self._source.came_ns(time.monotonic_ns())
         outcome = self._source.write(values, now_ns)
         if not outcome.wrong:
-            self._source.staleness.heard(now_ns)
+            self._source.staleness.renew(now_ns)
             self.status.input_received_ns.update(dict.fromkeys(values, now_ns))
             self.status.writes += 1
         return {name: CODES.get(why, Code.DENIED) for name, why in outcome.refused.items()}

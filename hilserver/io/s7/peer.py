@@ -25,10 +25,7 @@ LOOK_AGAIN_S = 1.0  # how long a block is left alone that the controller refuses
 class S7Peer(Peer):
     """Reads one block of a controller and writes one.
 
-    Raises
-    ------
-    ConfigError
-        If the type of a place does not fit its signal.
+    ConfigError if the type of a place does not fit its signal.
     """
 
     def __init__(self, config: PeerConfig, table: SignalTable, **around: Any) -> None:

@@ -216,10 +216,7 @@ def setup(pdu_bytes: int, jobs: int = 1) -> bytes:
 def agreed(parameters: bytes) -> tuple[int, int]:
     """Return jobs at a time and length [bytes] of the parameters of a setup.
 
-    Raises
-    ------
-    WireError
-        If they are none, or permit hardly more than a header.
+    WireError if they are none, or permit hardly more than a header.
     """
     if len(parameters) != 8 or parameters[0] != Function.SETUP:
         raise WireError("agrees on nothing")
@@ -237,10 +234,7 @@ def asks(function: Function, items: Sequence[Item]) -> bytes:
 def asked(parameters: bytes) -> list[Item]:
     """Return the items of a job; one that is no piece of a block has number 0.
 
-    Raises
-    ------
-    WireError
-        If there are fewer than it says, or too many.
+    WireError if there are fewer than it says, or too many.
     """
     count = parameters[1] if len(parameters) > 1 else 0
     if not 0 < count <= MOST_ITEMS or len(parameters) != 2 + count * _ADDRESS.size:
@@ -279,10 +273,7 @@ def refusal(data: bytes, code: Code) -> bytes:
 def pieces(data: bytes, count: int) -> list[tuple[int, bytes]]:
     """Return code and bytes of every item, of an answer to a read or of a job of a write.
 
-    Raises
-    ------
-    WireError
-        If there are fewer.
+    WireError if there are fewer.
     """
     found, at = [], 0
     for _ in range(count):

@@ -31,10 +31,7 @@ class Line:
 def open_pseudo_terminal(link: Path) -> Line:
     """Make a pseudo-terminal that behaves as a serial line, and a link to it.
 
-    Raises
-    ------
-    FailedError
-        If the link cannot be made, or something else has its name.
+    FailedError if the link cannot be made, or something else has its name.
     """
     if os.path.lexists(link) and not link.is_symlink():
         raise FailedError(f"shield.link: {link} exists and is no link; name another place")
@@ -63,10 +60,7 @@ def _point(link: Path, path: Path) -> None:
 def open_device(path: Path) -> Line:
     """Open a serial line for this process alone.
 
-    Raises
-    ------
-    FailedError
-        If there is none of that name, it is something else, or another program has it.
+    FailedError if there is none of that name, it is something else, or another program has it.
     """
     try:
         file = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)

@@ -47,10 +47,7 @@ class Gains:
     def apply(self, k_p: float, k_i: float) -> None:
         """Latch gains [%/rpm], [%/(rpm s)] at the next tick; NaN: as configured.
 
-        Raises
-        ------
-        ValueError
-            If another source has control, or the loop would not be stable.
+        ValueError if another source has control, or the loop would not be stable.
         """
         if self._gate.owner != NAME:
             raise ValueError(f"gains are not taken over: '{self._gate.owner}' has control")
@@ -91,7 +88,7 @@ class ShieldLink(Part):
         mechatronic = world.config.mechatronic
         body = mechatronic.enabled and mechatronic.sensors == "body"
         self._slots = np.array(places(world.table, config.wheels, body=body), dtype=np.int64)
-        self._heard_ns: int | None = None
+        self._received_ns: int | None = None
         self._seen: dict[ShieldFault, int] = {}
         self._thread = threading.Thread(target=self._run, name="shield", daemon=True)
         self._stopping = threading.Event()
@@ -214,9 +211,9 @@ class ShieldLink(Part):
             row = w.RING_ROWS + 4 * (int(words[w.RING_TAIL]) & (w.WAITING_MOST - 1))
             command, flags, payload, received_ns = words[row : row + 4].tolist()
             words[w.RING_TAIL] += 1
-            if self._heard_ns is not None:
-                self.status.interval.observe(max(received_ns - self._heard_ns, 0))
-            self._heard_ns = received_ns
+            if self._received_ns is not None:
+                self.status.interval.observe(max(received_ns - self._received_ns, 0))
+            self._received_ns = received_ns
             terminated = not flags & w.ALONE
             data = payload.to_bytes(8, "little", signed=True)
             received_ns = self._source.came_ns(received_ns)

@@ -24,10 +24,7 @@ FLAGS: Final = ("-std=gnu11", "-O3", "-march=native", "-fPIC", "-shared")
 def build(folder: Path) -> Path:
     """Compile the C reference into `folder` and return the shared library.
 
-    Raises
-    ------
-    FailedError
-        When there is no C compiler or it fails.
+    FailedError when there is no C compiler or it fails.
     """
     compiler = shutil.which("gcc") or shutil.which("cc")
     if compiler is None:
