@@ -9,8 +9,8 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.body.export import mjcf
 from hilserver.body.layout import MUJOCO, N_WARNINGS, Addresses
-from hilserver.body.mjcf import mjcf
 from hilserver.body.parameters import BodyParameters
 from hilserver.body.step import place_body
 from hilserver.plant.errors import PlantError

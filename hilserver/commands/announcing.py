@@ -14,8 +14,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Self
 
 from hilserver import __version__
-from hilserver.program.footer import Footer
-from hilserver.program.writer import Writer
+from hilserver.program.writer import Footer, Writer
 
 if TYPE_CHECKING:  # what it speaks of takes seconds to import, and its first line does not wait
     from hilserver.daemon.daemon import Daemon

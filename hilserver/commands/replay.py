@@ -21,7 +21,7 @@ from hilserver.logs.provenance import make_run
 from hilserver.logs.writing import check_suffix, reason
 from hilserver.program.progress import Progress
 from hilserver.replay import Comparison, Engine, Plan, assembly_of, plan_exact, plan_inputs
-from hilserver.replay.mapped import mapped_inputs
+from hilserver.replay.origin import mapped_inputs
 
 EXAMPLE = "hilserver replay run.mcap -o again.csv"
 

@@ -16,14 +16,13 @@ from hilserver.monitoring.logging_setup import setup_logging
 from hilserver.program.progress import Progress
 from hilserver.sweep.batch import rig_for
 from hilserver.sweep.campaign import DaskWorkers, LocalWorkers, outcomes
-from hilserver.sweep.compare import compare
 from hilserver.sweep.journal import Journal
 from hilserver.sweep.junit import write_junit
 from hilserver.sweep.only import drive_again
 from hilserver.sweep.prepare import Prepared, prepare
 from hilserver.sweep.report import write_report
 from hilserver.sweep.table import Table, read_table, table_of, write_table
-from hilserver.sweep.words import details, headline, plan
+from hilserver.sweep.words import compare, details, headline, plan
 
 EXAMPLE = "hilserver sweep sweep.yaml -o result --workers 2"
 

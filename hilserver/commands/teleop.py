@@ -23,8 +23,7 @@ from typing import Any, Final
 
 from hilserver.commands.options import number
 from hilserver.commands.remote import add_connection, configured
-from hilserver.commands.teleop_hold import Hold
-from hilserver.commands.teleop_keys import ASK, END, Key, KeyReader, Word
+from hilserver.commands.teleop_keys import ASK, END, Hold, Key, KeyReader, Word
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError
 from hilserver.io.page.hand import Hand, RefusedError
 from hilserver.io.page.setup import OpcUaAccess

@@ -1,4 +1,4 @@
-"""The sections ``metrics:`` and ``logging:`` of the configuration."""
+"""The sections ``metrics:``, ``logging:`` and ``shadow:`` of the configuration."""
 
 from ipaddress import ip_address
 from typing import Annotated, Literal
@@ -44,3 +44,13 @@ class LoggingConfig(Section):
     repeat_window_s: float = Field(
         10.0, ge=0, le=3600, description="a repeated line is printed once in this many seconds"
     )
+
+
+class ShadowConfig(Section):
+    """When the gap between the measured and the simulated robot is an alarm."""
+
+    limits: dict[str, Annotated[float, Field(gt=0)]] = Field(
+        default_factory=dict,
+        description="largest gap by signal, in its unit, such as pose.x_m: 0.3; empty: no alarm",
+    )
+    after_s: float = Field(1.0, ge=0, le=3600, description="a gap that lasts this long is an alarm")

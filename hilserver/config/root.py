@@ -12,7 +12,7 @@ from hilserver.config.edge import EdgeConfig
 from hilserver.config.foxglove import FoxgloveConfig
 from hilserver.config.loading import load
 from hilserver.config.mechatronic import MechatronicConfig
-from hilserver.config.monitoring import LoggingConfig, MetricsConfig
+from hilserver.config.monitoring import LoggingConfig, MetricsConfig, ShadowConfig
 from hilserver.config.observer import ObserverConfig
 from hilserver.config.page import FoldersConfig, PageConfig
 from hilserver.config.peers import PeerConfig
@@ -23,7 +23,6 @@ from hilserver.config.ros2 import Ros2Config
 from hilserver.config.s7 import S7Config
 from hilserver.config.section import Driver, LinkSection, Section
 from hilserver.config.server import OpcUaConfig
-from hilserver.config.shadow import ShadowConfig
 from hilserver.config.shield import ShieldConfig
 from hilserver.config.timing import ControlConfig, ImageConfig, SchedulerConfig, SnapshotConfig
 from hilserver.opcua.settings import Role

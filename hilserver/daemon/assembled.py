@@ -1,13 +1,17 @@
-"""What a daemon is built from: all that is fixed before the first tick, and what names it."""
+"""What a daemon is built from: all that is fixed before the first tick, and what names it.
+
+Models of others it only describes: every robot starts its own (`with_models`), and ends them.
+"""
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from hilserver import __version__
+from hilserver.body.engine import Engine
 from hilserver.body.parameters import BodyParameters
 from hilserver.compiled import kernel_hash
 from hilserver.config.loading import place
@@ -15,11 +19,12 @@ from hilserver.config.mechatronic import BODY_PERIOD_MS
 from hilserver.config.patch import Patch
 from hilserver.config.root import Config, without_passwords
 from hilserver.errors import ConfigError
-from hilserver.kernel import Composition
-from hilserver.kernel.composition import ForeignModel
+from hilserver.kernel import BlockUse, Composition
+from hilserver.kernel.composition import ForeignModel, Setting
 from hilserver.plant.errors import PlantError
 from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
+from hilserver.scheduler import RealtimeSettings
 from hilserver.scheduler.slices import Slice
 from hilserver.signals import SignalTable
 
@@ -114,3 +119,50 @@ class Assembly:
     @property
     def _models(self) -> list[ForeignModel]:
         return [b.model for b in self.composition.blocks if b.model is not None]
+
+
+def with_models(assembly: Assembly, plant: RealtimeSettings, *, waits: bool) -> Assembly:
+    """Return an assembly whose models nobody else steps: the mechatronic one, and FMUs.
+
+    Parameters
+    ----------
+    plant : RealtimeSettings
+        What the plant's thread asks for: models in processes of their own come right behind it.
+    waits : bool
+        Whether time waits for models in processes of their own: simulated time does.
+
+    Raises
+    ------
+    ConfigError
+        If an FMU does not start.
+    """
+    composition = assembly.composition
+    body = None if composition.body is None else Engine(composition.body.body)
+    with ExitStack() as begun:
+        blocks = []
+        for index, block in enumerate(composition.blocks):
+            with assembly.at("blocks", index, "fmu"):
+                blocks.append(_started(block, assembly, plant, waits=waits))
+            foreign = blocks[-1].foreign
+            if foreign is not None:
+                begun.callback(foreign.close)
+        begun.pop_all()
+    return replace(assembly, composition=replace(composition, body=body, blocks=blocks))
+
+
+def end_models(assembly: Assembly) -> None:
+    """End the FMUs of an assembly; nothing is paced any more."""
+    for block in assembly.composition.blocks:
+        if block.foreign is not None:
+            block.foreign.close()
+
+
+def _started(
+    block: BlockUse, assembly: Assembly, plant: RealtimeSettings, *, waits: bool
+) -> BlockUse:
+    if block.model is None:
+        return block
+    period_s = assembly.composition.periods_s[block.slice]
+    base_period_s, priority = assembly.base_period_ns * 1e-9, max(plant.priority - 1, 0)
+    setting = Setting(period_s, base_period_s, waits, priority, plant.cpu)
+    return replace(block, foreign=block.model.start(block.name, setting))

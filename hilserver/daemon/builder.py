@@ -22,8 +22,8 @@ from hilserver.core.inputs import InputGate
 from hilserver.core.leases import TELEOP, Leases
 from hilserver.core.parameters import LiveParameters, Start
 from hilserver.core.snapshot import SnapshotStore
+from hilserver.daemon.assembled import end_models, with_models
 from hilserver.daemon.assembly import Assembly
-from hilserver.daemon.models import end_models, with_models
 from hilserver.faults import Faults, Line
 from hilserver.faults.mail import Mailbox
 from hilserver.faults.plan import Planner, ShieldFigures

@@ -22,18 +22,16 @@ from hilserver.faults.scenario import Stage
 from hilserver.io import edge, foxglove, ros2, s7
 from hilserver.io.link_status import PeerStatus
 from hilserver.io.opcua_server import server as opcua_server
-from hilserver.io.part import Part
 from hilserver.io.peer_link import metrics as peer_metrics
 from hilserver.io.peers import parts as peer_parts
 from hilserver.io.shield import link as shield
 from hilserver.io.shield import metrics as shield_metrics
 from hilserver.io.shield.status import ShieldStatus
-from hilserver.io.world import World
+from hilserver.io.world import Part, World
 from hilserver.metrics import Source
 from hilserver.monitoring.audit import METRICS as AUDIT_METRICS
 from hilserver.monitoring.audit import AuditItem
-from hilserver.monitoring.health import HealthSources
-from hilserver.monitoring.health_http import HttpServer
+from hilserver.monitoring.health_http import HealthSources, HttpServer
 from hilserver.monitoring.metrics import Metrics
 from hilserver.observer import metrics as observer_metrics
 from hilserver.ros.robot import Shape

@@ -36,11 +36,9 @@ from hilserver.errors import EXIT_DONE, EXIT_FAILED, EXIT_SAFETY_LIMIT
 from hilserver.faults import Play
 from hilserver.faults.scenario import Stage
 from hilserver.io.link_status import PeerStatus
-from hilserver.io.part import Part
 from hilserver.io.recorder.launch import recorder_inside, running_recorder
-from hilserver.io.recorder.marks import Marks
-from hilserver.io.recorder.state_service import StateService
-from hilserver.io.world import World
+from hilserver.io.recorder.marks import Marks, StateService
+from hilserver.io.world import Part, World
 from hilserver.kernel import watch_communication
 from hilserver.monitoring.audit import AuditItem, audit
 from hilserver.monitoring.logging_setup import RepeatLimiter, log_event, report_repeats

@@ -9,7 +9,7 @@ from hilserver.daemon import figures
 from hilserver.daemon.builder import Core
 from hilserver.daemon.shadow import Pose, measured_pose
 from hilserver.image import Frame
-from hilserver.io.part import Part
+from hilserver.io.world import Part
 from hilserver.plant.layout import WHEELS, Parameters
 
 EXPORTED = ("pose.x_m", "pose.y_m", "pose.yaw_rad", *(f"wheel.{w}.speed_rpm" for w in WHEELS))

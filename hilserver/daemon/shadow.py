@@ -8,7 +8,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 
-from hilserver.config.shadow import ShadowConfig
+from hilserver.config.monitoring import ShadowConfig
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.image import Frame
 from hilserver.image.status import GOOD

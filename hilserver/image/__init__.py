@@ -7,8 +7,7 @@ push rows into queues that the plant drains at the next tick.
 
 from typing import TYPE_CHECKING
 
-from hilserver.image.batch import FrameBatch, read_frames, to_batch
-from hilserver.image.reader import Frame, ImageReader
+from hilserver.image.reader import Frame, FrameBatch, ImageReader, read_frames, to_batch
 from hilserver.image.stop import press_stop
 from hilserver.lazily import lazily
 

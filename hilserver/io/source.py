@@ -8,8 +8,7 @@ from hilserver.config.section import Driver
 from hilserver.core.events import Event, EventKind
 from hilserver.core.inputs import InputGate, Refusal
 from hilserver.core.staleness import Staleness, Transition
-from hilserver.io.link_faults import FaultBook
-from hilserver.io.link_status import PeerStatus
+from hilserver.io.link_status import FaultBook, PeerStatus
 
 LEFT_OVER_NS = 100_000_000
 """So long after a standstill of ours what is read may have come in before it, or during it."""

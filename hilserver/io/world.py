@@ -1,6 +1,6 @@
-"""What a link needs of the robot and of the daemon around it."""
+"""A part of the daemon, a server or a link to somebody else, and what it needs of the robot."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,10 +13,41 @@ from hilserver.core.events import EventBus
 from hilserver.core.inputs import InputGate
 from hilserver.core.parameters import LiveParameters
 from hilserver.faults import Faults, Line
-from hilserver.image import ProcessImage
+from hilserver.image import Frame, ProcessImage
+from hilserver.io.link_status import PeerStatus
+from hilserver.metrics import Source
 from hilserver.plant.parameters import RobotParameters
 from hilserver.ros.robot import Shape
 from hilserver.signals import SignalTable
+
+
+class Part:
+    """What the daemon starts, shows and stops; a link overrides what it has."""
+
+    section: str  # of the configuration; complaints name it
+    label: str  # what people call it
+    is_early = False  # starts before the first tick
+    # what is known about who is at the other end; OPC UA, page and metrics show it
+    status: PeerStatus | None = None
+    metrics: Sequence[Source[Any]] = ()  # beside those of every status
+
+    @property
+    def address(self) -> str:
+        """Where it is reached, or whom it reaches: its line of the banner."""
+        return ""
+
+    async def start(self) -> None:
+        """Begin; who is at the other end may come later."""
+
+    async def stop(self) -> None:
+        """End, also a start that was not completed."""
+
+    def publish(self, frame: Frame) -> object:
+        """Show a frame; called by the publish slice, which does not wait."""
+
+    def supervise(self) -> None:
+        """Look after what has no event of its own; called by the supervise slice."""
+
 
 Figure = float | str | bool | int | None
 Table = Mapping[str, Mapping[str, Figure]]

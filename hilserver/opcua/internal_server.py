@@ -8,6 +8,7 @@ from asyncua.common.utils import ServiceError
 
 from hilserver.opcua.access import Access
 from hilserver.opcua.application import Application
+from hilserver.opcua.browsing import TypeTree
 from hilserver.opcua.decoding import bound_decoder
 from hilserver.opcua.logs import log
 from hilserver.opcua.places import Places
@@ -17,7 +18,6 @@ from hilserver.opcua.settings import OpcUaSettings
 from hilserver.opcua.standard_nodes import QuickInternalServer
 from hilserver.opcua.subscriptions import Subscriptions
 from hilserver.opcua.trust_list import TrustList
-from hilserver.opcua.type_tree import TypeTree
 
 _LONGEST_SESSION_MS = 120_000.0
 

@@ -11,11 +11,11 @@ from typing import Any
 
 from asyncua import ua
 
+from hilserver.opcua.browsing import TypeTree
 from hilserver.opcua.deadband import ChangeFilter, change_filter
 from hilserver.opcua.items import HANDLE, EventItem, FixedEvent, Item, Room, ValueItem
 from hilserver.opcua.reading import RefusedError, find, place_for_items, value_at
 from hilserver.opcua.rotation import Portions
-from hilserver.opcua.type_tree import TypeTree
 from hilserver.opcua.where import compile_where
 
 LONGEST_SAMPLING_MS = 3_600_000.0

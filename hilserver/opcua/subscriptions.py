@@ -13,12 +13,12 @@ from asyncua import ua
 from asyncua.common.utils import ServiceError
 
 from hilserver.opcua import encoding
+from hilserver.opcua.browsing import TypeTree
 from hilserver.opcua.items import FixedEvent, Room
 from hilserver.opcua.logs import log
 from hilserver.opcua.monitored_items import GIVE_WAY_EVERY, MonitoredItems
 from hilserver.opcua.rotation import Portions, Rotation, advance
 from hilserver.opcua.settings import OpcUaSettings, OpcUaShare
-from hilserver.opcua.type_tree import TypeTree
 from hilserver.period import Period
 
 LONGEST_PUBLISHING_MS = 3_600_000.0

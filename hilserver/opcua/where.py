@@ -11,8 +11,8 @@ from typing import Any
 
 from asyncua import ua
 
+from hilserver.opcua.browsing import TypeTree
 from hilserver.opcua.reading import RefusedError
-from hilserver.opcua.type_tree import TypeTree
 
 MAX_ELEMENTS = 100
 MAX_OPERANDS = 500  # of all elements together: InList may have many

@@ -15,8 +15,7 @@ from hilserver.core.recalibration import RECALIBRATION_METRICS, Figures, Table
 from hilserver.errors import ControlRefused, FailedError, UserError
 from hilserver.image import Frame
 from hilserver.image.status import GOOD
-from hilserver.io.part import Part
-from hilserver.io.world import Figure, World
+from hilserver.io.world import Figure, Part, World
 from hilserver.metrics import Source
 from hilserver.plant.layout import WHEELS
 from hilserver.recalibration import patches, process

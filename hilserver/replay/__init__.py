@@ -4,8 +4,7 @@ A log of ours brings every input of every tick and a state to begin with: the pl
 through the same bits. A log of others brings set-points that hold until its next row.
 """
 
-from hilserver.replay.comparison import Comparison
-from hilserver.replay.engine import Engine
+from hilserver.replay.engine import Comparison, Engine
 from hilserver.replay.origin import assembly_of
 from hilserver.replay.plan import Plan, Stretch, plan_exact, plan_inputs
 

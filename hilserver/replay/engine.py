@@ -1,4 +1,4 @@
-"""The plant alone, in virtual time, fed with rows."""
+"""The plant alone, in virtual time, fed with rows, and compared with what a log holds."""
 
 from collections import deque
 from collections.abc import AsyncIterator, Mapping
@@ -12,10 +12,12 @@ from hilserver.daemon.builder import Pace, build
 from hilserver.errors import ConfigError, LogError
 from hilserver.image import read_frames
 from hilserver.image.changes import Changes
+from hilserver.logs import Log
+from hilserver.logs.csv_writer import BAD
 from hilserver.logs.log import Change
 from hilserver.logs.writer import Segmented
 from hilserver.replay.plan import Stretch
-from hilserver.signals import State
+from hilserver.signals import Direction, SignalTable, State
 
 QUEUE_ROWS = 1 << 17
 RING_FRAMES = 1 << 11
@@ -102,3 +104,42 @@ class Engine:
             frames.words[:, 1] = frames.ticks * period_ns  # simulated, not planned, time
             yield Segmented(frames, np.full(n, stretch.segment, dtype=np.int64), posted)
             number, done = number + n, done + n
+
+
+class Comparison:
+    """Counts equal ticks and remembers the first difference."""
+
+    def __init__(self, log: Log, table: SignalTable, base_period_ns: int) -> None:
+        outputs = [
+            s for s in table.scalars if s.direction is Direction.OUT and s.name in log.columns
+        ]
+        self._names = [s.name for s in outputs]
+        self._slots = np.array([s.slots[0] for s in outputs], dtype=np.intp)
+        self._log, self._ticks = log, log.ticks(base_period_ns)
+        self._starts = {int(s): int(np.argmax(log.segment == s)) for s in np.unique(log.segment)}
+        self.n_signals, self.n_ticks = len(outputs), 0
+        self.difference: str | None = None
+
+    def add(self, batch: Segmented) -> None:
+        """Compare frames with the rows of the same segment and tick."""
+        if not self.n_signals or self.difference is not None:
+            return
+        segment = int(batch.segments[0])
+        ticks, start = batch.frames.ticks, self._starts[segment]
+        end = start + int((self._log.segment == segment).sum())
+        rows = start + np.searchsorted(self._ticks[start:end], ticks)
+        values = batch.frames.values[:, self._slots]
+        values[(batch.frames.status[:, self._slots] & BAD) != 0] = np.nan
+        for index, name in enumerate(self._names):
+            recorded, ours = self._log.columns[name][rows], values[:, index].copy()
+            equal = (recorded.view(np.int64) == ours.view(np.int64)) | (
+                np.isnan(recorded) & np.isnan(ours)
+            )
+            if not equal.all():
+                at = int(np.argmin(equal))
+                self.difference = (
+                    f"{name} in tick {ticks[at]} of segment {segment}: recorded"
+                    f" {float(recorded[at])!r}, replayed {float(ours[at])!r}"
+                )
+                return
+        self.n_ticks += len(ticks)

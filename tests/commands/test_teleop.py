@@ -14,8 +14,7 @@ import pytest_asyncio
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilserver.commands.teleop_hold import FIRST_S, REPEAT_S, Hold
-from hilserver.commands.teleop_keys import Key, KeyReader, Word
+from hilserver.commands.teleop_keys import FIRST_S, REPEAT_S, Hold, Key, KeyReader, Word
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon

@@ -20,8 +20,8 @@ from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.connections import LINKS
 from hilserver.daemon.daemon import Daemon
 from hilserver.io.link_status import PeerStatus
-from hilserver.io.part import Part
 from hilserver.io.source import Source
+from hilserver.io.world import Part
 from hilserver.signals import State
 from tests.loopback.rig import configuration, scrape, wait_until
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
+from hilserver.config.monitoring import ShadowConfig
 from hilserver.config.root import Config
-from hilserver.config.shadow import ShadowConfig
 from hilserver.core.events import EventBus, EventKind
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.shadow import GapWatch, measured_pose

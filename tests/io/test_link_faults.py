@@ -1,8 +1,7 @@
 """The book of faults: told once, kept while it lasts."""
 
 from hilserver.core.events import Event
-from hilserver.io.link_faults import FAULTS_MAX, HOLD_NS, FaultBook
-from hilserver.io.link_status import PeerStatus
+from hilserver.io.link_status import FAULTS_MAX, HOLD_NS, FaultBook, PeerStatus
 from hilserver.io.peer_link.samples import FaultKind
 
 LOG_IN, CERTIFICATE = FaultKind.LOG_IN, FaultKind.CERTIFICATE

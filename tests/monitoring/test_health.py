@@ -2,7 +2,7 @@
 
 import pytest
 
-from hilserver.monitoring.health import HealthSources, alive, ready
+from hilserver.monitoring.health_http import HealthSources, alive, ready
 from hilserver.signals import State
 
 NOW_NS = 100 * 10**9

@@ -10,8 +10,12 @@ import pytest
 import uvloop
 
 from hilserver.errors import FailedError
-from hilserver.monitoring.health import HealthSources
-from hilserver.monitoring.health_http import CONNECTIONS_MAX, REQUEST_BYTES_MAX, HttpServer
+from hilserver.monitoring.health_http import (
+    CONNECTIONS_MAX,
+    REQUEST_BYTES_MAX,
+    HealthSources,
+    HttpServer,
+)
 from hilserver.monitoring.metrics import Metrics
 from hilserver.signals import State
 from tests.helpers.prom_diff import PromDiff, series_of_text

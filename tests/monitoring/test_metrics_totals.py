@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hilserver.metrics import Reading, counter
-from hilserver.monitoring.metrics_totals import LifetimeTotals
+from hilserver.monitoring.metrics import LifetimeTotals
 
 increments = st.lists(st.integers(0, 1000), min_size=3, max_size=3)
 steps = st.lists(st.tuples(increments, st.booleans()), max_size=40)

@@ -7,7 +7,7 @@ import pytest
 
 from hilserver.config.server import OpcUaConfig
 from hilserver.io.opcua_client import LinkSecurity
-from hilserver.io.peer_link import errors as peer_errors
+from hilserver.io.peer_link import samples as peer_errors
 from hilserver.opcua.certificate import (
     key_to_pem,
     make_certificate,

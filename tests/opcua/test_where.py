@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hilserver.core.events import Event, EventKind
+from hilserver.opcua.browsing import TypeTree
 from hilserver.opcua.items import FixedEvent
 from hilserver.opcua.reading import RefusedError
-from hilserver.opcua.type_tree import TypeTree
 from hilserver.opcua.where import MAX_DEPTH, MAX_ELEMENTS, compile_where
 from tests.io.opcua_server.rig import Rig, RobotClient
 

@@ -3,7 +3,7 @@
 import io
 import re
 
-from hilserver.program.footer import Footer
+from hilserver.program.writer import Footer
 
 
 def on_screen(text):

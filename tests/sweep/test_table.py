@@ -8,12 +8,12 @@ import pytest
 from hilserver.errors import FailedError, LogError
 from hilserver.sweep import table as module
 from hilserver.sweep.batch import fingerprint
-from hilserver.sweep.compare import compare
 from hilserver.sweep.journal import Journal
 from hilserver.sweep.junit import write_junit
 from hilserver.sweep.report import write_report
 from hilserver.sweep.rig import Outcome, Rig
 from hilserver.sweep.table import read_table, table_of, write_table
+from hilserver.sweep.words import compare
 
 WIDE = {"from": {"population": {"coulomb_friction": {"mean": 1, "sd": 1}}}}
 

@@ -20,9 +20,8 @@ from hilserver.io.edge import payload
 from hilserver.io.edge.credentials import credentials
 from hilserver.io.edge.payload import Collection
 from hilserver.io.link_status import LinkState, PeerStatus
-from hilserver.io.part import Part
 from hilserver.io.source import Source
-from hilserver.io.world import World
+from hilserver.io.world import Part, World
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 10.0
 ANSWER_S: Final = 5.0

@@ -2,8 +2,7 @@
 
 from collections.abc import Iterator
 
-from hilserver.io.part import Part
-from hilserver.io.world import World
+from hilserver.io.world import Part, World
 
 
 def parts(world: World) -> Iterator[Part]:

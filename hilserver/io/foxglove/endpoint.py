@@ -22,8 +22,7 @@ from hilserver.image import Frame
 from hilserver.io.foxglove.door import Door, hidden_host
 from hilserver.io.foxglove.inbox import Inbox
 from hilserver.io.foxglove.scene import scene
-from hilserver.io.part import Part
-from hilserver.io.world import World
+from hilserver.io.world import Part, World
 from hilserver.logs.mcap_writer import TOPIC
 from hilserver.logs.message import CDR_LITTLE_ENDIAN, SCHEMA_NAME, make_layout
 from hilserver.program import event_loop

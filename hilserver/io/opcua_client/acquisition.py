@@ -17,7 +17,7 @@ from hilserver.io.link_status import PeerStatus
 from hilserver.io.opcua_client.session import Session, read_request
 from hilserver.io.opcua_client.subscription import Grant, Subscription
 from hilserver.io.opcua_client.validation import judge
-from hilserver.io.peer_link.faulty_intake import FaultyIntake
+from hilserver.io.peer_link.intake import FaultyIntake
 from hilserver.period import every
 
 OBSERVED_S = 2.0

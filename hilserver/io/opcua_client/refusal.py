@@ -5,8 +5,7 @@ from collections.abc import Iterable, Sequence
 from asyncua import ua
 from cryptography import x509
 
-from hilserver.io.peer_link.errors import RefusedError
-from hilserver.io.peer_link.samples import FaultKind
+from hilserver.io.peer_link.samples import FaultKind, RefusedError
 from hilserver.opcua.certificate import (
     host_names,
     parse_certificate,

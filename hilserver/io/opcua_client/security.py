@@ -21,8 +21,7 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from hilserver.config.peers import PeerConfig
 from hilserver.errors import ConfigError
 from hilserver.io.opcua_client import refusal
-from hilserver.io.peer_link.errors import RefusedError
-from hilserver.io.peer_link.samples import FaultKind
+from hilserver.io.peer_link.samples import FaultKind, RefusedError
 from hilserver.opcua.certificate import (
     application_uris,
     first_of_chain,

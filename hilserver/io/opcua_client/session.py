@@ -16,7 +16,7 @@ from asyncua import Client, ua
 from hilserver.config.peers import NodeAddress
 from hilserver.io.opcua_client.refusal import hung_up, refused_by_peer
 from hilserver.io.opcua_client.security import LinkSecurity, PeerClient
-from hilserver.io.peer_link.errors import LinkLostError, RefusedError
+from hilserver.io.peer_link.samples import LinkLostError, RefusedError
 
 CONNECT_TIMEOUT_S = 2.0  # for the TCP connection and for each request
 

@@ -14,8 +14,8 @@ from asyncua import ua
 
 from hilserver.io.opcua_client.session import Session
 from hilserver.io.opcua_client.validation import judge
-from hilserver.io.peer_link.errors import LinkLostError
-from hilserver.io.peer_link.faulty_intake import FaultyIntake
+from hilserver.io.peer_link.intake import FaultyIntake
+from hilserver.io.peer_link.samples import LinkLostError
 
 QUEUE_MAX = 1000
 SILENT_AFTER_S = 2.0

@@ -9,8 +9,7 @@ from asyncua import ua
 from hilserver.config.peers import PeerConfig
 from hilserver.faults.links import Lane, Line
 from hilserver.image.status import GOOD, is_bad
-from hilserver.io.link_faults import FaultBook
-from hilserver.io.link_status import PeerStatus
+from hilserver.io.link_status import FaultBook, PeerStatus
 from hilserver.io.opcua_client.outgoing import (
     Form,
     UnfitError,
@@ -19,9 +18,8 @@ from hilserver.io.opcua_client.outgoing import (
     variant_type,
 )
 from hilserver.io.opcua_client.session import Session
-from hilserver.io.peer_link.errors import LinkLostError
 from hilserver.io.peer_link.link import Output
-from hilserver.io.peer_link.samples import FaultKind
+from hilserver.io.peer_link.samples import FaultKind, LinkLostError
 from hilserver.period import every
 
 LOOK_AGAIN_S = 1.0

@@ -16,8 +16,7 @@ from hilserver.io.opcua_server.parameters import ParameterVariables
 from hilserver.io.opcua_server.robot_events import RobotEvents
 from hilserver.io.opcua_server.server_status import PRODUCT_URI, ServerStatus, build_info
 from hilserver.io.opcua_server.values import SignalVariables
-from hilserver.io.part import Part
-from hilserver.io.world import Figure, World
+from hilserver.io.world import Figure, Part, World
 from hilserver.opcua.encoding import FixedDataValue
 from hilserver.opcua.logs import log
 from hilserver.opcua.server import HardenedServer, application_uri

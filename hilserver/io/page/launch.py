@@ -8,7 +8,7 @@ from collections.abc import Callable
 import structlog
 
 from hilserver.io.page.setup import Setup
-from hilserver.io.part import Part
+from hilserver.io.world import Part
 from hilserver.program import children, event_loop
 
 PAGE_STOP_S = 0.7

@@ -13,15 +13,14 @@ from aiohttp import web
 from hilserver.image import ImageReader
 from hilserver.io.opcua_server.model import PARAMETERS
 from hilserver.io.page import bundle
-from hilserver.io.page.arguments import WrongTypeError
 from hilserver.io.page.browsers import COOKIE, Browser, Browsers
-from hilserver.io.page.calls import Calls, may_work
+from hilserver.io.page.calls import Calls, WrongTypeError, may_work
 from hilserver.io.page.door import MOST, Door
 from hilserver.io.page.driving import Driving
 from hilserver.io.page.files import LOG_SUFFIXES, files_in, reports_in, shown_report
+from hilserver.io.page.frames import MAX_PLOTTED, history
 from hilserver.io.page.gatekeeper import REPORT_POLICY, Gatekeeper
 from hilserver.io.page.hand import Hand, RefusedError
-from hilserver.io.page.history import MAX_PLOTTED, history
 from hilserver.io.page.jobs import Jobs
 from hilserver.io.page.listening import tls_context
 from hilserver.io.page.live import Live

@@ -16,11 +16,10 @@ from hilserver.core.events import EventBus
 from hilserver.core.inputs import InputGate
 from hilserver.faults.links import Line
 from hilserver.io.link_status import LinkState, PeerStatus
-from hilserver.io.part import Part
-from hilserver.io.peer_link.errors import LinkLostError, RefusedError, refusal_in
-from hilserver.io.peer_link.faulty_intake import FaultyIntake
-from hilserver.io.peer_link.intake import Intake
+from hilserver.io.peer_link.intake import FaultyIntake, Intake
+from hilserver.io.peer_link.samples import LinkLostError, RefusedError, refusal_in
 from hilserver.io.source import Source
+from hilserver.io.world import Part
 from hilserver.program import event_loop
 from hilserver.signals import MEASURED
 

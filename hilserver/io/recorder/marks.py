@@ -1,10 +1,11 @@
-"""How far recorders have read: simulated time waits for them.
+"""The daemon beside its recorders: a state for whoever asks, and time that waits for them.
 
 A recorder of a daemon in virtual time keeps a small locked file beside the image, with the number
 of the frame that it reads next. The daemon looks at these files between two batches of ticks and
 waits for the slowest, unless that one has died or has not moved for `PATIENCE_S`.
 """
 
+import asyncio
 import contextlib
 import fcntl
 import os
@@ -14,8 +15,10 @@ from pathlib import Path
 
 import structlog
 
+from hilserver.core.snapshot import SnapshotStore
 from hilserver.image import ImageReader
 from hilserver.image.shared_file import SharedFile, path_of
+from hilserver.image.state_request import take_request
 
 PATIENCE_S = 30.0
 MARGIN_FRAMES = 128
@@ -84,3 +87,28 @@ def _is_left_behind(path: Path, fd: int) -> bool:
             return False
         path.unlink(missing_ok=True)
     return True
+
+
+_log = structlog.get_logger(__name__)
+
+
+class StateService:
+    """Looks for requests and has the plant copy its state; see `image.state_request`."""
+
+    def __init__(self, snapshots: SnapshotStore, image: str) -> None:
+        self._snapshots, self._image = snapshots, image
+        self._task: asyncio.Task[int] | None = None
+
+    def serve(self) -> None:
+        """Begin to serve a request, if there is one; called by the supervise slice."""
+        if self._task is not None and not self._task.done():
+            return
+        self._task = None
+        if take_request(self._image):
+            self._task = asyncio.create_task(self._snapshots.capture(), name="capture state")
+            self._task.add_done_callback(_tell)
+
+
+def _tell(task: asyncio.Task[int]) -> None:
+    if not task.cancelled() and (error := task.exception()) is not None:
+        _log.warning("no state for the recorder", error=str(error))

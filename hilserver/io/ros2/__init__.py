@@ -6,8 +6,7 @@ publishes, listens and serves what a flavour of `hilserver.ros.flavours` lists.
 
 from collections.abc import Iterator
 
-from hilserver.io.part import Part
-from hilserver.io.world import World
+from hilserver.io.world import Part, World
 
 
 def parts(world: World) -> Iterator[Part]:

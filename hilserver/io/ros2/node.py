@@ -15,13 +15,12 @@ import structlog
 from hilserver.config.ros2 import Ros2Config
 from hilserver.faults.links import Lane, Line
 from hilserver.io.link_status import LinkState, PeerStatus
-from hilserver.io.part import Part
 from hilserver.io.ros2.parameters import ParameterServices
 from hilserver.io.ros2.participant import Arrival, In, Out, Participant
 from hilserver.io.ros2.services import Service
 from hilserver.io.ros2.wire import WireTypes
 from hilserver.io.source import Source
-from hilserver.io.world import World
+from hilserver.io.world import Part, World
 from hilserver.program import event_loop
 from hilserver.ros.flavours import DESCRIPTION, FLAVOURS, Published, Served, Subscribed
 from hilserver.ros.robot import Odometer, Robot

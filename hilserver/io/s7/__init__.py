@@ -1,13 +1,12 @@
 """S7 communication (put and get over ISO on TCP): blocks of ours, and controllers as peers.
 
-`wire` are messages as bytes, `values` what stands in them; `server` answers, `blocks` are what it
-answers from, `link` is the part; `connection` asks, `peer` is the part.
+`wire` are messages as bytes, `blocks` what stands in them; `server` answers, `link` is the part;
+`connection` asks, `peer` is the part.
 """
 
 from collections.abc import Iterator
 
-from hilserver.io.part import Part
-from hilserver.io.world import World
+from hilserver.io.world import Part, World
 
 
 def parts(world: World) -> Iterator[Part]:

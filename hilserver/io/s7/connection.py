@@ -13,8 +13,7 @@ from types import TracebackType
 from typing import NamedTuple, Self
 
 from hilserver.config.s7 import Endpoint
-from hilserver.io.peer_link.errors import LinkLostError, RefusedError
-from hilserver.io.peer_link.samples import FaultKind
+from hilserver.io.peer_link.samples import FaultKind, LinkLostError, RefusedError
 from hilserver.io.s7 import wire
 from hilserver.io.s7.wire import Code, Function, Item, Job, WireError
 

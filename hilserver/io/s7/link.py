@@ -10,13 +10,12 @@ from hilserver.core.inputs import Refusal
 from hilserver.errors import FailedError
 from hilserver.image import Frame
 from hilserver.io.link_status import LinkState, PeerStatus
-from hilserver.io.part import Part
 from hilserver.io.peer_link.samples import FaultKind
 from hilserver.io.s7.blocks import blocks_of
 from hilserver.io.s7.server import Answers, Server
 from hilserver.io.s7.wire import Code
 from hilserver.io.source import Source
-from hilserver.io.world import World
+from hilserver.io.world import Part, World
 
 CODES: Final[Mapping[Refusal, Code]] = {Refusal.TYPE_MISMATCH: Code.UNFIT}
 """How a refusal is answered; the others are no matter of the address: denied."""

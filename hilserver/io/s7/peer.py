@@ -10,11 +10,11 @@ from hilserver.config.s7 import Endpoint, Place
 from hilserver.config.s7_peer import Block
 from hilserver.faults.links import Lane
 from hilserver.image.status import is_bad
-from hilserver.io.peer_link.faulty_intake import FaultyIntake
+from hilserver.io.peer_link.intake import FaultyIntake
 from hilserver.io.peer_link.link import Peer
 from hilserver.io.peer_link.samples import FaultKind, judge_value
+from hilserver.io.s7.blocks import COUNTING, check_type, packed, unpacked
 from hilserver.io.s7.connection import AnswerError, Connection, Run
-from hilserver.io.s7.values import COUNTING, check_type, packed, unpacked
 from hilserver.io.s7.wire import Item
 from hilserver.period import every
 from hilserver.signals import SignalTable

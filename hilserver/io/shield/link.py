@@ -19,14 +19,13 @@ from hilserver.core.staleness import Transition
 from hilserver.errors import FailedError
 from hilserver.image import Row
 from hilserver.io.link_status import LinkState
-from hilserver.io.part import Part
 from hilserver.io.shield import words as w
 from hilserver.io.shield.device import Device, ShieldFault
 from hilserver.io.shield.line import Line, open_device, open_pseudo_terminal
 from hilserver.io.shield.protocol import BYTE_NS, REQUEST_BYTES, RESPONSE_BYTES, Request
 from hilserver.io.shield.status import NAME, ShieldStatus
 from hilserver.io.source import Source
-from hilserver.io.world import World
+from hilserver.io.world import Part, World
 from hilserver.scheduler.realtime import Grant, RealtimeSettings, request_for_this_thread
 
 WATCH_S = 0.02

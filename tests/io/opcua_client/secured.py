@@ -13,7 +13,7 @@ from cryptography import x509
 from hilserver.config.peers import PeerConfig
 from hilserver.config.server import OpcUaConfig
 from hilserver.io.opcua_client import LinkSecurity
-from hilserver.io.peer_link import errors as peer_errors
+from hilserver.io.peer_link import samples as peer_errors
 from hilserver.opcua.certificate import (
     make_certificate,
     to_der,

@@ -14,7 +14,7 @@ from asyncua import Server, ua
 from hilserver.config.server import OpcUaConfig
 from hilserver.errors import ConfigError
 from hilserver.io.opcua_client import session
-from hilserver.io.peer_link import errors as peer_errors
+from hilserver.io.peer_link import samples as peer_errors
 from hilserver.opcua.access import Access
 from hilserver.opcua.certificate import (
     key_to_pem,

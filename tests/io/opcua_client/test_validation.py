@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from hilserver.io.opcua_client.link import PeerLink
 from hilserver.io.opcua_client.validation import judge
 from hilserver.io.opcua_client.writer import variant
-from hilserver.io.peer_link.errors import LinkLostError
 from hilserver.io.peer_link.link import Backoff
-from hilserver.io.peer_link.samples import FaultKind, SequenceWatch
+from hilserver.io.peer_link.samples import FaultKind, LinkLostError, SequenceWatch
 
 
 def sample(value: object, kind: ua.VariantType | None = None, status: int = 0) -> ua.DataValue:

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hilserver.io.opcua_server.method_table import METHODS, STRING
-from hilserver.io.page.arguments import WrongTypeError, check, fit
+from hilserver.io.page.calls import WrongTypeError, check, fit
 from hilserver.io.page.hand import RefusedError, _arguments
 
 SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.just("\ud800")
