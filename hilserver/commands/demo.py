@@ -32,15 +32,8 @@ async def running_controller(
 ) -> AsyncIterator[str]:
     """Run the controller for `robot` while the context lasts; give its endpoint.
 
-    Parameters
-    ----------
-    pattern : str
-        ``eight``, or ``wheels``: each wheel alone, as `hilserver wiring` asks for.
-
-    Raises
-    ------
-    FailedError
-        If it does not come up.
+    `pattern`: ``eight``, or ``wheels``: each wheel alone, as `hilserver wiring` asks for.
+    FailedError if it does not come up.
     """
     command = children.python(
         "-m",

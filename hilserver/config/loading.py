@@ -39,10 +39,7 @@ _SECTIONS = ("model_type", "dict_type", "tuple_type", "list_type")
 def load(path: Path, model: type[Model], most_bytes: int = MAX_BYTES) -> Model:
     """Read, parse and validate a configuration file of `most_bytes`.
 
-    Raises
-    ------
-    ConfigError
-        One line per complaint: file, line, key, what is wrong and what to write instead.
+    ConfigError: one line per complaint: file, line, key, what is wrong and what to write instead.
     """
     root = _parse(path, most_bytes)
     data = _construct(path, root)

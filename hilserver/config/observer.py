@@ -111,13 +111,7 @@ class Found(_Read):
 
 
 def load_found(path: Path) -> Found:
-    """Read findings.json.
-
-    Raises
-    ------
-    ConfigError
-        One sentence with file, key and remedy.
-    """
+    """Read findings.json; ConfigError: one sentence with file, key and remedy."""
     try:
         if path.stat().st_size > MOST_READ_BYTES:
             raise ConfigError(f"{path}: is larger than {MOST_READ_BYTES} bytes: no findings.json")

@@ -186,6 +186,8 @@ def to_parameters(
 ) -> RobotParameters:
     """Return the robot that the three sections describe.
 
+    PlantError when a slice is unknown or the robot cannot run with these values.
+
     Parameters
     ----------
     plant, kinematics, sensors : models
@@ -194,11 +196,6 @@ def to_parameters(
         Period of every slice [s], by name.
     folder : Path, optional
         Folder of the configuration file, where the hall's path starts; the working directory.
-
-    Raises
-    ------
-    PlantError
-        When a slice is unknown or the robot cannot run with these values.
     """
 
     def part(key: str) -> dict[str, Any]:

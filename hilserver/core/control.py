@@ -150,7 +150,7 @@ class Control:
         if self._causes:
             raise ControlRefused(f"Reset has to wait: {'; '.join(self._causes.values())}")
         self._gate.end()
-        self._image.control.fault = 0
+        self._image.control.first_fault = 0
         self._image.control.stop_acknowledged = self._stop_taken
         self._image.push([Row(self._table.slot("drive.enable"), 1.0)])
 
@@ -178,10 +178,7 @@ class Control:
     def align_pose(self) -> None:
         """Put the robot where the measured one is (shadow mode).
 
-        Raises
-        ------
-        ControlRefused
-            While no measured pose comes in.
+        ControlRefused while no measured pose comes in.
         """
         pose = self._measured_pose()
         if pose is None:
@@ -215,5 +212,5 @@ class Control:
     def supervise(self) -> None:
         """Take over what the plant has acted on already."""
         self._take_stop()
-        if code := self._image.control.fault:
+        if code := self._image.control.first_fault:
             self.enter_safe(fault_of(code).text, cause=None)

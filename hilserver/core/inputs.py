@@ -289,15 +289,12 @@ class InputGate:
     def take(self, kind: str, holder: object = None) -> None:
         """Give control to the sources of `kind`, or to nobody.
 
+        ControlRefused if `kind` is unknown, or the plant does not take more.
+
         Parameters
         ----------
         holder : object
             Whose it is; when that is `gone`, control goes on.
-
-        Raises
-        ------
-        ControlRefused
-            If `kind` is unknown, or the plant does not take more.
         """
         if kind not in (*self.priority, NOBODY):
             known = ", ".join(self.priority)

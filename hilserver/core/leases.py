@@ -27,10 +27,8 @@ class Lapse(NamedTuple):
 class Leases:
     """Places in the image's region for sources, by name; a kind of sources shares a row.
 
-    Parameters
-    ----------
-    ramp_ticks : int
-        In which the set-points go to zero when control changes hands, and in the safe state.
+    `ramp_ticks`: in which the set-points go to zero when control changes hands, and in the safe
+    state.
     """
 
     def __init__(self, image: ProcessImage, ramp_ticks: int = 0) -> None:

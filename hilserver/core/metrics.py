@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from typing import Final, NamedTuple
 
 from hilserver.core.inputs import InputGate
-from hilserver.metrics import Kind, Metric, Row, by_name, counter
+from hilserver.metrics import Metric, Row, by_name, counter
 from hilserver.signals import State
 
 MAX_SOURCES: Final = 16  # sources whose age is exported; anybody may write under a name of his own
@@ -35,7 +35,6 @@ def _states(now: State) -> Iterator[Row]:
 STATE_METRICS: Final[tuple[Metric[State], ...]] = (
     Metric(
         "hil_state",
-        Kind.GAUGE,
         "1 for the state the daemon is in, 0 for the others.",
         ("state",),
         _states,
@@ -45,7 +44,6 @@ STATE_METRICS: Final[tuple[Metric[State], ...]] = (
 PARAMETER_METRICS: Final[tuple[Metric[int], ...]] = (
     Metric(
         "hil_parameters_changed",
-        Kind.GAUGE,
         "Parameters that differ from the configuration.",
         (),
         lambda now: [((), float(now))],
@@ -55,14 +53,12 @@ PARAMETER_METRICS: Final[tuple[Metric[int], ...]] = (
 INPUT_METRICS: Final[tuple[Metric[Inputs], ...]] = (
     Metric(
         "hil_input_age_seconds",
-        Kind.GAUGE,
         "Age of the newest accepted input of a source.",
         ("source",),
         lambda now: by_name(now.ages_s),
     ),
     Metric(
         "hil_rejected_values_total",
-        Kind.COUNTER,
         "Values refused before the process image, by source and reason.",
         ("source", "reason"),
         lambda now: ((labels, counter(count)) for labels, count in sorted(now.rejected.items())),

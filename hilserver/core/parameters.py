@@ -177,17 +177,12 @@ class LiveParameters:
     ) -> int:
         """Hand checked values, by their full names, to the plant; return the change's number.
 
+        PlantError if they do not fit the others; ControlRefused if the plant does not take more.
+
         Parameters
         ----------
         fitted : ndarray of float64, optional
             Ranges of a patch, see `kernel.fitted`.
-
-        Raises
-        ------
-        PlantError
-            If they do not fit the others.
-        ControlRefused
-            If the plant does not take more.
         """
         if self._snapshots.is_restoring:
             raise ControlRefused("a snapshot is being loaded; ask again")

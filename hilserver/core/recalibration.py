@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from hilserver.errors import ControlRefused
-from hilserver.metrics import Kind, Metric, by_name, counter
+from hilserver.metrics import Metric, by_name, counter
 
 Table = Mapping[str, Mapping[str, float | str | bool | int | None]]
 
@@ -50,7 +50,6 @@ class Figures:
 RECALIBRATION_METRICS: Final[tuple[Metric[Figures], ...]] = (
     Metric(
         "hil_recalibration_looks_total",
-        Kind.COUNTER,
         "Windows that were diagnosed, by what was found.",
         ("verdict",),
         lambda now: (((name,), counter(n)) for name, n in sorted(now.looks.items())),
@@ -65,35 +64,30 @@ RECALIBRATION_METRICS: Final[tuple[Metric[Figures], ...]] = (
     ),
     Metric(
         "hil_recalibration_failures_total",
-        Kind.COUNTER,
         "Windows that could not be judged, and lines of the history that could not be written.",
         (),
         lambda now: [((), counter(now.failures))],
     ),
     Metric(
         "hil_recalibration_proposal_open",
-        Kind.GAUGE,
         "1 while a proposal waits for an engineer, else 0; postponed ones do not count.",
         (),
         lambda now: [((), float(now.waits))],
     ),
     Metric(
         "hil_recalibration_gap_changed",
-        Kind.GAUGE,
         "1 while the gap has left its usual range and no look has followed, else 0.",
         (),
         lambda now: [((), float(now.changed))],
     ),
     Metric(
         "hil_recalibration_looking",
-        Kind.GAUGE,
         "1 while a window is diagnosed, else 0.",
         (),
         lambda now: [((), float(now.is_looking))],
     ),
     Metric(
         "hil_recalibration_effect_ratio",
-        Kind.GAUGE,
         "Gap before by gap after the last proposal that was accepted; above 1: better.",
         ("quantity",),
         lambda now: by_name(now.effect),

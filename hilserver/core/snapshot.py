@@ -68,10 +68,7 @@ class SnapshotStore:
     def reset(self) -> None:
         """Put everything back to the state before the first tick, at tick 0.
 
-        Raises
-        ------
-        ControlRefused
-            While a snapshot is being saved or loaded: both use the shadow copy.
+        ControlRefused while a snapshot is being saved or loaded: both use the shadow copy.
         """
         if self._lock.locked():
             raise ControlRefused("Reset has to wait: a snapshot is being saved or loaded")

@@ -124,17 +124,14 @@ class Assembly:
 def with_models(assembly: Assembly, plant: RealtimeSettings, *, waits: bool) -> Assembly:
     """Return an assembly whose models nobody else steps: the mechatronic one, and FMUs.
 
+    ConfigError if an FMU does not start.
+
     Parameters
     ----------
     plant : RealtimeSettings
         What the plant's thread asks for: models in processes of their own come right behind it.
     waits : bool
         Whether time waits for models in processes of their own: simulated time does.
-
-    Raises
-    ------
-    ConfigError
-        If an FMU does not start.
     """
     composition = assembly.composition
     body = None if composition.body is None else Engine(composition.body.body)

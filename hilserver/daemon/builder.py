@@ -72,19 +72,14 @@ class Pace:
         """Return what the configuration asks for."""
         config, scheduler = assembly.config, assembly.config.scheduler
         least = VIRTUAL_RING if scheduler.backend == "virtual" else 0
-        realtime, timeout_ms = scheduler.realtime, config.control.command_timeout_ms
+        timeout_ms = config.control.command_timeout_ms
         return cls(
             backend=scheduler.backend,
             image=config.image.name,
             ring_frames=max(config.image.ring_frames, least),
             policy=OverrunPolicy(scheduler.policy, scheduler.catch_up_limit),
             limits=overrun_limits(scheduler.limits),
-            realtime=RealtimeSettings(
-                priority=realtime.priority,
-                cpu=realtime.cpu,
-                lock_memory=realtime.lock_memory,
-                hold_latency_target=realtime.hold_latency_target,
-            ),
+            realtime=RealtimeSettings(**scheduler.realtime.model_dump()),
             command_limit_ticks=0
             if timeout_ms is None
             else max(1, round(timeout_ms * 1e6 / assembly.base_period_ns)),

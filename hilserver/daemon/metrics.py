@@ -16,7 +16,7 @@ from hilserver.core.recalibration import RECALIBRATION_METRICS
 from hilserver.faults import metrics as faults
 from hilserver.io.peer_link import metrics as peer_metrics
 from hilserver.io.shield import metrics as shield_metrics
-from hilserver.metrics import US, Kind, Metric, S, by_name, durations
+from hilserver.metrics import US, Metric, S, by_name, durations
 from hilserver.monitoring import audit
 from hilserver.observer import metrics as observer
 from hilserver.scheduler import metrics as scheduler
@@ -32,7 +32,6 @@ class Program(NamedTuple):
 LATENCY_METRICS: Final[tuple[Metric[Histogram125], ...]] = (
     Metric(
         "hil_end_to_end_seconds",
-        Kind.HISTOGRAM,
         "Change of a set-point to the first published output that contains it.",
         (),
         lambda end_to_end: [((), durations(end_to_end))],
@@ -43,7 +42,6 @@ LATENCY_METRICS: Final[tuple[Metric[Histogram125], ...]] = (
 GAP_METRICS: Final[tuple[Metric[Mapping[str, float]], ...]] = (
     Metric(
         "hil_model_gap",
-        Kind.GAUGE,
         "Measured minus simulated value of a channel, in the channel's unit.",
         ("channel",),
         by_name,
@@ -53,7 +51,6 @@ GAP_METRICS: Final[tuple[Metric[Mapping[str, float]], ...]] = (
 ALARM_METRICS: Final[tuple[Metric[Mapping[str, float]], ...]] = (
     Metric(
         "hil_model_gap_alarm",
-        Kind.GAUGE,
         "1 while the gap of a channel exceeds shadow.limits, else 0.",
         ("channel",),
         by_name,
@@ -63,7 +60,6 @@ ALARM_METRICS: Final[tuple[Metric[Mapping[str, float]], ...]] = (
 OUTPUT_METRICS: Final[tuple[Metric[Mapping[str, float]], ...]] = (
     Metric(
         "hil_output",
-        Kind.GAUGE,
         "Newest pose, wheel speeds and gap of the body; the unit ends the name.",
         ("signal",),
         by_name,
@@ -73,14 +69,12 @@ OUTPUT_METRICS: Final[tuple[Metric[Mapping[str, float]], ...]] = (
 PROGRAM_METRICS: Final[tuple[Metric[Program], ...]] = (
     Metric(
         "hil_asyncio_tasks",
-        Kind.GAUGE,
         "Tasks of the event loop that have not ended; without a change in clients it stays flat.",
         (),
         lambda now: [((), float(now.tasks))],
     ),
     Metric(
         "hil_build_info",
-        Kind.GAUGE,
         "Always 1; the labels name the running program, its kernels and its configuration.",
         ("version", "python", "kernel", "config"),
         lambda now: [(_build(now.config), 1.0)],

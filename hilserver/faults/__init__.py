@@ -4,9 +4,9 @@
 ends and lists them; `links` holds those of peer links, `scenario` the timed ones of a file.
 """
 
-from hilserver.faults.book import ActiveFault, Faults
+from hilserver.faults.book import Faults
 from hilserver.faults.links import Line
 from hilserver.faults.model import Fault
 from hilserver.faults.scenario import Play, Scenario, load_scenario
 
-__all__ = ["ActiveFault", "Fault", "Faults", "Line", "Play", "Scenario", "load_scenario"]
+__all__ = ["Fault", "Faults", "Line", "Play", "Scenario", "load_scenario"]

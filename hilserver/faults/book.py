@@ -67,15 +67,8 @@ class Faults:
     def inject(self, *faults: object, start_tick: int | None = None) -> list[str]:
         """Inject faults, all in the same tick; return their names.
 
-        Parameters
-        ----------
-        start_tick : int or None
-            Tick from which their times count; None: the next one.
-
-        Raises
-        ------
-        ValueError
-            One sentence; then none of them was injected.
+        `start_tick`: tick from which their times count; None: the next one. ValueError: one
+        sentence; then none of them was injected.
         """
         parsed = [parse_fault(fault) for fault in faults]
         commands: list[Command] = []

@@ -3,12 +3,11 @@
 from collections.abc import Mapping
 from typing import Final
 
-from hilserver.metrics import Kind, Metric, by_name
+from hilserver.metrics import Metric, by_name
 
 METRICS: Final[tuple[Metric[Mapping[str, float]], ...]] = (
     Metric(
         "hil_faults",
-        Kind.GAUGE,
         "Faults at work and signals that are forced, by kind: injected or forced.",
         ("kind",),
         by_name,

@@ -65,15 +65,8 @@ class Planner:
     def entries(self, fault: Fault, start_tick: int | None) -> list[Entry]:
         """Return the modifiers of a fault on signals or on the shield.
 
-        Parameters
-        ----------
-        start_tick : int or None
-            Tick from which the fault's times count; None: the one in which it arrives.
-
-        Raises
-        ------
-        ValueError
-            One sentence about what does not fit.
+        `start_tick`: tick from which the fault's times count; None: the one in which it arrives.
+        ValueError: one sentence about what does not fit.
         """
         if fault.signal is None:
             found = self._defects[fault.fault](fault)

@@ -83,10 +83,7 @@ def load_fmu_block(
 ) -> tuple[BlockDeclaration, FmuModel]:
     """Return the block that an FMU is, and what starts it; arguments as in the configuration.
 
-    Raises
-    ------
-    BlockError
-        One sentence: what is wrong with the FMU, or what it has not.
+    BlockError: one sentence: what is wrong with the FMU, or what it has not.
     """
     fmu = read_fmu(reference, base_dir)
     wiring = wire(fmu, inputs, outputs, start)

@@ -67,6 +67,8 @@ _LIBM: Final = (
 def translate(listing: str, entry: str, name: str) -> str:
     """Return C source for a function of a listing of LLVM and all that it calls.
 
+    FailedError if there is an operation that no kernel of the plant has had so far.
+
     Parameters
     ----------
     listing : str
@@ -75,11 +77,6 @@ def translate(listing: str, entry: str, name: str) -> str:
         The function, as the listing names it.
     name : str
         What it is called in C.
-
-    Raises
-    ------
-    FailedError
-        If there is an operation that no kernel of the plant has had so far.
     """
     listed = re.findall(r"^define ([^\n]*)\{\n(.*?)^\}", listing, re.DOTALL | re.MULTILINE)
     functions = {match(rf".*?@({NAME})\(", head)[0]: (head, body) for head, body in listed}

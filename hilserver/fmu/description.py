@@ -120,15 +120,8 @@ class Fmu:
 def read_fmu(reference: str, base_dir: Path) -> Fmu:
     """Return the FMU of a file, unpacked.
 
-    Parameters
-    ----------
-    reference : str
-        As the configuration names it, relative to `base_dir`.
-
-    Raises
-    ------
-    BlockError
-        One sentence: no FMU, no co-simulation, not for this computer, needs what we lack.
+    `reference`: as the configuration names it, relative to `base_dir`. BlockError: one sentence: no
+    FMU, no co-simulation, not for this computer, needs what we lack.
     """
     path = (base_dir / reference).resolve()
     try:

@@ -60,19 +60,15 @@ def export(
 ) -> None:
     """Write the FMU of a robot.
 
+    ConfigError if the robot has parts that an FMU cannot have; FailedError if a compiler is missing
+    or fails.
+
     Parameters
     ----------
     composition, robot, base_period_ns
         Of an assembly.
     version : int
         2 or 3.
-
-    Raises
-    ------
-    ConfigError
-        If the robot has parts that an FMU cannot have.
-    FailedError
-        If a compiler is missing or fails.
     """
     _check(composition, platforms)
     tunable = tunables(robot)

@@ -54,6 +54,8 @@ def wire(
 ) -> Wiring:
     """Find the variables that a configuration names.
 
+    BlockError if one is not there, or cannot be that.
+
     Parameters
     ----------
     inputs : mapping of str
@@ -63,11 +65,6 @@ def wire(
         their own names.
     start : mapping
         Variable: value.
-
-    Raises
-    ------
-    BlockError
-        If one is not there, or cannot be that.
     """
     taken = [_whole(fmu, name) for name in inputs]
     for name, variable in zip(inputs, taken, strict=True):

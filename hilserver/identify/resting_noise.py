@@ -30,15 +30,8 @@ class ChannelNoise:
 def identify_noise(log: MeasuredLog, *, everywhere: bool = False) -> list[ChannelNoise]:
     """Fit white + Ornstein-Uhlenbeck noise with tails to every measured channel.
 
-    Parameters
-    ----------
-    everywhere : bool
-        Take the whole log: its values are errors already, or the robot stood all the time.
-
-    Raises
-    ------
-    LogError
-        When the robot never stands still for 5 s.
+    `everywhere`: take the whole log: its values are errors already, or the robot stood all the
+    time. LogError when the robot never stands still for 5 s.
     """
     found = []
     for name, channel in sorted(log.channels.items()):

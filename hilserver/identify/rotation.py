@@ -133,17 +133,14 @@ def identify_rotation(
 ) -> RotationGain:
     """Identify K_om.
 
+    LogError without wheel speeds of both sides, without a yaw rate, or without turning.
+
     Parameters
     ----------
     zone_rpm : float
         A wheel this near its set-point is steady ...
     settle_s : float
         ... once it has been so for this long: a late sensor still shows the change.
-
-    Raises
-    ------
-    LogError
-        Without wheel speeds of both sides, without a yaw rate, or without turning.
     """
     channel = next((name for name in YAW_RATES if name in log), None)
     if channel is None:

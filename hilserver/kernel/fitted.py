@@ -91,10 +91,7 @@ def _is_outside(row: int, outputs: int, values: Any) -> bool:
 def flag_unfitted(limits: int, values: Any, words: Any) -> None:
     """Set to Uncertain what a patch was not fitted for in this tick.
 
-    Parameters
-    ----------
-    limits : int
-        Base of the region with the ranges, see `fitted_limits`.
+    `limits`: base of the region with the ranges, see `fitted_limits`.
     """
     if values[limits] == 0.0:
         return

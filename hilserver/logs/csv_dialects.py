@@ -37,15 +37,7 @@ def with_points(
 ) -> Iterator[list[str]]:
     """Yield the rows of a file without separating commas; numbers that are read have points.
 
-    Parameters
-    ----------
-    dates : str or None
-        A column without numbers.
-
-    Raises
-    ------
-    LogError
-        If the file has both marks.
+    `dates`: a column without numbers. LogError if the file has both marks.
     """
     used, places = "", [place for place in table.read if table.header[place] != dates]
     for row in reader:

@@ -75,6 +75,8 @@ def read_table(
 ) -> Table:
     """Read the numbers of a CSV file.
 
+    LogError: one sentence that names file, row, column and remedy.
+
     Parameters
     ----------
     names : optional
@@ -87,11 +89,6 @@ def read_table(
         Columns to read; whatever stands in the others does not matter. None: all with a name.
     dated : bool
         The column of times holds dates; they are read as nanoseconds.
-
-    Raises
-    ------
-    LogError
-        One sentence that names file, row, column and remedy.
     """
     clean = None if dated else parse_clean(path.read_bytes())
     if clean is not None:

@@ -1,4 +1,4 @@
-"""What a metric is: name, kind, help, labels, and the function that reads it.
+"""What a metric is: name, help, labels, and the function that reads it.
 
 Every room declares its own as plain rows beside the code that feeds them. Nothing here knows a
 client library: `hilserver.monitoring` turns rows into what Prometheus reads.
@@ -47,7 +47,6 @@ class Metric(Generic[Figures]):
     """One metric."""
 
     name: str  # ends in its unit, counters in ``_total``. A metric never changes its meaning
-    kind: Kind
     help: str
     labels: tuple[str, ...]
     # yields rows from the figures of its source; a counter's or histogram's value is a `Reading`.
@@ -56,6 +55,13 @@ class Metric(Generic[Figures]):
     # smallest and largest exported bucket bound [ns] of a histogram; both are 1-2-5 bounds. What
     # lies outside is counted in the first bucket and in ``+Inf``
     range_ns: tuple[int, int] = (0, 0)
+
+    @property
+    def kind(self) -> Kind:
+        """What it is to Prometheus: a histogram has a range, a counter's name says it."""
+        if any(self.range_ns):
+            return Kind.HISTOGRAM
+        return Kind.COUNTER if self.name.endswith("_total") else Kind.GAUGE
 
     @property
     def bound_indices(self) -> range:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from hilserver.metrics import Kind, Metric, by_name
+from hilserver.metrics import Metric, by_name
 
 if TYPE_CHECKING:
     from hilserver.scheduler import Scheduler
@@ -168,7 +168,6 @@ CHECKS: tuple[Callable[[Path], AuditItem], ...] = (
 METRICS: Final[tuple[Metric[Mapping[str, float]], ...]] = (
     Metric(
         "hil_audit_ok",
-        Kind.GAUGE,
         "1 where the system fulfils an item of the real-time audit.",
         ("item",),
         by_name,

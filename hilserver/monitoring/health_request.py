@@ -34,11 +34,8 @@ class Request:
 def parse_request(head: bytes, names: Collection[str] = ("localhost",)) -> Request:
     """Parse everything up to and including the empty line; raise `RefusedRequestError`.
 
-    Parameters
-    ----------
-    names : collection of str
-        Host names, in lower case, that requests may call us by; IP addresses always may. A page
-        in a browser reaches a server on loopback under a name of its own (DNS rebinding).
+    `names`: host names, in lower case, that requests may call us by; IP addresses always may. A
+    page in a browser reaches a server on loopback under a name of its own (DNS rebinding).
     """
     request_line, *header_lines = head.removesuffix(b"\r\n\r\n").split(b"\r\n")
     match = _REQUEST_LINE.fullmatch(request_line)

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.metrics import Kind, Metric, counter
+from hilserver.metrics import Metric, counter
 from hilserver.observer.layout import N_HEAD, Head
 
 _SAMPLES: Final = ("accepted", "rejected", "late")
@@ -30,14 +30,12 @@ def counted(numbers: NDArray[np.float64]) -> Counted:
 METRICS: Final[tuple[Metric[Sequence[Counted]], ...]] = (
     Metric(
         "hil_observer_samples_total",
-        Kind.COUNTER,
         "Samples of the navigation: accepted, rejected as outliers, or too late to be taken in.",
         ("outcome",),
         lambda all_: [((name,), counter(n)) for one in all_ for name, n in one.samples.items()],
     ),
     Metric(
         "hil_observer_readmitted_total",
-        Kind.COUNTER,
         "Times that the robot was found elsewhere than the observer had it.",
         (),
         lambda all_: [((), counter(one.readmitted)) for one in all_],

@@ -127,6 +127,8 @@ async def identify(
 ) -> RoleUser:
     """Return the user that a token names.
 
+    ServiceError: BadIdentityTokenRejected, BadIdentityTokenInvalid or BadUserAccessDenied.
+
     Parameters
     ----------
     is_encrypted : bool
@@ -135,11 +137,6 @@ async def identify(
         Decrypts a password that is encrypted itself.
     nonce : bytes
         What we gave the client last; an encrypted password must contain it.
-
-    Raises
-    ------
-    ServiceError
-        BadIdentityTokenRejected, BadIdentityTokenInvalid or BadUserAccessDenied.
     """
     is_empty = token is None or (
         isinstance(token, ua.ExtensionObject) and token.TypeId == ua.NodeId(ua.ObjectIds.Null)

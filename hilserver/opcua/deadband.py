@@ -71,10 +71,7 @@ def change_filter(
 ) -> ChangeFilter:
     """Return the filter that a client asks for.
 
-    Raises
-    ------
-    RefusedError
-        BadFilterNotAllowed or BadDeadbandFilterInvalid.
+    RefusedError: BadFilterNotAllowed or BadDeadbandFilterInvalid.
     """
     if asked is None or _is_empty(asked):
         return ChangeFilter()

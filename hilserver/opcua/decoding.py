@@ -40,10 +40,7 @@ _left = [math.inf]
 def within_bounds(decode: Callable[[], T]) -> T:
     """Decode something that a client of ours has sent; what our own peers send has no bound.
 
-    Raises
-    ------
-    ServiceError
-        BadEncodingLimitsExceeded, or BadDecodingError whatever else is wrong.
+    ServiceError: BadEncodingLimitsExceeded, or BadDecodingError whatever else is wrong.
     """
     _left[0] = MAX_DECODED
     try:

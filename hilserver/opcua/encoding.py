@@ -99,10 +99,7 @@ class FixedDataValue(ua.DataValue):  # type: ignore[misc]
     def encoded(self, stamps: int) -> bytes:
         """Return the bytes of the value with the time stamps that are asked for.
 
-        Parameters
-        ----------
-        stamps : int
-            Number of a TimestampsToReturn.
+        `stamps`: number of a TimestampsToReturn.
         """
         found = self._encoded.get(stamps)
         if found is None:
@@ -206,10 +203,7 @@ class Head(NamedTuple):
 def request_head(body: Buffer, token: bytes) -> Head | None:
     """Take the header of a request that carries `token` off `body`; None if it looks otherwise.
 
-    Parameters
-    ----------
-    token : bytes
-        Encoded authentication token of the session.
+    `token`: encoded authentication token of the session.
     """
     start = body.cur_pos
     end = start + len(token)

@@ -65,11 +65,8 @@ class ValueItem(_Item):
     def sample(self, value: ua.DataValue, now_s: float, slack_s: float = 0.0) -> bool:
         """Take what stands at the place if it is due and news; return whether it was queued.
 
-        Parameters
-        ----------
-        slack_s : float
-            It is due so much earlier, and at most half its interval, so that what falls together
-            with the publishing interval falls into every one of them [s].
+        `slack_s`: it is due so much earlier, and at most half its interval, so that what falls
+        together with the publishing interval falls into every one of them [s].
         """
         if self.interval_s:
             now_s += min(slack_s, self.interval_s / 2)

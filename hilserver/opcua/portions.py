@@ -30,10 +30,7 @@ _COUNT_BYTES = 4
 def decoded(kind: type, body: Buffer, most: int) -> Portions:
     """Decode the parameters of a service, whose last field is the list of its operations.
 
-    Raises
-    ------
-    ServiceError
-        BadTooManyOperations, or BadDecodingError whatever is wrong with them.
+    ServiceError: BadTooManyOperations, or BadDecodingError whatever is wrong with them.
     """
     *first, (name, element) = _layout(kind)
     values: dict[str, Any] = {n: _take(t, body) for n, t in first}

@@ -35,10 +35,7 @@ class RefusedError(Exception):
 def find(address_space: Any, node_id: Any, attribute: int) -> Any:
     """Return the place where an attribute stands.
 
-    Raises
-    ------
-    RefusedError
-        BadNodeIdUnknown or BadAttributeIdInvalid.
+    RefusedError: BadNodeIdUnknown or BadAttributeIdInvalid.
     """
     node = address_space.get(node_id)
     if node is None:

@@ -47,17 +47,14 @@ _POLICY_TYPES: dict[Policy, ua.SecurityPolicyType] = {
 class HardenedServer(Server):  # type: ignore[misc]
     """asyncua's server on our socket side, with our sessions and subscriptions.
 
+    ConfigError if certificate or key are missing or cannot be used.
+
     Parameters
     ----------
     settings : OpcUaSettings, optional
         By default open on loopback.
     folder : Path, optional
         Folder that relative paths of the settings start from; the working directory by default.
-
-    Raises
-    ------
-    ConfigError
-        If certificate or key are missing or cannot be used.
     """
 
     def __init__(self, settings: OpcUaSettings | None = None, folder: Path | None = None) -> None:

@@ -36,11 +36,9 @@ _LEAST_OPERANDS = {
 def compile_where(clause: ua.ContentFilter, types: TypeTree) -> Evaluate:
     """Return a function that tells whether an event passes.
 
-    Raises
-    ------
-    RefusedError
-        BadEventFilterInvalid for what is no tree or too long, BadFilterOperatorUnsupported,
-        BadFilterOperandCountMismatch and BadFilterOperandInvalid for single elements.
+    RefusedError: BadEventFilterInvalid for what is no tree or too long,
+    BadFilterOperatorUnsupported, BadFilterOperandCountMismatch and BadFilterOperandInvalid for
+    single elements.
     """
     elements = clause.Elements or []
     if not elements:

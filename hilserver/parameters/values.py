@@ -100,17 +100,14 @@ def with_values(
 ) -> RobotParameters:
     """Return the robot with other values, checked against each other but for `packing.pack`.
 
+    PlantError if the robot could not run with them: one sentence that names the parameter.
+
     Parameters
     ----------
     values : mapping of float
         By full names of the plant; each as `check` returned it.
     geometric_gain : str
         What null means for `kinematics.rotation_gain`.
-
-    Raises
-    ------
-    PlantError
-        If the robot could not run with them: one sentence that names the parameter.
     """
     changes: dict[str, dict[str, Any]] = {}
     for name, value in values.items():

@@ -117,18 +117,15 @@ def block(
 def load_block(reference: str, base_dir: Path) -> BlockDeclaration:
     """Import, check and compile a block.
 
+    BlockError when module or function are missing, the function is not declared, the declaration is
+    wrong, or the function does not compile: with file and line.
+
     Parameters
     ----------
     reference : str
         ``package.module:function`` or ``path/file.py:function``.
     base_dir : Path
         Where relative paths start: the directory of the configuration file.
-
-    Raises
-    ------
-    BlockError
-        When module or function are missing, the function is not declared, the declaration is
-        wrong, or the function does not compile: with file and line.
     """
     place, colon, name = reference.rpartition(":")
     if not colon or not place or not name:

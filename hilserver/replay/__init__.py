@@ -6,13 +6,12 @@ through the same bits. A log of others brings set-points that hold until its nex
 
 from hilserver.replay.engine import Comparison, Engine
 from hilserver.replay.origin import assembly_of
-from hilserver.replay.plan import Plan, Stretch, plan_exact, plan_inputs
+from hilserver.replay.plan import Plan, plan_exact, plan_inputs
 
 __all__ = [
     "Comparison",
     "Engine",
     "Plan",
-    "Stretch",
     "assembly_of",
     "plan_exact",
     "plan_inputs",

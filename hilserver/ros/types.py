@@ -74,15 +74,12 @@ EVENT_INFO: Final = "service_msgs/msg/ServiceEventInfo"
 class Types:
     """Every type that the daemon speaks.
 
+    ValueError if a field of `widths` does not exist, or its type is none.
+
     Parameters
     ----------
     widths : mapping of str
         Other types of single fields of services: ``SendLighting.command: int32``.
-
-    Raises
-    ------
-    ValueError
-        If a field of `widths` does not exist, or its type is none.
     """
 
     def __init__(self, widths: Mapping[str, str] | None = None) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Final, NamedTuple
 
 from hilserver.compiled.histogram import Histogram125
-from hilserver.metrics import MS, US, Kind, Metric, Reading, Row, S, counter, durations
+from hilserver.metrics import MS, US, Metric, Reading, Row, S, counter, durations
 from hilserver.scheduler.scheduler import Scheduler
 from hilserver.scheduler.statistics import SliceFigures
 
@@ -60,7 +60,6 @@ def _overruns(now: Pace) -> Iterator[Row]:
 METRICS: Final[tuple[Metric[Pace], ...]] = (
     Metric(
         "hil_wake_latency_seconds",
-        Kind.HISTOGRAM,
         "Actual minus planned start of a slice.",
         ("slice",),
         _each(lambda f: Reading(f.latency_counts, f.latency_sum_ns)),
@@ -68,7 +67,6 @@ METRICS: Final[tuple[Metric[Pace], ...]] = (
     ),
     Metric(
         "hil_execution_seconds",
-        Kind.HISTOGRAM,
         "Work of a slice, measured before the wait for the next start.",
         ("slice",),
         _execution,
@@ -76,42 +74,36 @@ METRICS: Final[tuple[Metric[Pace], ...]] = (
     ),
     Metric(
         "hil_wake_jitter_seconds",
-        Kind.GAUGE,
         "Standard deviation of the wake latency over the last window.",
         ("slice",),
         _each(lambda f: f.window.deviation_ns / S),
     ),
     Metric(
         "hil_margin_min_seconds",
-        Kind.GAUGE,
         "Smallest deadline minus end since the last reset of the statistics; positive is good.",
         ("slice",),
         _each(_margin_s),
     ),
     Metric(
         "hil_overruns_total",
-        Kind.COUNTER,
         "Ticks that ended after their deadline, by cause: late_wake or long_run.",
         ("slice", "cause"),
         _overruns,
     ),
     Metric(
         "hil_missed_ticks_total",
-        Kind.COUNTER,
         "Planned starts that were skipped.",
         ("slice",),
         _each(lambda f: counter(f.missed_ticks)),
     ),
     Metric(
         "hil_realtime_factor",
-        Kind.GAUGE,
         "Simulated time over wall time, rolling; 1 is real time.",
         (),
         lambda now: [((), now.realtime_factor)],
     ),
     Metric(
         "hil_gc_pause_seconds",
-        Kind.HISTOGRAM,
         "Pauses of the garbage collector.",
         (),
         lambda now: [((), durations(now.gc_pauses))],

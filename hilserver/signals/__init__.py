@@ -9,7 +9,6 @@ later one wins whatever form it had.
 from hilserver.signals.robot import BlockOutput, Ranges, robot_table
 from hilserver.signals.table import Direction, Signal, SignalTable, ValueType
 from hilserver.signals.vocabulary import (
-    COLOURS,
     LIGHTS,
     MEASURED,
     RANGE_FINDERS,
@@ -21,7 +20,6 @@ from hilserver.signals.vocabulary import (
 )
 
 __all__ = [
-    "COLOURS",
     "LIGHTS",
     "MEASURED",
     "RANGE_FINDERS",

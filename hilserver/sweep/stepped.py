@@ -175,7 +175,7 @@ class _Watch:
             self._take(frames.ticks, frames.values)
         if self.is_complete:
             self.over.set()
-        elif code := image.control.fault:
+        elif code := image.control.first_fault:
             self._fail(f"{fault_of(code).text}; {self.place}")
         elif control.state not in (State.PAUSED, State.STOPPING):
             self._fail(

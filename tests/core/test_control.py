@@ -227,7 +227,7 @@ def test_a_fault_of_the_paced_loop_is_taken_over(world):
     assert world.control.state is State.SAFE
     assert "consecutive overruns" in world.control.reason
     world.control.reset()
-    assert world.image.control.fault == 0
+    assert world.image.control.first_fault == 0
 
 
 def test_reset_outside_the_safe_state_starts_the_simulation_anew(world):

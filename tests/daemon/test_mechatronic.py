@@ -154,8 +154,8 @@ async def test_a_bad_state_is_the_safe_state_and_says_so():
         values, _ = core.image.region("body")
         Motion.of(values).velocity[0] = np.nan
         await core.scheduler.advance(10)
-        assert core.image.control.fault == faults.SLICE + faults.BODY
-        assert "mechatronic" in faults.fault_of(core.image.control.fault).text
+        assert core.image.control.first_fault == faults.SLICE + faults.BODY
+        assert "mechatronic" in faults.fault_of(core.image.control.first_fault).text
         assert status(core, "mech.x_m") == BAD_OUT_OF_SERVICE
         assert np.all(np.isfinite(core.image.latest().values))
         assert status(core, "sim.tick") == GOOD

@@ -48,7 +48,7 @@ class Robot:
 
     @property
     def fault(self):
-        return self.image.control.fault
+        return self.image.control.first_fault
 
 
 @pytest.fixture

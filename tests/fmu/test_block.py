@@ -107,7 +107,7 @@ async def test_an_error_of_its_own_is_a_fault_in_its_own_words(robot, process):
         (news,) = model.look(a)
         assert news == ("FMU 'motor' failed: the bearing is hot", True)
         assert model.look(a) == []
-        r.image.control.fault = 0
+        r.image.control.first_fault = 0
         await r.run(10)
         assert r.fault == 0, "the outputs stay Bad, the robot may drive on"
         r.core.snapshots.reset()

@@ -70,7 +70,7 @@ async def begins_anew(daemon):
     a = daemon.image.region("motor.a")[1]
     await wait_until(lambda: a[A_DEAD] == 0)  # its process was started again
     daemon.control.reset()
-    await wait_until(lambda: daemon.image.control.fault == 0)
+    await wait_until(lambda: daemon.image.control.first_fault == 0)
     assert daemon.control.state is State.RUNNING
     daemon.control.reset()  # back to tick 0, and with it the FMU
     slot = daemon.table.slot("motor.steps")

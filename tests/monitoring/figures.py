@@ -17,8 +17,8 @@ from hilserver.faults import metrics as faults
 from hilserver.io.link_status import PeerStatus
 from hilserver.io.peer_link import metrics as peer_metrics
 from hilserver.io.peer_link.samples import FaultKind
-from hilserver.io.shield import ShieldStatus
 from hilserver.io.shield import metrics as shield_metrics
+from hilserver.io.shield.status import ShieldStatus
 from hilserver.metrics import Source
 from hilserver.monitoring import audit
 from hilserver.observer import metrics as observer

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from hilserver.scheduler import Cause, OverrunLimits, OverrunPolicy, Slice, StopReason
-from hilserver.scheduler.causes import CauseFinder, Evidence, judge
+from hilserver.scheduler import OverrunLimits, OverrunPolicy, Slice, StopReason
+from hilserver.scheduler.causes import Cause, CauseFinder, Evidence, judge
 from hilserver.scheduler.exchange import RECORDS_LOST, Exchange, OverrunRecord, next_record
 from hilserver.scheduler.gc_pauses import GcPauses
 from hilserver.scheduler.law import LATE_WAKE, LONG_RUN

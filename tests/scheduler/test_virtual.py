@@ -5,7 +5,8 @@ import asyncio
 import numpy as np
 import pytest
 
-from hilserver.scheduler import PeerSilentError, Slice
+from hilserver.scheduler import Slice
+from hilserver.scheduler.lockstep import PeerSilentError
 from tests.scheduler.kernels import (
     FAULTS,
     JUMP_TO,

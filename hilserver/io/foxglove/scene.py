@@ -18,10 +18,7 @@ _DARK = fg.Color(r=0.1, g=0.1, b=0.1, a=1.0)
 def scene(hall: NDArray[Any], shape: Shape) -> Any:
     """Return walls in frame ``map`` and the robot in ``base_link``.
 
-    Parameters
-    ----------
-    hall : ndarray of float64, shape (4 n,)
-        Ends x1, y1, x2, y2 of each wall [m].
+    `hall`, shape (4 n,): ends x1, y1, x2, y2 of each wall [m].
     """
     walls = [_wall(*wall) for wall in hall.reshape(-1, 4).tolist()]
     length, width = shape.wheelbase_m + shape.wheel_radius_m, shape.track_m - WHEEL_WIDTH_M

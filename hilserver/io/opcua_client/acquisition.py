@@ -31,10 +31,8 @@ _log = structlog.get_logger(__name__)
 def too_slow(grant: Grant, *, publishing_ms: float, poll_ms: float) -> str:
     """Return in words why what was granted is too slow; empty when it is not.
 
-    Parameters
-    ----------
-    publishing_ms, poll_ms : float
-        The publishing interval asked for and the period polling would have.
+    `publishing_ms` and `poll_ms`: the publishing interval asked for and the period polling would
+    have.
     """
     limit_ms = max(publishing_ms, poll_ms)
     if grant.sampling_ms > max(limit_ms, grant.publishing_ms):

@@ -67,15 +67,8 @@ def variant_type(data_type: ua.NodeId) -> ua.VariantType | None:
 def variant(value: object, kind: ua.VariantType, *, is_bad: bool = False) -> ua.Variant:
     """Return `value` (number, bool or list of them) as the type that the peer's node has.
 
-    Parameters
-    ----------
-    is_bad : bool
-        Its status says that it is none, so that a floating-point number need not be finite.
-
-    Raises
-    ------
-    UnfitError
-        If the type cannot hold it.
+    `is_bad`: its status says that it is none, so that a floating-point number need not be finite.
+    UnfitError if the type cannot hold it.
     """
     fit = _float if kind in _FLOATS else _whole
     if isinstance(value, list | tuple):

@@ -28,10 +28,7 @@ def certificate_refused(
 ) -> RefusedError:
     """Return what is wrong with the certificate that a peer shows.
 
-    Parameters
-    ----------
-    trust_with : str
-        What makes the certificate trusted, ``THUMBPRINT`` stands for its thumbprint.
+    `trust_with`: what makes the certificate trusted, ``THUMBPRINT`` stands for its thumbprint.
     """
     sentence = {
         Verdict.USE: "its certificate may not be used by a server: its key usage forbids it",

@@ -66,17 +66,14 @@ class _Identity:
 class LinkSecurity:
     """Protects the sessions of one peer.
 
+    ConfigError if a file is missing, cannot be used, or can be read by others.
+
     Parameters
     ----------
     opcua : OpcUaSettings
         Names the certificates where the peer's configuration does not.
     folder : Path
         Folder that relative paths start from.
-
-    Raises
-    ------
-    ConfigError
-        If a file is missing, cannot be used, or can be read by others.
     """
 
     def __init__(self, config: PeerConfig, opcua: OpcUaSettings, folder: Path) -> None:
@@ -103,15 +100,8 @@ class LinkSecurity:
     ) -> None:
         """Give `client` all it needs to connect to a peer that is trusted.
 
-        Parameters
-        ----------
-        ask : callable
-            Returns the endpoints of the peer.
-
-        Raises
-        ------
-        RefusedError
-            If the peer does not offer our policy, or its certificate is no good.
+        `ask`: returns the endpoints of the peer. RefusedError if the peer does not offer our
+        policy, or its certificate is no good.
         """
         identity = self._identity
         if identity is not None:

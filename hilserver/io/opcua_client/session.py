@@ -8,7 +8,6 @@ import asyncio
 import contextlib
 import logging
 from collections.abc import Callable, Iterable
-from types import TracebackType
 from typing import Any
 
 from asyncua import Client, ua
@@ -111,12 +110,7 @@ class Session:
                 protocol.transport.abort()
         return endpoints
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, _kind: object, error: object, _trace: object) -> None:
         # On a cancelled task the link is fine and the peer deserves a proper good-bye.
         graceful = error is None or isinstance(error, asyncio.CancelledError)
         await self._close(graceful=graceful and not self._lost.is_set())

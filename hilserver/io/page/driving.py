@@ -84,10 +84,7 @@ class Driving:
     async def take(self, seat: Seat, check: Callable[[], None] = lambda: None) -> None:
         """Give the wheel to `seat`, and control to the page; RefusedError if that may not be.
 
-        Parameters
-        ----------
-        check : callable
-            Raises RefusedError; called when it is its turn, after who was quicker.
+        `check`: raises RefusedError; called when it is its turn, after who was quicker.
         """
         if not seat.browser.hand.rights.drive:
             raise RefusedError("your role does not allow driving")

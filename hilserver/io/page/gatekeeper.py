@@ -29,11 +29,8 @@ HEADERS = {
 class Gatekeeper:
     """Refuses requests that were not meant for this page.
 
-    Parameters
-    ----------
-    host : str
-        Where the page listens. On loopback only its names are answered to, so that no foreign name
-        can be made to point here.
+    `host`: where the page listens. On loopback only its names are answered to, so that no foreign
+    name can be made to point here.
     """
 
     def __init__(self, host: str) -> None:

@@ -25,10 +25,7 @@ OLDEST_NS = 1_000_000_000  # a stamp that makes a sample older than that is wron
 class Intake:
     """Takes the batches of one peer, whoever brought them.
 
-    Parameters
-    ----------
-    utc_ns : callable
-        CLOCK_MONOTONIC [ns] -> UTC [ns].
+    `utc_ns`: CLOCK_MONOTONIC [ns] -> UTC [ns].
     """
 
     def __init__(self, config: PeerConfig, source: Source, utc_ns: Callable[[int], int]) -> None:

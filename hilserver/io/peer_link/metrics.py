@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection, Iterator
 from typing import Final
 
 from hilserver.io.link_status import PeerStatus
-from hilserver.metrics import MS, US, Kind, Metric, Reading, Row, S, counter, durations
+from hilserver.metrics import MS, US, Metric, Reading, Row, S, counter, durations
 
 Peers = Collection[PeerStatus]
 
@@ -25,21 +25,18 @@ def _faults(peers: Peers) -> Iterator[Row]:
 METRICS: Final[tuple[Metric[Peers], ...]] = (
     Metric(
         "hil_peer_connected",
-        Kind.GAUGE,
         "1 while a session with the peer exists and answers.",
         ("peer",),
         _each(lambda peer: float(peer.connected)),
     ),
     Metric(
         "hil_peer_reconnects_total",
-        Kind.COUNTER,
         "Sessions with the peer after the first one.",
         ("peer",),
         _each(lambda peer: counter(peer.reconnects)),
     ),
     Metric(
         "hil_peer_round_trip_seconds",
-        Kind.HISTOGRAM,
         "Heartbeat read of the peer's clock, request to answer.",
         ("peer",),
         _each(lambda peer: durations(peer.round_trip)),
@@ -47,7 +44,6 @@ METRICS: Final[tuple[Metric[Peers], ...]] = (
     ),
     Metric(
         "hil_peer_one_way_latency_seconds",
-        Kind.HISTOGRAM,
         "SourceTimestamp to arrival, corrected by the clock offset, only from stamps that advance.",
         ("peer",),
         _each(lambda peer: durations(peer.one_way)),
@@ -55,7 +51,6 @@ METRICS: Final[tuple[Metric[Peers], ...]] = (
     ),
     Metric(
         "hil_peer_interval_seconds",
-        Kind.HISTOGRAM,
         "Time between two arrivals of data from the peer.",
         ("peer",),
         _each(lambda peer: durations(peer.interval)),
@@ -63,14 +58,12 @@ METRICS: Final[tuple[Metric[Peers], ...]] = (
     ),
     Metric(
         "hil_peer_faults_total",
-        Kind.COUNTER,
         "Wrong data and refusals of a peer by kind, such as NaN with status Good or frozen stamps.",
         ("peer", "kind"),
         _faults,
     ),
     Metric(
         "hil_clock_offset_seconds",
-        Kind.GAUGE,
         "Peer's clock minus ours.",
         ("peer",),
         _each(lambda peer: peer.clock_offset_s),

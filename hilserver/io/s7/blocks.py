@@ -23,10 +23,7 @@ COUNTING: Final = frozenset((ValueType.INT64, ValueType.UINT32))
 def packed(place: Place, value: float, *, wraps: bool = False) -> bytes:
     """Return a value in the type of its place; the nearest that this type has.
 
-    Parameters
-    ----------
-    wraps : bool
-        Whether a whole number that is too large begins anew.
+    `wraps`: whether a whole number that is too large begins anew.
     """
     packer = _PACKERS[place.type]
     if place.type == "BOOL":
@@ -49,10 +46,7 @@ def packed(place: Place, value: float, *, wraps: bool = False) -> bytes:
 def unpacked(place: Place, data: bytes, start: int = 0) -> bool | int | float:
     """Return the value of a place.
 
-    Parameters
-    ----------
-    start : int
-        Byte of the block at which `data` begin.
+    `start`: byte of the block at which `data` begin.
     """
     if place.type == "BOOL":
         return bool(data[place.byte - start] >> place.bit & 1)
@@ -70,13 +64,7 @@ def put(block: bytearray, place: Place, data: bytes, start: int = 0) -> None:
 
 
 def check_type(signal: Signal, kind: str) -> None:
-    """Refuse a type that a signal cannot have.
-
-    Raises
-    ------
-    ConfigError
-        In words.
-    """
+    """Refuse a type that a signal cannot have; ConfigError in words."""
     if (kind == "BOOL") != (signal.type is ValueType.BOOLEAN):
         have = "BOOL" if signal.type is ValueType.BOOLEAN else "a number, as REAL"
         raise ConfigError(f"'{signal.name}' is {have}, not {kind}")

@@ -9,7 +9,6 @@ import asyncio
 import contextlib
 import socket
 from collections.abc import Iterator, Sequence
-from types import TracebackType
 from typing import NamedTuple, Self
 
 from hilserver.config.s7 import Endpoint
@@ -77,23 +76,13 @@ class Connection:
             self._writer.transport.abort()
             raise
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         self._writer.transport.abort()
         with contextlib.suppress(OSError):
             await self._writer.wait_closed()
 
     async def read(self, block: int, start: int, size: int) -> bytes:
-        """Return `size` bytes of a block.
-
-        Raises
-        ------
-        AnswerError, LinkLostError
-        """
+        """Return `size` bytes of a block; AnswerError or LinkLostError."""
         data, step = b"", (self.pdu_bytes - wire.READ_OVERHEAD) // 2 * 2
         for at in range(start, start + size, step):
             item = Item(block, 8 * at, min(step, start + size - at))
@@ -111,9 +100,7 @@ class Connection:
     async def write(self, runs: Sequence[Run]) -> None:
         """Write; what does not fit into one message goes in several, the last bytes first.
 
-        Raises
-        ------
-        AnswerError, LinkLostError
+        AnswerError or LinkLostError.
         """
         for part in parts(runs, self.pdu_bytes):
             items = [run.item for run in part]

@@ -111,17 +111,8 @@ def _handshake(kind: int, to: int, body: bytes) -> bytes:
 async def receive(reader: asyncio.StreamReader, within_s: float | None = None) -> tuple[int, bytes]:
     """Return kind and payload of the next message.
 
-    Parameters
-    ----------
-    within_s : float, optional
-        How long it may take from its first byte to its last.
-
-    Raises
-    ------
-    WireError
-        If it is none.
-    EOFError
-        If there will be none.
+    `within_s`: how long it may take from its first byte to its last. WireError if it is none;
+    EOFError if there will be none.
     """
     first = await reader.readexactly(1)
     try:

@@ -5,8 +5,3 @@ Read the files in the order of a request's way: `line` opens a pseudo-terminal o
 response from the newest frame, `device` does what the request says, `link` runs all of it. What the
 bytes mean stands in `protocol`.
 """
-
-from hilserver.io.shield.link import ShieldLink
-from hilserver.io.shield.status import ShieldStatus
-
-__all__ = ["ShieldLink", "ShieldStatus"]

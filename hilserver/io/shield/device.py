@@ -14,32 +14,16 @@ from hilserver.signals import LIGHTS
 
 MODE_WHEELS, MODE_DUTY = 0, 2
 
-NUMBERS: Final = frozenset(
-    {
-        Command.IMU_WEIGHT,
-        Command.KP,
-        Command.KI,
-        Command.KD,
-        Command.ANTI_WINDUP,
-        Command.INPUT_FILTER,
-        Command.ENCODER_LOW_PASS,
-        Command.GEAR_RATIO,
-        Command.TICKS_PER_REVOLUTION,
-    }
-)
+NUMBERS: Final = {
+    Command.IMU_WEIGHT,
+    *(c for c in Command if Command.KP <= c <= Command.TICKS_PER_REVOLUTION),
+}
 """Commands whose payload is a float to store."""
-FLAGS: Final = frozenset(
-    {
-        Command.PWM_MAX,
-        Command.SEND_RPM,
-        Command.SEND_POSITION,
-        Command.INVERT_ENCODER,
-        Command.LOW_VOLTAGE_CHECK,
-        Command.STALL_CHECK,
-        Command.AUX1,
-        Command.AUX2,
-    }
-)
+FLAGS: Final = {
+    Command.AUX1,
+    Command.AUX2,
+    *(c for c in Command if Command.PWM_MAX <= c <= Command.STALL_CHECK),
+}
 """Commands whose payload begins with a byte to store."""
 MOTION: Final = frozenset({Command.ENABLE, Command.SET_RPM, Command.SET_PWM})
 MOST_FREQUENCY_HZ: Final = 1_000_000

@@ -6,7 +6,7 @@ from typing import Final
 from hilserver.compiled.histogram import N_BUCKETS
 from hilserver.io.shield import words as w
 from hilserver.io.shield.status import ShieldStatus
-from hilserver.metrics import MS, US, Kind, Metric, Reading, Row, counter
+from hilserver.metrics import MS, US, Metric, Reading, Row, counter
 
 Shields = Collection[ShieldStatus]  # one, or none where the shield is not enabled
 
@@ -26,14 +26,12 @@ def _lateness(shields: Shields) -> Iterator[Row]:
 METRICS: Final[tuple[Metric[Shields], ...]] = (
     Metric(
         "hil_shield_requests_total",
-        Kind.COUNTER,
         "Requests of the host on the serial line, by command.",
         ("command",),
         _requests,
     ),
     Metric(
         "hil_shield_lateness_seconds",
-        Kind.HISTOGRAM,
         "Earliest time that the line permits for a response to its write.",
         (),
         _lateness,

@@ -30,7 +30,6 @@ PAYLOAD_BYTES: Final = 8
 RESPONSE_BYTES: Final[dict[Variant, int]] = {"iotbot": 32, "crc": 33}
 BAUD: Final = 115200
 BYTE_NS: Final = 10 * 1_000_000_000 // BAUD + 1  # start, eight bits, stop; never too short
-RPM_STEP: Final = 0.01
 
 
 class Command(IntEnum):
