@@ -43,11 +43,8 @@ class UtcClock:
     def slew(self) -> str | None:
         """Move the anchor towards the system clock; called by the supervise slice.
 
-        Returns
-        -------
-        str or None
-            What is to be said: once, when the system clock has stepped away, as it does on a
-            computer that learns the time after its start.
+        Return what is to be said: once, when the system clock has stepped away, as it does on a
+        computer that learns the time after its start.
         """
         now_ns = self._monotonic_ns()
         error_ns = self._system_utc_ns() - now_ns - self._offset_ns

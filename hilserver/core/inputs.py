@@ -73,7 +73,8 @@ class InputGate:
     Parameters
     ----------
     owner : str
-        Kind of source that commands at the start, one of `SOURCES`.
+        Kind of source that commands at the start, one of `SOURCES`; later the one that has control,
+        or ``nobody``.
     priority : sequence of str
         Kinds of sources, highest priority first; those left out may not command.
     monotonic_ns : callable
@@ -107,7 +108,7 @@ class InputGate:
         self.owner, self.leases = owner, leases
         leases.begin(owner)
         self.priority = tuple(priority)
-        self.may_fall_back = True
+        self.may_fall_back = True  # False by what ended a command; taking control sets it anew
         self._fallback, self._before, self._speaker = fallback, NOBODY, ""
         self._holder: object = None
         self.rejected: Counter[tuple[str, str]] = Counter()
@@ -149,11 +150,6 @@ class InputGate:
             Signals whose values are samples of their own, not those of before; by default all.
         renews : bool
             Whether what the source holds may go on; False while it lacks something.
-
-        Returns
-        -------
-        dict of Refusal
-            The refused signals; empty when all were accepted.
         """
         now_ns = self._now_ns() if received_ns is None else received_ns
         rows, offered, refused = self._sort(source, values)

@@ -83,19 +83,9 @@ class Refused(NamedTuple):
 class LiveParameters:
     """What is in force, or on its way into the step; belongs to the event loop's thread.
 
-    Parameters
-    ----------
-    ahead_ticks : int
-        How far ahead of its tick a scheduled change is packed.
-
-    Attributes
-    ----------
-    table : mapping of Parameter
-        By name.
-    values : mapping of float
-        By name; NaN is null.
-    configured : mapping of float
-        The same of the configuration.
+    All is by name, and NaN is null: `table` has what a parameter is, `values` what is in force,
+    `configured` what the configuration has. `ahead_ticks`: how far ahead of its tick a scheduled
+    change is packed.
     """
 
     def __init__(

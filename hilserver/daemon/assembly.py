@@ -312,10 +312,6 @@ class _Builder:
             raise self._fail(("peers", *problem.location), problem.message)
 
 
-def _ranges(robot: RobotParameters) -> Ranges:
-    return Ranges(*robot.ranges)
-
-
 def _settings(
     config: Config, robot: RobotParameters, blocks: Sequence[BlockUse]
 ) -> dict[str, float]:

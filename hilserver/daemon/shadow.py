@@ -81,7 +81,7 @@ def measured_pose(
     frame: Frame | None,
     parameters: Parameters,
 ) -> Pose | None:
-    """Return the pose of the real robot's centre of mass, or None while it is not measured.
+    """Return x [m], y [m] and yaw [rad] of the real centre of mass, None while not measured.
 
     ``measured.pose.*`` is taken as it is; ``measured.nav.*`` is the tag's, so that its place on the
     robot, and scale and frame of the navigation, are taken off.
@@ -94,11 +94,6 @@ def measured_pose(
         The last one; its status codes say which values are stale.
     parameters : Parameters
         Of the plant, with the terms at work.
-
-    Returns
-    -------
-    tuple of float or None
-        x [m], y [m], yaw [rad].
     """
     if frame is None:
         return None

@@ -17,16 +17,9 @@ _CLEAN = b"0123456789+-.eE,\nnaNifIF"
 def parse_clean(data: bytes) -> tuple[list[str], NDArray[np.float64], str] | None:
     """Return header and numbers of a CSV file, or None where only the strict reader may judge.
 
-    Parameters
-    ----------
-    data : bytes
-        The whole file.
-
-    Returns
-    -------
-    tuple of list of str, ndarray of float64, shape (n_rows, n_columns), and str, or None
-        Empty fields are NaN. Row i stands in line i + 2 of the file. The numbers are the same bits
-        that `float` makes. The last is what separates columns if numbers have decimal commas.
+    The numbers, shape (n_rows, n_columns), are the same bits that `float` makes; empty fields are
+    NaN. Row i stands in line i + 2 of the file. Last comes what separates columns if numbers
+    have decimal commas.
     """
     begin = data.find(b"\n") + 1
     head = data[:begin].rstrip(b"\r\n")

@@ -67,21 +67,12 @@ def decode(kind: type, body: Buffer) -> Any:
 
 
 class Processor:
-    """Processes the messages of one connection, one after the other.
-
-    Attributes
-    ----------
-    is_congested : bool
-        The client does not read what was sent to it.
-    spent_s, waited_s : float
-        Time that the message being processed has taken, and what it has waited for others; counted
-        by who gives us turns [s].
-    """
+    """Processes the messages of one connection, one after the other."""
 
     def __init__(self, iserver: Any, transport: Any, policies: Sequence[Any]) -> None:
         self.iserver = iserver
         self.session: Session | None = None
-        self.is_congested = False
+        self.is_congested = False  # the client does not read what was sent to it
         self._transport = transport
         self.sockname = transport.get_extra_info("sockname")
         self.socket = transport.get_extra_info("socket")
@@ -89,6 +80,8 @@ class Processor:
         self.address = str(name[0]) if name else "unknown"
         self._connection = GuardedConnection(policies, iserver.trust, self.address)
         self._is_greeted = False
+        # time that the message being processed has taken, and what it has waited for others;
+        # counted by who gives us turns
         self.spent_s = self.waited_s = 0.0
 
     @property

@@ -49,23 +49,7 @@ class PublishRequest(NamedTuple):
 
 
 class Session:
-    """A client's session.
-
-    Attributes
-    ----------
-    texts : sequence of str
-        Why the operations of the last Write or Call were refused, empty where they were not.
-    processor : Processor or None
-        The connection that the session is bound to.
-    address : str
-        Where the client that created it is.
-    visitor : Visitor
-        What it is to the application.
-    timeout_s : float
-        The session ends when it is idle for so long [s].
-    max_response_bytes : int
-        Longest response that the client takes, 0: any.
-    """
+    """A client's session."""
 
     def __init__(self, server: Any, processor: Any, policy: Any, visitor: Visitor) -> None:
         self.server = server
@@ -75,11 +59,13 @@ class Session:
         self.auth_token = ua.NodeId(secrets.token_bytes(_TOKEN_BYTES), 0, ua.NodeIdType.ByteString)
         self.token_bytes = bytes(nodeid_to_binary(self.auth_token))
         self.nonce = create_nonce(32)
+        # why the operations of the last Write or Call were refused, empty where they were not
         self.texts: Sequence[str] = ()
-        self.processor: Any = None
+        self.processor: Any = None  # the connection that the session is bound to
+        # what the client that created it is to the application, and where it is
         self.visitor, self.address = visitor, processor.address
-        self.timeout_s = math.inf
-        self.max_response_bytes = 0
+        self.timeout_s = math.inf  # it ends when it is idle for so long
+        self.max_response_bytes = 0  # longest response that the client takes, 0: any
         self.last_active_s = time.monotonic()
         self.pages = ContinuationPoints(server.aspace, server.types)
         self._requests: deque[PublishRequest] = deque()

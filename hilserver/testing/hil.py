@@ -120,10 +120,7 @@ class Hil:
     def write(self, signal: str | Mapping[str, Value], value: Value | None = None) -> None:
         """Write one input, or several that one tick latches together.
 
-        Raises
-        ------
-        HilError
-            If any of them is refused.
+        HilError if any of them is refused.
         """
         values = {signal: value} if isinstance(signal, str) else dict(signal)
         for name in values:
@@ -137,10 +134,7 @@ class Hil:
     async def set_parameter(self, name: str, value: float | None) -> int:
         """Change a parameter, named as in config.yaml; return the tick from which on it acts.
 
-        Raises
-        ------
-        HilError
-            If it is refused.
+        HilError if it is refused.
         """
         tick, parameters = self.tick, self.daemon.core.parameters
         try:
@@ -179,15 +173,8 @@ class Hil:
     ) -> Sample:
         """Advance until a value of `signal` satisfies `predicate`; every tick is looked at.
 
-        Parameters
-        ----------
-        timeout_s : float
-            Simulated time [s].
-
-        Raises
-        ------
-        HilError
-            When none has within `timeout_s`; says what it was last.
+        `timeout_s`: simulated time [s]. HilError when none has within `timeout_s`; says what it was
+        last.
         """
         slot = self._slot(signal)
         self.tap.drain()
@@ -226,10 +213,7 @@ class Hil:
     def endpoint(self) -> str:
         """Address of the daemon's OPC UA server, for a controller that is its client.
 
-        Raises
-        ------
-        HilError
-            If the configuration has none.
+        HilError if the configuration has none.
         """
         server = self.daemon.part("opcua")
         if server is None:

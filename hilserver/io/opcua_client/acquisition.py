@@ -6,7 +6,7 @@ the next connect.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import structlog
@@ -155,8 +155,5 @@ class Acquisition:
         for name, node in found.items():
             if node is None:
                 self.intake.missing(name, "the peer does not know its namespace", now_ns)
-        return _split([(name, node) for name, node in found.items() if node is not None])
-
-
-def _split(pairs: Sequence[tuple[str, ua.NodeId]]) -> tuple[list[str], list[ua.NodeId]]:
-    return [name for name, _ in pairs], [node for _, node in pairs]
+        known = {name: node for name, node in found.items() if node is not None}
+        return list(known), list(known.values())

@@ -54,13 +54,7 @@ class WireError(ValueError):
 
 
 class Item(NamedTuple):
-    """A piece of a block; `block` is 0 for what is none.
-
-    Attributes
-    ----------
-    is_bit : bool
-        One bit; else `size` bytes from `bit` on, which begins a byte.
-    """
+    """A piece of a block; `block` is 0 for what is none."""
 
     block: int
     bit: int
@@ -69,7 +63,7 @@ class Item(NamedTuple):
 
     @property
     def is_bit(self) -> bool:
-        """Whether it is one bit."""
+        """Whether it is one bit; else it is `size` bytes from `bit` on, which begins a byte."""
         return self.kind == _BIT
 
     @property
