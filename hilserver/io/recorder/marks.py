@@ -89,9 +89,6 @@ def _is_left_behind(path: Path, fd: int) -> bool:
     return True
 
 
-_log = structlog.get_logger(__name__)
-
-
 class StateService:
     """Looks for requests and has the plant copy its state; see `image.state_request`."""
 
