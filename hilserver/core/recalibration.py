@@ -56,7 +56,6 @@ RECALIBRATION_METRICS: Final[tuple[Metric[Figures], ...]] = (
     ),
     Metric(
         "hil_recalibration_decisions_total",
-        Kind.COUNTER,
         "Decisions on proposals: accepted, rejected, postponed, refused to who made them, or undone"
         " because the patch could not act.",
         ("outcome",),

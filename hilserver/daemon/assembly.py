@@ -95,7 +95,9 @@ class _Builder:
         observer = self._observer(robot, p, slices)
         has = {"body": body is not None, "observer": observer is not None}
         has["samples"] = config.recalibration.enabled
-        table = self._checked(("blocks",), lambda: robot_table(_ranges(robot), outputs, **has))
+        table = self._checked(
+            ("blocks",), lambda: robot_table(Ranges(*robot.ranges), outputs, **has)
+        )
         self._check_wiring(table, blocks)
         composition = Composition(
             table=table,

@@ -58,9 +58,9 @@ def test_simulated_time_does_not_pass_meanwhile():
 
 def test_a_client_that_was_there_before_the_standstill_is_not_heard_after_it():
     source = watched(2001)
-    source.staleness.heard(2000 * MS)
+    source.staleness.renew(2000 * MS)
     source.watch(2001 * MS)
     assert not source.staleness.stale
-    source.staleness.heard(source.came_ns(7000 * MS))
+    source.staleness.renew(source.came_ns(7000 * MS))
     source.watch(7000 * MS)
     assert source.staleness.stale

@@ -55,10 +55,7 @@ class FileSeries:
     ) -> LogWriter:
         """Begin the next file and remove the oldest ones beyond `keep`.
 
-        Raises
-        ------
-        FailedError
-            If it cannot be made, or the disk is nearly full.
+        FailedError if it cannot be made, or the disk is nearly full.
         """
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)

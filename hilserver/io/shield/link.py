@@ -216,7 +216,7 @@ class ShieldLink(Part):
             terminated = not flags & w.ALONE
             data = payload.to_bytes(8, "little", signed=True)
             received_ns = self._source.came_ns(received_ns)
-            self._source.staleness.heard(received_ns)
+            self._source.staleness.renew(received_ns)
             self.device.take(Request(command, data, received_ns, terminated))
         if is_new:
             self._world.gate.renew(NAME, received_ns)
