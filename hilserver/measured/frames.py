@@ -26,6 +26,7 @@ SECTIONS: Final = ("scheduler", "sensors", "plant")
 BAD: Final = 0x8000_0000
 UNCERTAIN: Final = 0x4000_0000
 RARE: Final = 0.05  # share of the samples
+GAP_STEPS: Final = 1.5  # times the usual distance of two samples, from which on one is missing
 OLDEST_S: Final = 1.0  # a stamp that makes a sample older than that is wrong
 
 
@@ -74,6 +75,7 @@ class _Taken(NamedTuple):
     """When the source of a measured group took its samples."""
 
     fresh: Mask  # shape (n,); rows that brought one
+    follows: Mask  # shape (n,); not after a gap, in which nobody knows what the robot was asked for
     age_s: Array  # shape (n,)
 
 
@@ -111,7 +113,8 @@ def frames_of(log: Log, sampling: Sampling | None) -> Frames:
     for name, values in _chosen(rows, _rows(log) if tick is None else tick).items():
         columns[name] = values
         if (own := taken.get(name.partition(".")[0])) and f"{MEASURED}{name}" in rows:
-            columns[name] = np.where(own.fresh, rows[f"{MEASURED}{name}"], np.nan)
+            known = own.fresh if is_input(name) else own.fresh & own.follows
+            columns[name] = np.where(known, rows[f"{MEASURED}{name}"], np.nan)
             if not is_input(name):
                 columns[name] = _without_rare_repeats(columns[name])
             age_s[name] = own.age_s
@@ -170,11 +173,13 @@ def _without_rare_repeats(values: Array) -> Array:
 
 def _risen(t_s: Array, at: Indices, stamps: Array) -> _Taken:
     """Return samples by row, those left out that are no newer than one before them."""
-    fresh, age_s = np.zeros(len(t_s), dtype=np.bool_), np.zeros(len(t_s))
     newest = np.maximum.accumulate(np.append(-np.inf, stamps))[:-1]
-    fresh[at[stamps > newest]] = True
-    age_s[at] = t_s[at] - stamps
-    return _Taken(fresh, age_s)
+    at, stamps = at[stamps > newest], stamps[stamps > newest]
+    fresh, follows, age_s = np.zeros((3, len(t_s)))
+    steps = np.diff(stamps, prepend=stamps[:1])
+    fresh[at], age_s[at] = 1.0, t_s[at] - stamps
+    follows[at] = steps < GAP_STEPS * np.median(steps)
+    return _Taken(fresh > 0.0, follows > 0.0, age_s)
 
 
 def _enough(tick: Indices) -> Mask:

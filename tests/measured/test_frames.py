@@ -183,8 +183,8 @@ def test_samples_lie_where_their_source_took_them(tmp_path, late_ticks):
 )
 def test_a_source_that_lies_about_time_makes_no_samples_of_it(tmp_path, lie, left):
     log = read(write_frames(tmp_path / "run.csv", taken(15, lie), n=2040))
-    assert (np.diff(log[SPEED].t_s) > 0.0).all()
-    assert left <= len(log[SPEED]) <= left + 1
+    assert (np.diff(log[SETPOINT].t_s) > 0.0).all()
+    assert left <= len(log[SETPOINT]) <= left + 1
 
 
 def test_a_channel_that_was_missing_beside_others_has_no_sample(tmp_path):

@@ -20,28 +20,30 @@ def write(path, causes, seed, *, drift_from=None, faults=None, length_s=LENGTH_S
     return path
 
 
-def record(path, causes, seed, *, stamped=True, late_ticks=10, length_s=LENGTH_S):
+def record(path, causes, seed, *, stamped=True, late_ticks=10, lost=0.0, length_s=LENGTH_S):
     """Write one window as a daemon records it, of a robot that drives as the twin's.
 
     The robot follows each set-point up to `late_ticks` later than the daemon latches it, and what
-    it reports comes in up to as late; unless `stamped` nobody knows when it was.
+    it reports comes in up to as late, but for a share that is `lost`; unless `stamped` nobody knows
+    when it was.
     """
     recipe = Recipe(seed=seed, causes=causes, duration_s=length_s, manoeuvre="ramps")
     table, rng = make(recipe)[0], np.random.default_rng(seed)
     own = np.rint(1e3 * table.t_s).astype(int) + late_ticks
     came, sent = (own + sign * rng.integers(0, late_ticks + 1, len(own)) for sign in (1, -1))
-    held = {}
+    held, kept = {}, rng.random(len(own)) >= lost
     for name, values in table.columns.items():
-        there = np.isfinite(values)
+        there = np.isfinite(values) & kept
         at, sampled, group = came[there], values[there], name.split(".")[0]
         held[f"measured.{name}"] = at, sampled
         if name.endswith("setpoint_rpm"):
-            held[name] = sent, sampled
+            held[name] = sent, values
             if not stamped:
                 del held[f"measured.{name}"]
-        elif stamped and group in ("wheel", "imu", "nav"):
-            held[f"internal.samples_{group}"] = at, np.arange(1.0, len(at) + 1)
-            held[f"internal.taken_{group}_s"] = at, 1e-3 * (own[there] + 0.37)
+        if stamped and group in ("wheel", "imu", "nav"):
+            news = there if group == "nav" else kept
+            held[f"internal.samples_{group}"] = came[news], np.arange(1.0, sum(news) + 1)
+            held[f"internal.taken_{group}_s"] = came[news], 1e-3 * (own[news] + 0.37)
     ticks = np.unique(np.concatenate([at for at, _ in held.values()]))
     rows = [1e-3 * ticks, ticks.astype(float)]
     rows += [np.append(0.0, v)[np.searchsorted(at, ticks, side="right")] for at, v in held.values()]
