@@ -48,7 +48,7 @@ class RecordingGate:
         source: str,
         values: Mapping[str, object],
         *,
-        received_ns: int,
+        received_ns: int = 0,
         age_ns: int = 0,
         news: Collection[str] | None = None,
         renews: bool = True,
