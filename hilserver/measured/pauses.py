@@ -95,8 +95,8 @@ def _note(spans: tuple[Span, ...], edges: list[Pieces]) -> str:
         for (_, before), (after, _) in pairwise(of_span)
     ]
     longest_s, at_s = max(pauses)
-    times = "once" if len(pauses) == 1 else f"{len(pauses)} times"
+    times = "once, for" if len(pauses) == 1 else f"{len(pauses)} times, the longest for"
     return (
-        f"the recording pauses {times}, for {longest_s:.4g} s behind t_s = {at_s:.10g} at most:"
-        f" there are {len(spans) + len(pauses)} segments now, each with a place of its own to start"
+        f"the recording pauses {times} {longest_s:.4g} s after t_s = {at_s:.10g}: it was cut into"
+        f" {len(spans) + len(pauses)} segments, each with a start pose of its own"
     )

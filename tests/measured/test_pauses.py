@@ -45,7 +45,7 @@ def test_a_pause_ends_a_segment_and_what_was_sent_holds_on():
     assert [c.tolist() for c in log[SETPOINT].of(0)] == [[1.0], [5.0]]
     assert [c.tolist() for c in log[SETPOINT].of(1)] == [[30.0, 32.0], [7.0, 9.0]]
     (note,) = log.notices
-    assert "pauses once, for 20.02 s behind t_s = 9.98" in note
+    assert "pauses once, for 20.02 s after t_s = 9.98" in note
 
 
 @pytest.mark.parametrize("jump_s", [1e6, 1e9])

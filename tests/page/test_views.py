@@ -28,7 +28,7 @@ _MISSED = """[...window.controls].filter((e) => e.checkVisibility() && !window.m
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_no_view_has_a_serious_fault_of_accessibility(browser, url, scheme):
+def test_no_view_has_a_fault_of_accessibility(browser, url, scheme):
     browser.do("fresh", scheme=scheme)
     browser.do("open", url=url)
     for name in VIEWS:
@@ -38,7 +38,7 @@ def test_no_view_has_a_serious_fault_of_accessibility(browser, url, scheme):
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_no_report_has_a_serious_fault_of_accessibility(browser, tmp_path, scheme):
+def test_no_report_has_a_fault_of_accessibility(browser, tmp_path, scheme):
     """What stands in the frame of the view Diagnosis, with everything unfolded."""
     report = tmp_path / "report.html"
     report.write_text(render(findings(), evidence()), encoding="utf-8")

@@ -59,7 +59,7 @@ export function diagnosisView(context: Context): View {
     const text = h("textarea", { rows: 16, spellcheck: "false" });
     text.value = job.mapping;
     const known = h("select", {}, h("option", { value: "" }, "the mapping below"), ...mappings.map((each) => h("option", { value: each }, `built in: ${each}`)));
-    const said = `The columns of ${job.log} are no signals of hilserver. The mapping below is a guess: check and complete it. It is kept beside the log.`;
+    const said = `${job.log} does not name its signals as hilserver does. The mapping below is a guess: check and complete it. It is kept beside the log.`;
     if (!(await ask("Name the columns", said, "Diagnose with it", field("Take", known), field("Mapping", text)))) return;
     if (!known.value) await call("map", job.log, text.value);
     await diagnose(job.log, known.value);

@@ -43,7 +43,7 @@ export function watchView(context: Context): View {
     private observer = new ResizeObserver(() => this.resize());
 
     constructor(readonly names: string[]) {
-      this.element = h("section", { class: "panel plot", "aria-label": "Plot" }, h("div", { class: "plot-head" }), this.holder);
+      this.element = h("section", { class: "panel plot" }, h("div", { class: "plot-head" }), this.holder);
       this.element.addEventListener("dragover", (event) => {
         event.preventDefault();
         this.element.classList.add("target");
@@ -104,6 +104,7 @@ export function watchView(context: Context): View {
         this.holder,
       );
       fingers(this.chart, stand, stretch);
+      this.entitle();
     }
 
     /** The axis of a single signal whose values have names: these. */
@@ -149,11 +150,12 @@ export function watchView(context: Context): View {
       }
     }
 
-    /** What stands still says from when to when it is, also to who does not see it. */
+    /** Whoever does not see a plot hears what it shows and, while it stands still, from when to when. */
     private entitle(): void {
       const { min, max } = this.chart?.scales["x"] ?? {};
-      if (!paused || min == null || max == null) return;
-      this.element.setAttribute("aria-label", `Plot from ${min.toFixed(2)} s to ${max.toFixed(2)} s`);
+      const time = paused && min != null && max != null ? ` from ${min.toFixed(2)} s to ${max.toFixed(2)} s` : "";
+      const title = `Plot of ${this.names.join(", ")}${time}`;
+      if (this.element.ariaLabel !== title) this.element.ariaLabel = title;
     }
 
     show(min: number, max: number): void {
@@ -353,7 +355,7 @@ export function watchView(context: Context): View {
     "div",
     { class: "watch" },
     h("aside", { class: "panel chooser", "aria-label": "Choose signals" }, search, list),
-    h("div", { class: "column" }, h("div", { class: "tools" }, pause, cursor, moment, span, save, h("span", { class: "hint mouse" }, "Drag in a plot to zoom, double-click to see all."), h("span", { class: "hint touch" }, "Draw a plot along with a finger, stretch it with two.")), board,
+    h("div", { class: "column" }, h("div", { class: "tools" }, pause, cursor, moment, span, save, h("span", { class: "hint mouse" }, "Drag in a plot to zoom, double-click to see all."), h("span", { class: "hint touch" }, "Drag a plot with one finger, stretch it with two.")), board,
       h("h2", {}, "Time slices"), slices, h("h2", {}, "Peers"), peers),
   );
   return {
