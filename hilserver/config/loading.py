@@ -263,16 +263,22 @@ def _keys_at(model: type[BaseModel], location: Path_) -> list[str]:
     for part in location:
         if isinstance(part, int):
             continue
-        fields = getattr(current, "model_fields", {})
+        fields = _fields(current)
         if part not in fields:
             return []
         current = _model_in(fields[part].annotation)
-    return list(getattr(current, "model_fields", {}))
+    return list(_fields(current))
+
+
+def _fields(model: Any) -> dict[str, Any]:
+    """Return the fields of a model by their names in a file."""
+    fields = getattr(model, "model_fields", {})
+    return {field.alias or name: field for name, field in fields.items()}
 
 
 def _places_of(model: Any, name: str) -> Iterator[str]:
     """Give every place below a model where a key is known."""
-    for part, field in getattr(model, "model_fields", {}).items():
+    for part, field in _fields(model).items():
         if part == name:
             yield part
         for place in _places_of(_model_in(field.annotation), name):

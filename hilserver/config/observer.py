@@ -14,6 +14,7 @@ from hilserver.observer.consider import alternatives, constants, directions
 from hilserver.observer.figures import READMIT_AFTER, Noise, figures
 from hilserver.observer.layout import MOST_DIRECTIONS
 from hilserver.plant.parameters import RobotParameters
+from hilserver.small_file import read_small
 
 DEFAULT_SLICE = "observer"
 DEFAULT_PERIOD_MS = 10.0
@@ -113,9 +114,7 @@ class Found(_Read):
 def load_found(path: Path) -> Found:
     """Read findings.json; ConfigError: one sentence with file, key and remedy."""
     try:
-        if path.stat().st_size > MOST_READ_BYTES:
-            raise ConfigError(f"{path}: is larger than {MOST_READ_BYTES} bytes: no findings.json")
-        data = json.loads(path.read_bytes())
+        data = json.loads(read_small(path, MOST_READ_BYTES))
     except OSError as error:
         raise ConfigError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
     except (ValueError, RecursionError):

@@ -16,7 +16,7 @@ from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble
 from hilserver.daemon.builder import overrun_limits
 from hilserver.daemon.daemon import Daemon
-from hilserver.errors import ConfigError
+from hilserver.errors import UserError
 from hilserver.monitoring.logging_setup import Stream, notice, report_repeats, setup_logging
 
 _log = structlog.get_logger(__name__)
@@ -90,7 +90,7 @@ class Reloader:
         async with self._lock:
             try:
                 new = (await asyncio.to_thread(assemble, path, at, group)).config
-            except ConfigError as error:
+            except (UserError, OSError) as error:
                 for line in str(error).splitlines():
                     _log.error("reload refused, the old configuration stays", reason=line)
                 return False

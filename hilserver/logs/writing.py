@@ -38,8 +38,9 @@ def open_writer(
     """
     if bag is None:
         check_suffix(path)
-    is_new = not path.exists()
+    is_new = False
     try:
+        is_new = not path.exists()
         if bag is not None:
             return BagWriter(path, run, slots, utc_minus_monotonic_ns, bag)
         if path.suffix == ".csv":

@@ -29,6 +29,7 @@ from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.terms import TERMS, main_part
 from hilserver.replay.simulation import quiet
 from hilserver.requirements import Judge, Requirement
+from hilserver.small_file import read_small
 from hilserver.sweep.draws import Draws, Joint, root_of
 from hilserver.sweep.model import ControllerConfig, FaultShare, Limits, Source, Sweep, load_sweep
 
@@ -224,9 +225,7 @@ def _findings(
         return None, None
     file, where = path.parent / source.findings, place(path, ("from", "findings"))
     try:
-        if file.stat().st_size > _MOST_BYTES:
-            raise ConfigError(f"{where}{file} is larger than {_MOST_BYTES} bytes")
-        findings = Findings.model_validate_json(file.read_bytes())
+        findings = Findings.model_validate_json(read_small(file, _MOST_BYTES))
     except OSError as error:
         raise ConfigError(f"{where}{file}: {(error.strerror or 'unreadable').lower()}") from None
     except ValidationError as error:

@@ -114,6 +114,7 @@ def test_parameters_that_cannot_be_are_refused_before_the_start(tmp_path, capsys
         (("lights.red: 9", "pose.x_m: 9"), ":5: steps[1].write.pose.x_m: 'pose.x_m' is an output"),
         (("lights.red: 9", "light.red: 9"), ":5: steps[1].write.light.red: there is no signal"),
         (("seed: 7", "sead: 7"), ":2: unknown key 'sead'; did you mean 'seed'?"),
+        (("red: 9}", "red: 9}, x: 1"), ":5: unknown key 'steps[1].x'; known are at_s, set, write"),
         (("fault: bias", "fault: bais"), ":7: faults[0].fault: 'bais' is not valid"),
         (("steps:", "steps: ["), "not YAML"),
     ],

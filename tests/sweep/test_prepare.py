@@ -96,6 +96,12 @@ def test_findings_that_do_not_fit(made, tmp_path, changes, says):
         made(**findings(tmp_path, **changes))
 
 
+def test_findings_that_never_end(made, tmp_path):
+    (tmp_path / "findings.json").symlink_to("/dev/zero")
+    with pytest.raises(ConfigError, match="it is no regular file"):
+        made(**{"from": {"findings": "findings.json"}})
+
+
 def test_without_findings(made):
     with pytest.raises(ConfigError, match="no such file"):
         made(**{"from": {"findings": "none.json"}})
