@@ -10,7 +10,7 @@ from contextlib import closing
 from pathlib import Path
 
 from hilserver.commands.options import add_mapping, add_storage, warn
-from hilserver.errors import EXIT_DONE, FailedError
+from hilserver.errors import EXIT_DONE, FailedError, LogError
 from hilserver.logs import Log, open_writer
 from hilserver.logs.bag_writer import Storage
 from hilserver.logs.mf4 import write_mf4
@@ -44,6 +44,8 @@ def run(args: argparse.Namespace) -> int:
         raise FailedError(f"{args.out}: exists already; choose another name")
     log = read_any(args.log, args.mapping)
     warn(*log.notices)
+    if not len(log):
+        raise LogError(f"{args.log}: holds no rows: there is nothing to convert")
     try:
         _write(log, args.out, args.storage if is_bag else None)
     except OSError as error:

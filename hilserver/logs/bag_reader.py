@@ -31,9 +31,12 @@ def read_own_bag(path: Path) -> Log:
             f"{path}: holds no recording of hilserver (no topic {topics.RUN}); name a mapping of"
             " its topics"
         )
-    run = json.loads(types.decode(runs[-1], topics.RUN_TYPE).data)
-    contents = Contents(names=run.pop("order"), run=run, ended=True)
-    contents.configuration = run.pop("configuration", None)
+    try:
+        run = json.loads(types.decode(runs[-1], topics.RUN_TYPE).data)
+        contents = Contents(names=list(run.pop("order")), run=run, ended=True)
+        contents.configuration = run.pop("configuration", None)
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        raise LogError(f"{path}: its message on {topics.RUN} is damaged; record again") from None
     dtype = payload_dtype(len(contents.names))
     if any(len(frame) != dtype.itemsize for frame in frames):
         raise LogError(f"{path}: frames of another length than its list of signals; record again")

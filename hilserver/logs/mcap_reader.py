@@ -30,7 +30,7 @@ from hilserver.logs.mcap_writer import (
     TOPIC,
     record_dtype,
 )
-from hilserver.logs.provenance import SCHEMA
+from hilserver.logs.provenance import SCHEMA, check_run
 from hilserver.logs.table import BLOCK, TIME
 from hilserver.logs.unpacking import PIECE_BYTES, Budget
 
@@ -67,7 +67,10 @@ class Contents:
     def take(self, record: rec.McapRecord, budget: Budget) -> None:
         """Take one record; those of others do not matter."""
         if isinstance(record, rec.Channel) and record.topic == TOPIC:
-            self.names = list(json.loads(record.metadata["signals"]))
+            names = list(json.loads(record.metadata["signals"]))
+            if self.names not in ([], names):
+                raise ValueError("two lists of signals")
+            self.names = names
         elif isinstance(record, rec.Chunk) and self.names:
             self._take_chunk(budget.unpack(record))
         elif isinstance(record, rec.Metadata) and record.name == METADATA:
@@ -117,6 +120,7 @@ def read_mcap(path: Path) -> Log:
                 struct.error,
                 zstandard.ZstdError,
                 EndOfFile,
+                RecursionError,
                 zlib.error,
             ):
                 raise LogError(
@@ -158,6 +162,12 @@ def to_log(path: Path, contents: Contents, notices: Sequence[str] = ()) -> Log:
             " topics"
         )
     run["configuration"] = contents.configuration
+    try:
+        check_run(run, contents.names)
+        if run.get("foreign") and TIME not in contents.names:
+            raise ValueError("is damaged: it has no times")
+    except ValueError as error:
+        raise LogError(f"{path}: what it says about its run {error}; record again") from None
     table = (
         np.concatenate(contents.tables)
         if contents.tables

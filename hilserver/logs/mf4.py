@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from hilserver.errors import LogError
 from hilserver.logs.log import NS_PER_S, Log, State
-from hilserver.logs.provenance import pack_meta, unpack_meta
+from hilserver.logs.provenance import check_run, pack_meta, unpack_meta
 from hilserver.logs.rewriting import as_table, run_of, stamps
 from hilserver.logs.table import BLOCK, SEGMENT, TIME
 from hilserver.logs.unpacking import Budget
@@ -110,6 +110,11 @@ def _as_log(
 ) -> Log:
     t_s, segment, block = table.pop(TIME), table.pop(SEGMENT), table.pop(BLOCK, None)
     names = [name for name in table if name.removesuffix(STATUS) not in table.keys() - {name}]
+    if run is not None:
+        try:
+            check_run(run, names)
+        except ValueError as error:
+            raise LogError(f"{path}: what it says about its run {error}; record again") from None
     good = np.zeros(len(t_s), dtype=np.int64)
     status = {name: table.get(name + STATUS, good).astype(np.int64) for name in names}
     return Log(

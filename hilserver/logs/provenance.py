@@ -7,11 +7,12 @@ import base64
 import json
 import re
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import yaml
+from pydantic import BaseModel, Field, ValidationError
 
 from hilserver.logs.log import State
 
@@ -67,10 +68,58 @@ def unpack_meta(text: str) -> tuple[dict[str, Any], list[State]]:
         if run["schema"] != SCHEMA:
             raise ValueError(f"is not of schema {SCHEMA}")
         states = [_unpack_state(entry) for entry in run.pop("states")]
-        _ = [signal["name"] for signal in run["signals"]], int(run["base_period_ns"])
-    except (KeyError, TypeError, AttributeError, zlib.error) as error:
+    except (KeyError, TypeError, AttributeError, RecursionError, zlib.error) as error:
         raise ValueError(f"is damaged: {error}") from None
+    check_run(run)
     return run, states
+
+
+class _Signal(BaseModel):
+    """What is read of a signal of a run."""
+
+    name: str
+    unit: str = "1"
+    slots: list[int]
+    direction: str
+
+
+class _Run(BaseModel):
+    """What is read of a run; other keys are for people."""
+
+    base_period_ns: int = Field(gt=0, le=10**12)
+    signals: list[_Signal]
+    configuration: str | None = None
+    config_folder: str = ""
+    version: str = ""
+    identity: dict[str, Any] = {}
+    layout: dict[str, Any] = {}
+    patch: dict[str, Any] | None = None
+    not_replayable: list[str] = []
+
+
+def check_run(run: Mapping[str, Any], names: Iterable[str] = ()) -> None:
+    """Refuse what a file says about its run where it does not fit.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Columns of the file.
+
+    Raises
+    ------
+    ValueError
+        One clause: what is wrong.
+    """
+    try:
+        said = _Run.model_validate(run)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(map(str, first["loc"]))
+        raise ValueError(f"is damaged: {key}: {first['msg'].lower()}") from None
+    known = {signal.name for signal in said.signals}
+    for name in names:
+        if name not in known:
+            raise ValueError(f"is damaged: it does not know its signal {name!r:.60}")
 
 
 def _pack_words(state: State) -> str:

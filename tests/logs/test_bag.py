@@ -3,6 +3,7 @@
 import itertools
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +14,9 @@ from rosbags.rosbag2 import Reader
 
 from hilserver import commands
 from hilserver.errors import LogError
-from hilserver.logs import read_log
+from hilserver.logs import open_writer, read_log
 from hilserver.measured.reading import read_measured
+from tests.logs.samples import NAMES, run_of
 
 WHEELS = tuple(f"wheel.{w}.speed_rpm" for w in ("fl", "rl", "fr", "rr"))
 
@@ -233,12 +235,14 @@ def test_what_no_sensor_measured_is_marked_in_the_imu(tmp_path):
         (["in.csv", "in.csv"], "exists already", 1),
         (["folder", "x.csv"], "without a bag", 2),
         (["in.csv", "x.csv", "--mapping", "nothing"], "built in are", 2),
+        (["empty.mcap", "x.csv"], "holds no rows: there is nothing to convert", 2),
     ],
 )
 def test_what_cannot_be_converted_is_a_sentence(tmp_path, monkeypatch, capsys, words, said, code):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "in.csv").write_text("t_s,battery.voltage_v\n0.0,20.0\n")
     (tmp_path / "folder").mkdir()
+    open_writer(Path("empty.mcap"), run_of(), range(len(NAMES))).close()
     assert commands.main(["convert", *words]) == code
     assert said in capsys.readouterr().err
 

@@ -90,6 +90,49 @@ def test_a_changed_byte_in_a_chunk_is_noticed(tmp_path):
         read_log(path)
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "says"),
+    [
+        ("base_period_ns", None, "base_period_ns: "),
+        ("base_period_ns", 0, "base_period_ns: "),
+        ("base_period_ns", float("inf"), "base_period_ns: "),
+        ("signals", [{"name": 1}], "signals.0.name: "),
+        ("layout", "x", "is damaged"),
+        ("identity", [1], "identity: "),
+        ("not_replayable", 7, "not_replayable: "),
+    ],
+)
+@pytest.mark.parametrize("suffix", [".mcap", ".csv"])
+def test_a_run_that_cannot_be_is_a_sentence(tmp_path, key, value, says, suffix):
+    path = tmp_path / f"a{suffix}"
+    writer = open_writer(path, run_of(), range(len(NAMES)))
+    writer.write(batch_of(ramp(5)))
+    writer.tell(run_of() | {key: value})
+    writer.close()
+    with pytest.raises(LogError, match=says if suffix == ".mcap" else "is damaged; remove it"):
+        read_log(path)
+
+
+def test_a_run_that_does_not_know_a_column_is_a_sentence(tmp_path):
+    writer = open_writer(tmp_path / "a.mcap", run_of(), range(len(NAMES)))
+    writer.write(batch_of(ramp(5)))
+    writer.tell(run_of() | {"signals": run_of()["signals"][1:]})
+    writer.close()
+    with pytest.raises(LogError, match=r"does not know its signal 'wheel\.fl\.setpoint_rpm'"):
+        read_log(tmp_path / "a.mcap")
+
+
+@pytest.mark.parametrize("text", ["[" * 5000 + "]" * 5000, "{", "1"])
+def test_metadata_that_is_no_json_is_a_damaged_record(tmp_path, text):
+    path = tmp_path / "a.mcap"
+    writer = open_writer(path, run_of(), range(len(NAMES)))
+    writer.write(batch_of(ramp(5)))
+    writer.tell(run_of() | {"audit": text, "signals": text})
+    writer.close()
+    with pytest.raises(LogError, match=r"is damaged"):
+        read_log(path)
+
+
 def test_lost_frames_are_said_and_bad_values_are_no_samples(tmp_path):
     writer = open_writer(tmp_path / "a.mcap", run_of(), range(len(NAMES)))
     writer.write(batch_of(ramp(5), status=[[BAD_WAITING, 0, 0, 0]] * 5))

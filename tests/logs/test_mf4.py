@@ -1,6 +1,7 @@
 """MF4 keeps every bit, opens in foreign readers with units, and what is damaged is a sentence."""
 
 import itertools
+import json
 import random
 import sys
 
@@ -12,6 +13,8 @@ import pytest
 from hilserver import commands
 from hilserver.errors import LogError
 from hilserver.logs import read_log
+from hilserver.logs.mf4 import META
+from tests.logs.samples import NAMES, run_of
 
 SPEED = "wheel.fl.speed_rpm"
 
@@ -113,6 +116,18 @@ def test_whatever_is_cut_or_flipped_is_read_or_refused_in_one_sentence(recording
     assert len(complaints) > 30
     assert all(text.startswith(f"{path}: ") and "\n" not in text for text in complaints)
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_column_that_its_run_does_not_know_is_a_sentence(tmp_path):
+    path = tmp_path / "renamed.mf4"
+    run = run_of() | {"states": []}
+    with asammdf.MDF() as mdf:
+        names = ("t_s", "segment", *NAMES[1:], "another")
+        mdf.append([asammdf.Signal(np.zeros(3), np.arange(3.0), name=name) for name in names])
+        mdf.attach(json.dumps(run).encode(), META, mime="application/json")
+        mdf.save(path)
+    with pytest.raises(LogError, match="does not know its signal 'another'"):
+        read_log(path)
 
 
 def test_mf4_of_others_is_refused_with_a_remedy(tmp_path):
