@@ -38,6 +38,17 @@ def as_yaml(configuration: Mapping[str, Any]) -> str:
     return yaml.safe_dump(_without_secrets(configuration), sort_keys=False, allow_unicode=True)
 
 
+def configuration_of(run: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return the configuration of a run; ValueError where there is none."""
+    try:
+        found = yaml.safe_load((run or {}).get("configuration") or "")
+    except Exception as error:  # damaged tags make the reader of YAML raise anything
+        raise ValueError(f"the configuration is damaged: {error}") from error
+    if not isinstance(found, dict):
+        raise ValueError("there is no configuration")
+    return found
+
+
 def _without_secrets(node: Any) -> Any:
     if isinstance(node, Mapping):
         return {

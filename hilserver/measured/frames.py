@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
-import yaml
 
 from hilserver.arrays import Array, Indices, Mask
 from hilserver.config.root import Config
 from hilserver.logs import Log
+from hilserver.logs.provenance import configuration_of
 from hilserver.measured.channels import MODE, OF_MODE, SETPOINTS
 from hilserver.measured.names import is_input, known_signals
 from hilserver.measured.thresholds import ENOUGH_ROWS, FEWEST_VALUES
@@ -87,9 +87,9 @@ def is_of_the_daemon(log: Log) -> bool:
 def own_sampling(log: Log) -> Sampling | None:
     """Return the sampling of the configuration that a recording carries; None without one."""
     try:
-        data = yaml.safe_load((log.run or {}).get("configuration") or "")
+        data = configuration_of(log.run)
         return Sampling.of(Config.model_validate({key: data[key] for key in SECTIONS}))
-    except (yaml.YAMLError, ValueError, TypeError, KeyError):
+    except (ValueError, KeyError):
         return None
 
 

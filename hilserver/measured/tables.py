@@ -12,6 +12,7 @@ from hilserver.errors import LogError, meant, nearest
 from hilserver.logs import Log, read_log
 from hilserver.logs.csv_dialects import separator_of
 from hilserver.logs.csv_reader import NO_NAME, read_table
+from hilserver.logs.provenance import configuration_of
 from hilserver.logs.table import BLOCK, SEGMENT, TIME, Table, in_time
 from hilserver.measured.frames import Sampling, frames_of, is_of_the_daemon, own_sampling
 from hilserver.measured.mapping import DATED, PER_SECOND, LogMapping
@@ -89,9 +90,9 @@ def refuse_foreign(path: Path) -> None:
 
 def _machine(log: Log) -> str | None:
     try:
-        configuration = yaml.safe_load((log.run or {}).get("configuration") or "")
+        configuration = configuration_of(log.run)
         sections = {key: configuration[key] for key in ("plant", "kinematics")}
-    except (yaml.YAMLError, TypeError, KeyError):
+    except (ValueError, KeyError):
         return None
     return yaml.safe_dump(sections)
 
