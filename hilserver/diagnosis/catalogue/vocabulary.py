@@ -7,7 +7,7 @@ have no term, because the data are corrected, not the model.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final, Literal
+from typing import Final, Literal, cast
 
 from hilserver.diagnosis.catalogue.candidate import StageName
 from hilserver.measured.channels import GYRO, POSITION, YAW
@@ -78,15 +78,7 @@ class Cause:
 
 
 def _block(term: Term) -> Block:
-    if term.cause in CONTROLLER:
-        return "controller"
-    blocks: dict[str, Block] = {
-        "drive": "drive",
-        "kinematics": "kinematics",
-        "navigation": "navigation",
-        "inertial": "inertial",
-    }
-    return blocks[term.block]
+    return "controller" if term.cause in CONTROLLER else cast("Block", term.block)
 
 
 def _physical() -> list[Cause]:

@@ -91,6 +91,18 @@ def test_a_cause_that_only_looks_like_the_change_of_another_is_dropped():
         assert found.point.model.causes == ("true",)
 
 
+def test_one_cause_that_changes_stands_for_two_that_change_together():
+    """No exchange of one for another leads there: beside either of the two it explains half."""
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        columns = columns_of(rng, "left", "right")
+        columns["both"] = columns["left"] + columns["right"]
+        values = (0.5 + 0.4 * TIME) * columns["both"] + rng.normal(size=N)
+        found = judged(toy.problem(values, columns), "left", "right")
+        assert found.point.model.causes == ("both",)
+        assert set(found.p) == {"both"}
+
+
 def test_parts_hold_every_block_once():
     problem = toy.problem(np.zeros(N), {})
     masks = np.array(parts(problem))
