@@ -14,7 +14,7 @@ import yaml
 from hilserver.commands.announcing import Announcer
 from hilserver.commands.options import add_config, add_patch, config_path, number
 from hilserver.errors import EXIT_DONE, FailedError
-from hilserver.program.ending import ENDING
+from hilserver.program.ending import ENDING, hang_ups_wait
 from hilserver.program.guard import guarded
 from hilserver.program.shared_memory import DEFAULT_IMAGE, check_free
 from hilserver.program.writer import Writer
@@ -75,8 +75,9 @@ def run(args: argparse.Namespace) -> int:
         return _write_schema(args.scenario_schema)
     image, line_format = _peek(config_path(args))
     # At a terminal a hang-up is the end; elsewhere it asks for a reload.
-    ending = (*ENDING, signal.SIGHUP) if sys.stderr.isatty() else ENDING
-    with guarded(ending) as guard:
+    is_terminal = sys.stderr.isatty()
+    ending = (*ENDING, signal.SIGHUP) if is_terminal else ENDING
+    with contextlib.nullcontext() if is_terminal else hang_ups_wait(), guarded(ending) as guard:
         writer = Writer(sys.stderr)
         announcer = Announcer(writer, line_format)
         guard.say = announcer.last_words

@@ -10,6 +10,7 @@ from hilserver.errors import EXIT_DONE
 
 ENDING = (signal.SIGINT, signal.SIGTERM)
 _caught: list[int] = []
+_hang_ups: list[int] = []
 
 
 @contextlib.contextmanager
@@ -51,3 +52,25 @@ def on_end(stop: Callable[[], object]) -> None:
         signal.signal(number, lambda *_: stop())
     if end_was_asked():
         stop()
+
+
+@contextlib.contextmanager
+def hang_ups_wait() -> Iterator[None]:
+    """Let a SIGHUP wait for `event_loop.hang_ups` within the block; by itself it would end us."""
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or signal.getsignal(signal.SIGHUP) is not signal.SIG_DFL:
+        yield
+        return
+    _hang_ups.clear()
+    signal.signal(signal.SIGHUP, lambda number, _: _hang_ups.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+def hang_up_waits() -> bool:
+    """Return True, once, when a SIGHUP has come that waits."""
+    waits = bool(_hang_ups)
+    _hang_ups.clear()
+    return waits

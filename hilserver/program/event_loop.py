@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import uvloop
 
-from hilserver.program.ending import ENDING, end_was_asked
+from hilserver.program.ending import ENDING, end_was_asked, hang_up_waits
 
 T = TypeVar("T")
 
@@ -36,11 +36,15 @@ def end_event() -> asyncio.Event:
 def hang_ups() -> Iterator[asyncio.Event]:
     """Give an event that SIGHUP sets while the context lasts."""
     asked, loop = asyncio.Event(), asyncio.get_running_loop()
+    before = signal.getsignal(signal.SIGHUP)
     loop.add_signal_handler(signal.SIGHUP, asked.set)
+    if hang_up_waits():
+        asked.set()
     try:
         yield asked
     finally:
         loop.remove_signal_handler(signal.SIGHUP)
+        signal.signal(signal.SIGHUP, before)
 
 
 async def end(*tasks: asyncio.Future[Any] | None) -> None:

@@ -7,9 +7,9 @@ import subprocess
 import pytest
 
 from hilserver.errors import ConfigError, FailedError, LogError
-from hilserver.program import harness
+from hilserver.program import event_loop, harness
 from hilserver.program.children import python
-from hilserver.program.ending import on_end
+from hilserver.program.ending import hang_ups_wait, on_end
 
 
 @pytest.mark.parametrize(
@@ -83,3 +83,25 @@ sys.exit(harness.run(lambda: event_loop.run(serve())))
 
 def test_an_event_loop_hears_the_signals():
     assert subprocess.run(python("-c", EVENT_LOOP), timeout=120, check=False).returncode == 3
+
+
+@pytest.fixture
+def default_hang_up():
+    """As a program begins; who runs the tests may have them ignore it (nohup)."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("default_hang_up")
+async def test_a_hang_up_that_comes_too_early_or_too_late_waits_and_ends_nothing():
+    with hang_ups_wait():
+        os.kill(os.getpid(), signal.SIGHUP)
+        with event_loop.hang_ups() as hung_up:
+            assert hung_up.is_set()
+        with event_loop.hang_ups() as hung_up:
+            assert not hung_up.is_set()
+        os.kill(os.getpid(), signal.SIGHUP)
+        with event_loop.hang_ups() as hung_up:
+            assert hung_up.is_set()
+    assert signal.getsignal(signal.SIGHUP) is signal.SIG_DFL
