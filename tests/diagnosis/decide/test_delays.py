@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hilserver.diagnosis.decide.delays import EXCHANGED, SUPERFLUOUS, with_other_delays
+from hilserver.diagnosis.decide.selection import both_at_once
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.problem import Problem
 from hilserver.diagnosis.replay.model import Model
@@ -92,3 +93,23 @@ def test_two_delays_that_differ_stay():
     both = {"nav_latency": 0.04, "clock_offset": LATE_S}
     library, point = one_and_others(both, both)
     assert with_other_delays(library, point, []) is point
+
+
+@pytest.mark.parametrize(
+    ("hidden", "found"),
+    [(("clock_offset", "side_slip"), ("clock_offset", "side_slip")),
+     (("nav_latency",), ("nav_latency",))],
+)  # fmt: skip
+def test_a_late_source_and_a_slip_take_the_place_of_the_latency_that_explains_a_part_of_both(
+    hidden, found
+):
+    rng = np.random.default_rng(6)
+    clock, slip, aside = (30.0 * toy.smooth(rng, N) for _ in range(3))
+    columns = {"nav_latency": clock + slip + 0.3 * aside, "clock_offset": clock, "side_slip": slip}
+    values = 0.5 * sum(columns[name] for name in hidden) + rng.normal(size=N)
+    problem = toy.problem(values, columns)
+    library, base = toy.library(problem)
+    point = fit(problem, toy.model("nav_latency"), base)
+    both = both_at_once(problem, point, library)
+    assert both.model.causes == found
+    assert both.model.theta() == pytest.approx([0.5] * len(found), abs=0.05)
