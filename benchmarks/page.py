@@ -24,9 +24,8 @@ from numpy.typing import NDArray
 from benchmarks import page_browser
 from benchmarks.target import running_daemon
 from hilserver.bench.jitter_subjects import Subject
-from hilserver.bench.linear_histogram import median_of_blocks_us, percentile_us, ratio_interval
 from hilserver.bench.own_daemon import free_port
-from hilserver.bench.report import Result
+from hilserver.bench.report import Result, median_of_blocks_us, percentile_us, ratio_interval
 from hilserver.errors import FailedError
 from hilserver.image import ImageReader
 from hilserver.program.children import piped, python

@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.bench import cyclictest
-from hilserver.bench.linear_histogram import PERCENTILES, median_of_blocks_us, percentile_us
-from hilserver.bench.report import Result
+from hilserver.bench.report import PERCENTILES, Result, median_of_blocks_us, percentile_us
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon

@@ -21,14 +21,14 @@ from numpy.typing import NDArray
 
 from hilserver.bench import cyclictest
 from hilserver.bench.jitter_subjects import Companion, Subject, bare_pacing, loaded_daemon
-from hilserver.bench.linear_histogram import (
+from hilserver.bench.report import (
     PERCENTILES,
+    Result,
     median_of_blocks_us,
     percentile_us,
     ratio_interval,
     sparse,
 )
-from hilserver.bench.report import Result
 
 Counts = NDArray[np.int64]
 SUBJECTS: dict[str, Callable[..., AbstractContextManager[Subject]]] = {

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.bench.linear_histogram import PERCENTILES, percentile_us, sparse
-from hilserver.bench.report import Result, write_json
+from hilserver.bench.report import PERCENTILES, Result, percentile_us, sparse, write_json
 from hilserver.commands.options import number, out_file
 from hilserver.errors import EXIT_DONE
 from hilserver.monitoring.audit import AuditItem, as_lines, audit

@@ -27,6 +27,7 @@ from hilserver.daemon.assembly import Assembly
 from hilserver.faults import Faults, Line
 from hilserver.faults.mail import Mailbox
 from hilserver.faults.plan import Planner, ShieldFigures
+from hilserver.faults.scenario import Stage
 from hilserver.image import ProcessImage, board, leases
 from hilserver.image.shared_file import MADE_UP
 from hilserver.kernel import compose, limit_silence, watch_communication
@@ -118,6 +119,11 @@ class Core:
     def table(self) -> SignalTable:
         """Every signal of the robot."""
         return self.assembly.table
+
+    def stage(self) -> Stage:
+        """Return what plays scenarios."""
+        period_ns = self.assembly.base_period_ns
+        return Stage(self.table, self.image, self.gate, self.faults, self.parameters, period_ns)
 
     def watch_communication(self, timeout_ms: float, speed: float = 1.0) -> None:
         """Let the plant go to the safe state when nothing beats for `timeout_ms` at this speed."""

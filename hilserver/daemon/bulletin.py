@@ -8,13 +8,13 @@ from typing import Any
 
 from hilserver import __version__
 from hilserver.compiled.histogram import BOUNDS_NS
+from hilserver.core.clock import UtcClock
 from hilserver.core.control import Control
 from hilserver.core.events import EventKind
 from hilserver.daemon import figures
 from hilserver.daemon.builder import Core
 from hilserver.daemon.desk import Desk
 from hilserver.daemon.outputs import Outputs
-from hilserver.image import ProcessImage
 from hilserver.image.board import Board
 from hilserver.io.link_status import PeerStatus
 from hilserver.monitoring.audit import AuditItem
@@ -25,10 +25,11 @@ EVENTS = 40
 
 
 @dataclass(frozen=True)
-class Bulletin:
-    """Shows the state of a daemon to other processes."""
+class Surroundings:
+    """What links, board and metrics of one daemon are made of."""
 
     core: Core
+    clock: UtcClock
     control: Control
     outputs: Outputs
     desk: Desk
@@ -36,7 +37,7 @@ class Bulletin:
     peers: Callable[[], Sequence[PeerStatus]]
 
     def content(self) -> dict[str, Any]:
-        """Return what is shown, as JSON takes it."""
+        """Return what the board shows to other processes, as JSON takes it."""
         core, desk = self.core, self.desk
         return {
             "version": __version__,
@@ -91,10 +92,10 @@ class Bulletin:
 
 
 class Notice:
-    """Writes a bulletin on the board of an image, not more often than anybody looks."""
+    """Writes on the board of the image, not more often than anybody looks."""
 
-    def __init__(self, image: ProcessImage, bulletin: Bulletin) -> None:
-        self._board, self._bulletin = Board(image), bulletin
+    def __init__(self, of: Surroundings) -> None:
+        self._board, self._of = Board(of.core.image), of
         self._due_s = 0.0
 
     def show(self) -> None:
@@ -102,7 +103,7 @@ class Notice:
         now_s = time.monotonic()
         if now_s >= self._due_s:
             self._due_s = now_s + EVERY_S
-            self._board.show(self._bulletin.content())
+            self._board.show(self._of.content())
 
 
 def _table(table: figures.Table) -> dict[str, dict[str, Any]]:

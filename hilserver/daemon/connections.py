@@ -2,25 +2,21 @@
 
 import asyncio
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 
 from hilserver.body.export import robot_urdf
 from hilserver.config.root import Config
 from hilserver.core import metrics as core_metrics
-from hilserver.core.clock import UtcClock
 from hilserver.core.control import Control
 from hilserver.daemon import figures, metrics
 from hilserver.daemon.builder import Core
-from hilserver.daemon.bulletin import Bulletin, Notice
+from hilserver.daemon.bulletin import Surroundings
 from hilserver.daemon.desk import Desk, Recordings, Scenarios
-from hilserver.daemon.outputs import Outputs
 from hilserver.daemon.patches import Patches
 from hilserver.daemon.shadow import GapWatch
 from hilserver.daemon.supervision import Supervision
 from hilserver.faults import metrics as fault_metrics
 from hilserver.faults.scenario import Stage
 from hilserver.io import edge, foxglove, ros2, s7
-from hilserver.io.link_status import PeerStatus
 from hilserver.io.opcua_server import server as opcua_server
 from hilserver.io.peer_link import metrics as peer_metrics
 from hilserver.io.peers import parts as peer_parts
@@ -30,7 +26,6 @@ from hilserver.io.shield.status import ShieldStatus
 from hilserver.io.world import Part, World
 from hilserver.metrics import Source
 from hilserver.monitoring.audit import METRICS as AUDIT_METRICS
-from hilserver.monitoring.audit import AuditItem
 from hilserver.monitoring.health_http import HealthSources, HttpServer
 from hilserver.monitoring.metrics import Metrics
 from hilserver.observer import metrics as observer_metrics
@@ -47,19 +42,6 @@ LINKS: tuple[Callable[[World], Iterable[Part]], ...] = (
     peer_parts,
 )
 """Every link, in the order of the banner; a new one is a line here."""
-
-
-@dataclass(frozen=True)
-class Surroundings:
-    """What links, board and metrics of one daemon are made of."""
-
-    core: Core
-    clock: UtcClock
-    control: Control
-    outputs: Outputs
-    desk: Desk
-    audit: Sequence[AuditItem]
-    peers: Callable[[], Sequence[PeerStatus]]
 
 
 def make_world(of: Surroundings) -> World:
@@ -99,26 +81,13 @@ def make_world(of: Surroundings) -> World:
 
 def make_desk(core: Core, stage: Stage) -> Desk:
     """Return what starts scenarios, recordings and patches by name."""
-    assembly, scheduler = core.assembly, core.scheduler
-    folders, config = assembly.config.folders, assembly.config
+    assembly, config = core.assembly, core.assembly.config
+    folders = config.folders
     return Desk(
-        Scenarios(
-            assembly.folder / folders.scenarios,
-            stage,
-            core.gate,
-            core.faults,
-            lambda: scheduler.tick,
-            assembly.base_period_ns * 1e-9,
-        ),
+        Scenarios(assembly.folder / folders.scenarios, stage, core),
         Recordings(assembly.folder / folders.recordings, config.recording, core.image.name),
         Patches(assembly.folder / folders.patches, core),
     )
-
-
-def make_notice(of: Surroundings) -> Notice:
-    """Return what keeps the board of the image up to date."""
-    bulletin = Bulletin(of.core, of.control, of.outputs, of.desk, of.audit, of.peers)
-    return Notice(of.core.image, bulletin)
 
 
 def make_metrics(

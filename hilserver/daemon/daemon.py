@@ -20,13 +20,12 @@ from hilserver.core.events import Event, EventKind
 from hilserver.daemon import figures
 from hilserver.daemon.assembly import Assembly
 from hilserver.daemon.builder import Core, Pace, build
+from hilserver.daemon.bulletin import Notice, Surroundings
 from hilserver.daemon.connections import (
     LINKS,
-    Surroundings,
     make_desk,
     make_http,
     make_metrics,
-    make_notice,
     make_world,
 )
 from hilserver.daemon.outputs import Outputs
@@ -34,7 +33,6 @@ from hilserver.daemon.shadow import GapWatch
 from hilserver.daemon.supervision import Supervision
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, EXIT_SAFETY_LIMIT
 from hilserver.faults import Play
-from hilserver.faults.scenario import Stage
 from hilserver.io.link_status import PeerStatus
 from hilserver.io.recorder.launch import recorder_inside, running_recorder
 from hilserver.io.recorder.marks import Marks, StateService
@@ -82,7 +80,7 @@ class Daemon:
             raise
 
     def _surround(self, core: Core, links: Sequence[Callable[[World], Iterable[Part]]]) -> None:
-        config, period_ns = self.config, self.assembly.base_period_ns
+        config = self.config
         self.table, self.image, self.events = core.table, core.image, core.events
         self.gate, self.scheduler, self.faults = core.gate, core.scheduler, core.faults
         self.clock = UtcClock(simulated=config.scheduler.backend == "virtual")
@@ -100,9 +98,7 @@ class Daemon:
         )
         self.control.on_reset.append(self._restart_faults)
         self._watch_communication(speed=1.0)
-        self.stage = Stage(
-            self.table, self.image, self.gate, self.faults, core.parameters, period_ns
-        )
+        self.stage = core.stage()
         if self._play is not None:
             self.stage.check(self._play)
         self.supervision = Supervision(core, self.control)
@@ -110,15 +106,9 @@ class Daemon:
         self._states = StateService(core.snapshots, self.image.name)
         self.desk = make_desk(core, self.stage)
         of = Surroundings(
-            core,
-            self.clock,
-            self.control,
-            self.outputs,
-            self.desk,
-            self.audit,
-            self._statuses,
+            core, self.clock, self.control, self.outputs, self.desk, self.audit, self._statuses
         )
-        self._notice = make_notice(of)
+        self._notice = Notice(of)
         world = make_world(of)
         self.parts: list[Part] = [part for make in links for part in make(world)]
         self.metrics = make_metrics(of, self.gaps, lambda: self.config, self.parts)

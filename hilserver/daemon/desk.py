@@ -5,7 +5,6 @@ Names are plain and within the configured folders; nothing that exists is writte
 
 import asyncio
 import contextlib
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,11 +13,11 @@ import structlog
 
 from hilserver.config.loading import LIVE_BYTES
 from hilserver.config.recording import RecordingConfig
-from hilserver.core.inputs import InputGate
 from hilserver.core.recalibration import Decisions
+from hilserver.daemon.builder import Core
 from hilserver.daemon.patches import Patches
 from hilserver.errors import ControlRefused, UserError
-from hilserver.faults import Faults, Play, load_scenario
+from hilserver.faults import Play, load_scenario
 from hilserver.faults.scenario import Stage
 from hilserver.io.recorder.launch import running_recorder
 
@@ -38,17 +37,9 @@ class _Playing:
 class Scenarios:
     """Plays scenarios of one folder from the present tick on."""
 
-    def __init__(
-        self,
-        folder: Path,
-        stage: Stage,
-        gate: InputGate,
-        faults: Faults,
-        tick: Callable[[], int],
-        period_s: float,
-    ) -> None:
-        self._folder, self._stage, self._gate, self._faults = folder, stage, gate, faults
-        self._tick, self._period_s = tick, period_s
+    def __init__(self, folder: Path, stage: Stage, core: Core) -> None:
+        self._folder, self._stage, self._core = folder, stage, core
+        self._period_s = core.assembly.base_period_ns * 1e-9
         self._playing: _Playing | None = None
 
     async def start(self, name: str) -> None:
@@ -64,7 +55,7 @@ class Scenarios:
         scenario = await asyncio.to_thread(load_scenario, path, LIVE_BYTES)
         self._refuse_while_playing()  # another one may have begun while the file was read
         self._stage.check(Play(scenario, path))
-        start, owner = self._tick() + 1, self._gate.owner
+        start, owner = self._core.scheduler.tick + 1, self._core.gate.owner
         self._stage.play(scenario, start)
         end = start + round(scenario.length_s / self._period_s)
         self._playing = _Playing(name, start, end, owner)
@@ -81,19 +72,19 @@ class Scenarios:
         playing, self._playing = self._playing, None
         if playing is None:
             raise ControlRefused("no scenario is playing")
-        self._faults.reset()
+        self._core.faults.reset()
         self._stage.stop()
-        if self._gate.owner == "scenario":
-            self._gate.take(playing.owner)
+        if self._core.gate.owner == "scenario":
+            self._core.gate.take(playing.owner)
 
     def view(self) -> dict[str, Any] | None:
         """Return name, time and length of what is playing; None without."""
-        playing = self._playing
-        if playing is None or not playing.start_tick - 1 <= self._tick() <= playing.end_tick:
+        playing, tick = self._playing, self._core.scheduler.tick
+        if playing is None or not playing.start_tick - 1 <= tick <= playing.end_tick:
             return None
         return {
             "name": playing.name,
-            "seconds": round((self._tick() - playing.start_tick + 1) * self._period_s, 1),
+            "seconds": round((tick - playing.start_tick + 1) * self._period_s, 1),
             "length_s": (playing.end_tick - playing.start_tick) * self._period_s,
         }
 

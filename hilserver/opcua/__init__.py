@@ -6,6 +6,6 @@ out: `frames` and `channel` judge what comes in, `transport` gives connections d
 `rotation` all work its turns, `decoding` and `portions` bound a request, `places` and `access`
 decide who gets in.
 
-Nothing in `certificate`, `trust_list`, `passwords` and `attempts` knows a socket; clients of ours,
+Nothing in `certificate`, `trust_list` and `passwords` knows a socket; clients of ours,
 `hilserver certs` and the tests use them alike.
 """

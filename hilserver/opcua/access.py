@@ -18,9 +18,15 @@ from asyncua.common.utils import ServiceError
 from asyncua.crypto import uacrypto
 from asyncua.crypto.permission_rules import User, UserRole
 
-from hilserver.opcua.attempts import WINDOW_S, FailedAttempts, keys_of
 from hilserver.opcua.logs import log
-from hilserver.opcua.passwords import MAX_PASSWORD_BYTES, hash_password, is_password
+from hilserver.opcua.passwords import (
+    MAX_PASSWORD_BYTES,
+    WINDOW_S,
+    FailedAttempts,
+    hash_password,
+    is_password,
+    keys_of,
+)
 from hilserver.opcua.settings import OpcUaSettings, Role
 
 _MAX_WAITING = 10

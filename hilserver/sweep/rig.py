@@ -17,7 +17,7 @@ from hilserver.daemon.assembly import Assembly, assemble_config
 from hilserver.daemon.builder import Pace, build, faults_of
 from hilserver.errors import ConfigError
 from hilserver.faults import Faults
-from hilserver.faults.scenario import Play, Scenario, Stage
+from hilserver.faults.scenario import Play, Scenario
 from hilserver.parameters.table import BLOCK
 from hilserver.plant.layout import Parameters
 from hilserver.program.own_python import described, load_callable
@@ -141,9 +141,7 @@ class Rig:
     def _stage(self) -> None:
         """Check scenario and faults, and put the scenario's values into the queue of all."""
         core, job = self._core, self.job
-        stage = Stage(
-            core.table, core.image, core.gate, core.faults, core.parameters, self._period_ns
-        )
+        stage = core.stage()
         stage.check(Play(job.scenario, job.scenario_path))
         for index, item in enumerate(job.faults):
             try:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hilserver.bench import cyclictest, jitter
-from hilserver.bench.linear_histogram import (
+from hilserver.bench.report import (
     median_of_blocks_us,
     percentile_us,
     ratio_interval,

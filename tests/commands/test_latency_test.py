@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from hilserver.bench.linear_histogram import percentile_us
+from hilserver.bench.report import percentile_us
 from hilserver.commands import main
 from hilserver.commands.latency_test import histogram_lines
 

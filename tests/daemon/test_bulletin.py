@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 from hilserver.core.events import Event, EventBus, EventKind
-from hilserver.daemon.bulletin import Bulletin
+from hilserver.daemon.bulletin import Surroundings
 
 
 def test_the_overruns_of_a_slice_are_one_line():
@@ -12,7 +12,7 @@ def test_the_overruns_of_a_slice_are_one_line():
     for number in range(1000):
         bus.publish(Event(EventKind.OVERRUN, 400, "plant", f"late wake {number}"))
     bus.publish(Event(EventKind.OVERRUN, 400, "sensors", "long run"))
-    shown = Bulletin._events(SimpleNamespace(core=SimpleNamespace(events=bus)))
+    shown = Surroundings._events(SimpleNamespace(core=SimpleNamespace(events=bus)))
     assert [(event["source"], event["count"]) for event in shown] == [
         ("sensors", 1),
         ("plant", 255),

@@ -11,7 +11,6 @@ from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.builder import build
 from hilserver.daemon.desk import Recordings, Scenarios
 from hilserver.errors import ControlRefused
-from hilserver.faults.scenario import Stage
 
 CONFIG = Config.model_validate({"scheduler": {"backend": "virtual"}})
 DRIVES = {"ahead.yaml": ("twist.linear_m_s", 0.1), "turn.yaml": ("twist.angular_rad_s", 0.2)}
@@ -25,9 +24,7 @@ async def run(tmp_path):
         (tmp_path / name).write_text(yaml.safe_dump({"steps": steps}), encoding="utf-8")
     async with build(assemble_config(CONFIG, tmp_path)) as core:
         core.image.control.state = 1
-        stage = Stage(core.table, core.image, core.gate, core.faults, core.parameters, 1_000_000)
-        tick = lambda: core.scheduler.tick  # noqa: E731
-        yield core, Scenarios(tmp_path, stage, core.gate, core.faults, tick, 1e-3)
+        yield core, Scenarios(tmp_path, core.stage(), core)
 
 
 async def test_of_scenarios_started_at_once_one_plays(run):

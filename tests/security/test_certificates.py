@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from hilserver.config.root import Config, without_passwords
 from hilserver.errors import ConfigError
-from hilserver.opcua.attempts import FailedAttempts, keys_of
 from hilserver.opcua.certificate import (
     first_of_chain,
     key_to_pem,
@@ -21,7 +20,7 @@ from hilserver.opcua.certificate import (
     make_key,
     to_der,
 )
-from hilserver.opcua.passwords import hash_password, is_password
+from hilserver.opcua.passwords import FailedAttempts, hash_password, is_password, keys_of
 from hilserver.opcua.trust_list import (
     MAX_REJECTED,
     TrustList,

@@ -10,7 +10,7 @@ from asyncua import ua
 from hilserver import __version__
 from hilserver.io.opcua_server import model
 from hilserver.io.opcua_server.method_table import Method
-from hilserver.io.opcua_server.nameplate import GROUP, LOCALIZED_TEXT, Entry
+from hilserver.io.opcua_server.server_status import GROUP, LOCALIZED_TEXT, Entry
 from hilserver.io.opcua_server.units import NAMESPACE_URI as UNITS_URI
 from hilserver.io.opcua_server.units import Unit
 

@@ -11,10 +11,9 @@ from hilserver.io.opcua_server.address_space import AddressSpaceBuilder
 from hilserver.io.opcua_server.application import RobotApplication
 from hilserver.io.opcua_server.diagnostics import Diagnostics
 from hilserver.io.opcua_server.method_table import METHODS, Parts
-from hilserver.io.opcua_server.nameplate import nameplate
 from hilserver.io.opcua_server.parameters import ParameterVariables
 from hilserver.io.opcua_server.robot_events import RobotEvents
-from hilserver.io.opcua_server.server_status import PRODUCT_URI, ServerStatus, build_info
+from hilserver.io.opcua_server.server_status import PRODUCT_URI, ServerStatus, build_info, nameplate
 from hilserver.io.opcua_server.values import SignalVariables
 from hilserver.io.world import Figure, Part, World
 from hilserver.opcua.encoding import FixedDataValue

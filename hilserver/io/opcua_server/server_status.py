@@ -1,22 +1,63 @@
-"""ServerStatus and ServiceLevel: what a client reads before it trusts the rest.
+"""ServerStatus, ServiceLevel and nameplate: what a client reads before it trusts the rest.
 
 ServerState: Running while the plant runs or is in its safe state, Suspended while it starts or is
 paused (values do not change), Shutdown at the end.
 
 ServiceLevel (OPC 10000-4, 6.6.2): 255 running; 240 running, but the real-time audit misses
 something; 199 a configured peer is away; 150 paused; 100 safe state; 1 starting; 0 stopping.
+
+The nameplate identifies the robot as a device (OPC 10000-100, 4.5.2): asset tools look for it in
+the namespace of DI, at the device itself and in its group Identification.
 """
 
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from asyncua import ua
 
 import hilserver
+from hilserver import __version__
+from hilserver.compiled.cache import kernel_hash
+from hilserver.config.root import Config
 from hilserver.opcua.encoding import FixedDataValue
 from hilserver.signals import State
+
+GROUP = "Identification"
+STRING, LOCALIZED_TEXT, INT32 = 12, 21, 6
+
+
+class Entry(NamedTuple):
+    """A property of the nameplate; `kind` is the identifier of its data type."""
+
+    name: str
+    value: Any
+    kind: int = STRING
+
+
+def nameplate(config: Config, application_uri: str) -> tuple[Entry, ...]:
+    """Return the nameplate of the configured robot.
+
+    The serial number is the beginning of the configuration's hash: the same number, the same robot.
+    The revision of the device is that of its compiled equations.
+    """
+    serial = config.sha256[:12]
+    return (
+        Entry("Manufacturer", "hilserver", LOCALIZED_TEXT),
+        Entry("ManufacturerUri", "urn:hilserver"),
+        Entry("Model", "Simulated four-wheeled robot", LOCALIZED_TEXT),
+        Entry("ProductCode", "hilserver-robot"),
+        Entry("HardwareRevision", "simulated"),
+        Entry("SoftwareRevision", __version__),
+        Entry("DeviceRevision", kernel_hash()),
+        Entry("DeviceClass", "Mobile robot"),
+        Entry("DeviceManual", "docs/index.md"),
+        Entry("SerialNumber", serial),
+        Entry("ProductInstanceUri", f"{application_uri}:{serial}"),
+        Entry("RevisionCounter", -1, INT32),  # -1: it is not counted
+    )
+
 
 PRODUCT_URI = "urn:hilserver"
 

@@ -15,7 +15,7 @@ from hilserver.io.page.jobs import Jobs
 from hilserver.io.page.live import Live
 from hilserver.io.page.setup import Setup
 from hilserver.io.page.stopping import Stopping
-from hilserver.opcua.attempts import WINDOW_S, FailedAttempts, keys_of
+from hilserver.opcua.passwords import WINDOW_S, FailedAttempts, keys_of
 from hilserver.signals.numbers import is_finite_number
 
 ANY = ""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from jinja2 import ChoiceLoader, Environment, PackageLoader
@@ -39,16 +39,6 @@ class Judged:
     median: float
     worst: float
     influences: list[Influence]
-
-
-@dataclass(frozen=True)
-class Worst:
-    """A machine to drive again."""
-
-    index: int
-    margins: list[tuple[str, float]]
-    message: str
-    parameters: list[tuple[str, float]]
 
 
 def render(table: Table) -> str:
@@ -110,17 +100,18 @@ def _judged(table: Table, name: str, n: int) -> Judged:
     )
 
 
-def _worst(table: Table) -> list[Worst]:
+def _worst(table: Table) -> list[dict[str, Any]]:
+    """Return machines to drive again."""
     size = table.worst_margin  # NaN where the controller failed: those have their own table
     order = np.argsort(size, kind="stable")
     rows = [row for row in order.tolist() if not np.isnan(size[row])]
     return [
-        Worst(
-            int(table.index[row]),
-            [(name, float(values[row])) for name, values in table.margins.items()],
-            table.message[row],
-            [(name, float(values[row])) for name, values in table.parameters.items()],
-        )
+        {
+            "index": int(table.index[row]),
+            "margins": [(name, float(values[row])) for name, values in table.margins.items()],
+            "message": table.message[row],
+            "parameters": [(name, float(values[row])) for name, values in table.parameters.items()],
+        }
         for row in rows[:N_WORST]
     ]
 
