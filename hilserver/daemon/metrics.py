@@ -5,7 +5,6 @@ in `connections`.
 """
 
 import platform
-from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 from hilserver import __version__
@@ -16,7 +15,7 @@ from hilserver.core.recalibration import RECALIBRATION_METRICS
 from hilserver.faults import metrics as faults
 from hilserver.io.peer_link import metrics as peer_metrics
 from hilserver.io.shield import metrics as shield_metrics
-from hilserver.metrics import US, Metric, S, by_name, durations
+from hilserver.metrics import US, Metric, S, durations, gauges
 from hilserver.monitoring import audit
 from hilserver.observer import metrics as observer
 from hilserver.scheduler import metrics as scheduler
@@ -39,31 +38,18 @@ LATENCY_METRICS: Final[tuple[Metric[Histogram125], ...]] = (
     ),
 )
 
-GAP_METRICS: Final[tuple[Metric[Mapping[str, float]], ...]] = (
-    Metric(
-        "hil_model_gap",
-        "Measured minus simulated value of a channel, in the channel's unit.",
-        ("channel",),
-        by_name,
-    ),
+GAP_METRICS: Final = gauges(
+    "hil_model_gap",
+    "Measured minus simulated value of a channel, in the channel's unit.",
+    "channel",
 )
 
-ALARM_METRICS: Final[tuple[Metric[Mapping[str, float]], ...]] = (
-    Metric(
-        "hil_model_gap_alarm",
-        "1 while the gap of a channel exceeds shadow.limits, else 0.",
-        ("channel",),
-        by_name,
-    ),
+ALARM_METRICS: Final = gauges(
+    "hil_model_gap_alarm", "1 while the gap of a channel exceeds shadow.limits, else 0.", "channel"
 )
 
-OUTPUT_METRICS: Final[tuple[Metric[Mapping[str, float]], ...]] = (
-    Metric(
-        "hil_output",
-        "Newest pose, wheel speeds and gap of the body; the unit ends the name.",
-        ("signal",),
-        by_name,
-    ),
+OUTPUT_METRICS: Final = gauges(
+    "hil_output", "Newest pose, wheel speeds and gap of the body; the unit ends the name.", "signal"
 )
 
 PROGRAM_METRICS: Final[tuple[Metric[Program], ...]] = (

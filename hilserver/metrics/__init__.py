@@ -94,3 +94,8 @@ def by_name(figures: Mapping[str, float]) -> Iterator[Row]:
     """Yield a row for every entry, labelled with its key: the reader of a table of numbers."""
     for name, value in sorted(figures.items()):
         yield (name,), float(value)
+
+
+def gauges(name: str, about: str, label: str) -> tuple[Metric[Mapping[str, float]], ...]:
+    """Return the table of one gauge that has a row for every entry of a table of numbers."""
+    return (Metric(name, about, (label,), by_name),)

@@ -5,12 +5,12 @@ tested on a tree of its own. Missing items degrade the figures, visibly: they st
 metric and in OPC UA, and never stop the daemon.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from hilserver.metrics import Metric, by_name
+from hilserver.metrics import gauges
 
 if TYPE_CHECKING:
     from hilserver.scheduler import Scheduler
@@ -165,13 +165,8 @@ CHECKS: tuple[Callable[[Path], AuditItem], ...] = (
 )
 
 
-METRICS: Final[tuple[Metric[Mapping[str, float]], ...]] = (
-    Metric(
-        "hil_audit_ok",
-        "1 where the system fulfils an item of the real-time audit.",
-        ("item",),
-        by_name,
-    ),
+METRICS: Final = gauges(
+    "hil_audit_ok", "1 where the system fulfils an item of the real-time audit.", "item"
 )
 
 
