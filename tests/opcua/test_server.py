@@ -204,4 +204,4 @@ async def test_it_knows_no_robot_and_compiles_nothing() -> None:
     done = await asyncio.to_thread(
         subprocess.run, [sys.executable, "-c", _LOADED], capture_output=True, text=True
     )
-    assert done.stdout.split() == ["cache", "errors", "opcua", "period"]
+    assert done.stdout.split() == ["cache", "errors", "opcua", "period", "small_file"]
