@@ -86,6 +86,7 @@ def _drives(one: Machine, root: Path, keep: Path) -> Iterator[Drive]:
     mapping = MAPPINGS / f"{one.mapping}.yaml"
     log = read_measured(learned, mapping)
     config = machine_config(log, Config())
+    print(f"{one.folder}: diagnosed once into {keep}, then {len(driven)} logs observed", flush=True)
     robot, c = diagnosed(keep / sources() / one.folder, lambda: log, config, 0)
     plain = assemble_config(config).robot
     for file in driven:

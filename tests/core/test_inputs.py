@@ -10,7 +10,8 @@ from hilserver.core.events import EventBus, EventKind
 from hilserver.core.inputs import Refusal, check_value
 from hilserver.errors import ControlRefused
 from hilserver.image.status import GOOD, UNCERTAIN_LAST_USABLE_VALUE
-from tests.fakes import ManualClock, latch_inputs, make_gate, make_image, make_table
+from hilserver.signals import robot_table
+from tests.fakes import RANGES, ManualClock, latch_inputs, make_gate, make_image, make_table
 
 
 @pytest.fixture
@@ -222,3 +223,23 @@ def test_a_silent_source_brings_no_value_back(world):
     gate.end()  # as Reset does
     gate.mark_stale("peer:a")
     assert latched(image, "wheel.fl.setpoint_rpm") == 0.0
+
+
+def test_a_group_is_sampled_where_one_of_its_values_is_new():
+    table = robot_table(RANGES, samples=True)
+    image = make_image(table, queue_rows=64)
+    gate = make_gate(table, image, EventBus(), monotonic_ns=ManualClock())
+    speed, place = "measured.wheel.fl.speed_rpm", "measured.nav.x_m"
+    for news in (None, {speed}, {speed}, set()):
+        assert gate.write("peer:robot", {speed: 1.0, place: 2.0}, news=news) == {}
+    rows = {table.by_slot(row.slot).name: row.value for row in gate.stamps([place], 5.0, 0.03)}
+    assert rows == {
+        "internal.samples_nav": 2.0,
+        "internal.time_nav_s": 5.0,
+        "internal.taken_nav_s": 4.97,
+    }
+    (count,) = (
+        r.value for r in gate.stamps([speed], 5.0) if "samples" in table.by_slot(r.slot).name
+    )
+    assert count == 4.0
+    image.close()
