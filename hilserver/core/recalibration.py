@@ -1,5 +1,6 @@
 """What doors show of the recalibration, and what they ask of it; without one they refuse."""
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -37,8 +38,8 @@ class Decisions:
 class Figures:
     """What is counted."""
 
-    looks: dict[str, int] = field(default_factory=dict)  # by verdict
-    decisions: dict[str, int] = field(default_factory=dict)  # by what became of them
+    looks: Counter[str] = field(default_factory=Counter)  # by verdict
+    decisions: Counter[str] = field(default_factory=Counter)  # by what became of them
     failures: int = 0  # windows that could not be judged, lines that could not be written
     waits: bool = False  # a proposal is open
     changed: bool = False  # the gap has left its usual range since the last look

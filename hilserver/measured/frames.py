@@ -108,17 +108,12 @@ def frames_of(log: Log, sampling: Sampling | None) -> Frames:
     segment = log.segment.copy()
     if POSE_REQUEST in rows:
         segment += np.cumsum(np.diff(rows[POSE_REQUEST], prepend=rows[POSE_REQUEST][:1]) != 0)
-    columns: dict[str, Array] = {}
-    age_s: dict[str, Array] = {}
-    for name, values in _chosen(rows, _rows(log) if tick is None else tick).items():
+    measured = _measured(rows, _rows(log) if tick is None else tick, taken)
+    columns: dict[str, Array] = dict(measured)
+    groups = {name: name.partition(".")[0] for name in measured}
+    age_s = {name: taken[group].age_s for name, group in groups.items() if group in taken}
+    for name, values in _chosen(rows, measured).items():
         columns[name] = values
-        if (own := taken.get(name.partition(".")[0])) and f"{MEASURED}{name}" in rows:
-            known = own.fresh if is_input(name) else own.fresh & own.follows
-            columns[name] = np.where(known, rows[f"{MEASURED}{name}"], np.nan)
-            if not is_input(name):
-                columns[name] = _without_rare_repeats(columns[name])
-            age_s[name] = own.age_s
-            continue
         if sampling is None or tick is None or is_input(name):
             continue
         period = sampling.period(name)
@@ -220,23 +215,39 @@ def _rows(log: Log) -> Indices:
     return np.arange(len(log))
 
 
-def _chosen(rows: Mapping[str, Array], tick: Indices) -> dict[str, Array]:
-    """Return what was measured, or else the robot's own outputs, and the inputs it acted on."""
-    measured = {
-        name.removeprefix(MEASURED): _first_of_each(values, tick)
-        for name, values in rows.items()
-        if name.startswith(MEASURED) and np.nan_to_num(values).any()
-    }
+def _measured(
+    rows: Mapping[str, Array], tick: Indices, taken: Mapping[str, _Taken]
+) -> dict[str, Array]:
+    """Return what came from outside, each sample once, by the names of the robot's own."""
+    found: dict[str, Array] = {}
+    for column, values in rows.items():
+        name = column.removeprefix(MEASURED)
+        if name == column or not np.nan_to_num(values).any():
+            continue
+        own = taken.get(name.partition(".")[0])
+        if own is None:
+            found[name] = _first_of_each(values, tick)
+        elif name in SETPOINTS:
+            found[name] = np.where(own.fresh, values, np.nan)
+        else:
+            sampled = np.where(own.fresh & own.follows, values, np.nan)
+            found[name] = _without_rare_repeats(sampled)
+    if not all(name in found for name in SETPOINTS):
+        found = {name: values for name, values in found.items() if name not in SETPOINTS}
+    return found
+
+
+def _chosen(rows: Mapping[str, Array], measured: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the inputs that the robot acted on, and its own outputs where nothing was measured."""
+    if SETPOINTS[0] in measured:
+        return {}  # it says itself what it was asked for
     known = known_signals()
-    followed = {n: rows[f"{MEASURED}{n}"] for n in SETPOINTS if f"{MEASURED}{n}" in rows}
-    if any(n in measured for n in SETPOINTS):  # the robot says itself what it was asked for
-        return measured | followed
     inputs = {name: values for name, values in rows.items() if name in known and is_input(name)}
     inputs |= {COMMAND: rows[COMMAND]} if COMMAND in rows and rows[COMMAND].any() else {}
     outputs = {
         name: values for name, values in rows.items() if name in known and name not in inputs
     }
-    return _obeyed(inputs) | (measured or outputs)
+    return _obeyed(inputs) | ({} if measured else outputs)
 
 
 def _obeyed(inputs: dict[str, Array]) -> dict[str, Array]:

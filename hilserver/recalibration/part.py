@@ -220,12 +220,12 @@ class Recalibration(Part):
     def _decided(self, decided: Proposal, who: str) -> None:
         sentence = f"proposal {decided.number} is {decided.stage} by {who}"
         self._last = {"kind": "decision", "verdict": str(decided.stage), "sentence": sentence}
-        self._count(str(decided.stage))
+        self.figures.decisions[str(decided.stage)] += 1
         self._say(sentence)
 
     def refused(self, sentence: str) -> None:
         """Count a decision that was refused, and say it unless it has just been said."""
-        self._count("refused")
+        self.figures.decisions["refused"] += 1
         now_s = time.monotonic()
         self._refusals = {t: s for t, s in self._refusals.items() if now_s - s < REPEATED_S}
         if sentence not in self._refusals and len(self._refusals) < MOST_REFUSALS:
@@ -234,30 +234,18 @@ class Recalibration(Part):
 
     def _undone(self, why: str) -> None:
         """Write down that a decision came to nothing."""
-        self._count("undone")
+        self.figures.decisions["undone"] += 1
         left = self.loop.proposal
         assert left is not None
         with contextlib.suppress(FailedError):
             self._history.append("undone", why=why[:MOST_TEXT], proposal=left.as_json())
 
     async def reject(self, number: int, who: str) -> None:
-        """Go on without a proposal; it is not made again.
-
-        Raises
-        ------
-        UserError
-            If it is not open, or cannot be written down.
-        """
+        """Go on without a proposal, and do not make it again; UserError as for `accept`."""
         await self._decide(Step.REJECT, number, who)
 
     async def postpone(self, number: int, who: str) -> None:
-        """Leave a proposal open and remind nobody.
-
-        Raises
-        ------
-        UserError
-            If it is not open, or cannot be written down.
-        """
+        """Leave a proposal open and remind nobody; UserError as for `accept`."""
         await self._decide(Step.POSTPONE, number, who)
 
     async def _decide(self, step: Step, number: int, who: str) -> None:
@@ -306,7 +294,7 @@ class Recalibration(Part):
         """Write a line of the history, count it, and say it."""
         verdict = str(note.fields.get("verdict", ""))
         if note.kind == "look":
-            self.figures.looks[verdict] = self.figures.looks.get(verdict, 0) + 1
+            self.figures.looks[verdict] += 1
         if note.kind == "failed":
             self.figures.failures += 1
         sentence = note.sentence or str(note.fields.get("sentence", ""))
@@ -317,9 +305,6 @@ class Recalibration(Part):
             self._failed(str(error))
         if note.sentence:
             self._say(note.sentence, note.severity)
-
-    def _count(self, outcome: str) -> None:
-        self.figures.decisions[outcome] = self.figures.decisions.get(outcome, 0) + 1
 
     def _failed(self, text: str) -> None:
         self.figures.failures += 1
@@ -343,7 +328,7 @@ class Recalibration(Part):
         now = self._counted()
         p = self.loop.proposal if self._tasks else None
         look: dict[str, Figure] = {
-            "count": sum(now.looks.values()),
+            "count": now.looks.total(),
             "is_looking": now.is_looking,
             "gap_changed": now.changed,
             "failures": now.failures,

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from hilserver.config.root import Config
+from hilserver.measured.channels import SETPOINTS
 from hilserver.measured.frames import Sampling
 from hilserver.measured.frames import _first_of_each as first_of_each
 from hilserver.measured.reading import read_measured
@@ -150,7 +151,7 @@ def taken(late_ticks, lie=lambda _: 0.0, n=100):
     which = np.searchsorted(came, np.arange(20 * n + 100), side="right")
     true_s = 0.02 * np.arange(n + 1) + 0.00037
     return {
-        f"measured.{SETPOINT}": lambda tick: which[tick],
+        **dict.fromkeys((f"measured.{n}" for n in SETPOINTS), lambda tick: which[tick]),
         f"measured.{SPEED}": lambda tick: 0.5 * which[tick],
         f"measured.{NAV}": lambda tick: 1.0 + which[tick] // 5,
         SETPOINT: lambda _: 7.0,
@@ -195,3 +196,11 @@ def test_a_channel_that_was_missing_beside_others_has_no_sample(tmp_path):
     assert 60.0 not in log[SPEED].values
     assert (log[SPEED].values == 59.0).sum() == 1
     assert (log[SETPOINT].values == 60.0).sum() == 1
+
+
+def test_set_points_of_some_wheels_alone_are_not_what_the_robot_follows(tmp_path):
+    columns = taken(0)
+    del columns[f"measured.{SETPOINTS[3]}"]
+    log = read(write_frames(tmp_path / "run.csv", columns, n=2040))
+    assert set(SETPOINTS) & log.channels.keys() == set()  # ours are not in force: it is a twist
+    assert "control.mode" in log
