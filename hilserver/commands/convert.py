@@ -15,7 +15,7 @@ from hilserver.logs import Log, open_writer
 from hilserver.logs.bag_writer import Storage
 from hilserver.logs.mf4 import write_mf4
 from hilserver.logs.rewriting import rewrite, run_of, write_table_csv
-from hilserver.logs.writing import reason
+from hilserver.logs.writing import forget, reason
 from hilserver.measured.conversion import read_any, write_parquet
 from hilserver.measured.names import signal_unit
 
@@ -49,6 +49,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         _write(log, args.out, args.storage if is_bag else None)
     except OSError as error:
+        forget(args.out)
         raise FailedError(f"{args.out}: cannot be written: {reason(error)}") from None
     print(f"{len(log)} rows of {len(log.columns)} signals in {args.out}")
     return EXIT_DONE

@@ -48,11 +48,11 @@ def open_writer(
         return McapWriter(path, run, slots, utc_minus_monotonic_ns)
     except OSError as error:
         if is_new:
-            _forget(path)
+            forget(path)
         raise FailedError(f"{path}: cannot be written: {reason(error)}") from None
 
 
-def _forget(path: Path) -> None:
+def forget(path: Path) -> None:
     """Remove what was made of a log."""
     shutil.rmtree(path, ignore_errors=True)
     for file in (path, meta_path(path), changes_path(path)):

@@ -1,5 +1,7 @@
 """A bag keeps every bit, opens in foreign readers, and holds EduArt's topics beside the signals."""
 
+import contextlib
+import errno
 import itertools
 import json
 import math
@@ -13,10 +15,11 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 
 from hilserver import commands
+from hilserver.commands import convert as command
 from hilserver.errors import LogError
 from hilserver.logs import open_writer, read_log
 from hilserver.measured.reading import read_measured
-from tests.logs.samples import NAMES, run_of
+from tests.logs.samples import NAMES, batch_of, ramp, run_of
 
 WHEELS = tuple(f"wheel.{w}.speed_rpm" for w in ("fl", "rl", "fr", "rr"))
 
@@ -245,6 +248,22 @@ def test_what_cannot_be_converted_is_a_sentence(tmp_path, monkeypatch, capsys, w
     open_writer(Path("empty.mcap"), run_of(), range(len(NAMES))).close()
     assert commands.main(["convert", *words]) == code
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("out", ["x.mcap", "x.csv", "x"])
+def test_a_disk_that_fills_up_leaves_no_half(tmp_path, monkeypatch, capsys, out):
+    monkeypatch.chdir(tmp_path)
+    with contextlib.closing(open_writer(Path("in.mcap"), run_of(), range(len(NAMES)))) as writer:
+        writer.write(batch_of(ramp(10)))
+
+    def half(log, writer):
+        writer.write(batch_of(ramp(len(log) // 2)))
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(command, "rewrite", half)
+    assert commands.main(["convert", "in.mcap", out]) == 1
+    assert "no space is left" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
 
 
 def test_a_folder_that_is_not_there_is_no_unknown_format(tmp_path):
