@@ -16,9 +16,9 @@ RESPONSE_S: Final = 0.15  # in which the wheel answers a step
 def lost_steps(problem: Problem, point: Point) -> tuple[int, int]:
     """Return how many set-point steps reached the wheels late or never, and how many are judged.
 
-    A step that waits for the next message is late by one message, others are not at all: after
-    every step what is seen is compared with the simulated response, and with the same one later.
-    Where a sample was taken at some time between two rows, all in between is on time.
+    A step that waits for the next message is late by one message: what is seen after every step is
+    compared with the simulated response, and with the same one later. A sample that was taken
+    between two rows, or stays as it was, may be old, and a single one is no evidence.
     """
     log, stack, stage = problem.stage.log, problem.stack, problem.stage
     both = [(a, b) for a, b in zip(SETPOINTS, SPEEDS, strict=True) if a in log and b in stack.edges]
@@ -31,7 +31,8 @@ def lost_steps(problem: Problem, point: Point) -> tuple[int, int]:
     for setpoint, speed in both:
         edge = stack.edges[speed]
         t, r = stack.t_s[edge], residual[edge]
-        row_s = _row_s(log[setpoint], log[speed])
+        stays = np.diff(stack.values[edge], prepend=np.inf) == 0.0
+        row_s = np.where(stays, row_period_s(log[speed]), _row_s(log[setpoint], log[speed]))
         at_once, by_a_row, later = (
             np.interp(stack.at[edge] - by_s * rate_hz, np.arange(len(shown[speed])), shown[speed])
             for by_s in (0.0, row_s, row_s + 2.0 * LOST_LATE_S)
@@ -45,10 +46,11 @@ def lost_steps(problem: Problem, point: Point) -> tuple[int, int]:
             first, end = np.searchsorted(spans, [span, span + 1])  # stamps rise within a span only
             for a in np.flatnonzero(np.abs(np.diff(s)) > LARGE_STEP_RPM) + 1:
                 low, high = first + np.searchsorted(t[first:end], [ts[a], ts[a] + RESPONSE_S])
-                power = float(g[low:high] @ g[low:high])
+                others = low + np.argsort(r[low:high] * g[low:high])[:-1]
+                power = float(g[others] @ g[others])
                 if power <= 0.0 or noise / np.sqrt(power) > 0.125:
                     continue
-                late.append(float(r[low:high] @ g[low:high]) / power > 0.5)
+                late.append(float(r[others] @ g[others]) / power > 0.5)
     if len(late) < 12:
         return 0, 0
     return sum(late), len(late)

@@ -18,6 +18,7 @@ from hilserver.diagnosis.progress import Tracker
 from hilserver.diagnosis.regression.stages import prepare_all
 from hilserver.diagnosis.report.summary import summary
 from hilserver.diagnosis.schema.findings import Overall, Verdict
+from hilserver.diagnosis.thresholds import FEWEST_EVENTS
 from hilserver.measured.data import Channel
 from tests.diagnosis.assertions import nothing_is_found, said
 from tests.diagnosis.hidden.logs import assembly, recipe
@@ -126,6 +127,20 @@ def test_lost_steps_are_looked_for_within_each_log():
     alone, both = (lost_steps(p.problem, p.base) for p in (one, two))
     assert alone[1] > 0
     assert both == (2 * alone[0], 2 * alone[1])
+
+
+def test_an_old_sample_at_a_step_is_no_lost_set_point():
+    """Of rounded speeds nobody sees that one repeats the one before."""
+    log, rng = sound(), np.random.default_rng(1)
+    stale = {}
+    for name in (n for n in log.channels if "speed" in n):
+        rows = np.arange(len(log[name]))
+        last = np.maximum.accumulate(np.where(rng.random(len(rows)) < 0.1, 0, rows))
+        stale[name] = log[name].with_values(0.5 * np.round(2.0 * log[name].values)[last])
+    drive = prepare_all(log.with_channels(stale), assembly().robot, 1, Tracker())[0]["drive"]
+    found = lost_steps(drive.problem, drive.base)
+    assert found is not None
+    assert found.events < FEWEST_EVENTS
 
 
 def test_a_machine_that_was_asked_for_nothing_has_a_report():
