@@ -19,7 +19,7 @@ from hilserver.diagnosis.regression.problem import Point, Problem
 
 DAMPED_BY_ENDS: Final = 1e-4  # see `linear`: not every parameter shows at the end of a run
 MOST_STEPS: Final = 12
-SETTLED: Final = 1e-3  # share of the cost; a step that gains less is the last
+CONVERGED: Final = 1e-3  # share of the cost; a step that gains less is the last
 
 Misses = Mapping[str, NDArray[Any]]
 """By quantity, shape (runs,); a position is x + iy."""
@@ -50,7 +50,7 @@ def fit_by_ends(problem: Problem, start: Point, horizon_s: float) -> Point:
                 break
         if found >= least:
             break
-        last = least - found < SETTLED * least
+        last = least - found < CONVERGED * least
         point, least = trial, found
         if last:
             break

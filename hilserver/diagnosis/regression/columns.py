@@ -29,7 +29,7 @@ class Library:
     columns: Columns = field(default_factory=lambda: np.zeros((0, 0), np.float32))
     # shape (blocks, k): sums of their squares
     squares: Columns = field(default_factory=lambda: np.zeros((0, 0), np.float32))
-    norms: list[Array] = field(default_factory=list)  # lengths of every candidate's own columns
+    norms: list[Array] = field(default_factory=list)  # lengths of columns, where there are several
 
     def __post_init__(self) -> None:
         stack = self.problem.stack
@@ -50,10 +50,14 @@ class Library:
         for first in range(0, len(self.raw), AT_ONCE):
             some = self.raw[first : first + AT_ONCE]
             table = np.concatenate(some, axis=1, dtype=np.float64)
-            ends = np.cumsum([raw.shape[1] for raw in some])[:-1]
-            white = np.split(problem.project(problem.whiten(table), bases), ends, axis=1)
-            self.norms += [np.sqrt((own**2).sum(axis=0)) + 1e-300 for own in white]
-            spread = np.concatenate([directions(own) for own in white], axis=1)
+            spread = problem.project(problem.whiten(table), bases)
+            if spread.shape[1] > len(some):
+                ends = np.cumsum([raw.shape[1] for raw in some])[:-1]
+                white = np.split(spread, ends, axis=1)
+                self.norms += [np.sqrt((own**2).sum(axis=0)) + 1e-300 for own in white]
+                spread = np.concatenate([directions(own) for own in white], axis=1)
+            else:
+                self.norms += [np.ones(1)] * len(some)
             end = begin + spread.shape[1]
             self.columns[:, begin:end] = spread[self.blocks.order]
             begin = end

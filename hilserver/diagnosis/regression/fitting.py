@@ -37,14 +37,14 @@ def fit(
     used = np.ones(problem.stack.n_blocks, dtype=bool) if rows is None else rows
     raw = problem.whiten(_columns_near(problem, point, start))
     fresh = np.array_equal(point.predicted, start.predicted)
-    for _ in range(iterations):
+    for more in reversed(range(iterations)):
         best, expected = _step(problem, point, raw, used)
         if expected < LEAST_EXPECTED or (best is None and fresh):
             break
         gained = 0.0 if best is None else float((point.loss - best.loss)[used].sum())
         point = best or point
         fresh = abs(gained - expected) > AS_EXPECTED * expected
-        if fresh:
+        if fresh and more:
             raw = problem.whiten(problem.columns(point, point.model))
     return point
 

@@ -127,6 +127,7 @@ def without(p: Prepared, half: int) -> Prepared | None:
     Only what the plant does to the columns is the same: noise and all that depends on it are
     estimated again.
     """
+    p.problem.forget()
     stack, rows = p.problem.stack.without(half)
     if not len(stack) or len(rows) == len(p.problem.stack):
         return None

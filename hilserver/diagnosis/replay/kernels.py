@@ -261,37 +261,51 @@ def run_pose(
     pose : ndarray, shape (ticks, 4)
         Written: x [m], y [m], yaw [rad] not wrapped, turn rate [rad/s].
     """
-    dt, is_mecanum, aside = p.dt, p.mecanum != 0.0, 0.0
     for s in which:
         for i in range(3):
             x.pose[i] = pose_0[s, i]
-        turned = pose_0[s, 2]
-        angle = angle_0[s]
-        last = first[s + 1] - 1
-        for k in range(first[s], first[s + 1]):
-            following = min(k + 1, last)
-            w_l, w_r = left[k] * SIDE, right[k] * SIDE
-            next_l, next_r = left[following] * SIDE, right[following] * SIDE
-            mean_l, mean_r = 0.5 * (w_l + next_l), 0.5 * (w_r + next_r)
-            y.angle[0] = angle
-            y.angle[1] = angle
-            angle += mean_l * dt
-            x.angle[0] = angle
-            x.angle[1] = angle
-            pose[k, 0] = x.pose[0]
-            pose[k, 1] = x.pose[1]
-            pose[k, 2] = turned
-            before = x.pose[2]
-            dw_l, dw_r = (next_l - w_l) / dt, (next_r - w_r) / dt
-            if k == first[s]:
-                follow_wheels(p, x, y, w_l, w_r, dw_l, dw_r)
-            if is_mecanum:
-                _turn_apart(x, apart, k)
-                aside = sideways(p, x)[0]
-                _turn_apart(x, apart, following)
-            drive_on_with_terms(p, x, y, w_l, w_r, dw_l, dw_r, mean_l, mean_r, aside, 0.0)
-            pose[k, 3] = y.angular
-            turned += wrap(x.pose[2] - before)
+        _run_segment(p, x, first[s], first[s + 1] - 1, left, right, apart, angle_0[s], y, pose)
+
+
+@kernel()
+def _run_segment(
+    p: Parameters,
+    x: State,
+    first: int,
+    last: int,
+    left: Any,
+    right: Any,
+    apart: Any,
+    angle: float,
+    y: Outputs,
+    pose: Any,
+) -> None:
+    """Run one segment from the pose of `x` on; see `run_pose`."""
+    dt, is_mecanum, aside, turned = p.dt, p.mecanum != 0.0, 0.0, x.pose[2]
+    for k in range(first, last + 1):
+        following = min(k + 1, last)
+        w_l, w_r = left[k] * SIDE, right[k] * SIDE
+        next_l, next_r = left[following] * SIDE, right[following] * SIDE
+        mean_l, mean_r = 0.5 * (w_l + next_l), 0.5 * (w_r + next_r)
+        y.angle[0] = angle
+        y.angle[1] = angle
+        angle += mean_l * dt
+        x.angle[0] = angle
+        x.angle[1] = angle
+        pose[k, 0] = x.pose[0]
+        pose[k, 1] = x.pose[1]
+        pose[k, 2] = turned
+        before = x.pose[2]
+        dw_l, dw_r = (next_l - w_l) / dt, (next_r - w_r) / dt
+        if k == first:
+            follow_wheels(p, x, y, w_l, w_r, dw_l, dw_r)
+        if is_mecanum:
+            _turn_apart(x, apart, k)
+            aside = sideways(p, x)[0]
+            _turn_apart(x, apart, following)
+        drive_on_with_terms(p, x, y, w_l, w_r, dw_l, dw_r, mean_l, mean_r, aside, 0.0)
+        pose[k, 3] = y.angular
+        turned += wrap(x.pose[2] - before)
 
 
 @kernel()

@@ -1,5 +1,6 @@
 """Replay from the measured wheel speeds: pose and turn rate of the kinematics alone (cut C)."""
 
+from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import ClassVar, Final
@@ -42,6 +43,7 @@ STRIDES: Final = (2, 10)
 """
 SLOW_ROWS_S: Final = 0.04
 """... and 10 ms where wheel speeds in slower rows are all that was recorded."""
+RUNS_KEPT: Final = 2  # that of a model, and of a step away from it that was tried
 _SENSORS: Final = Parameters.where("seed").start
 """Of the parameters, those from here on do not change how the robot moves."""
 HEADING, TURN = "pose.yaw_rad", "velocity.angular_rad_s"
@@ -120,7 +122,6 @@ class PoseStage(Stage):
         self._encoder_gain = pack(robot).encoder_gain
         self._pool = ThreadPoolExecutor(jobs) if jobs > 1 else None
         self._jobs, self._every = jobs, np.arange(len(self.segments))
-        self._last: tuple[tuple[bytes, ...], Array] | None = None
         self._judge_samples()
 
     def _settling_s(self) -> Array:
@@ -210,11 +211,11 @@ class PoseStage(Stage):
         return p
 
     def _run(self, p: Parameters, poses: Array, which: Indices, *, keep: bool = False) -> Array:
-        """Run some segments, or return their last run if only sensors have changed since."""
+        """Run some segments, or return a kept run of theirs if only sensors have changed since."""
         key = (p.numbers[:_SENSORS].tobytes(), poses.tobytes(), which.tobytes())
-        last = self._last
-        if last is not None and last[0] == key:
-            return last[1]
+        for known, dense in list(self._kept):
+            if known == key:
+                return dense
         dense = np.empty((self.segments.ticks, 4))
         wheels = self._turned(p)
 
@@ -227,7 +228,7 @@ class PoseStage(Stage):
         else:
             list(self._pool.map(run, np.array_split(which, self._jobs)))
         if keep:
-            self._last = (key, dense)
+            self._kept.append((key, dense))
         return dense
 
     def _turned(self, p: Parameters) -> tuple[Array, Array, Array]:
@@ -362,7 +363,8 @@ class PoseStage(Stage):
     def _judge_samples(self) -> None:
         """Find what the samples need: their segments, and distinct stamps of the tag's channels."""
         stack = self.stack
-        self._last, self._used = None, np.unique(stack.segment)
+        self._used = np.unique(stack.segment)
+        self._kept: deque[tuple[tuple[bytes, ...], Array]] = deque(maxlen=RUNS_KEPT)
         names = [n for n in TAG if n in stack.edges]
         if not names:
             return
