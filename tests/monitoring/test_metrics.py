@@ -109,6 +109,7 @@ STIMULI = {
         0, d.observed[0]._replace(readmitted=1)
     ),
     "hil_recalibration_looks_total": lambda d: d.recalibration.looks.update(named=1),
+    "hil_recalibration_decisions_total": lambda d: d.recalibration.decisions.update(accepted=1),
     "hil_recalibration_failures_total": lambda d: setattr(d.recalibration, "failures", 1),
     "hil_recalibration_proposal_open": lambda d: setattr(d.recalibration, "waits", True),
     "hil_recalibration_gap_changed": lambda d: setattr(d.recalibration, "changed", True),
