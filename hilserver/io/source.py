@@ -49,6 +49,7 @@ class Source:
         self._label, self._gate, self._publish = label, gate, publish
         self._on_stale, self._fresh = driver.on_stale, fresh
         self._looked_ns = self._usual_ns = self._stood_since_ns = self._left_over_until_ns = 0
+        self._has_written = False  # a first command that lapses at once would stop the start
 
     def came_ns(self, now_ns: int) -> int:
         """Return when what is read now came in; after a standstill of ours it may be its begin.
@@ -56,8 +57,8 @@ class Source:
         Whoever has sent it may be gone since.
         """
         self._stood_still(now_ns)
-        is_left_over = now_ns < self._left_over_until_ns and self._gate.in_real_time
-        return self._stood_since_ns if is_left_over else now_ns
+        is_left_over = now_ns < self._left_over_until_ns and self._has_written
+        return self._stood_since_ns if is_left_over and self._gate.in_real_time else now_ns
 
     def _stood_still(self, now_ns: int) -> bool:
         """Note a standstill that ends now: one that a command does not survive."""
@@ -79,8 +80,9 @@ class Source:
         renews: bool = True,
     ) -> Outcome:
         """Hand one group to the gate; report what is wrong with it, as values of `of`."""
+        came_ns, self._has_written = self.came_ns(now_ns), True
         refused = self._gate.write(
-            self.name, values, received_ns=now_ns, age_ns=age_ns, news=news, renews=renews
+            self.name, values, received_ns=came_ns, age_ns=age_ns, news=news, renews=renews
         )
         wrong = {name: why for name, why in refused.items() if why not in OFFERED_AGAIN}
         for name, why in wrong.items():

@@ -11,12 +11,14 @@ LIMIT_MS, WATCH_MS = 250, 20
 DRIVER = Driver("plc", "peer:plc", "the PLC", LIMIT_MS, "zero")
 
 
-def watched(until_ms, *, every_ms=WATCH_MS, in_real_time=True):
+def watched(until_ms, *, every_ms=WATCH_MS, in_real_time=True, has_written=True):
     """Return a source that has been looked at from 1 s on."""
     events, table = EventBus(), make_table()
     gate = make_gate(table, make_image(table), events, in_real_time=in_real_time)
     status = PeerStatus("plc")
     source = Source(DRIVER, "PLC", status, gate, events.publish, fresh=lambda: "fresh")
+    if has_written:
+        source.write({}, 1000 * MS)
     for at_ms in range(1000, until_ms, every_ms):
         source.watch(at_ms * MS)
     return source
@@ -56,11 +58,19 @@ def test_simulated_time_does_not_pass_meanwhile():
     assert watched(2001, in_real_time=False).came_ns(7000 * MS) == 7000 * MS
 
 
-def test_a_client_that_was_there_before_the_standstill_is_not_heard_after_it():
-    source = watched(2001)
-    source.staleness.renew(2000 * MS)
-    source.watch(2001 * MS)
-    assert not source.staleness.stale
-    source.staleness.renew(source.came_ns(7000 * MS))
-    source.watch(7000 * MS)
-    assert source.staleness.stale
+def test_a_command_is_handed_on_with_when_it_came(monkeypatch):
+    source, came = watched(2001), []
+
+    def noting(_source, _values, *, received_ns, **_):
+        came.append(received_ns)
+        return {}
+
+    monkeypatch.setattr(source._gate, "write", noting)
+    for at_ms in (2000, 7000, 7200):
+        source.write({}, at_ms * MS)
+    assert came == [2000 * MS, 2000 * MS, 7200 * MS]
+
+
+def test_the_first_command_of_all_is_none_that_is_left_over():
+    source = watched(2001, has_written=False)
+    assert source.came_ns(7000 * MS) == 7000 * MS

@@ -223,7 +223,6 @@ class EdgeLink(Part):
             sentence = f"a write to group '{name}' was refused: {error}"
             self._source.faults.report(EdgeFault.BAD_WRITE, name, sentence, now_ns)
             return
-        now_ns = self._source.came_ns(now_ns)
         if values and not self._source.write(values, now_ns).wrong:
             self._source.staleness.renew(now_ns)
             self.status.input_received_ns.update(dict.fromkeys(values, now_ns))

@@ -170,7 +170,6 @@ class Intake:
         self._news_ns = now_ns
 
     def _hand_over(self, now_ns: int) -> None:
-        now_ns = self._source.came_ns(now_ns)
         self._staleness.renew(now_ns)
         self._status.input_received_ns.update(dict.fromkeys(self._picture, now_ns))
         if not self._picture or self._staleness.waiting:

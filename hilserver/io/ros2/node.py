@@ -256,7 +256,6 @@ class Ros2Node(Part):
             self._hand_over(subscribed, values, now_ns)
 
     def _hand_over(self, subscribed: Subscribed, values: dict[str, object], now_ns: int) -> None:
-        now_ns = self._source.came_ns(now_ns)
         wrong = self._source.write(values, now_ns, of=f"{subscribed.topic}: ").wrong
         if subscribed.commands and not wrong:
             self._source.staleness.renew(now_ns)

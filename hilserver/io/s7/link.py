@@ -96,7 +96,7 @@ class S7Link(Part):
         return self._contents
 
     def _write(self, values: Mapping[str, object]) -> Mapping[str, Code]:
-        now_ns = self._source.came_ns(time.monotonic_ns())
+        now_ns = time.monotonic_ns()
         outcome = self._source.write(values, now_ns)
         if not outcome.wrong:
             self._source.staleness.renew(now_ns)

@@ -215,11 +215,10 @@ class ShieldLink(Part):
             self._received_ns = received_ns
             terminated = not flags & w.ALONE
             data = payload.to_bytes(8, "little", signed=True)
-            received_ns = self._source.came_ns(received_ns)
             self._source.staleness.renew(received_ns)
             self.device.take(Request(command, data, received_ns, terminated))
         if is_new:
-            self._world.gate.renew(NAME, received_ns)
+            self._world.gate.renew(NAME, self._source.came_ns(received_ns))
 
     async def _watch(self) -> None:
         while True:
