@@ -49,7 +49,8 @@ def test_one_covariance_says_what_the_intervals_say(alike):
 
 def test_stages_are_fitted_apart(alike):
     problem, point = alike
-    one, none = estimate_of(problem, point), estimate_of(problem, problem.point(Model(), ()))
+    nothing = problem.point(Model(), point.poses)
+    one, none = estimate_of(problem, point), estimate_of(problem, nothing)
     both = joint([one, none, one])
     assert len(both.parameters) == 6
     assert np.array(both.covariance)[:3, 3:] == pytest.approx(0.0)
