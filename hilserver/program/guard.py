@@ -99,11 +99,11 @@ class Guard:
 
     def _leave(self, code: int, why: str) -> NoReturn:
         self._is_leaving = True
-        self.say(f"{why}, exit code {code}")
         _end_children()
         for cleanup in reversed(_cleanups):
             with contextlib.suppress(Exception):
                 cleanup()
+        self.say(f"{why}, exit code {code}")  # last: the other threads still say what they do
         os._exit(code)
 
 
