@@ -15,7 +15,10 @@ from hilserver.measured.machine import machine_config
 from hilserver.measured.names import is_input
 from hilserver.measured.reading import read_measured
 
-SECTIONS = ("plant", "kinematics", "mechatronic", "sensors", "scheduler", "observer", "blocks")
+SECTIONS = (
+    *("plant", "kinematics", "mechatronic", "sensors", "scheduler", "observer", "blocks"),
+    "recalibration",  # its samples are signals
+)
 """What the plant depends on; addresses and passwords of the run do not matter."""
 
 
