@@ -60,7 +60,7 @@ _COMMANDED: Final[Mapping[str, Mapping[str, str]]] = {
     "geometry_msgs/msg/Twist": _COMMAND,
     "geometry_msgs/msg/TwistStamped": _below("twist", _COMMAND),
 }
-_ALSO_SENT: Final = {"joy", "teleop", "initialpose"}
+_ALSO_SENT: Final = {"joy", "teleop", "initialpose", "clicked"}
 _OF_ROS: Final = re.compile(
     r"((diagnostic|geometry|nav|rosgraph|sensor|tf2|visualization)_msgs|rcl_interfaces)/"
 )

@@ -157,17 +157,24 @@ def _taken(rows: Mapping[str, Array], t_s: Array, sampling: Sampling) -> dict[st
 def _without_rare_repeats(values: Array) -> Array:
     """Return samples without those that were missing: a channel that never repeats a value did not.
 
-    Others of its group came at the time, and its last value stands beside them.
+    Others of its group came at the time, and its last value stands beside them. Of a robot that
+    stands the same comes again and again: only repeats that stand alone were missing.
     """
     there = np.flatnonzero(np.isfinite(values))
     again = np.diff(values[there], prepend=np.nan) == 0.0
+    alone = again & ~np.append(again[1:], False) & ~np.append(False, again[:-1])
     if again.mean() < RARE:
-        values[there[again]] = np.nan
+        values[there[alone]] = np.nan
     return values
 
 
 def _risen(t_s: Array, at: Indices, stamps: Array) -> _Taken:
-    """Return samples by row, those left out that are no newer than one before them."""
+    """Return samples by row, those left out that are no newer than one before them.
+
+    Of several messages with one stamp the last one completes the sample.
+    """
+    last = np.append(np.diff(stamps) != 0.0, True)
+    at, stamps = at[last], stamps[last]
     newest = np.maximum.accumulate(np.append(-np.inf, stamps))[:-1]
     at, stamps = at[stamps > newest], stamps[stamps > newest]
     fresh, follows, age_s = np.zeros((3, len(t_s)))

@@ -100,6 +100,14 @@ def test_a_pose_made_of_wheel_speeds_and_goals_stand_behind_a_measured_one(tmp_p
     assert proposed(tmp_path, topics)["nav.x_m"] == ("/tracker", "pose.position.x")
 
 
+def test_a_point_that_somebody_clicked_on_a_map_is_no_measured_position(tmp_path):
+    point = TYPES["geometry_msgs/msg/PointStamped"](header(), pose().position)
+    assert proposed(tmp_path, {"/clicked_point": point}) == {}
+    (tmp_path / "tag").mkdir()
+    found = proposed(tmp_path / "tag", {"/clicked_point": point, "/tag": point})
+    assert found["nav.x_m"] == ("/tag", "point.x")
+
+
 def test_odometry_alone_is_proposed_with_a_warning(tmp_path):
     assert proposed(tmp_path, {"/odom": odometry()})["nav.x_m"] == ("/odom", "pose.pose.position.x")
     (line, *_) = [row for row in (tmp_path / "map.yaml").read_text().splitlines() if "nav.x" in row]

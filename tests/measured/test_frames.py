@@ -198,6 +198,31 @@ def test_a_channel_that_was_missing_beside_others_has_no_sample(tmp_path):
     assert (log[SETPOINT].values == 60.0).sum() == 1
 
 
+def test_a_robot_that_stands_for_a_moment_is_measured_all_along(tmp_path):
+    columns = taken(0, n=200)
+    which = columns[f"measured.{SETPOINT}"]
+    # 4 of 200 samples: the robot stands, and shows exactly what it showed before
+    columns[f"measured.{SPEED}"] = lambda tick: min(which(tick), 60) + max(which(tick) - 64, 0)
+    log = read(write_frames(tmp_path / "run.csv", columns, n=4040))
+    assert (log[SPEED].values == 60.0).sum() == 5
+    assert np.diff(log[SPEED].t_s).max() == pytest.approx(0.02)
+
+
+def test_a_sample_in_two_messages_is_complete_with_the_second(tmp_path):
+    columns = taken(0)
+    set_points = columns[f"measured.{SETPOINT}"]
+
+    def speeds(tick):  # they come 3 ms behind the set-points of the same robot tick
+        return set_points(max(tick - 3, 0))
+
+    columns[f"measured.{SPEED}"] = lambda tick: 0.5 * speeds(tick)
+    columns["internal.samples_wheel"] = lambda tick: set_points(tick) + speeds(tick)
+    log = read(write_frames(tmp_path / "run.csv", columns, n=2040))
+    for name, size in ((SETPOINT, 1.0), (SPEED, 0.5)):
+        assert np.allclose(log[name].t_s, 0.02 / size * log[name].values, atol=1e-9)
+        assert len(log[name]) >= 99
+
+
 def test_set_points_of_some_wheels_alone_are_not_what_the_robot_follows(tmp_path):
     columns = taken(0)
     del columns[f"measured.{SETPOINTS[3]}"]
