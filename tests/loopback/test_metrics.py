@@ -229,7 +229,8 @@ MOVED_ELSEWHERE = {
     "hil_shield_lateness_seconds",
     "hil_observer_samples_total",  # in tests/daemon/test_observer.py
     "hil_observer_readmitted_total",
-    "hil_recalibration_looks_total",  # in tests/prometheus
+    "hil_recalibration_looks_total",  # in tests/monitoring
+    "hil_recalibration_decisions_total",
     "hil_recalibration_failures_total",
     "hil_recalibration_proposal_open",
     "hil_recalibration_gap_changed",
