@@ -130,6 +130,7 @@ class InputGate:
         values: Mapping[str, object],
         *,
         received_ns: int | None = None,
+        commanded_ns: int | None = None,
         age_ns: int = 0,
         news: Collection[str] | None = None,
         renews: bool = True,
@@ -143,7 +144,9 @@ class InputGate:
         values : mapping
             Signal name to number, Boolean, or four numbers for an array.
         received_ns : int, optional
-            When they came in, CLOCK_MONOTONIC; now by default. What they command lapses from then.
+            When they came in, CLOCK_MONOTONIC; now by default.
+        commanded_ns : int, optional
+            From when what they command lapses, as it may have waited for us; by default from then.
         age_ns : int
             How long before that their source took them.
         news : collection of str, optional
@@ -158,8 +161,9 @@ class InputGate:
             new = rows if news is None else rows.keys() & news
             group += self.stamps(new, self._time_s(now_ns), age_ns * 1e-9)
         speaker = self._speaker
-        came_ns = now_ns if renews else None
-        placed = self._passed_on(source, group) + self._placed(source, group, came_ns)
+        came_ns = now_ns if commanded_ns is None else commanded_ns
+        placed = self._passed_on(source, group)
+        placed += self._placed(source, group, came_ns if renews else None)
         if group and not self._image.push(placed):
             refused |= dict.fromkeys(rows, Refusal.QUEUE_FULL)
             rows, self._speaker = {}, speaker

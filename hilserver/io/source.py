@@ -1,8 +1,9 @@
 """The way in of a link: groups of values to the gate, what is wrong with them, silence."""
 
+import asyncio
 from collections.abc import Callable, Collection, Iterable, Mapping
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from hilserver.config.section import Driver
 from hilserver.core.events import Event, EventKind
@@ -10,8 +11,11 @@ from hilserver.core.inputs import InputGate, Refusal
 from hilserver.core.staleness import Staleness, Transition
 from hilserver.io.link_status import FaultBook, PeerStatus
 
+WATCH_S: Final = 0.02
+WATCH_NS: Final = round(WATCH_S * 1e9)
 LEFT_OVER_NS = 100_000_000
-"""So long after a standstill of ours what is read may have come in before it, or during it."""
+LEFT_OVER_SHARE = 10
+"""So long after a standstill of ours, or this part of it, what is read may be as old as that."""
 OFFERED_AGAIN = frozenset({Refusal.NOT_IN_CONTROL, Refusal.QUEUE_FULL})
 """Reasons that are not the value's: the next group may be accepted as it is."""
 
@@ -29,8 +33,18 @@ class Outcome(NamedTuple):
     wrong: Mapping[str, Refusal]
 
 
+async def keep_watch(look: Callable[[], object]) -> None:
+    """Look every `WATCH_S` of real time, whatever the speed of the simulated one."""
+    while True:
+        look()
+        await asyncio.sleep(WATCH_S)
+
+
 class Source:
-    """Hands over what one link brings; says once, each time it begins and ends, what it lacks."""
+    """Hands over what one link brings; says once, each time it begins and ends, what it lacks.
+
+    `is_exact`: the time with which a write comes is known to be when it came in.
+    """
 
     def __init__(
         self,
@@ -42,13 +56,15 @@ class Source:
         *,
         fresh: Callable[[], str],
         commanding: Collection[str] = (),
+        is_exact: bool = False,
     ) -> None:
         self.name, self.status = driver.source, status
         self.faults = FaultBook(status, publish)
         self.staleness = Staleness(round(driver.limit_ms * 1e6), commanding)
         self._label, self._gate, self._publish = label, gate, publish
         self._on_stale, self._fresh = driver.on_stale, fresh
-        self._looked_ns = self._usual_ns = self._stood_since_ns = self._left_over_until_ns = 0
+        self._looked_ns = self._stood_since_ns = self._left_over_until_ns = 0  # 0: not yet
+        self._is_exact = is_exact
         self._has_written = False  # a first command that lapses at once would stop the start
 
     def came_ns(self, now_ns: int) -> int:
@@ -56,18 +72,20 @@ class Source:
 
         Whoever has sent it may be gone since.
         """
-        self._stood_still(now_ns)
+        if self._is_exact:
+            return now_ns
+        self._note_standstill(now_ns)
         is_left_over = now_ns < self._left_over_until_ns and self._has_written
         return self._stood_since_ns if is_left_over and self._gate.in_real_time else now_ns
 
-    def _stood_still(self, now_ns: int) -> bool:
+    def _note_standstill(self, now_ns: int) -> None:
         """Note a standstill that ends now: one that a command does not survive."""
-        longest_ns = self._usual_ns + self.staleness.limit_ns
-        if not self._looked_ns or now_ns - self._looked_ns <= longest_ns:
-            return False
-        self._stood_since_ns, self._left_over_until_ns = self._looked_ns, now_ns + LEFT_OVER_NS
+        stood_ns = now_ns - self._looked_ns
+        if not self._looked_ns or stood_ns <= WATCH_NS + self.staleness.limit_ns:
+            return
+        draining_ns = max(LEFT_OVER_NS, stood_ns // LEFT_OVER_SHARE)
+        self._stood_since_ns, self._left_over_until_ns = self._looked_ns, now_ns + draining_ns
         self._looked_ns = now_ns
-        return True
 
     def write(
         self,
@@ -82,7 +100,13 @@ class Source:
         """Hand one group to the gate; report what is wrong with it, as values of `of`."""
         came_ns, self._has_written = self.came_ns(now_ns), True
         refused = self._gate.write(
-            self.name, values, received_ns=came_ns, age_ns=age_ns, news=news, renews=renews
+            self.name,
+            values,
+            received_ns=now_ns,
+            commanded_ns=came_ns,
+            age_ns=age_ns,
+            news=news,
+            renews=renews,
         )
         wrong = {name: why for name, why in refused.items() if why not in OFFERED_AGAIN}
         for name, why in wrong.items():
@@ -95,9 +119,8 @@ class Source:
         self._gate.expect(self.name, names)
 
     def watch(self, now_ns: int) -> Transition | None:
-        """Judge its silence; called a few times within the limit. Return what changed."""
-        if not self._stood_still(now_ns):
-            self._usual_ns = now_ns - self._looked_ns
+        """Judge its silence; called every `WATCH_S`, see `keep_watch`. Return what changed."""
+        self._note_standstill(now_ns)
         self._looked_ns = now_ns
         self.faults.expire(now_ns)
         transition = self.staleness.check(now_ns)

@@ -225,6 +225,17 @@ def test_a_silent_source_brings_no_value_back(world):
     assert latched(image, "wheel.fl.setpoint_rpm") == 0.0
 
 
+def test_what_is_known_of_a_sample_does_not_depend_on_how_old_the_command_may_be(world):
+    gate, image, _, clock = world
+    clock.pass_s(10.0)
+    received = clock()
+    assert gate.write("peer:a", {"wheel.fl.setpoint_rpm": 1.0}, commanded_ns=received - 5) == {}
+    assert gate.age_s("peer:a") == 0.0
+    assert gate.take_change(image.pushed_rows) == received
+    gate.write("peer:a", {"wheel.fl.setpoint_rpm": 2.0}, received_ns=received - 3, commanded_ns=0)
+    assert gate.take_change(image.pushed_rows) == received - 3
+
+
 def test_a_group_is_sampled_where_one_of_its_values_is_new():
     table = robot_table(RANGES, samples=True)
     image = make_image(table, queue_rows=64)

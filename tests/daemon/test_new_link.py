@@ -20,7 +20,7 @@ from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.connections import LINKS
 from hilserver.daemon.daemon import Daemon
 from hilserver.io.link_status import PeerStatus
-from hilserver.io.source import Source
+from hilserver.io.source import Source, keep_watch
 from hilserver.io.world import Part
 from hilserver.signals import State
 from tests.loopback.rig import configuration, scrape, wait_until
@@ -62,16 +62,14 @@ class UdpLink(Part, asyncio.DatagramProtocol):
     async def start(self):
         make = asyncio.get_running_loop().create_datagram_endpoint
         self._transport, _ = await make(lambda: self, local_addr=("127.0.0.1", self._port))
-        self._task = asyncio.create_task(self._watch())
+        self._task = asyncio.create_task(keep_watch(self._look))
 
     async def stop(self):
         self._task.cancel()
         self._transport.close()
 
-    async def _watch(self):
-        while True:
-            self._source.watch(time.monotonic_ns())
-            await asyncio.sleep(0.02)
+    def _look(self):
+        self._source.watch(time.monotonic_ns())
 
     def datagram_received(self, data, _address):
         now_ns = time.monotonic_ns()

@@ -158,7 +158,7 @@ async def test_what_came_in_before_a_standstill_of_ours_is_never_driven(on_stale
         core.gate.in_real_time = True
         await core.scheduler.advance(10)
         long_ago_ns = time.monotonic_ns() - (LIMIT_TICKS + 1) * 1_000_000
-        core.gate.write("peer:plc", {LEFT: 40.0}, received_ns=long_ago_ns)
+        core.gate.write("peer:plc", {LEFT: 40.0}, commanded_ns=long_ago_ns)
         await core.scheduler.advance(10)
         assert on_stale == "ramp" or set(series(core, 0)) == {0.0}
         assert (now(core, "internal.command") == 2.0) == (on_stale == "ramp")

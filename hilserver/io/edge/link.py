@@ -20,7 +20,7 @@ from hilserver.io.edge import payload
 from hilserver.io.edge.credentials import credentials
 from hilserver.io.edge.payload import Collection
 from hilserver.io.link_status import LinkState, PeerStatus
-from hilserver.io.source import Source
+from hilserver.io.source import Source, keep_watch
 from hilserver.io.world import Part, World
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 10.0
@@ -67,6 +67,7 @@ class EdgeLink(Part):
         self._numbers = [0] * len(self._collections)
         self._status_number = 0
         self._task: asyncio.Task[None] | None = None
+        self._watching: asyncio.Task[None] | None = None
         self._client: aiomqtt.Client | None = None
 
     @property
@@ -79,9 +80,13 @@ class EdgeLink(Part):
         password, context = credentials(self._config, self._world.folder)
         self.status.state = LinkState.CONNECTING
         self._task = asyncio.create_task(self._stay_connected(password, context), name="edge")
+        if self._config.drives:
+            self._watching = asyncio.create_task(keep_watch(self._look), name="edge-watch")
 
     async def stop(self) -> None:
         """Say that we leave, and disconnect; where that takes too long the last will says it."""
+        if self._watching is not None:
+            self._watching.cancel()
         try:
             for _ in range(2):  # a library may swallow the first cancellation
                 if self._task is not None:
@@ -102,10 +107,9 @@ class EdgeLink(Part):
             self._waiting[index] = frame
             self._news.set()
 
-    def supervise(self) -> None:
+    def _look(self) -> None:
         """Judge the silence of those who write."""
-        if self._config.drives:
-            self._source.watch(time.monotonic_ns())
+        self._source.watch(time.monotonic_ns())
 
     # --- the connection ---------------------------------------------------------------------------
 
@@ -212,16 +216,25 @@ class EdgeLink(Part):
 
     def _take(self, message: aiomqtt.Message) -> None:
         collection = self._by_topic.get(message.topic.value)
-        if collection is not None and isinstance(message.payload, bytes | bytearray):
+        if collection is None or not isinstance(message.payload, bytes | bytearray):
+            return
+        if message.retain:
+            why = "the broker has kept it, of whatever age; publish writes without retain"
+            self._refuse(collection, why)
+        else:
             self._write(collection, bytes(message.payload))
 
+    def _refuse(self, collection: Collection, why: str) -> None:
+        name = collection.group.name
+        sentence = f"a write to group '{name}' was refused: {why}"
+        self._source.faults.report(EdgeFault.BAD_WRITE, name, sentence, time.monotonic_ns())
+
     def _write(self, collection: Collection, data: bytes) -> None:
-        now_ns, name = time.monotonic_ns(), collection.group.name
+        now_ns = time.monotonic_ns()
         try:
             values = payload.written(collection, data)
         except ValueError as error:
-            sentence = f"a write to group '{name}' was refused: {error}"
-            self._source.faults.report(EdgeFault.BAD_WRITE, name, sentence, now_ns)
+            self._refuse(collection, str(error))
             return
         if values and not self._source.write(values, now_ns).wrong:
             self._source.staleness.renew(now_ns)

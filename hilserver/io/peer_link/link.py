@@ -18,12 +18,11 @@ from hilserver.faults.links import Line
 from hilserver.io.link_status import LinkState, PeerStatus
 from hilserver.io.peer_link.intake import FaultyIntake, Intake
 from hilserver.io.peer_link.samples import LinkLostError, RefusedError, refusal_in
-from hilserver.io.source import Source
+from hilserver.io.source import Source, keep_watch
 from hilserver.io.world import Part
 from hilserver.program import event_loop
 from hilserver.signals import MEASURED
 
-WATCH_S = 0.02
 SETTLED_S = 2.0  # a session that lived so long resets the back-off
 
 Output = tuple[object, int, int]
@@ -120,7 +119,7 @@ class Peer(Part):
         self.status.state = LinkState.CONNECTING
         self._tasks = [
             asyncio.create_task(self._run(), name=f"peer-{self.config.name}"),
-            asyncio.create_task(self._watch(), name=f"peer-{self.config.name}-watch"),
+            asyncio.create_task(keep_watch(self._look), name=f"peer-{self.config.name}-watch"),
         ]
 
     async def stop(self) -> None:
@@ -129,15 +128,13 @@ class Peer(Part):
         await event_loop.end(*tasks)
         self.status.state = LinkState.STOPPED
 
-    async def _watch(self) -> None:
-        while True:
-            now_ns = time.monotonic_ns()
-            if self.config.read:
-                self._source.watch(now_ns)
-            else:
-                self.status.stale = False
-                self._faults.expire(now_ns)
-            await asyncio.sleep(WATCH_S)
+    def _look(self) -> None:
+        now_ns = time.monotonic_ns()
+        if self.config.read:
+            self._source.watch(now_ns)
+        else:
+            self.status.stale = False
+            self._faults.expire(now_ns)
 
     async def _run(self) -> None:
         backoff = Backoff()

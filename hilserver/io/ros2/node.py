@@ -19,7 +19,7 @@ from hilserver.io.ros2.parameters import ParameterServices
 from hilserver.io.ros2.participant import Arrival, In, Out, Participant
 from hilserver.io.ros2.services import Service
 from hilserver.io.ros2.wire import WireTypes
-from hilserver.io.source import Source
+from hilserver.io.source import Source, keep_watch
 from hilserver.io.world import Part, World
 from hilserver.program import event_loop
 from hilserver.ros.flavours import DESCRIPTION, FLAVOURS, Published, Served, Subscribed
@@ -28,7 +28,6 @@ from hilserver.ros.types import Types
 
 NAME: Final = "ros2"
 PERIOD_S: Final = 0.02
-WATCH_S: Final = 0.02
 LOOK_EVERY: Final = 25
 
 _log = structlog.get_logger(__name__)
@@ -82,6 +81,7 @@ class Ros2Node(Part):
         self._tasks: list[asyncio.Task[None]] = []
         self._cycle = 0
         self._news_ns: int | None = None
+        self._watched = 0
         self._seen: dict[str, int] = {}
 
     @property
@@ -110,7 +110,7 @@ class Ros2Node(Part):
         self.status.state = LinkState.CONNECTING
         self._tasks = [
             asyncio.create_task(self._publish_for_ever(), name="ros2-publish"),
-            asyncio.create_task(self._watch(), name="ros2-watch"),
+            asyncio.create_task(keep_watch(self._watch), name="ros2-watch"),
         ]
 
     def _join(self) -> Participant:
@@ -271,20 +271,17 @@ class Ros2Node(Part):
             return
         refusals, came_ns = {}, self._source.came_ns(time.monotonic_ns())
         if values:
-            refusals = self._world.gate.write(NAME, values, received_ns=came_ns)
+            refusals = self._world.gate.write(NAME, values, commanded_ns=came_ns)
         service.answer(request, answer(not refusals))
 
     # --- what is judged ---------------------------------------------------------------------------
 
-    async def _watch(self) -> None:
-        cycle = 0
-        while True:
-            self._receive_due()
-            self._source.watch(time.monotonic_ns())
-            if cycle % LOOK_EVERY == 0:
-                self._look_at_endpoints()
-            cycle += 1
-            await asyncio.sleep(WATCH_S)
+    def _watch(self) -> None:
+        self._receive_due()
+        self._source.watch(time.monotonic_ns())
+        if self._watched % LOOK_EVERY == 0:
+            self._look_at_endpoints()
+        self._watched += 1
 
     def _look_at_endpoints(self) -> None:
         """Count matched endpoints, losses, and those that will never match."""

@@ -1,5 +1,6 @@
 """The server as a part of the daemon: frames out, groups through the gate."""
 
+import asyncio
 import errno
 import time
 from collections.abc import Mapping
@@ -14,7 +15,7 @@ from hilserver.io.peer_link.samples import FaultKind
 from hilserver.io.s7.blocks import blocks_of
 from hilserver.io.s7.server import Answers, Server
 from hilserver.io.s7.wire import Code
-from hilserver.io.source import Source
+from hilserver.io.source import Source, keep_watch
 from hilserver.io.world import Part, World
 
 CODES: Final[Mapping[Refusal, Code]] = {Refusal.TYPE_MISMATCH: Code.UNFIT}
@@ -43,6 +44,7 @@ class S7Link(Part):
             fresh=lambda: "S7: a client writes",
         )
         self._server = Server(config, self._answers, self._report)
+        self._watching: asyncio.Task[None] | None = None
         self._frame: Frame | None = None
         self._contents: Mapping[int, bytes] = {n: bytes(b.size) for n, b in self._blocks.items()}
 
@@ -62,13 +64,16 @@ class S7Link(Part):
             place = f"s7.server: {self._config.host}, port {self._config.port}"
             raise FailedError(f"{place}: {why}") from None
         self.status.endpoint, self.status.state = self.address, LinkState.CONNECTING
+        self._watching = asyncio.create_task(keep_watch(self._look), name="s7-watch")
 
     async def stop(self) -> None:
         """Hang up."""
+        if self._watching is not None:
+            self._watching.cancel()
         await self._server.stop()
         self.status.state = LinkState.STOPPED
 
-    def supervise(self) -> None:
+    def _look(self) -> None:
         """Judge the silence of those who write."""
         status, now_ns = self.status, time.monotonic_ns()
         status.connected = bool(self._server.clients)

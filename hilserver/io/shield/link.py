@@ -24,11 +24,10 @@ from hilserver.io.shield.device import Device, ShieldFault
 from hilserver.io.shield.line import Line, open_device, open_pseudo_terminal
 from hilserver.io.shield.protocol import BYTE_NS, REQUEST_BYTES, RESPONSE_BYTES, Request
 from hilserver.io.shield.status import NAME, ShieldStatus
-from hilserver.io.source import Source
+from hilserver.io.source import Source, keep_watch
 from hilserver.io.world import Part, World
 from hilserver.scheduler.realtime import Grant, RealtimeSettings, request_for_this_thread
 
-WATCH_S = 0.02
 PAUSE_NS = 2_000_000  # silence that ends a burst: 23 bytes long; hosts keep 8 ms between requests
 REOPEN_S = 0.5
 END_WITHIN_S = 5.0
@@ -79,6 +78,7 @@ class ShieldLink(Part):
             world.gate,
             world.events.publish,
             fresh=lambda: f"shield: a host sends on {self.address}",
+            is_exact=True,  # the thread of the line notes when
         )
         max_rpm, gains = world.table["wheel.fl.setpoint_rpm"].high, Gains(world)
         self.device = Device(config, status, self._source, max_rpm=max_rpm, apply=gains.apply)
@@ -117,7 +117,7 @@ class ShieldLink(Part):
         self.status.state = LinkState.CONNECTING
         self._doorbell = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._loop.add_reader(self._doorbell, self._answer_doorbell)
-        self._watching = asyncio.create_task(self._watch(), name="shield-watch")
+        self._watching = asyncio.create_task(keep_watch(self._look), name="shield-watch")
         self.device.disable()
         self._thread.start()
         atexit.register(self._end_thread)
@@ -218,16 +218,11 @@ class ShieldLink(Part):
             self._source.staleness.renew(received_ns)
             self.device.take(Request(command, data, received_ns, terminated))
         if is_new:
-            self._world.gate.renew(NAME, self._source.came_ns(received_ns))
+            self._world.gate.renew(NAME, received_ns)
 
-    async def _watch(self) -> None:
-        while True:
-            self._take_requests()  # what came in while the event loop was held up is no silence
-            self._look(time.monotonic_ns())
-            await asyncio.sleep(WATCH_S)
-
-    def _look(self, now_ns: int) -> None:
-        status = self.status
+    def _look(self) -> None:
+        self._take_requests()  # what came in while the event loop was held up is no silence
+        status, now_ns = self.status, time.monotonic_ns()
         status.connected = bool(status.words[w.CONNECTED]) and self._line is not None
         status.state = LinkState.CONNECTED if status.connected else LinkState.CONNECTING
         self._note_counters(now_ns)

@@ -65,13 +65,13 @@ class Reader:
                 return json.loads(message.payload)
         raise TimeoutError(topic)
 
-    def write(self, topic, *values):
+    def write(self, topic, *values, **how):
         """Publish pairs of id and value as the common format wants it."""
         points = [{"id": name, "val": value} for name, value in values]
-        self.send(topic, json.dumps({"seq": 1, "vals": points}))
+        self.send(topic, json.dumps({"seq": 1, "vals": points}), **how)
 
-    def send(self, topic, data):
-        self._client.publish(topic, data, qos=1).wait_for_publish(30)
+    def send(self, topic, data, *, retain=False):
+        self._client.publish(topic, data, qos=1, retain=retain).wait_for_publish(30)
 
     def flood(self, topic, messages):
         for data in messages:

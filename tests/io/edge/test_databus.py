@@ -106,6 +106,29 @@ async def test_malformed_writes_lose_nothing(tmp_path, count):
             assert len(status.faults) <= 2
 
 
+async def test_what_the_broker_has_kept_does_not_drive(tmp_path):
+    port = free_port()
+    with broker(tmp_path, port, "allow_anonymous true"):
+        async with daemon_at(port, tmp_path), reading(port) as (reader, described):
+            drive = described["connections"][0]["dataPoints"][1]
+            target = points(drive)["wheel.fl.setpoint_rpm"]["id"]
+        async with reading(port) as (reader, _):
+            reader.write(drive["pubTopic"], (target, 33.0), retain=True)
+            async with daemon_at(port, tmp_path) as daemon:
+                status = daemon.part("edge").status
+                slot = daemon.table.slot("wheel.fl.setpoint_rpm")
+                await wait_until(lambda: status.fault_counts["bad_write"] == 1)
+                assert "publish writes without retain" in str(status.faults)
+                assert status.stale, "nobody has written"
+
+                async def drives():
+                    reader.write(drive["pubTopic"], (target, 12.5), retain=True)
+                    return daemon.image.frame_values[slot] == 12.5
+
+                await wait_until(drives)
+                assert status.fault_counts["bad_write"] == 1, "what comes as it is written drives"
+
+
 async def test_a_broker_that_is_killed_and_comes_back_gets_the_newest_values(tmp_path):
     port = free_port()
     async with daemon_at(port, tmp_path) as daemon:

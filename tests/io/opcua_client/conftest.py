@@ -49,6 +49,7 @@ class RecordingGate:
         values: Mapping[str, object],
         *,
         received_ns: int = 0,
+        commanded_ns: int = 0,
         age_ns: int = 0,
         news: Collection[str] | None = None,
         renews: bool = True,

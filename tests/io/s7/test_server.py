@@ -8,9 +8,11 @@ import pytest
 import snap7
 from snap7.error import S7ProtocolError
 
+from hilserver.daemon.daemon import Daemon
 from hilserver.errors import ConfigError, FailedError
 from hilserver.io.s7 import server
 from hilserver.io.s7.wire import Function, Item, asks, job
+from hilserver.io.source import Source
 from hilserver.signals import State
 from tests.io.s7.rig import DRIVE, daemon_with, free_port
 from tests.loopback.rig import wait_until
@@ -37,6 +39,20 @@ async def test_a_panel_of_another_make_drives_and_reads(pytestconfig):
         assert status.writes > 0
         await wait_until(lambda: not status.connected)
         assert not status.faults
+
+
+async def test_silence_is_judged_in_real_time_whatever_the_simulated_speed(monkeypatch):
+    looks, judge = [], Source.watch
+
+    def noting(source, now_ns):
+        looks.append(source.name)
+        return judge(source, now_ns)
+
+    monkeypatch.setattr(Daemon, "_supervise", lambda *_: None)
+    monkeypatch.setattr(Source, "watch", noting)
+    async with daemon_with({1: DRIVE}):
+        await wait_until(lambda: len(looks) > 5)
+    assert len(set(looks)) == 1
 
 
 def connected(port):

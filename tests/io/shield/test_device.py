@@ -30,7 +30,7 @@ class Bench:
             ShieldConfig(**config), self.status, source, max_rpm=90.0, apply=self._apply
         )
 
-    def write(self, source, values, *, received_ns, age_ns=0, news=None, renews=True):
+    def write(self, source, values, *, received_ns, **_):
         assert source == "shield"
         self.values.update({k: v for k, v in values.items() if k not in self.refused})
         return {k: v for k, v in self.refused.items() if k in values}
