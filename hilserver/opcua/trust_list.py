@@ -10,7 +10,8 @@ revoked  certificates that are refused whatever stands in ``trusted``, and revoc
          of trusted authorities
 ======== =======================================================================================
 
-A change in a folder acts at the next connection, without a restart.
+A change in a folder acts at the next connection, without a restart. While a file in ``revoked``
+cannot be read nobody is let in: it may revoke any certificate.
 """
 
 import ipaddress
@@ -38,9 +39,11 @@ from hilserver.opcua.certificate import (
     thumbprint,
     to_der,
 )
+from hilserver.opcua.logs import log
 from hilserver.small_file import read_small
 
 MAX_REJECTED = 100
+MAX_LIST_BYTES = 64_000_000
 FOLDERS = ("own", "trusted", "rejected", "revoked")
 _SHA2 = {
     SignatureAlgorithmOID.RSA_WITH_SHA256,
@@ -62,41 +65,54 @@ class Verdict(StrEnum):
     ISSUER_TIME = "BadCertificateIssuerTimeInvalid"
     USE = "BadCertificateUseNotAllowed"
     REVOKED = "BadCertificateRevoked"
+    REVOCATION_UNKNOWN = "BadCertificateRevocationUnknown"
     HOST = "BadCertificateHostNameInvalid"
     URI = "BadCertificateUriInvalid"
 
 
 @dataclass
 class _Folder:
-    """Certificates and revocation lists of one folder, read again when the folder changes."""
+    """Certificates and revocation lists of one folder, read again when a file of it changes."""
 
     path: Path
-    stamp: tuple[int, int] = (-1, -1)
+    stamp: dict[Path, tuple[int, ...]] = field(default_factory=dict)
+    unread: list[tuple[Path, str]] = field(default_factory=list)  # with the reason
     certificates: dict[str, x509.Certificate] = field(default_factory=dict)
     lists: list[x509.CertificateRevocationList] = field(default_factory=list)
 
     def refresh(self) -> "_Folder":
         try:
-            found = self.path.stat()
+            stamp = {path: _stamp(path) for path in files_in(self.path)}
         except OSError:
-            self.certificates, self.lists, self.stamp = {}, [], (-1, -1)
-            return self
-        stamp = (found.st_mtime_ns, found.st_ino)
+            stamp = {self.path: ()}  # it is no file that can be read, either
         if stamp != self.stamp:
-            self._read()
+            self._read(stamp)
             self.stamp = stamp
         return self
 
-    def _read(self) -> None:
-        self.certificates, self.lists = {}, []
-        for path in files_in(self.path):
+    def _read(self, paths: Iterable[Path]) -> None:
+        self.certificates, self.lists, self.unread = {}, [], []
+        for path in paths:
             try:
                 certificate = load_certificate(path)
                 self.certificates[thumbprint(certificate)] = certificate
             except (ValueError, OSError):
-                revocation_list = _load_list(path)
-                if revocation_list is not None:
-                    self.lists.append(revocation_list)
+                self._read_list(path)
+
+    def _read_list(self, path: Path) -> None:
+        try:
+            self.lists.append(_load_list(path))
+        except (ValueError, OSError) as error:
+            self.unread.append((path, getattr(error, "strerror", None) or str(error)))
+
+
+def _stamp(path: Path) -> tuple[int, ...]:
+    """Return what changes with a file; nothing where it is gone."""
+    try:
+        found = path.stat()
+    except OSError:
+        return ()
+    return found.st_ctime_ns, found.st_ino, found.st_size
 
 
 def files_in(folder: Path) -> Iterator[Path]:
@@ -105,14 +121,10 @@ def files_in(folder: Path) -> Iterator[Path]:
         yield from sorted(p for p in folder.iterdir() if p.suffix.lower() in _SUFFIXES)
 
 
-def _load_list(path: Path) -> x509.CertificateRevocationList | None:
-    try:
-        data = read_small(path)
-        if data.lstrip().startswith(b"-----BEGIN"):
-            return x509.load_pem_x509_crl(data)
-        return x509.load_der_x509_crl(data)
-    except (ValueError, OSError):
-        return None
+def _load_list(path: Path) -> x509.CertificateRevocationList:
+    data = read_small(path, MAX_LIST_BYTES)
+    is_text = data[:1000].lstrip().startswith(b"-----BEGIN")
+    return x509.load_pem_x509_crl(data) if is_text else x509.load_der_x509_crl(data)
 
 
 class TrustList:
@@ -180,7 +192,9 @@ class TrustList:
             return Verdict.USE
         if issuer and _is_on_a_list(certificate, issuer, revoked.lists):
             return Verdict.REVOKED
-        return Verdict.GOOD
+        for path, why in revoked.unread:
+            log.error("nobody is let in: replace or remove this file", file=str(path), reason=why)
+        return Verdict.REVOCATION_UNKNOWN if revoked.unread else Verdict.GOOD
 
     def judge_server(
         self,

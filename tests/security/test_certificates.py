@@ -1,7 +1,11 @@
 """Certificates: who is refused, with which status code, and what is kept of it."""
 
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import pytest
 from asyncua import ua
@@ -10,6 +14,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from hypothesis import given
 from hypothesis import strategies as st
+from structlog.testing import capture_logs
 
 from hilserver.config.root import Config, without_passwords
 from hilserver.errors import ConfigError
@@ -22,6 +27,7 @@ from hilserver.opcua.certificate import (
 )
 from hilserver.opcua.passwords import FailedAttempts, hash_password, is_password, keys_of
 from hilserver.opcua.trust_list import (
+    MAX_LIST_BYTES,
     MAX_REJECTED,
     TrustList,
     Verdict,
@@ -176,6 +182,86 @@ async def test_issued_by_an_authority_until_its_list_says_otherwise(ours: Rig, p
     assert await refusal(ours, pki, issued) == "BadCertificateRevoked"
     (pki.trust.folder / "trusted" / "authority.der").unlink()
     assert await refusal(ours, pki, issued) == "BadSecurityChecksFailed"
+
+
+@pytest.fixture
+def list_path(pki: Pki) -> Iterator[Path]:
+    """Where the revocation list of the authority belongs; nothing is there before and after."""
+    path = pki.trust.folder / "revoked" / "authority.crl"
+    path.unlink(missing_ok=True)
+    yield path
+    path.unlink(missing_ok=True)
+
+
+def write(path: Path, data: bytes) -> None:
+    """Write anew in its place."""
+    path.write_bytes(data)
+
+
+@contextmanager
+def damaged(path: Path, data: bytes, damage: str) -> Iterator[None]:
+    """Have something in the place of a list that is none."""
+    if damage == "folder":
+        path.mkdir()
+        yield
+        path.rmdir()
+        return
+    path.write_bytes(b"garbage" if damage == "garbage" else data[: len(data) // 2])
+    if damage == "too large":
+        os.truncate(path, MAX_LIST_BYTES + 1)
+    yield
+    path.unlink()
+
+
+def long_list(authority: tuple[x509.Certificate, Any], serial_number: int) -> bytes:
+    """Return a revocation list of more than a megabyte."""
+    long = x509.UnrecognizedExtension(x509.ObjectIdentifier("1.2.3.4"), bytes(1_200_000))
+    revoked = x509.RevokedCertificateBuilder().serial_number(serial_number).revocation_date(NOW)
+    revocations = (
+        x509.CertificateRevocationListBuilder()
+        .issuer_name(authority[0].subject)
+        .last_update(NOW)
+        .next_update(NOW + timedelta(days=1))
+        .add_revoked_certificate(revoked.build())
+        .add_extension(long, critical=False)
+    )
+    return revocations.sign(authority[1], hashes.SHA256()).public_bytes(serialization.Encoding.DER)
+
+
+async def test_a_long_revocation_list_counts(pki: Pki, list_path: Path) -> None:
+    authority = pki.authority()
+    issued, other = (pki.identity(name, issuer=authority) for name in ("issued", "other"))
+    data = long_list(authority, issued.certificate.serial_number)
+    assert len(data) > 1_000_000
+    write_private(list_path, data)
+    assert pki.trust.judge(issued.der) is Verdict.REVOKED
+    assert pki.trust.judge(other.der) is Verdict.GOOD
+
+
+@pytest.mark.parametrize("damage", ["garbage", "half", "too large", "folder"])
+async def test_while_a_file_in_revoked_cannot_be_read_nobody_is_let_in(
+    pki: Pki, list_path: Path, damage: str
+) -> None:
+    authority = pki.authority()
+    issued = pki.identity("issued", issuer=authority)
+    data = long_list(authority, issued.certificate.serial_number)
+    with damaged(list_path, data, damage), capture_logs() as lines:
+        assert pki.trust.judge(issued.der) is Verdict.REVOCATION_UNKNOWN
+        assert pki.trust.judge(pki.client.der) is Verdict.REVOCATION_UNKNOWN
+    errors = [line for line in lines if line["log_level"] == "error"]
+    assert errors
+    assert all(line["file"] == str(list_path) and line["reason"] for line in errors)
+    assert "replace or remove" in errors[0]["event"]
+    assert pki.trust.judge(issued.der) is Verdict.GOOD
+
+
+async def test_a_list_that_is_written_anew_in_its_place_counts(pki: Pki, list_path: Path) -> None:
+    authority = pki.authority()
+    issued = pki.identity("issued", issuer=authority)
+    write(list_path, long_list(authority, 99))
+    assert pki.trust.judge(issued.der) is Verdict.GOOD
+    write(list_path, long_list(authority, issued.certificate.serial_number))
+    assert pki.trust.judge(issued.der) is Verdict.REVOKED
 
 
 async def test_stolen_certificate_without_its_key(ours: Rig, pki: Pki) -> None:

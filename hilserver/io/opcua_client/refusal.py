@@ -33,6 +33,8 @@ def certificate_refused(
     sentence = {
         Verdict.USE: "its certificate may not be used by a server: its key usage forbids it",
         Verdict.REVOKED: "its certificate is revoked",
+        Verdict.REVOCATION_UNKNOWN: "its certificate may be revoked: a file in 'revoked' cannot be"
+        " read; replace or remove it, the log names it",
         Verdict.POLICY: "its certificate is too weak: RSA 2048 to 4096 bits and SHA-256 are needed",
         Verdict.ISSUER_TIME: "the authority of its certificate is not valid now",
         Verdict.URI: f"it announces the application URI {_quoted(application_uri)}, which its"
