@@ -43,7 +43,6 @@ REFINED: Final = 3  # the same for both models: what is left to refine must not 
 HARMLESS: Final = frozenset({"dropouts", "limited_channel", "missed_ticks"})
 """Faults of the data that leave what is there true: they are said, and bar nothing."""
 PROPOSABLE: Final = (Verdict.NAMED, Verdict.NAMED_GROUP)
-Array = flips.Array
 
 
 class Judge:
@@ -243,7 +242,7 @@ def compared(log: MeasuredLog, robot: RobotParameters, before: Values, after: Va
     The noise is that which the model before leaves: it may hide a gain, and never makes one.
     """
     log, rng = check(log, robot).log, np.random.default_rng(0)
-    differences: list[Array] = []
+    differences, shown = [np.zeros(0)], [np.zeros(0)]
     gain: dict[str, Quantity] = {}
     for stage in stages_of(log, robot, drive_terms=after).values():
         problem = Problem(stage.uncut())
@@ -251,9 +250,11 @@ def compared(log: MeasuredLog, robot: RobotParameters, before: Values, after: Va
             continue
         first, second = _points(problem, fixed(before), fixed(after))
         differences.append(first.loss - second.loss)
+        shown.append(problem.stack.block_sums((first.left - second.left) ** 2))
         found = gains(problem, first.predicted, second.predicted, HORIZON_S, rng)
         gain |= {n: Quantity(g.before, g.after, g.ratio, g.ci95) for n, g in found.items()}
-    answer = flips.gains(np.concatenate(differences) if differences else np.zeros(0), rng)
+    seen = flips.seen(np.concatenate(differences), np.concatenate(shown))
+    answer = flips.gains(seen, rng)
     return Compared(answer.p, answer.resolution, answer.blocks, gain)
 
 

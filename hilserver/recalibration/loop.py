@@ -66,6 +66,21 @@ class Loop:
 
     # --- windows ----------------------------------------------------------------------------------
 
+    def overtaken(self, loaded: Values) -> list[Note]:
+        """Close a proposal that was accepted and no longer runs: there is nothing to compare."""
+        if not self._is_undone(loaded):
+            return []
+        assert self.proposal is not None
+        self.proposal, self._accepted_in = self.proposal.after(Step.REPLACE), None
+        text = f"proposal {self.proposal.number} no longer runs: its effect is not measured"
+        return [Note("decision", {"who": "", "proposal": self.proposal.as_json()}, text)]
+
+    def _is_undone(self, loaded: Values) -> bool:
+        """Whether something else runs than the proposal that was accepted."""
+        if self.proposal is None or self.proposal.stage is not Stage.ACCEPTED:
+            return False
+        return {name: term.value for name, term in self.proposal.terms.items()} != loaded
+
     def todo(self, window: int, loaded: Values, now_s: float) -> Todo | None:
         """Return what to do with a window that is complete; None if nothing is."""
         candidate, proposal = self._candidate, self.proposal
@@ -231,7 +246,7 @@ class Loop:
                 self._rejected = [*self._rejected, found][-REMEMBERED:]
         if self.proposal is not None and self.proposal.stage is Stage.ACCEPTED:
             self._accepted_in = window
-            if {n: t.value for n, t in self.proposal.terms.items()} != loaded:
+            if self._is_undone(loaded):
                 self.proposal, self._accepted_in = self.proposal.after(Step.REOPEN), None
 
 

@@ -125,11 +125,18 @@ class Recalibration(Part):
             window = self._news.next()
             if window is None:
                 continue
+            await self._next(window)
+
+    async def _next(self, window: Window) -> None:
+        """Do what is to be done with a window that is complete."""
+        now_s = window.number * self._config.window_s
+        async with self._turn:
             loaded, _ = patches.split(self._differing)
-            now_s = window.number * self._config.window_s
+            for note in self.loop.overtaken(loaded):
+                self._note(note, window=window.number)
             todo = self.loop.todo(window.number, loaded, now_s)
-            if todo is not None:
-                await self._judge(window, todo, now_s)
+        if todo is not None:
+            await self._judge(window, todo, now_s)
 
     async def _judge(self, window: Window, todo: Todo, now_s: float) -> None:
         sha256 = await asyncio.to_thread(lambda: window.sha256)

@@ -39,7 +39,7 @@ FOLLOWING: Final[Mapping[Step, tuple[tuple[Stage, ...], Stage]]] = {
     Step.ACCEPT: (_WAITING, Stage.ACCEPTED),
     Step.REJECT: (_WAITING, Stage.REJECTED),
     Step.POSTPONE: ((Stage.OPEN,), Stage.POSTPONED),
-    Step.REPLACE: (_WAITING, Stage.REPLACED),
+    Step.REPLACE: ((*_WAITING, Stage.ACCEPTED), Stage.REPLACED),
     Step.REOPEN: ((Stage.ACCEPTED,), Stage.OPEN),
     Step.GAINED: ((Stage.ACCEPTED,), Stage.BETTER),
     Step.LOST: ((Stage.ACCEPTED,), Stage.NOT_BETTER),

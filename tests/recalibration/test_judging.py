@@ -11,7 +11,7 @@ from hilserver.diagnosis.schema.findings import Parameter
 from hilserver.measured.channels import DUTIES
 from hilserver.recalibration.judging import Judge, proposed, values_of
 from hilserver.recalibration.orders import Todo
-from tests.recalibration.windows import order, record, write
+from tests.recalibration.windows import order, record, stopped, write
 
 HIDDEN = {"rotation_gain": 0.06}
 
@@ -41,6 +41,16 @@ def test_a_wrong_model_does_not_gain(window, wrong):
 def test_a_model_is_no_better_than_itself(window):
     compared = judged(window, Todo(2, HIDDEN, measure=HIDDEN)).measure
     assert (compared.p, compared.blocks) == (1.0, 0)
+
+
+@pytest.mark.parametrize("after_s", [0.0, 6.0])
+def test_a_robot_that_stands_says_nothing_of_what_turns(tmp_path, after_s):
+    """Its sensors' noise is no evidence for or against a model."""
+    path = stopped(tmp_path / "window.csv", HIDDEN, 5, after_s)
+    result = judged(path, Todo(2, HIDDEN, measure={}, confirm={"wheel_radius": 0.03}, level=0.001))
+    assert result.error == ""
+    assert not result.measure.flips.resolves(0.05)
+    assert not result.confirm.flips.resolves(0.001)
 
 
 def test_a_repaired_robot_takes_the_patch_back(window):

@@ -40,6 +40,7 @@ class Robot:
     def next(self, look=NOTHING, confirm=NO_BETTER, measure=NO_BETTER):
         self.window += 1
         now_s = self.window * WINDOW_S
+        self.notes += self.loop.overtaken(self.loaded)
         todo = self.loop.todo(self.window, self.loaded, now_s)
         if todo is None:
             return None
@@ -167,6 +168,22 @@ def test_a_window_that_cannot_say_leaves_the_effect_to_the_next():
     assert robot.loop.proposal.stage is Stage.ACCEPTED
     robot.next(measure=BETTER)
     assert robot.loop.proposal.stage is Stage.BETTER
+
+
+@pytest.mark.parametrize("loaded", [{}, {"rotation_gain": 0.03, "nav_latency": 0.1}])
+def test_what_no_longer_runs_as_it_was_accepted_is_not_measured(loaded):
+    robot = Robot(every_s=None)
+    robot.loop.changed = "nav.x_m"
+    robot.proposed()
+    robot.decide(Step.ACCEPT)
+    robot.next()
+    robot.loaded = loaded
+    assert robot.next() is None
+    assert robot.loop.proposal.stage is Stage.REPLACED
+    assert robot.notes[-1].fields["proposal"]["stage"] == "replaced"
+    n = len(robot.notes)
+    assert robot.next() is None
+    assert len(robot.notes) == n
 
 
 def test_two_models_of_which_none_is_better_do_not_take_turns():

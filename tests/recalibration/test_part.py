@@ -62,13 +62,8 @@ async def windows(part, answers, *results):
     for result in results:
         answers.append(result)
         number = part._news.last = part._news.last + 1
-        now_s = number * 60.0
-        loaded = {n.removeprefix("terms."): v for n, v in part._differing.items()}
-        todo = part.loop.todo(number, loaded, now_s)
-        if todo is None:
-            answers.clear()
-            continue
-        await part._judge(Window(number, part._folder / "window.mcap"), todo, now_s)
+        await part._next(Window(number, part._folder / "window.mcap"))
+        answers.clear()
 
 
 async def proposed(part, answers):
@@ -150,6 +145,21 @@ async def test_one_that_does_not_help_is_taken_back(tmp_path, answers):
         assert part.loop.proposal.number == 2
         await part.accept(2, "eve")
         assert daemon.core.parameters.differing == {}
+
+
+async def test_one_that_was_reset_before_its_effect_is_measured_is_closed(tmp_path, answers):
+    async with daemon_in(tmp_path) as (daemon, part):
+        await proposed(part, answers)
+        await part.accept(1, "eve")
+        async with client_of(daemon) as client:
+            assert (await client.call("ResetParameters")).StatusCode.is_good()
+        assert daemon.core.parameters.differing == {}
+        await windows(part, answers, Result(look=Looked("nothing")))
+        assert part.loop.proposal.stage is Stage.REPLACED
+        closed = next(line for line in lines(tmp_path) if line.get("window") == 3)
+        assert (closed["kind"], closed["proposal"]["stage"]) == ("decision", "replaced")
+        said = [e.message for e in daemon.events.recent if e.kind == "recalibration"]
+        assert "proposal 1 no longer runs: its effect is not measured" in said
 
 
 @pytest.mark.parametrize("role", ["observer", "operator"])

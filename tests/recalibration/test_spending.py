@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
-from hilserver.recalibration.flips import Answer, fewest_blocks, gains
+from hilserver.recalibration.flips import Answer, fewest_blocks, gains, seen
 from hilserver.recalibration.spending import LONGEST_S, NAMED_LEVEL, WEAKEST, YEAR_S, Spending
 
 
@@ -40,6 +40,21 @@ def test_few_blocks_are_no_test():
 
 def test_nothing_to_compare_is_no_gain():
     assert gains(np.zeros(30), np.random.default_rng(0)).p == 1.0
+
+
+@pytest.mark.parametrize(
+    ("shown", "counted"),
+    [
+        (np.full(72, 2.0), 72),  # little in each, and enough in all
+        (np.full(72, 1e-3), 0),  # noise at rest
+        (np.append(np.full(71, 1e-3), 100.0), 1),  # it moved in one block
+        (np.append(np.full(67, 1e-3), np.full(5, 2.0)), 0),
+        (np.zeros(0), 0),
+    ],
+)
+def test_blocks_count_in_which_two_models_differ_by_what_noise_lets_be_seen(shown, counted):
+    differences = np.random.default_rng(0).standard_normal(len(shown))
+    assert gains(seen(differences, shown), np.random.default_rng(0)).blocks == counted
 
 
 def test_many_blocks_state_the_resolution_of_the_flips():

@@ -10,6 +10,7 @@ from hilserver.config.root import Config, without_passwords
 from hilserver.recalibration.orders import Order, Todo
 
 LENGTH_S = 120.0
+AT_REST = {"speed": 0.12, "duty": 0.15, "nav.": 0.02, "gyro": 0.006}  # noise of what stands
 
 
 def write(path, causes, seed, *, drift_from=None, faults=None, length_s=LENGTH_S):
@@ -17,6 +18,20 @@ def write(path, causes, seed, *, drift_from=None, faults=None, length_s=LENGTH_S
     recipe = Recipe(seed=seed, causes=causes, duration_s=length_s, drift_from=drift_from)
     recipe = replace(recipe, drift_step=drift_from is not None, faults=faults or {})
     make(recipe)[0].write_csv(path)
+    return path
+
+
+def stopped(path, causes, seed, after_s):
+    """Write one window of a robot that then stands: its sensors' noise about where it is."""
+    recipe = Recipe(seed=seed, causes=causes, duration_s=LENGTH_S)
+    table, rng = make(recipe)[0], np.random.default_rng(seed)
+    stands = table.t_s >= after_s
+    for name, values in table.columns.items():
+        there = np.flatnonzero(stands & np.isfinite(values))
+        place = values[there[0]] if name.startswith("nav.") and len(there) else 0.0
+        sd = next((sd for word, sd in AT_REST.items() if word in name), 0.0)
+        values[there] = place + sd * rng.standard_normal(len(there))
+    table.write_csv(path)
     return path
 
 
