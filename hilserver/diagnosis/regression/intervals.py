@@ -47,12 +47,11 @@ def whole_covariance(
     columns = problem.accepted(point) if columns is None else columns
     assert columns is not None
     cov, dof = covariance(problem, point, columns)
-    if problem.is_short:  # see `halfway`: the variance that it has more (Hausman 1978)
-        away = linear.ridge(columns, point.left)
-        cov += np.outer(away, away)
     fitted = point.model.fitted
     share = [own_share(f.candidate.cause) for f in fitted for _ in f.theta]
     variance = np.diag(cov) + (np.array(share) * point.model.theta()) ** 2
+    if problem.is_short:  # see `halfway`: the variance that it has more (Hausman 1978)
+        variance += linear.ridge(columns, point.left) ** 2  # one distance shows no correlation
     if extra is not None:
         variance += extra**2
     np.fill_diagonal(cov, variance)

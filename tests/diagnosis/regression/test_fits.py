@@ -99,6 +99,19 @@ def test_away_from_the_fit_to_all_samples_an_interval_reaches_there_in_short_seg
     assert (moved[0, 0] < at.model.theta()[0]) == problem.is_short
 
 
+def test_away_from_the_fit_to_all_samples_parameters_are_no_more_alike():
+    rng = np.random.default_rng(6)
+    columns = columns_of(rng, n=200)
+    problem = toy.problem(sum(columns.values()) + rng.normal(size=200), columns, block_s=0.1)
+    at = fitted(problem, "c0", "c1")
+    there = problem.point(at.model.with_theta(at.model.theta() + 5.0), at.poses)
+    whole, _ = whole_covariance(problem, there)
+    own, _ = covariance(problem, there, problem.accepted(there))
+    assert problem.is_short
+    assert whole[0, 1] == own[0, 1]
+    assert np.all(np.diag(whole) > np.diag(own) + 4.0**2)
+
+
 def test_the_covariance_is_never_smaller_than_the_noise_model_says():
     problem = drawn(4, noise_sd=0.3)  # told: 1
     point = fitted(problem, "c0", "c1")
