@@ -22,6 +22,7 @@ class Lapse(NamedTuple):
     action: str  # what the step has done: hold, zero, ramp or device
     limit_ms: float  # what it was given
     stalled_ticks: int  # how long the event loop of the daemon had stood still by then
+    waited_ms: float  # how long its last command had waited for us
 
 
 class Leases:
@@ -90,7 +91,8 @@ class Leases:
             before, self._known[source] = self._known.get(source, 0), int(lease.lapses)
             if lease.lapses != before:
                 limit_ms = self.limit_ms(source) or 0.0
-                yield Lapse(source, _ACTIONS[int(lease.policy)], limit_ms, int(lease.stalled))
+                action, waited_ms = _ACTIONS[int(lease.policy)], lease.waited / 1e6
+                yield Lapse(source, action, limit_ms, int(lease.stalled), waited_ms)
 
     def has_lapsed(self, source: str) -> bool:
         """Whether `source` has not renewed yet what lapsed."""

@@ -106,6 +106,7 @@ class Supervision:
         for lapse in self._gate.leases.lapses():
             self._gate.may_fall_back = False
             stalled_ms = lapse.stalled_ticks * self._period_ms / self._control.speed
+            stalled_ms = max(stalled_ms, lapse.waited_ms)
             why = f"no fresh command for {lapse.limit_ms:g} ms"
             if 2 * stalled_ms > lapse.limit_ms:
                 why = f"the daemon's event loop stood still for {stalled_ms:.0f} ms"

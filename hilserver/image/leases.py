@@ -34,6 +34,7 @@ class Lease(Record):
     lapsed: int  # 1: not renewed in time
     stalled: int  # ticks that the event loop had been silent when it lapsed
     lapses: int  # how often that has changed what is driven
+    waited: int  # how long what renewed it last had waited for us [ns]
 
 
 class Driving(Record):

@@ -68,6 +68,7 @@ def drive(now_ns: int, at: Places, values: Any, words: Any) -> None:
     for number in range(d.count):
         lease = lease_at(number, words)
         if lease.renewed != 0:
+            lease.waited = lease.renewed - 1
             lease.since = max(now_ns + 1 - lease.renewed, 1)
             lease.renewed = lease.lapsed = 0
         if held or lease.limit == 0 or lease.since == 0 or lease.lapsed != 0:

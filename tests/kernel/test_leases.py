@@ -2,12 +2,14 @@
 
 import contextlib
 import time
+from types import SimpleNamespace
 
 import pytest
 
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.builder import build
+from hilserver.daemon.supervision import Supervision
 from hilserver.image import Row
 
 RAMP_TICKS = 100
@@ -126,7 +128,8 @@ async def test_a_lapse_says_how_long_the_event_loop_had_been_silent():
         for _ in range(LIMIT_TICKS + 5):
             core.image.control.heartbeat += 1
             await core.scheduler.advance(1)
-        assert [lapse.stalled_ticks for lapse in core.gate.leases.lapses()] == [0]
+        (lapse,) = core.gate.leases.lapses()
+        assert (lapse.stalled_ticks, lapse.waited_ms) == (0, 0.0)
         await drive(core, "peer:plc", 40.0)
         await core.scheduler.advance(LIMIT_TICKS + 5)
         (lapse,) = core.gate.leases.lapses()
@@ -155,6 +158,9 @@ async def test_a_command_lapses_from_when_it_came_in():
 @pytest.mark.parametrize("on_stale", ["zero", "ramp"])
 async def test_what_came_in_before_a_standstill_of_ours_is_never_driven(on_stale):
     async with robot(on_stale) as core:
+        said = []
+        control = SimpleNamespace(speed=1.0, enter_safe=lambda why, **_: said.append(why))
+        Supervision(core, control)
         core.gate.in_real_time = True
         await core.scheduler.advance(10)
         long_ago_ns = time.monotonic_ns() - (LIMIT_TICKS + 1) * 1_000_000
@@ -162,6 +168,8 @@ async def test_what_came_in_before_a_standstill_of_ours_is_never_driven(on_stale
         await core.scheduler.advance(10)
         assert on_stale == "ramp" or set(series(core, 0)) == {0.0}
         assert (now(core, "internal.command") == 2.0) == (on_stale == "ramp")
+        control.before_reset()
+        assert on_stale == "zero" or said[0].startswith("the daemon's event loop stood still for")
         core.gate.in_real_time = False
         await drive(core, "peer:plc", 40.0)
         assert on_stale == "ramp" or now(core) == 40.0, "it drives again with the next command"
