@@ -110,8 +110,7 @@ def frames_of(log: Log, sampling: Sampling | None) -> Frames:
         segment += np.cumsum(np.diff(rows[POSE_REQUEST], prepend=rows[POSE_REQUEST][:1]) != 0)
     measured = _measured(rows, _rows(log) if tick is None else tick, taken)
     columns: dict[str, Array] = dict(measured)
-    groups = {name: name.partition(".")[0] for name in measured}
-    age_s = {name: taken[group].age_s for name, group in groups.items() if group in taken}
+    age_s = {name: own.age_s for name in measured if (own := _of_group(taken, name)) is not None}
     for name, values in _chosen(rows, measured).items():
         columns[name] = values
         if sampling is None or tick is None or is_input(name):
@@ -152,6 +151,11 @@ def _taken(rows: Mapping[str, Array], t_s: Array, sampling: Sampling) -> dict[st
         at, stamps = came["wheel"]
         came["wheel"] = at, t_s[0] + tick_s * np.rint((stamps - t_s[0]) / tick_s)
     return {group: _risen(t_s, *own) for group, own in came.items()}
+
+
+def _of_group(taken: Mapping[str, _Taken], name: str) -> _Taken | None:
+    """Return the samples of a channel's group; what is not counted comes with the wheels."""
+    return taken.get(name.partition(".")[0], taken.get("wheel"))
 
 
 def _without_rare_repeats(values: Array) -> Array:
@@ -231,7 +235,7 @@ def _measured(
         name = column.removeprefix(MEASURED)
         if name == column or not np.nan_to_num(values).any():
             continue
-        own = taken.get(name.partition(".")[0])
+        own = _of_group(taken, name)
         if own is None:
             found[name] = _first_of_each(values, tick)
         elif name in SETPOINTS:

@@ -223,6 +223,19 @@ def test_a_sample_in_two_messages_is_complete_with_the_second(tmp_path):
         assert len(log[name]) >= 99
 
 
+def test_what_is_not_counted_comes_with_the_wheels(tmp_path):
+    voltage = "battery.voltage_v"
+    columns = taken(0)
+    which = columns[f"measured.{SPEED}"]
+    columns[f"measured.{voltage}"] = lambda tick: 20.0 + which(tick)
+    columns[f"measured.{SETPOINTS[0]}"] = lambda tick: which(
+        max(tick - 3, 0)
+    )  # a message of its own
+    log = read(write_frames(tmp_path / "run.csv", columns, n=2040))
+    assert np.array_equal(log[voltage].values - 20.0, log[SPEED].values)
+    assert np.array_equal(log[voltage].t_s, log[SPEED].t_s)
+
+
 def test_set_points_of_some_wheels_alone_are_not_what_the_robot_follows(tmp_path):
     columns = taken(0)
     del columns[f"measured.{SETPOINTS[3]}"]
