@@ -134,6 +134,7 @@ async def recalibrate(rig: Rig) -> None:
     for _ in range(int(HOLD_S / 0.1)):
         part.figures.looks["named"] = part.figures.looks.get("named", 0) + 1
         part.figures.failures += 1
+        part.figures.decisions["accepted"] += 1
         await asyncio.sleep(0.1)
     part.loop.proposal, part.loop.changed, part.figures.is_looking = None, None, False
 
