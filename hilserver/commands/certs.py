@@ -37,13 +37,7 @@ from hilserver.opcua.certificate import (
 )
 from hilserver.opcua.passwords import hash_password
 from hilserver.opcua.settings import default_application_uri
-from hilserver.opcua.trust_list import (
-    FOLDERS,
-    TrustList,
-    file_name,
-    files_in,
-    write_private,
-)
+from hilserver.opcua.trust_list import FOLDERS, TrustList, file_name, files_in, write_private
 
 EXAMPLE = "hilserver certs make --host robot.plant.example --host 192.0.2.7"
 _ANYWHERE = {"0.0.0.0", "::", ""}  # noqa: S104 - recognised, not listened on

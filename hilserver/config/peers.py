@@ -105,12 +105,10 @@ class PeerConfig(LinkSection):
     """One peer."""
 
     name: Annotated[
-        str,
-        Field(pattern=r"^[A-Za-z0-9_-]{1,64}$", description="name in log, metrics and OPC UA"),
+        str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$", description="name in log, metrics and OPC UA")
     ]
     endpoint: Annotated[
-        Endpoint,
-        Field(description="opc.tcp://<host>:<port>/<path>, or s7://<host>/<rack>/<slot>"),
+        Endpoint, Field(description="opc.tcp://<host>:<port>/<path>, or s7://<host>/<rack>/<slot>")
     ]
     security: PeerSecurity = Field(default_factory=PeerSecurity)
     mode: Literal["auto", "subscribe", "poll"] = Field(

@@ -47,8 +47,7 @@ class PlantConfig(Section):
 
     slice: str = Field("plant", description="slice in which the plant runs")
     drive: Literal["skid", "mecanum"] = Field(
-        "skid",
-        description="skid, or mecanum (rollers in X pattern; r 0.05, l_x 0.25, l_y 0.36)",
+        "skid", description="skid, or mecanum (rollers in X pattern; r 0.05, l_x 0.25, l_y 0.36)"
     )
     wheel_radius_m: float = of(RobotParameters, "wheel_radius_m")
     wheelbase_m: float | None = of(RobotParameters, "wheelbase_m")

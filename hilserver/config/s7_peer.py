@@ -13,8 +13,7 @@ COUNTERS: Final = frozenset(FORMS) - {"BOOL", "REAL", "LREAL"}
 
 Both = Annotated[
     tuple[
-        Annotated[str, AfterValidator(check_address)],
-        Annotated[str, AfterValidator(check_address)],
+        Annotated[str, AfterValidator(check_address)], Annotated[str, AfterValidator(check_address)]
     ],
     Field(description="first and last place of the block"),
 ]

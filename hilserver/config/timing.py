@@ -3,12 +3,7 @@
 from difflib import get_close_matches
 from typing import Annotated, Literal, Self
 
-from pydantic import (
-    Field,
-    StringConstraints,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, StringConstraints, field_validator, model_validator
 
 from hilserver.config.section import Section
 from hilserver.program.shared_memory import DEFAULT_IMAGE
@@ -40,9 +35,7 @@ class RealtimeConfig(Section):
 
     priority: int = Field(80, ge=0, le=99, description="SCHED_FIFO priority; 0: ordinary thread")
     cpu: int | None = Field(
-        None,
-        ge=0,
-        description="Core for the pacing thread alone; the rest of the daemon avoids it",
+        None, ge=0, description="Core for the pacing thread alone; the rest of the daemon avoids it"
     )
     lock_memory: bool = Field(True, description="Lock and prefault memory")
     hold_latency_target: bool = Field(True, description="Hold /dev/cpu_dma_latency at 0")

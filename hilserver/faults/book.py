@@ -190,10 +190,7 @@ class Faults:
         return {
             "injected": {"count": len(active) - len(forces), "names": self.names},
             "forced": {"count": len(forces), "names": self.forced},
-            "command_timeout": {
-                "fired": self._mailbox.timeouts,
-                "holds": self._mailbox.is_silent,
-            },
+            "command_timeout": {"fired": self._mailbox.timeouts, "holds": self._mailbox.is_silent},
         }
 
     # --- inside -----------------------------------------------------------------------------------

@@ -14,14 +14,7 @@ from scipy.optimize import minimize_scalar
 from hilserver.arrays import Array, Indices, Mask
 from hilserver.errors import LogError
 from hilserver.identify.estimates import Estimate, blocks_of, regress
-from hilserver.identify.wheels import (
-    at,
-    files,
-    need,
-    per_span,
-    present,
-    side_sum_rpm,
-)
+from hilserver.identify.wheels import at, files, need, per_span, present, side_sum_rpm
 from hilserver.measured.channels import GYRO, IMU_YAW, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS

@@ -56,12 +56,7 @@ def padded(length: int) -> int:
 
 
 def make_layout(
-    n_slots: int,
-    *,
-    ring_length: int,
-    queue_rows: int,
-    live: dict[str, int],
-    fixed: dict[str, int],
+    n_slots: int, *, ring_length: int, queue_rows: int, live: dict[str, int], fixed: dict[str, int]
 ) -> Layout:
     """Place every region.
 

@@ -6,14 +6,7 @@ from hilserver.compiled import kernel
 from hilserver.compiled.atomics import load_acquire
 from hilserver.image import leases, word
 from hilserver.image.layout import REQUEST_LOAD, REQUEST_RESTART
-from hilserver.image.leases import (
-    Lease,
-    adopt_outcome,
-    driving,
-    end_leases,
-    lease_at,
-    show_outcome,
-)
+from hilserver.image.leases import Lease, adopt_outcome, driving, end_leases, lease_at, show_outcome
 from hilserver.image.queues import latch_rows
 from hilserver.image.requests import serve
 from hilserver.image.ring import publish_frame

@@ -36,14 +36,7 @@ from hilserver.logs.unpacking import PIECE_BYTES, Budget
 
 BAD = 0x8000_0000
 _MESSAGE_HEAD = 9 + 22  # bytes of a record before the data of its message
-_TEXTS = (
-    "schema",
-    "version",
-    "kernels",
-    "config_sha256",
-    "config_folder",
-    "replay_of",
-)
+_TEXTS = ("schema", "version", "kernels", "config_sha256", "config_folder", "replay_of")
 _READ = {
     Opcode.CHANNEL: rec.Channel.read,
     Opcode.CHUNK: rec.Chunk.read,

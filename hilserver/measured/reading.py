@@ -35,9 +35,7 @@ from hilserver.measured.thresholds import (
 
 
 def read_measured(
-    paths: Sequence[Path],
-    mapping: Path | str | None = None,
-    sampling: Sampling | None = None,
+    paths: Sequence[Path], mapping: Path | str | None = None, sampling: Sampling | None = None
 ) -> MeasuredLog:
     """Read the logs of one machine and pool them.
 

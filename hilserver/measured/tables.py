@@ -101,11 +101,7 @@ def _own(log: Log, sampling: Sampling | None) -> Recording:
     frames = frames_of(log, own_sampling(log) or sampling if is_of_the_daemon(log) else None)
     part = Stamped(log.t_s, frames.segment, frames.columns, log.block, frames.age_s)
     return Recording(
-        log.path,
-        [part],
-        notices=list(log.notices),
-        machine=_machine(log),
-        on_ticks=frames.on_ticks,
+        log.path, [part], notices=list(log.notices), machine=_machine(log), on_ticks=frames.on_ticks
     )
 
 

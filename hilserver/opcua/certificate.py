@@ -160,9 +160,7 @@ def common_name(certificate: x509.Certificate) -> str:
 def key_to_pem(key: rsa.RSAPrivateKey) -> bytes:
     """Return the key as PKCS #8; the file that holds it must be 0600."""
     return key.private_bytes(
-        serialization.Encoding.PEM,
-        serialization.PrivateFormat.PKCS8,
-        serialization.NoEncryption(),
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
 
 

@@ -24,11 +24,7 @@ from hilserver.opcua import encoding
 from hilserver.opcua.channel import GuardedConnection
 from hilserver.opcua.decoding import within_bounds
 from hilserver.opcua.frames import Stage, TransportError, check_order
-from hilserver.opcua.login import (
-    activate_session,
-    create_session,
-    release_session,
-)
+from hilserver.opcua.login import activate_session, create_session, release_session
 from hilserver.opcua.logs import log
 from hilserver.opcua.node_services import read
 from hilserver.opcua.portions import decoded, encoded

@@ -158,23 +158,9 @@ def process_of_tick(p: Parameters, voltage_v: float) -> Matrices:
     if p.sag != 0.0:
         sag = max(1.0 + p.sag * (voltage_v / NOMINAL_V - 1.0), 0.0)
     if sag == 1.0 or p.viscous == 0.0:
-        return (
-            p.a00,
-            p.a01,
-            p.a10,
-            p.a11,
-            p.b0 * sag,
-            p.b1 * sag,
-        )
+        return (p.a00, p.a01, p.a10, p.a11, p.b0 * sag, p.b1 * sag)
     if p.euler != 0.0:
-        return (
-            p.a00,
-            p.a01 * sag,
-            p.a10,
-            p.a11,
-            p.b0 * sag,
-            p.b1,
-        )
+        return (p.a00, p.a01 * sag, p.a10, p.a11, p.b0 * sag, p.b1)
     return process_matrices(  # type: ignore[no-any-return]
         p.gain * sag, p.viscous, p.t1, p.t2, p.dt
     )

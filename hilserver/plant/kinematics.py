@@ -35,14 +35,7 @@ def velocity_base(p: Parameters, w_l: float, w_r: float, dw_l: float, dw_r: floa
     dleft, dright = p.radius_left * dw_l, p.radius_right * dw_r
     om = p.yaw_gain * (left + right)
     dom = p.yaw_gain * (dleft + dright)
-    return (
-        0.5 * (left - right),
-        -p.icr * om,
-        om,
-        0.5 * (dleft - dright),
-        -p.icr * dom,
-        dom,
-    )
+    return (0.5 * (left - right), -p.icr * om, om, 0.5 * (dleft - dright), -p.icr * dom, dom)
 
 
 @inlined
@@ -90,13 +83,7 @@ def turning_gain(
 
 @part
 def velocity_terms(
-    p: Parameters,
-    inside: bool,
-    angle_left: float,
-    w_l: float,
-    w_r: float,
-    dw_l: float,
-    dw_r: float,
+    p: Parameters, inside: bool, angle_left: float, w_l: float, w_r: float, dw_l: float, dw_r: float
 ) -> tuple[float, float, float, float]:
     """Return v, om and their rates as the wheels make them, with the kinematic terms.
 

@@ -108,11 +108,7 @@ class RobotParameters:
         90.0, "largest set-point; all wheels are scaled together", jumps="duty", gt=0, le=10_000
     )
     safe_ramp_s: float = quantity(
-        0.5,
-        "time in which the safe state ramps the set-points to zero",
-        jumps="fixed",
-        ge=0,
-        le=60,
+        0.5, "time in which the safe state ramps the set-points to zero", jumps="fixed", ge=0, le=60
     )
     discretization: Literal["exact", "euler"] = "exact"
     exclusive_twist: bool = False

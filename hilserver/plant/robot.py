@@ -9,13 +9,7 @@ import math
 from hilserver.plant.command import command
 from hilserver.plant.drive import drive_base, drive_terms
 from hilserver.plant.kernels import inlined, part
-from hilserver.plant.kinematics import (
-    across,
-    in_region,
-    sideways,
-    velocity_base,
-    velocity_terms,
-)
+from hilserver.plant.kinematics import across, in_region, sideways, velocity_base, velocity_terms
 from hilserver.plant.layout import GOOD, N_WHEELS, Inputs, Outputs, Parameters, State, Status
 from hilserver.plant.pose import move, set_pose
 from hilserver.plant.units import RAD_S_PER_RPM

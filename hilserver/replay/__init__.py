@@ -8,11 +8,4 @@ from hilserver.replay.engine import Comparison, Engine
 from hilserver.replay.origin import assembly_of
 from hilserver.replay.plan import Plan, plan_exact, plan_inputs
 
-__all__ = [
-    "Comparison",
-    "Engine",
-    "Plan",
-    "assembly_of",
-    "plan_exact",
-    "plan_inputs",
-]
+__all__ = ["Comparison", "Engine", "Plan", "assembly_of", "plan_exact", "plan_inputs"]

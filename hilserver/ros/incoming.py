@@ -38,10 +38,7 @@ def _lights(pattern: str, red: int, green: int, blue: int) -> Values:
 
 
 def _speeds(by_wheel: Mapping[str, float]) -> Values:
-    return {
-        "control.mode": 0,
-        "wheels.setpoints_rpm": [float(by_wheel[wheel]) for wheel in WHEELS],
-    }
+    return {"control.mode": 0, "wheels.setpoints_rpm": [float(by_wheel[wheel]) for wheel in WHEELS]}
 
 
 def rpm(robot: Robot, message: Any) -> Values:

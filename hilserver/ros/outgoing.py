@@ -192,14 +192,10 @@ def _odometry(
         header=robot.header(frame),
         child_frame_id=f"{robot.frame_prefix}base_link",
         pose=robot.make(
-            "geometry_msgs/msg/PoseWithCovariance",
-            pose=robot.pose(*pose),
-            covariance=place.ravel(),
+            "geometry_msgs/msg/PoseWithCovariance", pose=robot.pose(*pose), covariance=place.ravel()
         ),
         twist=robot.make(
-            "geometry_msgs/msg/TwistWithCovariance",
-            twist=moved,
-            covariance=motion.ravel(),
+            "geometry_msgs/msg/TwistWithCovariance", twist=moved, covariance=motion.ravel()
         ),
     )
 

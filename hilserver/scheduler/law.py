@@ -22,13 +22,7 @@ from numpy.typing import NDArray
 
 from hilserver.compiled import kernel
 from hilserver.scheduler import faults
-from hilserver.scheduler.policies import (
-    FAIL,
-    STRETCH,
-    OverrunLimits,
-    OverrunPolicy,
-    shift_ns,
-)
+from hilserver.scheduler.policies import FAIL, STRETCH, OverrunLimits, OverrunPolicy, shift_ns
 
 # Settings
 PERIOD, POLICY, CATCH_UP_LIMIT, SINGLE_LIMIT, CONSECUTIVE_LIMIT = range(5)

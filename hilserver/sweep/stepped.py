@@ -119,9 +119,7 @@ class Stepped:
         over = asyncio.create_task(watch.over.wait())
         try:
             await asyncio.wait(
-                (over, reading),
-                timeout=self.job.limits.time_s,
-                return_when=asyncio.FIRST_COMPLETED,
+                (over, reading), timeout=self.job.limits.time_s, return_when=asyncio.FIRST_COMPLETED
             )
             if reading.done() and not over.done():
                 with contextlib.suppress(TimeoutError):

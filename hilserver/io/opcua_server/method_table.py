@@ -144,9 +144,7 @@ METHODS = (
     ),
     Method("ClearFaults", "End all injected faults", lambda on: on.faults.clear()),
     Method(
-        "ResetStatistics",
-        "Start the timing figures anew",
-        lambda on: on.control.reset_statistics(),
+        "ResetStatistics", "Start the timing figures anew", lambda on: on.control.reset_statistics()
     ),
     Method(
         "SetPose",
@@ -159,9 +157,7 @@ METHODS = (
         ),
     ),
     Method(
-        "AlignPose",
-        "Put the robot where the measured one is",
-        lambda on: on.control.align_pose(),
+        "AlignPose", "Put the robot where the measured one is", lambda on: on.control.align_pose()
     ),
     Method(
         "SetSpeed",

@@ -95,12 +95,7 @@ class RobotEvents:
     """Sends the events of the bus to OPC UA clients."""
 
     def __init__(
-        self,
-        builder: AddressSpaceBuilder,
-        subscriptions: Any,
-        clock: UtcClock,
-        *,
-        limit_per_s: int,
+        self, builder: AddressSpaceBuilder, subscriptions: Any, clock: UtcClock, *, limit_per_s: int
     ) -> None:
         self._subscriptions = subscriptions
         self._clock = clock

@@ -190,11 +190,7 @@ class PageServer:
     async def _hall(self, request: web.Request) -> web.Response:
         self._reader(request)
         return web.json_response(
-            {
-                "walls": self._setup.walls,
-                "robot": self._setup.robot,
-                "faults": self._setup.faults,
-            }
+            {"walls": self._setup.walls, "robot": self._setup.robot, "faults": self._setup.faults}
         )
 
     async def _logs(self, request: web.Request) -> web.Response:

@@ -127,11 +127,7 @@ class ReferencePlant:
         self._library.plant_sensors(self._handle, _pointer(self.outputs), _pointer(self.sensors))
 
     def run(
-        self,
-        u: NDArray[np.float64],
-        y: NDArray[np.float64],
-        q: NDArray[np.int64],
-        ticks: int,
+        self, u: NDArray[np.float64], y: NDArray[np.float64], q: NDArray[np.int64], ticks: int
     ) -> None:
         """Run whole base ticks with inputs, outputs and status codes: the speed comparison."""
         self._library.plant_run(
