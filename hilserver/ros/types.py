@@ -75,11 +75,7 @@ class Types:
     """Every type that the daemon speaks.
 
     ValueError if a field of `widths` does not exist, or its type is none.
-
-    Parameters
-    ----------
-    widths : mapping of str
-        Other types of single fields of services: ``SendLighting.command: int32``.
+    `widths` are other types of single fields of services: ``SendLighting.command: int32``.
     """
 
     def __init__(self, widths: Mapping[str, str] | None = None) -> None:

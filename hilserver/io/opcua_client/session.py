@@ -51,10 +51,7 @@ def read_request(nodes: Iterable[ua.NodeId], attribute: ua.AttributeIds) -> ua.R
 class Session:
     """An open session; use it as an async context manager.
 
-    Parameters
-    ----------
-    security : LinkSecurity or None
-        Protects it; without one policy None and no user.
+    Without `security` one of policy None, and without a user.
     """
 
     def __init__(self, endpoint: str, security: LinkSecurity | None = None) -> None:
