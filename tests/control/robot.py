@@ -29,17 +29,20 @@ SAFE = 3
 STANDING_RPM = 0.05
 
 LEASE_MS = {
-    "peer": 200,
-    "page": 300,
-    "foxglove": 300,
-    "teleop": 300,
-    "ros2": 300,
-    "shield": 300,
+    "peer": 1000,
+    "page": 1000,
+    "foxglove": 1000,
+    "teleop": 1000,
+    "ros2": 1000,
+    "shield": 1000,
     "opcua": None,
     "scenario": None,
 }
-"""Silence after which a command lapses, as `configuration` sets it; None: it holds."""
-COMMUNICATION_MS = 1500
+"""Silence after which a command lapses, as `configuration` sets it; None: it holds.
+
+So long that neither a client nor a link that reconnects needs it up where others use the cores.
+"""
+COMMUNICATION_MS = 2500
 
 
 def configuration(folder, domain, **control):

@@ -9,16 +9,17 @@ import yaml
 
 from hilserver.io.peer_link.link import SETTLED_S
 from tests.control.clients import SPEEDS_RPM, RefusedError, client
-from tests.control.robot import COMMUNICATION_MS, LEASE_MS, SAFE, SAFE_RAMP_S, STANDING_RPM
+from tests.control.robot import COMMUNICATION_MS, LEASE_MS, SAFE, STANDING_RPM
 
 OFFERING = ("peer", "ros2", "shield")
 """They say what they want whether or not they have control."""
 KINDS = {"foxglove": "page", "teleop": "opcua"}
-SLACK_MS = 150
+SLACK_MS = 400
 """On top of a lease: the ramp, and what a computer may lose that others use as well."""
-SOON_S = 3.0
+SOON_S = 20.0
 WATCH_S = 0.35
-FROZEN_S = 0.6
+UNDER_WAY_S = 0.3
+FROZEN_S = 1.5
 HELD_S = 5.0
 FORCED_RPM = 7.0
 
@@ -97,12 +98,18 @@ class Stage:
             self._try("write", name, 0)
         self._try("give", "peer")
         self._try("Reset")
-        assert self.wait(lambda: self.turns(SPEEDS_RPM["peer"])), "the peer does not drive"
+        assert self.wait(self._peer_drives), "the peer does not drive"
         if source != "peer":
             head = self.eye.head
             self.take(source)
             self.drive(source)
             self._goes_over(source, head)
+
+    def _peer_drives(self):
+        """Whether the peer drives; its silence before may have stopped the robot."""
+        if self.eye.now()["sim.state"][-1] == SAFE:
+            self._try("Reset")
+        return self.turns(SPEEDS_RPM["peer"])
 
     def _try(self, method, *arguments):
         with contextlib.suppress(RefusedError):
@@ -126,7 +133,7 @@ class Stage:
     def rest(self, source):
         if source != "scenario":
             self.clients[source].do("rest")
-            time.sleep(0.05)  # what was said before is still on its way
+            time.sleep(UNDER_WAY_S)  # what was said before is still on its way
 
     # --- what happens -----------------------------------------------------------------------------
 
@@ -281,21 +288,16 @@ class Stage:
         self._is_driven_by(source)
 
     def _stands(self, source, head, at_ns):
-        """The set-points begin to fall in time, reach zero and stay there."""
+        """From the end of its lease on nothing turns, whatever was still under way."""
         limit_ms = (LEASE_MS[source] or COMMUNICATION_MS) + SLACK_MS
-        assert self.wait(lambda: not self._turns_still(), limit_ms / 1e3 + SAFE_RAMP_S + 1.0), (
-            f"{self._says()} after {(time.monotonic_ns() - at_ns) / 1e6:.0f} ms"
-        )
+        end_s = (at_ns + limit_ms * 1e6) / 1e9 + WATCH_S
+        time.sleep(max(end_s - time.monotonic(), 0.0))
         seen = self.eye.since(head)
-        falls = np.flatnonzero(~np.isclose(seen.wheel_rpm, SPEEDS_RPM[source], atol=STANDING_RPM))
-        late_ms = (seen.times_ns[falls[0]] - at_ns) / 1e6 if len(falls) else 0.0
-        assert late_ms <= limit_ms, f"it falls after {late_ms:.0f} ms, {limit_ms} are allowed"
-        time.sleep(0.1)
-        assert not self._turns_still(), f"{self._says()}: it does not stay at zero"
-
-    def _turns_still(self):
-        wheel = self.eye.now().wheel_rpm[-1]
-        return not np.isnan(wheel) and abs(wheel) > STANDING_RPM
+        turns_ns = seen.times_ns[np.abs(seen.wheel_rpm) > STANDING_RPM]
+        late_ms = (turns_ns.max(initial=at_ns) - at_ns) / 1e6
+        assert late_ms <= limit_ms, (
+            f"{self._says()}: it turns for {late_ms:.0f} ms, {limit_ms} are allowed"
+        )
 
     def _is_zero(self, source, _other, head, at_ns):
         self._stands(source, head, at_ns)

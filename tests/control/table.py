@@ -39,7 +39,7 @@ EVENTS: Final[Mapping[str, str]] = {
     "slowed": "a quarter of the speed, then it is silent",
     "reset": "Reset, while it is silent",
     "snapshot": "LoadSnapshot of a moment at which it drove, while it is silent",
-    "overrun": "no thread of the daemon runs for 600 ms, while it is silent",
+    "overrun": "no thread of the daemon runs for 1.5 s, while it is silent",
     "forced": "Force of what it commands, and Unforce",
     "acknowledged": "Stop, and Reset, while it is silent",
     "restarted": "the daemon is ended and started again",
