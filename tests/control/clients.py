@@ -228,7 +228,7 @@ class OpcUa(_Source):
     async def connect(self):
         from asyncua import Client as Ua
 
-        self._ua = Ua(self.doors["opcua"], timeout=ANSWER_WITHIN_S)
+        self._ua = Ua(self.doors["opcua"], ANSWER_WITHIN_S, watchdog_intervall=6 * ANSWER_WITHIN_S)
         self._ua.name = self.kind
         await self._ua.connect()
         self._index = await self._ua.get_namespace_index("urn:hilserver:robot")
