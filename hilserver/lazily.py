@@ -12,7 +12,10 @@ from typing import Any
 def lazily(package: str, **modules: tuple[str, ...]) -> Callable[[str], Any]:
     """Return the `__getattr__` of a package (PEP 562).
 
-    `modules`: for each of its modules the names that it defines.
+    Parameters
+    ----------
+    modules : tuple of str
+        For each of its modules the names that it defines.
     """
     home = {name: module for module, names in modules.items() for name in names}
 

@@ -109,7 +109,10 @@ def place_body(p: Constants, numbers: Any, x: float, y: float, yaw: float) -> No
 def advance(p: Constants, numbers: Any, a: Addresses) -> bool:
     """Compute one slice, driven by `Motion.asked`; return whether the state is still good.
 
-    The state in `numbers` is changed in place; all that MuJoCo knows is set from it and read back.
+    Parameters
+    ----------
+    numbers : ndarray of float64
+        State, changed in place; all that MuJoCo knows is set from it and read back.
     """
     b = record_at(numbers, 0, MOTION)
     state, sensors, counters = numbers[MUJOCO:], numbers[TOUCH:].ctypes.data, b.warnings.ctypes.data

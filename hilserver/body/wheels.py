@@ -87,7 +87,11 @@ def turn_wheels(
     A wheel passes the floor's force on to its axle, the drive's torque acts back on the body. Both
     together are the force at the contact, the resistance to rolling, and the reaction to what
     accelerates the wheel.
-    `velocity` and `turning` are those of the centre of mass [m/s] and of the body [rad/s].
+
+    Parameters
+    ----------
+    velocity, turning : tuple of float
+        Of the centre of mass [m/s] and of the body [rad/s].
     """
     fx, fy, fz, mx, my, mz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(4):

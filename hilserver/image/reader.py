@@ -124,8 +124,10 @@ class ImageReader:
     def rows(self, first: int, most: int) -> NDArray[np.int64]:
         """Copy frames from `first` on until one is not there (yet, or any more).
 
-        Rows of shape (n, 4 + 2 * n_slots): sequence, tick, planned start [ns], rows latched so far,
-        values, and status codes.
+        Returns
+        -------
+        ndarray of int64, shape (n, 4 + 2 * n_slots)
+            Sequence, tick, planned start [ns], rows latched so far, values, and status codes.
         """
         numbers = np.arange(first, min(first + most, self.head)) if first >= 0 else np.arange(0)
         places, complete = numbers & (len(self._ring) - 1), 2 * numbers + 2

@@ -49,8 +49,10 @@ FIRST_OUTPUT: Final = Inputs.n_words
 def fitted_limits(patch: ModelPatch | None = None) -> NDArray[np.float64]:
     """Return the range of each block: where all of its terms were fitted.
 
-    Shape (N_LIMITS,): 1 with a patch, else 0; then a row per block of `BLOCKS`, infinite where
-    nothing is said.
+    Returns
+    -------
+    ndarray of float64, shape (N_LIMITS,)
+        1 with a patch, else 0; then a row per block of `BLOCKS`, infinite where nothing is said.
     """
     limits = np.tile([-math.inf, math.inf], (len(BLOCKS), N_ROW // 2))
     for name, term in {} if patch is None else patch.terms.items():

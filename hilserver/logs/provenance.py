@@ -109,9 +109,17 @@ class _Run(BaseModel):
 
 
 def check_run(run: Mapping[str, Any], names: Iterable[str] = ()) -> None:
-    """Refuse what a file with the columns `names` says about its run where it does not fit.
+    """Refuse what a file says about its run where it does not fit.
 
-    ValueError has one clause: what is wrong.
+    Parameters
+    ----------
+    names : iterable of str
+        Columns of the file.
+
+    Raises
+    ------
+    ValueError
+        One clause: what is wrong.
     """
     try:
         said = _Run.model_validate(run)

@@ -124,8 +124,17 @@ def first_of_equal(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], int]:
     """Make one row of rows that follow each other with one stamp: each column's first value.
 
-    Returns the values, the first row of every stamp in the table, and how many rows held a value
-    too many. Of `values`, shape (n, k), NaN is none; the columns `keys` are no measurements.
+    Parameters
+    ----------
+    values : ndarray, shape (n, k)
+        NaN where there is none.
+    keys : sequence of int
+        Columns that are no measurements.
+
+    Returns
+    -------
+    values, rows, repeated
+        The first row of every stamp in the one table, and how many rows held a value too many.
     """
     begins = np.ones(len(stamps), dtype=np.bool_)
     begins[1:] = (np.diff(stamps) != 0) | (np.diff(segment) != 0)

@@ -96,7 +96,10 @@ def own_sampling(log: Log) -> Sampling | None:
 def frames_of(log: Log, sampling: Sampling | None) -> Frames:
     """Return the samples of a recording of the daemon.
 
-    `sampling` is that of the configuration of its run; None: every row counts as a sample.
+    Parameters
+    ----------
+    sampling : Sampling or None
+        Of the configuration of its run; None: every row counts as a sample.
     """
     rows = {name: _usable(log, name) for name in log.columns}
     tick = _ticks(log, sampling)
@@ -283,8 +286,10 @@ def _fresh(values: Array, sample: Indices, segment: Indices) -> Mask | None:
 def _first_of_each(values: Array, tick: Indices) -> Array:
     """Return values that come from outside: each once, where it came, and as often as usual.
 
-    `tick`, shape (n,), is that of every row: a recording may leave out those in which nothing
-    changes.
+    Parameters
+    ----------
+    tick : ndarray of int64, shape (n,)
+        Of every row: a recording may leave out those in which nothing changes.
     """
     there = np.flatnonzero(np.isfinite(values))
     first = np.flatnonzero(np.diff(values[there], prepend=np.nan) != 0.0)

@@ -14,7 +14,10 @@ from hilserver.plant.parameters import RobotParameters
 def machine(log: MeasuredLog, robot: RobotParameters) -> RobotParameters:
     """Return the plant of a log.
 
-    LogError if the mapping's machine and the rest of the configured one do not fit together.
+    Raises
+    ------
+    LogError
+        If the mapping's machine and the rest of the configured one do not fit together.
     """
     names = {item.name for item in fields(robot)}
     given: dict[str, Any] = {key: value for key, value in log.plant.items() if key in names}

@@ -40,7 +40,10 @@ def _distribution() -> Any:
 class Decoder:
     """Reads fields of the messages of one topic.
 
-    TopicError when nothing can be decoded: an unknown type, a foreign serialization.
+    Raises
+    ------
+    TopicError
+        When nothing can be decoded: an unknown type, a foreign serialization.
     """
 
     def __init__(self, where: str, topic: Topic) -> None:
@@ -101,7 +104,13 @@ class Decoder:
         """Return stamps [ns] and the fields of every message, shapes (n,) and (n, n_fields).
 
         NaN where a message does not hold a field.
-        TopicError if no message can be decoded, LogError if none holds a field.
+
+        Raises
+        ------
+        TopicError
+            If no message can be decoded.
+        LogError
+            If no message holds a field.
         """
         readers = [Field(path) for path in fields]
         stamps = np.zeros(len(messages), dtype=np.int64)

@@ -23,7 +23,11 @@ def series_of(
     """Return one span of a log.
 
     A moment is where every wheel that is measured has a sample.
-    `nav_late_s`: how late the stamps of the navigation are beside those of the wheels.
+
+    Parameters
+    ----------
+    nav_late_s : float
+        By how much the stamps of the navigation are late beside those of the wheels.
     """
     sides: list[list[str]] = []
     for side in (SPEEDS[:N_LEFT], SPEEDS[N_LEFT:]):

@@ -15,8 +15,11 @@ from hilserver.logs.unpacking import Budget
 def read_parquet(path: Path, used: Container[str] | None = None) -> Table:
     """Read the numbers of a Parquet file; rows are counted from 1.
 
-    LogError when pyarrow is not installed, the file is damaged or too large, or a column holds no
-    numbers.
+    Raises
+    ------
+    LogError
+        When pyarrow is not installed, the file is damaged or too large, or a column holds no
+        numbers.
     """
     try:
         from pyarrow import ArrowException, parquet  # noqa: PLC0415 -- an extra

@@ -60,7 +60,10 @@ class ForeignLog(LogError):
 def propose(header: Sequence[str], row: Sequence[str] = ()) -> str:
     """Return the text of a mapping file for a table with these columns; empty without a guess.
 
-    `row` is the first one: names of joints stand in it where columns are numbered.
+    Parameters
+    ----------
+    row : sequence of str
+        The first row: names of joints stand in it where columns are numbered.
     """
     time = ""
     channels: dict[str, str] = {}

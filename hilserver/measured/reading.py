@@ -37,7 +37,7 @@ from hilserver.measured.thresholds import (
 def read_measured(
     paths: Sequence[Path], mapping: Path | str | None = None, sampling: Sampling | None = None
 ) -> MeasuredLog:
-    """Read the logs of one machine and pool them; LogError names file, row, column and remedy.
+    """Read the logs of one machine and pool them.
 
     Parameters
     ----------
@@ -48,6 +48,11 @@ def read_measured(
     sampling : Sampling, optional
         Of the configuration in use: when the daemon's sensors sample, for those of its frames that
         do not carry their own configuration.
+
+    Raises
+    ------
+    LogError
+        One sentence that names file, row, column and remedy.
     """
     table = None if mapping is None else load_mapping(mapping)
     recordings = [_read(path, table, sampling) for path in paths]

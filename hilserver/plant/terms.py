@@ -80,7 +80,11 @@ def complete(values: Mapping[str, float | None]) -> dict[str, float | None]:
     """Return a value for every term: those given, checked, and the null of all others.
 
     PlantError when a name is unknown or given twice, or a value is not finite or out of range.
-    In `values`, by name or bare cause, None is the null value.
+
+    Parameters
+    ----------
+    values : mapping of str to float or None
+        Terms by name or bare cause; None is the null value.
     """
     result: dict[str, float | None] = {name: term.null for name, term in TERMS.items()}
     seen: set[str] = set()

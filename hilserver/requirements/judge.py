@@ -28,8 +28,17 @@ _ROUNDING = 1e-9  # of a tick: a time that is a tick but for rounding is that ti
 def margin(requirement: Requirement, values: Array, period_s: float) -> float:
     """Return how far the samples of a drive are from failing, in the signal's unit.
 
-    Negative: not met; -inf where a sample is not a number, or the drive ends too early. `values`,
-    shape (n,), has one sample a tick, the first at 0 s.
+    Parameters
+    ----------
+    values : ndarray of float64, shape (n,)
+        One sample a tick, the first at 0 s.
+    period_s : float
+        Of a tick [s].
+
+    Returns
+    -------
+    float
+        Negative: not met; -inf where a sample is not a number, or the drive ends too early.
     """
     samples = sample_margins(requirement, values)
     first = math.ceil(requirement.after_s / period_s - _ROUNDING)

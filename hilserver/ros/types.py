@@ -75,7 +75,11 @@ class Types:
     """Every type that the daemon speaks.
 
     ValueError if a field of `widths` does not exist, or its type is none.
-    `widths` are other types of single fields of services: ``SendLighting.command: int32``.
+
+    Parameters
+    ----------
+    widths : mapping of str
+        Other types of single fields of services: ``SendLighting.command: int32``.
     """
 
     def __init__(self, widths: Mapping[str, str] | None = None) -> None:

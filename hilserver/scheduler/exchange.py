@@ -70,10 +70,19 @@ def announce(comm: NDArray[np.int64], row: int, tick: int, planned_ns: int) -> N
 
 @kernel(types.int64(_WORDS, types.int64, _WORDS))
 def announced(comm: NDArray[np.int64], row: int, out: NDArray[np.int64]) -> int:
-    """Read what was last announced for slice `row` of `comm`.
+    """Read what was last announced for slice `row`.
 
-    Returns the number of announcements so far, -1 if the writer was always in the way; `out`, shape
-    (2,), receives tick and planned start [ns].
+    Parameters
+    ----------
+    comm, row
+        All rows and the index of one.
+    out : ndarray of int64, shape (2,)
+        Receives tick and planned start [ns].
+
+    Returns
+    -------
+    int
+        Number of announcements so far; -1 if the writer was always in the way.
     """
     base = row * N_COMM
     for _ in range(64):

@@ -90,7 +90,10 @@ def overrun_kind(law: NDArray[np.int64]) -> int:
 def conclude(law: NDArray[np.int64], end_ns: int) -> int:
     """Close the tick that ended at `end_ns` [ns], plan the next one.
 
-    ``OK``, ``STOP`` (policy ``fail``) or the ``FAULT_*`` code of the limit that was exceeded.
+    Returns
+    -------
+    int
+        ``OK``, ``STOP`` (policy ``fail``) or the ``FAULT_*`` code of the limit that was exceeded.
     """
     law[MARGIN] = law[DEADLINE] - end_ns
     law[EXECUTION] = end_ns - law[START]

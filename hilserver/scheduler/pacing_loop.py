@@ -20,7 +20,11 @@ def pace(step: Any, at: Loop, doorbell: int) -> int:
     """Pace ticks by absolute deadlines until a stop is requested or the policy ends the run.
 
     Parameters are those of `turn`, and `doorbell`: the eventfd rung for the event loop.
-    Returns 1 if the policy ``fail`` ended the run, otherwise 0.
+
+    Returns
+    -------
+    int
+        1 if the policy ``fail`` ended the run, otherwise 0.
     """
     law, control, scratch = at.law, at.control, at.scratch
     scratch[ONE] = 1

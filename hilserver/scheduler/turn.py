@@ -199,7 +199,13 @@ def announce_due(comm: NDArray[np.int64], tick: int, planned_ns: int) -> int:
 
 @kernel(types.int64(*TURN_ARGUMENTS, types.boolean), _nrt=False)
 def turn(step: Any, at: Loop, virtual: bool) -> int:
-    """Do what is due now; return ``RAN | RING | ENDED | STANDING``."""
+    """Do what is due now.
+
+    Returns
+    -------
+    int
+        ``RAN | RING | ENDED | STANDING``.
+    """
     law, control = at.law, at.control
     real_ns = monotonic_ns(at.scratch)
     now_ns = law[lw.PLANNED] if virtual else real_ns

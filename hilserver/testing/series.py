@@ -77,8 +77,11 @@ class Series:
     ) -> None:
         """Fail at the first sample farther than `tolerance` from `reference`.
 
-        `reference`: a number, one value for each sample of the part, or a function of its times
-        counted from the first sample of the series [s].
+        Parameters
+        ----------
+        reference : float, ndarray or callable
+            A number, one value for each sample of the part, or a function of its times counted
+            from the first sample of the series [s].
         """
         part = self.between(from_s, to_s)
         if callable(reference):

@@ -95,7 +95,10 @@ class Capture(Mapping[str, Series]):
     def margins(self, *requirements: Requirement | Mapping[str, Any]) -> dict[str, float]:
         """Return the margin of every requirement by its name; times count from the first sample.
 
-        Requirements as in a sweep: ``{"name": "arrives", "signal": "pose.x_m", "above": 4.9}``.
+        Parameters
+        ----------
+        *requirements : Requirement or mapping
+            As in a sweep: ``{"name": "arrives", "signal": "pose.x_m", "above": 4.9}``.
         """
         found = [r if isinstance(r, Requirement) else Requirement(**r) for r in requirements]
         judge = Judge(found, self._table)

@@ -25,7 +25,11 @@ HUNT_READS_MAX = 300
 class PeerLink(Peer):
     """Reads and writes the variables of an OPC UA server.
 
-    `security` can only be None where the configuration asks for neither policy nor user.
+    Parameters
+    ----------
+    security : LinkSecurity or None
+        Protects the sessions; None can only be given where the configuration asks for neither
+        policy nor user.
     """
 
     def __init__(

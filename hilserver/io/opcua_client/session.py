@@ -51,7 +51,10 @@ def read_request(nodes: Iterable[ua.NodeId], attribute: ua.AttributeIds) -> ua.R
 class Session:
     """An open session; use it as an async context manager.
 
-    Without `security` one of policy None, and without a user.
+    Parameters
+    ----------
+    security : LinkSecurity or None
+        Protects it; without one policy None and no user.
     """
 
     def __init__(self, endpoint: str, security: LinkSecurity | None = None) -> None:

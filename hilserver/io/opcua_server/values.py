@@ -92,6 +92,8 @@ class SignalPlace(AttributeValue):  # type: ignore[misc]
 class SignalVariables:
     """All variables that show signals.
 
+    Notes
+    -----
     A value changes when its bits or its status code differ from those before. What a client has
     just written is shown at once and kept until the first frame that contains it, so that a client
     reads what it wrote and no older frame puts the old value back.

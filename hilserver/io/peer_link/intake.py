@@ -65,7 +65,10 @@ class Intake:
     def receive(self, samples: Iterable[tuple[str, Verdict]], now_ns: int) -> None:
         """Take one batch that arrived at `now_ns` (CLOCK_MONOTONIC).
 
-        `samples` of nodes, oldest first; none for a keep-alive, which attests that nothing changed.
+        Parameters
+        ----------
+        samples : iterable of (node, Verdict)
+            Oldest first; empty for a keep-alive, which attests that nothing changed.
         """
         advanced = self._counter is None
         news = changed = False
