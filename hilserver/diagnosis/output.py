@@ -52,10 +52,7 @@ def documents(diagnosis: Diagnosis) -> dict[str, str]:
 def write(folder: Path, files: Mapping[str, str]) -> None:
     """Write the files; each appears whole or not at all, and none of an older run stays.
 
-    Raises
-    ------
-    FailedError
-        If the folder cannot be written.
+    FailedError if the folder cannot be written.
     """
     write_files(folder, files, (FINDINGS, PATCH, REPORT))
 
@@ -63,10 +60,7 @@ def write(folder: Path, files: Mapping[str, str]) -> None:
 def write_files(folder: Path, files: Mapping[str, str], known: Sequence[str] = ()) -> None:
     """Write files, each whole or not at all; remove those of the `known` that are not written.
 
-    Raises
-    ------
-    FailedError
-        If the folder cannot be written.
+    FailedError if the folder cannot be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

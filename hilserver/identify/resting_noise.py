@@ -6,7 +6,8 @@ from typing import Final
 import numpy as np
 
 from hilserver.arrays import Array
-from hilserver.diagnosis.noise.fitting import NoiseModel, fit_noise
+from hilserver.diagnosis.noise.fitting import fit_noise
+from hilserver.diagnosis.noise.whitening import NoiseModel
 from hilserver.errors import LogError
 from hilserver.identify.wheels import at, files, present
 from hilserver.measured.data import MeasuredLog

@@ -17,10 +17,9 @@ import numpy as np
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.diagnosis.catalogue.candidate import several
-from hilserver.diagnosis.catalogue.vocabulary import cause_of, part_of, reference
+from hilserver.diagnosis.catalogue.vocabulary import cause_of, part_of, reference, unit_of
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.engine import HORIZON_S, judge
-from hilserver.diagnosis.findings.outcome import unit_of
 from hilserver.diagnosis.output import documents, write
 from hilserver.diagnosis.regression.gain import gains
 from hilserver.diagnosis.regression.problem import Point, Problem

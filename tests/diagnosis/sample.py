@@ -13,7 +13,6 @@ from hilserver.diagnosis.schema.evidence import (
     Evidence,
     FittedTerm,
     HorizonRow,
-    NoiseRow,
     Path,
     Series,
     Similarity,
@@ -99,6 +98,10 @@ def findings(**changes):
             "speed_rpm": gain(1.4, 1.3, 0.98, 1.2),
         },
         "ceiling": {"position_m": 3.9},
+        "noise": {
+            "nav.x_m": noise_of(0.01, 0.05, 0.6, 4.2),
+            "wheel.fl.speed_rpm": noise_of(0.12),
+        },
         "smallest_detectable": tuple(
             Detectable(cause=c.name, size=0.1 * (p.reference or 0.3), unit=p.unit)
             for c in CAUSES.values()
@@ -164,10 +167,6 @@ def evidence(n=18000, seed=1):
             CutRow("setpoints", "wheel.fl.speed_rpm", "rpm", 0.13, 0.12),
             CutRow("duty", "wheel.fl.speed_rpm", "rpm", 0.125, 0.12),
             CutRow("speed", "nav.yaw_rad", "rad", 0.11, 0.015),
-        ),
-        noise=(
-            NoiseRow("nav.x_m", "m", noise_of(0.01, 0.05, 0.6, 4.2)),
-            NoiseRow("wheel.fl.speed_rpm", "rpm", noise_of(0.12)),
         ),
         screen=tuple(
             ScreenRow(c, "", s, 3.4, min(1.0, 40 * np.exp(-s * s / 2)), 0.01 * s, 0.01,

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
-from hilserver.diagnosis.noise.fitting import NoiseModel
+from hilserver.diagnosis.noise.whitening import Filter, NoiseModel
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.problem import Problem
 from hilserver.diagnosis.replay.drive_stage import DriveStage
@@ -17,6 +17,15 @@ from hilserver.plant.parameters import RobotParameters
 
 SIGNAL = "wheel.fl.speed_rpm"
 PERIOD_S = 0.02
+
+
+def whitened(model, t_s, columns, weights=None):
+    """Columns of one stretch through the whitening operator of a noise."""
+    t_s = np.asarray(t_s, float)
+    weights = np.ones(len(t_s)) if weights is None else np.asarray(weights, float)
+    made = Filter.empty(len(t_s))
+    made.prepare(slice(None), model, t_s, weights)
+    return made.whiten(columns)
 
 
 def measured_log(values, *, edges=None, blocks=None, period_s=PERIOD_S):

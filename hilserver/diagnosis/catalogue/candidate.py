@@ -5,13 +5,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal, get_args
 
+from hilserver.diagnosis.catalogue.traits import traits_of
+
 Theta = Sequence[float]
 Region = tuple[float, float, float, float]
 StageName = Literal["drive", "pose"]
 STAGES: Final[tuple[StageName, ...]] = get_args(StageName)  # in the order in which they are judged
 
 LARGEST_WAVE = 0.5
-FAR_NULL = 1e6  # a limit as far away as this is none: its distance from null says nothing
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class Candidate:
     @property
     def is_limit(self) -> bool:
         """Whether it is the weaker the larger it is, and nothing at infinity."""
-        return not self.linear and abs(self.null[0]) >= FAR_NULL
+        return traits_of(self.cause).is_limit
 
     @property
     def beginning(self) -> tuple[float, ...]:

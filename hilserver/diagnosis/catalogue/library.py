@@ -96,10 +96,7 @@ def drive_candidates(limit_pct: float) -> list[Candidate]:
 def pose_candidates(place: Region | None) -> list[Candidate]:
     """Return the candidates that pose and turn rate judge.
 
-    Parameters
-    ----------
-    place : tuple of float or None
-        Where the robot drove: x_min, x_max, y_min, y_max [m]; None without a position.
+    `place` is where the robot drove: x_min, x_max, y_min, y_max [m]; None without a position.
     """
     found = [replace(single(name, "pose", *sizes), prior=PRIORS.get(name, math.inf))
              for name, *sizes in OF_THE_POSE]  # fmt: skip
@@ -144,10 +141,8 @@ def encoders(wheels: Collection[int]) -> list[Candidate]:
 def side_encoders(wheels: Collection[int]) -> list[Candidate]:
     """Return encoders that show too much for the pose to judge: one of each side.
 
-    Parameters
-    ----------
-    wheels : collection of int
-        Those with a speed in the log. Which of two on a side it is, the pose does not show.
+    `wheels` are those with a speed in the log. Which of two on a side it is, the pose does not
+    show.
     """
     sides = [sorted({first, first + 1} & set(wheels)) for first in (0, 2)]
     return [

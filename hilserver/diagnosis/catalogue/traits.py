@@ -147,10 +147,7 @@ def traits_of(cause: str) -> Traits:
 def lacking(missing: Iterable[Need], drive: Iterable[str]) -> dict[str, str]:
     """Return why causes cannot be judged where something is missing, by cause.
 
-    Parameters
-    ----------
-    drive : iterable of str
-        Causes that need wheel speeds.
+    `drive` are the causes that need wheel speeds.
     """
     reasons: dict[str, str] = {}
     for need in sorted(missing, key=list(Need).index):

@@ -6,6 +6,7 @@ have no term, because the data are corrected, not the model.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import inf
 from types import MappingProxyType
 from typing import Final, Literal, cast
 
@@ -44,23 +45,12 @@ OF_THE_LOG: Final[Mapping[str, str]] = MappingProxyType(
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
-    """One parameter of a cause."""
-
-    name: str  # ``cause.part``, or the bare cause where it has only one parameter
-    unit: str
-    null: float | None  # value at which it does nothing; None: it cannot be said by a number
-    reference: float | None = None  # size at which a diagnosis must name the cause
-    shape: bool = False  # True: it only shapes the effect of another part
-
-
-@dataclass(frozen=True, slots=True)
 class Cause:
     """One cause."""
 
     name: str
     block: Block  # where it acts, as ``findings.json`` says it
-    parts: tuple[Part, ...]  # the main one first
+    parts: tuple[Term, ...]  # the main one first; of the log's faults, too
     physical: bool  # True: a term of the plant. False: a fault of the log.
     description: str
     # True: its parameters are called ``cause.<signal or source>``, one for each that is affected
@@ -89,7 +79,7 @@ def _physical() -> list[Cause]:
         Cause(
             name,
             _block(terms[0]),
-            tuple(Part(t.name, t.unit, t.null, t.reference, t.shape) for t in terms),
+            tuple(terms),
             physical=True,
             description=terms[0].description,
         )
@@ -106,8 +96,8 @@ def _data(
     *,
     by_channel: bool = True,
 ) -> Cause:
-    parts = () if unit is None else (Part(name, unit, null),)
-    return Cause(name, block, parts, False, description, by_channel)
+    part = Term(name, block, unit or "1", null, None, -inf, inf, False, "", description)
+    return Cause(name, block, (part,) if unit else (), False, description, by_channel)
 
 
 _DATA: Final = (
@@ -130,31 +120,30 @@ CAUSES: Final[Mapping[str, Cause]] = MappingProxyType(
 
 
 def cause_of(name: str) -> Cause:
-    """Return the cause that a name (``cause``, ``cause.part``, ``cause.signal``) belongs to.
-
-    Raises
-    ------
-    KeyError
-        When there is none.
-    """
+    """Return the cause of a name (``cause``, ``cause.part``, ``cause.signal``), or KeyError."""
     return CAUSES[name.partition(".")[0]]
 
 
-def part_of(name: str) -> Part:
-    """Return the part that a name stands for; the bare cause is its first part.
+def known_part(name: str) -> Term | None:
+    """Return the part that a name stands for, the bare cause for its first part; or None."""
+    cause = CAUSES.get(name.partition(".")[0])
+    if cause is None:
+        return None
+    found = (p for p in cause.parts if cause.by_channel or name in (p.name, cause.name))
+    return next(found, None)
 
-    Raises
-    ------
-    KeyError
-        When there is none.
-    """
-    cause = cause_of(name)
-    if cause.by_channel and cause.parts:
-        return cause.parts[0]
-    for part in cause.parts:
-        if name in (part.name, cause.name):
-            return part
-    raise KeyError(name)
+
+def part_of(name: str) -> Term:
+    """Return the part that a name stands for; KeyError if there is none."""
+    if (part := known_part(name)) is None:
+        raise KeyError(name)
+    return part
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of a parameter; 1 where there is no such part (``shift.nav``)."""
+    part = known_part(name)
+    return "1" if part is None else part.unit
 
 
 def reference(cause: str, name: str) -> float | None:

@@ -23,10 +23,7 @@ NEIGHBOURS = 8
 def coarse_step(channels: Sequence[Array], smooth: Sequence[Array]) -> float | None:
     """Return the step that like quantities come in; None if they are smooth.
 
-    Parameters
-    ----------
-    channels, smooth : sequence of ndarray, shape (n,)
-        Measured values, and what they would be without rounding.
+    `channels` are measured values, `smooth` what they would be without rounding, shape (n,) each.
     """
     best = None
     for step in _suspects(channels, smooth):
@@ -79,16 +76,10 @@ def _spectrum(values: Array, edges: Array) -> Array:
 def lattice(values: Array, smooth: Array, step: float) -> tuple[float, float]:
     """Return how far values lie on multiples of a step, and how far they follow smooth ones.
 
-    Parameters
-    ----------
-    values, smooth : ndarray, shape (n,)
-        Measured values, and what they would be without rounding.
+    Measured values, and what they would be without rounding, have shape (n,).
 
-    Returns
-    -------
-    tuple of float
-        Coefficients of ``exp(2 pi i values/q)`` on 1 and on ``exp(2 pi i smooth/q)``: the first is
-        there with rounding only, the second without. Both fall with the noise.
+    These are the coefficients of ``exp(2 pi i values/q)`` on 1 and on ``exp(2 pi i smooth/q)``: the
+    first is there with rounding only, the second without. Both fall with the noise.
     """
     turned = 2j * np.pi / step
     columns = np.stack([np.ones(len(values)), np.exp(turned * smooth)], axis=1)

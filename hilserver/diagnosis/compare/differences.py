@@ -54,10 +54,7 @@ def differences_of(
 ) -> list[Difference]:
     """Estimate every cause of a stage in both sets, beside the causes that both share.
 
-    Parameters
-    ----------
-    point : Point
-        The model that explains both sets together.
+    `point` is the model that explains both sets together.
     """
     library, stack = prepared.library, prepared.problem.stack
     span_of_block = np.full(stack.n_blocks, -1)

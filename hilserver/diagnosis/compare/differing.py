@@ -6,11 +6,10 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 
-from hilserver.diagnosis.catalogue.vocabulary import CAUSES, OF_THE_LOG
+from hilserver.diagnosis.catalogue.vocabulary import CAUSES, OF_THE_LOG, unit_of
 from hilserver.diagnosis.compare.differences import Difference
 from hilserver.diagnosis.decide.identifiability import rivals
 from hilserver.diagnosis.findings.explain import separating_experiment
-from hilserver.diagnosis.findings.outcome import unit_of
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.linear import cosine
 from hilserver.diagnosis.regression.problem import Point
@@ -24,10 +23,7 @@ def difference_findings(
 ) -> list[Finding]:
     """Name the cause that explains the difference best in each stage, with its twins.
 
-    Parameters
-    ----------
-    points : mapping of str to Point
-        By stage, the model that explains both sets together.
+    `points` are, by stage, the models that explain both sets together.
     """
     found = []
     for stage, p in prepared.items():

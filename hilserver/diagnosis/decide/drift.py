@@ -145,17 +145,9 @@ def _rearranged(
 ) -> tuple[Point, float]:
     """Exchange and drop causes, all compared with sizes and trends of their own in each part.
 
-    Parameters
-    ----------
-    first : Point
-        What was selected, before a cause was taken up for its change alone.
+    `first` is what was selected, before a cause was taken up for its change alone.
 
-    Returns
-    -------
-    Point
-        With one size each.
-    float
-        Deviance with sizes and trends of their own.
+    Returns the model with one size each, and the deviance with sizes and trends of their own.
     """
     problem, taken = library.problem, point.model.causes
     accepted = problem.accepted(point)

@@ -16,10 +16,7 @@ CLEARLY_SE: Final = 2.0
 class Step:
     """The exchange of one model for another, on held-out blocks, paired by block.
 
-    Parameters
-    ----------
-    before, after : Point
-        Both are fitted on each half of the blocks and predict the other half.
+    Both models are fitted on each half of the blocks and predict the other half.
     """
 
     def __init__(self, problem: Problem, before: Point, after: Point) -> None:

@@ -50,10 +50,8 @@ def remaining(
 ) -> list[Unknown]:
     """Return the families that the residual significantly depends on, the strongest first.
 
-    Parameters
-    ----------
-    explained : float
-        Deviance that the accepted causes save: a small share of it may be their own inexactness.
+    Of the deviance that the accepted causes save, `explained`, a small share may be their own
+    inexactness.
 
     Notes
     -----

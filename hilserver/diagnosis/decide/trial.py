@@ -114,10 +114,7 @@ def not_alone(information: Array) -> Mask:
 
     It would hide that of the others.
 
-    Parameters
-    ----------
-    information : ndarray, shape (blocks,)
-        Of each block.
+    `information` is that of each block.
     """
     used = np.ones(len(information), dtype=bool)
     while 2.0 * (left := information[used]).max() > left.sum() and np.count_nonzero(left) > 1:

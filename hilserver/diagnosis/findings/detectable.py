@@ -55,22 +55,21 @@ def smallest(
                 found[c.cause] = (size, name, np.inf if c.is_limit else float(largest))
     judged, not_judged = [], []
     for cause, (size, name, largest) in found.items():
-        unit, reference = _unit_of(cause, name)
-        if size > min(largest, np.inf if reference is None else HOPELESS * abs(reference)):
-            reason = f"the drive hardly excites it: below {size:.3g} {unit} it would not show"
+        parts = CAUSES[cause].parts
+        part = next((p for p in parts if p.name == name), parts[0])
+        hopeless = np.inf if part.reference is None else HOPELESS * abs(part.reference)
+        if size > min(largest, hopeless):
+            reason = f"the drive hardly excites it: below {size:.3g} {part.unit} it would not show"
             not_judged.append(NotJudged(cause=cause, reason=reason))
         else:
-            judged.append(Detectable(cause=cause, size=size, unit=unit))
+            judged.append(Detectable(cause=cause, size=size, unit=part.unit))
     return judged, not_judged
 
 
 def _size(candidate: Candidate, times: float, norm: float) -> float | None:
     """Return the size that shows, from null; of a limit, which has none, its value.
 
-    Parameters
-    ----------
-    times : float
-        Units of the candidate's column that show.
+    So many `times` the unit of the candidate's column show.
     """
     if candidate.is_limit:
         return candidate.start[0] if times <= 1.0 else None
@@ -81,11 +80,3 @@ def _size(candidate: Candidate, times: float, norm: float) -> float | None:
     else:
         return None
     return float(max(size, DETECTABLE_LEAST_TIMES * candidate.least))
-
-
-def _unit_of(cause: str, name: str) -> tuple[str, float | None]:
-    for part in CAUSES[cause].parts:
-        if part.name == name:
-            return part.unit, part.reference
-    main = CAUSES[cause].parts[0] if CAUSES[cause].parts else None
-    return (main.unit, main.reference) if main else ("1", None)

@@ -54,10 +54,7 @@ class Estimate:
     def of(cls, model: Model, covariance: Array) -> "Estimate":
         """Return fitted parameters as they are reported.
 
-        Parameters
-        ----------
-        covariance : ndarray, shape (k, k)
-            Of the parameters as fitted.
+        `covariance`, shape (k, k), is that of the parameters as fitted.
         """
         names: list[str] = []
         owner: list[int] = []

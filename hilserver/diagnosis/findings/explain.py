@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import yaml
 
-from hilserver.diagnosis.catalogue.vocabulary import CAUSES, Part, cause_of, part_of
+from hilserver.diagnosis.catalogue.vocabulary import CAUSES, cause_of, known_part
 from hilserver.diagnosis.schema.findings import Finding, Parameter, Verdict
 from hilserver.plant.layout import WHEEL_WORDS, WHEELS
 
@@ -146,7 +146,7 @@ def _lower(text: str) -> str:
 def _say(cause: str, parameters: Mapping[str, Parameter]) -> str:
     """Return the sentence of a cause, its parameters in their places."""
     own = {n: p for n, p in parameters.items() if n == cause or n.startswith(f"{cause}.")}
-    by_part = {part.name: p for n, p in own.items() if (part := _part(n)) is not None}
+    by_part = {part.name: p for n, p in own.items() if (part := known_part(n)) is not None}
     parts = CAUSES[cause].parts
     known = [by_part[part.name] for part in parts if part.name in by_part]
     main = next(iter((*known, *own.values())), None)
@@ -179,7 +179,7 @@ def _all_of(own: Mapping[str, Parameter]) -> str:
     return ", ".join(
         f"{name.partition('.')[2] or name} {number(p.value, p.unit)}"
         for name, p in own.items()
-        if (part := _part(name)) is None or not part.shape
+        if (part := known_part(name)) is None or not part.shape
     )
 
 
@@ -191,11 +191,3 @@ def _value(part: str, parameter: Parameter | None) -> str:
         possible = dict.fromkeys(map(int, parameter.ci95 or (parameter.value,)))
         return " or ".join(WHEEL_WORDS[WHEELS[wheel]] for wheel in possible)
     return number(parameter.value, parameter.unit)
-
-
-def _part(name: str) -> Part | None:
-    """Return the part that a parameter stands for; a comparison has others (``cause.a``)."""
-    try:
-        return part_of(name)
-    except KeyError:
-        return None

@@ -14,7 +14,7 @@ from hilserver.diagnosis.catalogue.vocabulary import (
     SPEED_STEP,
     Block,
     cause_of,
-    part_of,
+    unit_of,
 )
 from hilserver.diagnosis.decide.anchors import Anchor
 from hilserver.diagnosis.decide.lost_steps import lost_steps
@@ -49,10 +49,7 @@ def parameters(problem: Problem, point: Point) -> dict[int, dict[str, Parameter]
 def parameters_of(f: Fitted, shown: Array) -> dict[str, Parameter]:
     """Return the parameters of one cause as they are reported.
 
-    Parameters
-    ----------
-    shown : ndarray, shape (f.candidate.n, 2)
-        Limits of 95 % of the parameters as fitted.
+    `shown` are the limits of 95 % of the parameters as fitted, shape (f.candidate.n, 2).
     """
     terms = dict(f.terms)
     if is_wave(f):
@@ -79,14 +76,6 @@ def _wave(f: Fitted, shown: Array) -> dict[str, Parameter]:
         names[0]: _within(size, along, unit_of(names[0])),
         names[1]: _within(phase, across, "rad"),
     }
-
-
-def unit_of(name: str) -> str:
-    """Return the unit of a parameter of the vocabulary."""
-    try:
-        return part_of(name).unit
-    except KeyError:
-        return "1"
 
 
 def named_findings(j: Judged) -> tuple[Finding, ...]:

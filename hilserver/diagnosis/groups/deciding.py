@@ -31,10 +31,7 @@ def decided(judged: Mapping[str, Judged]) -> Decided:
 
     What the others make superfluous is dropped, one cause at a time, the weakest first.
 
-    Parameters
-    ----------
-    judged : mapping of str to Judged
-        By group.
+    `judged` is by group.
     """
     members = tuple(judged.values())
     causes = causes_of(members)

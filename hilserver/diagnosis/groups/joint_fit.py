@@ -58,10 +58,7 @@ def fit_in_all(
 ) -> JointFit:
     """Fit a model in every group.
 
-    Parameters
-    ----------
-    free : ndarray of bool, shape (k,), optional
-        The parameters that differ by group; without it they are found.
+    The parameters that differ by group are `free`, shape (k,); without it they are found.
     """
     points = [
         fit(j.prepared.problem, model, j.point) for j, model in zip(members, models, strict=True)

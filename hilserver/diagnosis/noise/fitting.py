@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from scipy.special import gammaln
 
 from hilserver.arrays import Array
-from hilserver.diagnosis.noise.whitening import SMALLEST_DOF, NoiseModel, Whitener, robust_weights
+from hilserver.diagnosis.noise.whitening import SMALLEST_DOF, NoiseModel
 from hilserver.diagnosis.noise.windows import Windows
 from hilserver.diagnosis.thresholds import (
     FAR_SD,
@@ -25,8 +25,6 @@ from hilserver.diagnosis.thresholds import (
     SHORT_DOF,
 )
 
-__all__ = ["NoiseModel", "Whitener", "fit_noise", "robust_weights", "short_noise"]
-
 SAMPLES_MAX: Final = 12_000
 _SHARE_LOGITS = (-4.0, -2.0, 0.0, 2.0, 5.0)
 _LOGIT_RANGE = (-8.0, 10.0)
@@ -35,42 +33,23 @@ _FALLBACK_SD = 1e-9
 _LAGS = 40
 
 
-def fit_noise(
-    residuals: Iterable[tuple[Array, Array]],
-    *,
-    window_s: float = NOISE_WINDOW_S,
-    tau_max_s: float = NOISE_TAU_MAX_S,
-    floor_sd: float = _FALLBACK_SD,
-) -> NoiseModel:
+def fit_noise(residuals: Iterable[tuple[Array, Array]]) -> NoiseModel:
     """Fit white + Ornstein-Uhlenbeck noise with tails.
 
-    Parameters
-    ----------
-    residuals : iterable of (t_s, r)
-        Per span, shape (n,) each; stamps rise at any distances.
-    window_s : float
-        Longest stretch that shares a level and a slope; what is slower is taken for a misfit.
-    tau_max_s : float
-        Longest correlation time.
-    floor_sd : float
-        The white part is not below this: residuals of a perfect replay have no noise at all.
-
-    Returns
-    -------
-    NoiseModel
-        `floor_sd` alone when there are fewer than 8 samples or none differs.
+    Residuals are stamps and values per span, shape (n,) each; stamps rise at any distances. Those
+    of a perfect replay, which do not differ, or fewer than 8 have next to no noise at all.
     """
-    windows = Windows.cut(residuals, window_s, SAMPLES_MAX)
-    if windows.samples < 8 or not windows.spread > floor_sd:
-        return NoiseModel(floor_sd)
+    windows = Windows.cut(residuals, NOISE_WINDOW_S, SAMPLES_MAX)
+    if windows.samples < 8 or not windows.spread > _FALLBACK_SD:
+        return NoiseModel(_FALLBACK_SD)
     windows.gate_level(2.0 * FAR_SD)
-    model = _fit(windows, tau_max_s, None)
+    model = _fit(windows, None)
     if windows.gate_innovations(model, FAR_SD) > NOISE_GATED_MAX:
         windows.gate_level(2.0 * FAR_SD)
     else:
-        model = _fit(windows, tau_max_s, model)
+        model = _fit(windows, model)
     dof = _tail_dof(windows.innovations(model))
-    return NoiseModel(max(model.white_sd, floor_sd), model.ou_sd, model.ou_tau_s, dof)
+    return NoiseModel(max(model.white_sd, _FALLBACK_SD), model.ou_sd, model.ou_tau_s, dof)
 
 
 def short_noise(residuals: Sequence[Array]) -> tuple[NoiseModel, float]:
@@ -110,9 +89,9 @@ def short_noise(residuals: Sequence[Array]) -> tuple[NoiseModel, float]:
     return NoiseModel(sd * math.sqrt(total), tail_dof=SHORT_DOF), sd
 
 
-def _fit(windows: Windows, tau_max_s: float, start: NoiseModel | None) -> NoiseModel:
+def _fit(windows: Windows, start: NoiseModel | None) -> NoiseModel:
     """Maximise the likelihood over correlation time and share of the coloured part."""
-    tau_range = (math.log(min(windows.step_s, 0.5 * tau_max_s)), math.log(tau_max_s))
+    tau_range = (math.log(min(windows.step_s, 0.5 * NOISE_TAU_MAX_S)), math.log(NOISE_TAU_MAX_S))
 
     def loss(point: Sequence[float], subset: Windows = windows) -> float:
         log_tau = min(max(point[0], tau_range[0]), tau_range[1])
@@ -149,11 +128,8 @@ def _tail_dof(innovations: Array) -> float:
     square = np.square(innovations[innovations != 0.0][:SAMPLES_MAX])
     if len(square) < 50:
         return math.inf
-    best, dof = (
-        -0.5 * len(square) * (math.log(2.0 * math.pi * float(square.mean())) + 1.0),
-        math.inf,
-    )
-    best += NOISE_NATS
+    normal = -0.5 * len(square) * (math.log(2.0 * math.pi * float(square.mean())) + 1.0)
+    best, dof = normal + NOISE_NATS, math.inf
     for candidate in _DOFS:
         value = _student_likelihood(square, candidate)
         if value > best:

@@ -64,8 +64,24 @@ class Filter:
 
     @classmethod
     def empty(cls, n: int) -> "Filter":
-        """Return the filters of `n` samples, which `Whitener.prepare` fills."""
+        """Return the filters of `n` samples, which `prepare` fills."""
         return cls(np.zeros(n), np.zeros(n), np.zeros(n))
+
+    def prepare(self, part: slice, model: NoiseModel, t_s: Array, weights: Array) -> None:
+        """Fill the filter of one stretch of a noise; ValueError if there is no noise.
+
+        Stamps and weights are those of all samples; stamps do not fall within a stretch. Weight w
+        multiplies the variance of an innovation by 1/w; a sample of weight 0 is skipped: output 0,
+        no trace in the later ones.
+        """
+        if not (model.sd > 0.0 and math.isfinite(model.sd) and model.ou_tau_s > 0.0):
+            raise ValueError(f"no noise to whiten with: {model}")
+        if model.ou_sd == 0.0:
+            self.scale[part] = np.sqrt(weights[part]) / model.white_sd
+            return
+        variances = model.white_sd**2, model.ou_sd**2, model.ou_tau_s
+        places = self.keep[part], self.gain[part], self.scale[part]
+        fill_gains(t_s[part], weights[part], *variances, *places)
 
     def whiten(self, columns: Array) -> Array:
         """Whiten columns, shape (n,) or (n, k): each passes the same linear operator."""
@@ -75,59 +91,8 @@ class Filter:
         return out.reshape(np.shape(columns))
 
 
-class Whitener:
-    """The whitening operator of one noise model.
-
-    Parameters
-    ----------
-    model : NoiseModel
-        Its scale matters: outputs are divided by the innovations' standard deviation.
-
-    Raises
-    ------
-    ValueError
-        If both standard deviations are 0, or one is not a number.
-    """
-
-    def __init__(self, model: NoiseModel) -> None:
-        if not (model.sd > 0.0 and math.isfinite(model.sd) and model.ou_tau_s > 0.0):
-            raise ValueError(f"no noise to whiten with: {model}")
-        self.model = model
-
-    def prepare(self, f: Filter, part: slice, t_s: Array, weights: Array) -> None:
-        """Fill one stretch of filters; stamps and weights are those of all samples."""
-        model, places = self.model, (f.keep[part], f.gain[part], f.scale[part])
-        if model.ou_sd == 0.0:
-            f.scale[part] = np.sqrt(weights[part]) / model.white_sd
-            return
-        variances = model.white_sd**2, model.ou_sd**2, model.ou_tau_s
-        fill_gains(t_s[part], weights[part], *variances, *places)
-
-    def whiten(self, t_s: Array, columns: Array, weights: Array | None = None) -> Array:
-        """Whiten the columns of one span.
-
-        Parameters
-        ----------
-        t_s : ndarray of float64, shape (n,)
-            Stamps, not falling. Gaps are missing samples.
-        columns : ndarray of float64, shape (n, k) or (n,)
-            Residual, sensitivities, nuisances: each passes the same linear operator.
-        weights : ndarray of float64, shape (n,), optional
-            Of each sample, at least 0. A sample of weight 0 is skipped: output 0, no trace in the
-            later ones. Weight w multiplies the variance of its innovation by 1/w.
-
-        Returns
-        -------
-        ndarray of float64, of the shape of `columns`
-            Independent with variance 1, if the columns were this noise.
-        """
-        found, every = Filter.empty(len(t_s)), np.ones(len(t_s)) if weights is None else weights
-        self.prepare(found, slice(None), np.asarray(t_s, float), np.asarray(every, float))
-        return found.whiten(columns)
-
-
 def robust_weights(innovations: Array, dof: float) -> Array:
-    """Return the weights of Student's t distribution, to be handed to the whitener again.
+    """Return the weights of Student's t distribution, to be handed to the filter again.
 
     Parameters
     ----------

@@ -13,7 +13,6 @@ import numpy as np
 
 from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.candidate import Candidate
-from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.catalogue.vocabulary import reference
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.thresholds import TIE
@@ -51,7 +50,7 @@ def directions_of(library: Library) -> list[Direction]:
         rows = tuple(int(j) for j in np.flatnonzero(library.owner == i)[: min(c.n, 2)])
         names = list(c.terms(tuple(0.5 * s for s in c.step)))
         sizes = tuple(reference(c.cause, n) for n in names[:2])
-        if is_limit(c.cause) and sizes[0]:
+        if c.is_limit and sizes[0]:  # a part of it is its reference value divided by that part
             units: tuple[float, ...] = (sizes[0] ** 2 / c.start[0],)
         elif not c.linear:
             units = (abs(c.start[0] - c.null[0]),)
@@ -59,14 +58,6 @@ def directions_of(library: Library) -> list[Direction]:
             units = (1.0,) if c.n == 1 else tuple(1.0 / float(n) for n in library.norms[i])
         found.append(Direction(c, rows, units, sizes))
     return found
-
-
-def is_limit(cause: str) -> bool:
-    """Return whether a cause has no finite null value: the smaller its parameter, the more it does.
-
-    A part of its reference size is then its reference value divided by that part.
-    """
-    return traits_of(cause).is_limit
 
 
 def gram_of(library: Library) -> Array:

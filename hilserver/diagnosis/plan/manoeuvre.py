@@ -56,10 +56,7 @@ class Manoeuvre:
 def of_log(log: MeasuredLog, robot: RobotParameters) -> list[Manoeuvre]:
     """Return the manoeuvre of every span of a log.
 
-    Raises
-    ------
-    LogError
-        If the log has no set-points, or is too short or too long.
+    LogError if the log has no set-points, or is too short or too long.
     """
     names = SETPOINTS if log.has(*SETPOINTS) else TWIST
     if not log.has(*names):
@@ -120,10 +117,7 @@ def of_scenario(
 ) -> list[Manoeuvre]:
     """Return the manoeuvre that a scenario's steps command; its faults are left out.
 
-    Raises
-    ------
-    ConfigError
-        If it is no scenario, has no set-points, or is too long.
+    ConfigError if it is no scenario, has no set-points, or is too long.
     """
     scenario = load_scenario(path)
     now: dict[str, float] = dict.fromkeys((*SETPOINTS, *TWIST, MODE), 0.0) | {ENABLE: 1.0}

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hilserver.arrays import Array
+from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES, reference
 from hilserver.diagnosis.checks.standstill import at_rest
 from hilserver.diagnosis.findings.detectable import smallest
@@ -16,7 +17,6 @@ from hilserver.diagnosis.plan.information import (
     apart,
     directions_of,
     gram_of,
-    is_limit,
     nearest,
     score,
     sizes_of,
@@ -52,7 +52,7 @@ class Outlook:
         size = None if found is None else reference(cause, cause)
         if found is None or size is None:
             return None
-        return size / found.size if is_limit(cause) else found.size / size
+        return size / found.size if traits_of(cause).is_limit else found.size / size
 
     @property
     def shown(self) -> list[str]:
@@ -118,7 +118,7 @@ def limits(directions: Sequence[Direction], gram: Array) -> dict[str, Detectable
     """Return the largest limits that would show; `smallest` cannot, as null is no number."""
     found: dict[str, Detectable] = {}
     for d, share in zip(directions, sizes_of(directions, gram), strict=True):
-        if is_limit(d.cause) and d.sizes[0] and share <= HOPELESS:
+        if d.candidate.is_limit and d.sizes[0] and share <= HOPELESS:
             size = d.sizes[0] / max(float(share), LEAST_SHOWN)
             if d.cause not in found or size > found[d.cause].size:
                 found[d.cause] = Detectable(cause=d.cause, size=size, unit=CAUSES[d.cause].unit)

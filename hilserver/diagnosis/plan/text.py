@@ -19,8 +19,8 @@ def lines(document: PlanDocument) -> list[str]:
     out += ["", f"{document.manoeuvre}, {planned.duration_s:.0f} s: {_count(planned)}"]
     out += _prospect(planned)
     for missing in document.missing_channels:
-        gain = [f"shows {_list(missing.shows)}"] if missing.shows else []
-        gain += [f"tells apart {_list(missing.separates)}"] if missing.separates else []
+        gain = [f"shows {', '.join(missing.shows)}"] if missing.shows else []
+        gain += [f"tells apart {', '.join(missing.separates)}"] if missing.separates else []
         out += _wrapped(f"with {missing.channel} too: ", " and ".join(gain) or "nothing more")
     if not proposed.better:
         return [*out, "", "No better manoeuvre was found for this time and room."]
@@ -52,10 +52,6 @@ def _prospect(prospect: Prospect) -> list[str]:
 
 def _sizes(found: Iterable[Visible]) -> str:
     return ", ".join(f"{v.cause} {number(v.size, v.unit, digits=2)}" for v in found)
-
-
-def _list(causes: Iterable[str]) -> str:
-    return ", ".join(causes)
 
 
 def _counted(names: Iterable[str]) -> list[str]:

@@ -14,16 +14,10 @@ import numpy as np
 
 from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.candidate import Candidate
-from hilserver.diagnosis.noise.fitting import (
-    NoiseModel,
-    Whitener,
-    fit_noise,
-    robust_weights,
-    short_noise,
-)
+from hilserver.diagnosis.noise.fitting import fit_noise, short_noise
 from hilserver.diagnosis.noise.quick_noise import isolated, noise_of_neighbours, plain_noise, spikes
 from hilserver.diagnosis.noise.readings import Reading, noise_of_readings
-from hilserver.diagnosis.noise.whitening import Filter
+from hilserver.diagnosis.noise.whitening import Filter, NoiseModel, robust_weights
 from hilserver.diagnosis.regression.free_poses import Bases, FreePoses
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.stack import Stack
@@ -130,7 +124,7 @@ class Problem:
         if noise is not self.noise or weights is not self.weights:
             noise, weights, known = self.noise, self.weights, Filter.empty(len(self.stack))
             for name, _, part in self._runs:
-                Whitener(noise[name]).prepare(known, part, self.stack.t_s, weights)
+                known.prepare(part, noise[name], self.stack.t_s, weights)
             self._filter = noise, weights, known
         return known.whiten(columns)
 

@@ -7,14 +7,11 @@ import numpy as np
 
 from hilserver.arrays import Array, Indices
 from hilserver.config.patch import FittedIn
-from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG
+from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG, unit_of
 from hilserver.diagnosis.decide.revision import Judged
-from hilserver.diagnosis.findings.outcome import unit_of
-from hilserver.diagnosis.findings.sensors import noise_of
 from hilserver.diagnosis.findings.worth import Part
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.gain import HORIZONS_S, compare, free_run_errors, windows
-from hilserver.diagnosis.regression.problem import Problem
 from hilserver.diagnosis.regression.screen import adjusted, critical, null_maxima
 from hilserver.diagnosis.replay.pose_stage import FORWARD, TURN
 from hilserver.diagnosis.report import cuts
@@ -25,7 +22,6 @@ from hilserver.diagnosis.schema.evidence import (
     Evidence,
     FittedTerm,
     HorizonRow,
-    NoiseRow,
     Path,
     Series,
     Similarity,
@@ -55,7 +51,6 @@ def evidence(
         ),
         paths=tuple(path for p in stages for path in _paths(p, extended)),
         cuts=cuts.cuts(prepared),
-        noise=tuple(row for p in stages for row in _noise(p.problem)),
         screen=tuple(row for p in stages for row in _screen(p.judged)),
         similarity=_similarity(stages[-1].judged.prepared.library) if stages else None,
         gain_by_horizon=tuple(row for p in stages for row in _horizons(p)),
@@ -105,10 +100,6 @@ def _unwrapped(values: Array, span: Indices) -> Array:
     for s in np.unique(span):
         out[span == s] = np.unwrap(values[span == s])
     return out
-
-
-def _noise(problem: Problem) -> list[NoiseRow]:
-    return [NoiseRow(name, signal_unit(name), noise) for name, noise in noise_of(problem).items()]
 
 
 def _screen(judged: Judged) -> list[ScreenRow]:

@@ -6,8 +6,7 @@ import numpy as np
 from scipy import stats
 
 from hilserver.arrays import Array, Indices
-from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG
-from hilserver.diagnosis.findings.outcome import unit_of
+from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG, unit_of
 from hilserver.diagnosis.regression import linear
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted

@@ -35,10 +35,7 @@ FEWEST: Final = 20
 def cuts(stages: Collection[Prepared]) -> tuple[CutRow, ...]:
     """Return the residual of every channel from every cut point that the log allows.
 
-    Parameters
-    ----------
-    stages : collection of Prepared
-        Drive, pose or both. The configured plant is replayed, whatever was found.
+    The configured plant is replayed, whatever was found. Stages are drive, pose or both.
     """
     known = any(p.problem.stage.follows_setpoints for p in stages)
     rows = [row for p in stages for row in _from_all(p, setpoints=known)]
@@ -48,10 +45,7 @@ def cuts(stages: Collection[Prepared]) -> tuple[CutRow, ...]:
 def _from_all(p: Prepared, *, setpoints: bool) -> list[CutRow]:
     """Return the residuals of one stage from every cut point.
 
-    Parameters
-    ----------
-    setpoints : bool
-        The log holds those that the machine got.
+    With `setpoints` the log holds those that the machine got.
     """
     stage, rows = p.problem.stage, []
     if isinstance(stage, DriveStage):

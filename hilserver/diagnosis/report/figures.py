@@ -7,7 +7,7 @@ import numpy as np
 from markupsafe import Markup
 
 from hilserver.arrays import Array
-from hilserver.diagnosis.catalogue.vocabulary import part_of
+from hilserver.diagnosis.catalogue.vocabulary import known_part
 from hilserver.diagnosis.findings.explain import QUANTITIES, number
 from hilserver.diagnosis.report.plain import plain
 from hilserver.diagnosis.report.svg import (
@@ -189,10 +189,8 @@ def paths(ways: Iterable[Path]) -> list[Figure]:
 
 def interval(parameter: Parameter, name: str) -> Markup:
     """Draw value and interval of a parameter beside its null."""
-    try:
-        null = part_of(name).null
-    except KeyError:
-        null = None
+    part = known_part(name)
+    null = None if part is None else part.null
     if parameter.ci95 is None or null is None:
         return Markup("<span></span>")
     low, high = parameter.ci95

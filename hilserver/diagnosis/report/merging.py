@@ -23,7 +23,6 @@ def merged(parts: Mapping[str, Evidence]) -> Evidence:
         series=_series(parts.values()),
         paths=tuple(replace(p, group=g) for g, e in many for p in e.paths[:PATHS_EACH]),
         cuts=tuple(replace(r, channel=f"{r.channel} ({g})") for g, e in many for r in e.cuts),
-        noise=tuple(replace(r, channel=f"{r.channel} ({g})") for g, e in many for r in e.noise),
         screen=_screen(parts.values()),
         similarity=first.similarity,
         dependences=tuple(

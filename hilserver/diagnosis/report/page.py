@@ -65,6 +65,7 @@ def render(findings: Findings, evidence: Evidence) -> str:
             shared=words.belonging(findings, differs=False),
             free=words.belonging(findings, differs=True),
             joint=tables.together(findings.joint),
+            noises=tables.noises(findings),
             twins=tables.twins(evidence.similarity),
             unjudged=tables.by_reason(findings.not_judged),
             notes=(*findings.notices, *evidence.remarks),

@@ -1,27 +1,10 @@
 """A plan as a page: what the manoeuvre can show, what a better one can, and how to drive it."""
 
-from dataclasses import dataclass
-
-from hilserver.diagnosis.plan.document import PlanDocument, Visible
+from hilserver.diagnosis.plan.document import PlanDocument
 from hilserver.diagnosis.report.page import environment
 from hilserver.diagnosis.report.tables import by_reason
 
 PAGE = "plan.html"
-
-
-@dataclass(frozen=True, slots=True)
-class Seen:
-    """How small a cause may be in either manoeuvre; None: it cannot be seen."""
-
-    cause: str
-    planned: Visible | None
-    proposed: Visible | None
-
-    @property
-    def reference(self) -> float | None:
-        """Size at which a diagnosis should name it."""
-        known = self.planned or self.proposed
-        return None if known is None else known.reference
 
 
 def render_plan(document: PlanDocument) -> str:
@@ -34,7 +17,7 @@ def render_plan(document: PlanDocument) -> str:
         .render(
             plan=document,
             headline=_headline(document),
-            seen=[Seen(c, first.get(c), second.get(c)) for c in dict.fromkeys((*first, *second))],
+            seen=[(first.get(c), second.get(c)) for c in dict.fromkeys((*first, *second))],
             pieces={name: proposed.pieces.count(name) for name in proposed.pieces},
             unjudged=by_reason(proposed.not_judged),
         )

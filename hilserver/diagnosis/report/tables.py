@@ -7,6 +7,7 @@ import numpy as np
 
 from hilserver.diagnosis.schema.evidence import Similarity
 from hilserver.diagnosis.schema.findings import Findings, Joint, NotJudged
+from hilserver.measured.names import signal_unit
 
 CUT_POINTS: Final = {
     "setpoints": "From the set-points: the whole chain",
@@ -41,6 +42,16 @@ def twins(similarity: Similarity | None) -> list[tuple[float, str, str]]:
     close = np.argwhere(np.triu(np.abs(cosine) > similarity.limit, 1)).tolist()
     pairs = [(float(cosine[i, j]), names[i], names[j]) for i, j in close]
     return sorted(pairs, key=lambda pair: -abs(pair[0]))[:MAX_TWINS]
+
+
+def noises(findings: Findings) -> list[Row]:
+    """Return what every channel shows, of each group by itself."""
+    of_groups = [(f" ({name})", g.noise) for name, g in (findings.groups or {}).items()]
+    return [
+        {"channel": f"{channel}{group}", "unit": signal_unit(channel), "noise": noise}
+        for group, found in of_groups or [("", findings.noise)]
+        for channel, noise in found.items()
+    ]
 
 
 def by_reason(not_judged: Iterable[NotJudged]) -> dict[str, list[str]]:

@@ -12,7 +12,7 @@ import numpy as np
 from hilserver.arrays import Array, Indices
 from hilserver.config.patch import FittedIn
 from hilserver.diagnosis.schema.decisions import ScreenRow
-from hilserver.diagnosis.schema.findings import Findings, Gain, Noise, Parameter
+from hilserver.diagnosis.schema.findings import Findings, Gain, Parameter
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,15 +62,6 @@ class CutRow:
     # of the residual, and what the sensors' noise alone would give, in `unit`
     rms: float
     expected: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class NoiseRow:
-    """What one channel shows; `unit` is its own."""
-
-    channel: str
-    unit: str
-    noise: Noise
 
 
 @dataclass(frozen=True)
@@ -137,7 +128,6 @@ class Evidence:
     series: tuple[Series, ...] = ()
     paths: tuple[Path, ...] = ()
     cuts: tuple[CutRow, ...] = ()
-    noise: tuple[NoiseRow, ...] = ()
     screen: tuple[ScreenRow, ...] = ()
     similarity: Similarity | None = None
     gain_by_horizon: tuple[HorizonRow, ...] = ()

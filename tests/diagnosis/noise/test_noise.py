@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hilserver.diagnosis.noise.fitting import NoiseModel, Whitener, fit_noise, robust_weights
-from hilserver.diagnosis.noise.whitening import Filter
+from hilserver.diagnosis.noise.fitting import fit_noise
+from hilserver.diagnosis.noise.whitening import Filter, NoiseModel, robust_weights
+from tests.diagnosis.toy import whitened
 from tests.diagnosis.uwb_trolley import range_errors
 
 NAVIGATION = NoiseModel(0.01, 0.05, 0.6)
@@ -44,7 +45,7 @@ def test_whitened_noise_is_white(model):
     lags = 20
     rng = np.random.default_rng(3)
     t_s = stamps(6000, 0.05, rng)
-    white = Whitener(model).whiten(t_s, simulated(model, t_s, rng))
+    white = whitened(model, t_s, simulated(model, t_s, rng))
     n = len(white)
     assert white.var() == pytest.approx(1.0, abs=4.0 * math.sqrt(2.0 / n))
     rho = np.array([white[:-k] @ white[k:] for k in range(1, lags + 1)]) / (white @ white)
@@ -55,7 +56,7 @@ def test_whitened_noise_is_white(model):
 @pytest.mark.parametrize("model", MODELS)
 def test_operator_is_the_inverse_root_of_the_covariance(model):
     t_s = stamps(60, 0.05, np.random.default_rng(4))
-    operator = Whitener(model).whiten(t_s, np.eye(len(t_s)))
+    operator = whitened(model, t_s, np.eye(len(t_s)))
     expected = covariance(model, t_s)
     np.testing.assert_allclose(operator.T @ operator @ expected, np.eye(len(t_s)), atol=1e-7)
 
@@ -65,9 +66,9 @@ def test_skipped_samples_leave_no_trace():
     t_s = stamps(200, 0.05, rng)
     r, kept = rng.normal(size=len(t_s)), rng.random(len(t_s)) > 0.3
     spoilt = np.where(kept, r, 1e6)
-    white = Whitener(NAVIGATION).whiten(t_s, spoilt, kept.astype(float))
+    white = whitened(NAVIGATION, t_s, spoilt, kept.astype(float))
     assert (white[~kept] == 0.0).all()
-    alone = Whitener(NAVIGATION).whiten(t_s[kept], r[kept])
+    alone = whitened(NAVIGATION, t_s[kept], r[kept])
     np.testing.assert_allclose(white[kept], alone, rtol=1e-9)
 
 
@@ -77,10 +78,10 @@ def test_stretches_of_several_channels_are_whitened_each_by_itself():
     columns, parts = rng.normal(size=(90, 3)), [slice(0, 40), slice(40, 60), slice(60, 90)]
     every, models = Filter.empty(90), [NAVIGATION, NoiseModel(0.006), NAVIGATION]
     for model, part in zip(models, parts, strict=True):
-        Whitener(model).prepare(every, part, t_s, weights)
+        every.prepare(part, model, t_s, weights)
     white = every.whiten(columns)
     for model, part in zip(models, parts, strict=True):
-        alone = Whitener(model).whiten(t_s[part], columns[part], weights[part])
+        alone = whitened(model, t_s[part], columns[part], weights[part])
         np.testing.assert_array_equal(white[part], alone)
 
 
@@ -96,10 +97,10 @@ def test_linear_in_the_columns(seed, factor, white_sd, ou_sd, tau_s):
     rng = np.random.default_rng(seed)
     t_s = stamps(80, 0.05, rng)
     weights = rng.uniform(0.0, 2.0, len(t_s)) * (rng.random(len(t_s)) > 0.1)
-    whitener = Whitener(NoiseModel(white_sd + 1e-3, ou_sd, tau_s))
+    model = NoiseModel(white_sd + 1e-3, ou_sd, tau_s)
     a, b = rng.normal(size=(2, len(t_s)))
-    both = whitener.whiten(t_s, np.stack([a, b, a + factor * b], axis=1), weights)
-    np.testing.assert_array_equal(both[:, 0], whitener.whiten(t_s, a, weights))
+    both = whitened(model, t_s, np.stack([a, b, a + factor * b], axis=1), weights)
+    np.testing.assert_array_equal(both[:, 0], whitened(model, t_s, a, weights))
     scale = np.abs(both).max() + 1e-30
     error = both[:, 2] - both[:, 0] - factor * both[:, 1]
     assert np.abs(error).max() <= 1e-12 * scale * (1.0 + abs(factor))
@@ -115,7 +116,7 @@ def test_weights_keep_the_variance_and_bound_an_outlier():
 
 def test_nothing_to_whiten_with_is_refused():
     with pytest.raises(ValueError, match="no noise"):
-        Whitener(NoiseModel(0.0))
+        whitened(NoiseModel(0.0), np.arange(3.0), np.ones(3))
 
 
 @pytest.mark.parametrize("wrong", ["clean", "outliers", "drift"])
@@ -163,9 +164,9 @@ def test_whitener_of_the_fit_leaves_independent_samples_after_outliers():
     t_s = stamps(6000, 0.05, rng)
     r = simulated(NAVIGATION, t_s, rng)
     r += 1.5 * (rng.random(len(r)) < 0.03)
-    whitener = Whitener(fit_noise([(t_s, r)]))
+    model = fit_noise([(t_s, r)])
     kept = np.abs(r - np.median(r)) < 0.75
-    white = whitener.whiten(t_s, r - np.mean(r[kept]), kept.astype(float))[kept]
+    white = whitened(model, t_s, r - np.mean(r[kept]), kept.astype(float))[kept]
     assert white.std() == pytest.approx(1.0, abs=0.05)
     assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 0.05
 
@@ -176,7 +177,7 @@ def test_whitener_of_the_fit_leaves_independent_samples_after_outliers():
     ids=["none", "short", "perfect"],
 )
 def test_without_noise_the_floor_remains(spans):
-    assert fit_noise(spans, floor_sd=1e-6) == NoiseModel(1e-6)
+    assert fit_noise(spans) == NoiseModel(1e-9)
 
 
 def test_short_spans_do_not_become_a_random_walk():
@@ -212,6 +213,6 @@ def test_uwb_noise_is_coloured_and_its_whitener_fits(drive):
         assert 0.01 < model.white_sd < 0.045
         assert 0.1 < model.ou_tau_s < 0.6
         kept = np.abs(r) < 5.0 * model.sd
-        white = Whitener(model).whiten(t_s, r, kept.astype(float))[kept]
+        white = whitened(model, t_s, r, kept.astype(float))[kept]
         assert np.corrcoef(r[1:], r[:-1])[0, 1] > 0.6
         assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 0.25

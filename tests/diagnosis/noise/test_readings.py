@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from hilserver.diagnosis.noise.readings import FLOOR_SD, Reading, lasting, noise_of_readings
-from hilserver.diagnosis.noise.whitening import NoiseModel, Whitener
+from hilserver.diagnosis.noise.whitening import NoiseModel
+from tests.diagnosis.toy import whitened
 
 RNG = 5
 PERIOD_S = 0.01
@@ -85,7 +86,7 @@ def test_what_lasts_is_whitened():
     readings = read(exact, 0.03, 0.3)
     t_s = np.arange(len(exact)) * PERIOD_S
     noise = noise_of_readings([(t_s, exact, readings)], Reading(0.3))
-    white = Whitener(noise).whiten(t_s, readings - exact)
+    white = whitened(noise, t_s, readings - exact)
     plain = (readings - exact) / noise.sd
     spread = [
         len(r[0]) * np.var(r.mean(axis=1)) for r in (white.reshape(-1, 100), plain.reshape(-1, 100))

@@ -102,7 +102,7 @@ def test_nothing_found_says_so_and_shows_what_would_have_been_seen():
 
 def test_without_evidence_what_the_findings_hold_stands_alone():
     ids = Reader(render(findings(), Evidence())).ids
-    assert ids == ["found", "data", "do", "selection", "sizes", "unjudged", "origin"]
+    assert ids == ["found", "data", "do", "selection", "noise", "sizes", "unjudged", "origin"]
 
 
 @pytest.mark.parametrize("verdict", ["differs", "no_difference"])
