@@ -25,55 +25,31 @@ class Need(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Traits:
-    """What rules need to know of a cause.
+    """What rules need to know of a cause."""
 
-    Attributes
-    ----------
-    needs : tuple of Need
-        What a log must hold before the cause can be judged; all of the drive need wheel speeds.
-    not_judged : str
-        Why it has no candidate.
-    abrupt : float
-        Share of its size by which its form may be off, because it is decided anew at every step:
-        whether a wheel sticks, what the loop answers. Measured against a machine in continuous time
-        (``hilserver bench diagnose --class single``).
-    whole_ticks : bool
-        A time that acts in whole ticks of the plant.
-    is_limit : bool
-        It has no finite null: the smaller its parameter, the more it does.
-    at_rest : bool
-        It shows on a robot that stands still.
-    of_a_place : bool
-        What changes along the log may look like it: early and late the robot is at other places.
-    delays_turn, bends_turn : bool
-        It makes a turn late, or its gain depend on the turn, as tyres that scrub do.
-    scrubs_as : str
-        Parameter of friction across the wheels that turns as it does.
-    mirrored_by : str
-        Cause of the same size and the other sign that one floor cannot tell from it.
-    field : str
-        Parameter of the errors over the place that it is the simplest of.
-    together : tuple of str
-        Causes that it may stand for where both act: from it no exchange of one cause for another
-        leads to them.
-    hides_inputs : bool
-        Where it is found in an input, the log no longer says when that changed.
-    """
-
+    # what a log must hold before the cause can be judged; all of the drive need wheel speeds
     needs: tuple[Need, ...] = ()
-    not_judged: str = ""
+    not_judged: str = ""  # why it has no candidate
+    # share of its size by which its form may be off, because it is decided anew at every step:
+    # whether a wheel sticks, what the loop answers; measured against a machine in continuous time
+    # (``hilserver bench diagnose --class single``)
     abrupt: float = 0.0
-    whole_ticks: bool = False
-    is_limit: bool = False
-    at_rest: bool = False
+    whole_ticks: bool = False  # a time that acts in whole ticks of the plant
+    is_limit: bool = False  # it has no finite null: the smaller its parameter, the more it does
+    at_rest: bool = False  # it shows on a robot that stands still
+    # what changes along the log may look like it: early and late the robot is at other places
     of_a_place: bool = False
+    # it makes a turn late, or its gain depend on the turn, as tyres that scrub do
     delays_turn: bool = False
     bends_turn: bool = False
-    scrubs_as: str = ""
+    scrubs_as: str = ""  # parameter of friction across the wheels that turns as it does
+    # cause of the same size and the other sign that one floor cannot tell from it
     mirrored_by: str = ""
-    field: str = ""
+    field: str = ""  # parameter of the errors over the place that it is the simplest of
+    # causes that it may stand for where both act: from it no exchange of one cause for another
+    # leads to them
     together: tuple[str, ...] = ()
-    hides_inputs: bool = False
+    hides_inputs: bool = False  # found in an input, the log no longer says when that changed
 
 
 POSITION_FIELD: Final = "nav_position_bias.amplitude"

@@ -24,33 +24,21 @@ from hilserver.diagnosis.thresholds import (
     TIE,
 )
 
-MOST_SWAPS: Final = 4
-"""Exchanges in a row."""
+MOST_SWAPS: Final = 4  # exchanges in a row
 
 
 @dataclass(frozen=True)
 class Rival:
-    """A cause in the place of another.
-
-    Attributes
-    ----------
-    cosine : float
-        Of the sensitivities, what the other accepted causes explain taken out; of the effects
-        themselves at their fitted sizes where these are more alike, see `likeness`.
-    worse : float
-        Deviance that it leaves more, a penalty per parameter included; negative: it is better.
-    z : float
-        Deviations of the difference over the blocks, see `deviations`.
-    gross : bool
-        The accepted cause leaves far more than noise.
-    """
+    """A cause in the place of another."""
 
     candidate: Candidate
     point: Point
+    # of the sensitivities, what the other accepted causes explain taken out; of the effects
+    # themselves at their fitted sizes where these are more alike, see `likeness`
     cosine: float
-    worse: float
-    z: float
-    gross: bool
+    worse: float  # deviance that it leaves more, a penalty per parameter included
+    z: float  # deviations of the difference over the blocks, see `deviations`
+    gross: bool  # the accepted cause leaves far more than noise
 
     @property
     def fitted(self) -> Fitted:

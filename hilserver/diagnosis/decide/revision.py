@@ -35,8 +35,7 @@ class Judged:
 
     prepared: Prepared
     selected: Selected
-    point: Point
-    """The causes that have a name."""
+    point: Point  # the causes that have a name
     whole: Point
     """What predicts: beside these, columns of causes that were found right and lost their names."""
     ties: Mapping[str, list[Rival]]
@@ -44,8 +43,7 @@ class Judged:
     drift: dict[str, float]
     scores: Scores
     scrubs: bool
-    anchor: tuple[Anchor, float] | None = None
-    """An anchor that is off, and its p."""
+    anchor: tuple[Anchor, float] | None = None  # an anchor that is off, and its p
     in_doubt: Anchor | None = None
     """An anchor that could stand in the place of an accepted scale of the navigation."""
 

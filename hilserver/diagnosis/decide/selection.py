@@ -44,34 +44,23 @@ from hilserver.diagnosis.thresholds import (
     TIE,
 )
 
-TRIALS: Final = 8
-"""Candidates of a round that are fitted: those with the largest linear gains."""
+TRIALS: Final = 8  # candidates of a round that are fitted: those with the largest linear gains
 NEARLY_ENOUGH: Final = 0.9 * LEAST_GAIN
 """Deviance that a cause must save linearly to be fitted: the fit may save a little more."""
-MOST_FITTED: Final = 3
-"""Causes of a round that are fitted in full, each with all its shapes."""
-MOST_SHAPES: Final = 4
-"""Shapes of a cause that are fitted where much is left to explain."""
+MOST_FITTED: Final = 3  # causes of a round that are fitted in full, each with all its shapes
+MOST_SHAPES: Final = 4  # shapes of a cause that are fitted where much is left to explain
 ROUNDS: Final = 3  # each takes away more than half of what the weights confirm of earlier fits
 
 
 @dataclass
 class Selected:
-    """The outcome of one stage.
-
-    Attributes
-    ----------
-    p : mapping of str to float
-        Family-wise p of each accepted cause when it was accepted.
-    rows : list of Decision
-        What was taken and what was refused, in order.
-    near : mapping of str to list of Trial
-        Of each accepted cause the others that explained nearly as much in its round.
-    """
+    """The outcome of one stage."""
 
     point: Point
+    # family-wise p of each accepted cause when it was accepted
     p: dict[str, float] = field(default_factory=dict)
-    rows: list[Decision] = field(default_factory=list)
+    rows: list[Decision] = field(default_factory=list)  # what was taken and refused, in order
+    # of each accepted cause the others that explained nearly as much in its round
     near: dict[str, list[Trial]] = field(default_factory=dict)
 
 

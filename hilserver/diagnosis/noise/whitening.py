@@ -15,28 +15,18 @@ import numpy as np
 from hilserver.arrays import Array
 from hilserver.compiled import kernel
 
-SMALLEST_DOF: Final = 2.1
-"""Degrees of freedom; at 2 there is no variance."""
+SMALLEST_DOF: Final = 2.1  # degrees of freedom; at 2 there is no variance
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
-    """Noise of one channel: white + Ornstein-Uhlenbeck, with tails.
+    """Noise of one channel: white + Ornstein-Uhlenbeck, with tails."""
 
-    Attributes
-    ----------
-    white_sd, ou_sd : float
-        Standard deviations, in the unit of the channel. Either may be 0.
-    ou_tau_s : float
-        Correlation time of the Ornstein-Uhlenbeck part.
-    tail_dof : float
-        Degrees of freedom of the Student-t distribution of the innovations; infinite: normal.
-    """
-
+    # standard deviations, in the unit of the channel; either may be 0
     white_sd: float
     ou_sd: float = 0.0
-    ou_tau_s: float = 1.0
-    tail_dof: float = math.inf
+    ou_tau_s: float = 1.0  # correlation time of the Ornstein-Uhlenbeck part
+    tail_dof: float = math.inf  # of the innovations' Student-t distribution; infinite: normal
 
     @property
     def sd(self) -> float:
@@ -46,18 +36,10 @@ class NoiseModel:
 
 @dataclass(frozen=True)
 class Filter:
-    """The Kalman filters of some stretches, one after the other: what each does at every sample.
+    """The Kalman filters of some stretches, one after the other: what each does at every sample."""
 
-    Attributes
-    ----------
-    keep : ndarray, shape (n,)
-        Share of the level that lasts since the sample before; 0 where a stretch begins.
-    gain : ndarray, shape (n,)
-        Share of a surprise that the level takes up.
-    scale : ndarray, shape (n,)
-        Whitened sample by surprise; 0: the sample is skipped.
-    """
-
+    # shape (n,): share of the level that lasts since the sample before, 0 where a stretch begins;
+    # share of a surprise that the level takes up; whitened sample by surprise, 0: it is skipped
     keep: Array
     gain: Array
     scale: Array

@@ -21,8 +21,7 @@ DAMPED_BY_ENDS: Final = 1e-4  # see `linear`: not every parameter shows at the e
 MOST_STEPS: Final = 12
 CONVERGED: Final = 1e-3  # share of the cost; a step that gains less is the last
 
-Misses = Mapping[str, NDArray[Any]]
-"""By quantity, shape (runs,); a position is x + iy."""
+Misses = Mapping[str, NDArray[Any]]  # by quantity, shape (runs,); a position is x + iy
 
 
 def fit_by_ends(problem: Problem, start: Point, horizon_s: float) -> Point:

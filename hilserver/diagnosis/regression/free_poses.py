@@ -15,18 +15,10 @@ RANK: Final = 1e-9
 
 @dataclass(frozen=True)
 class FreePoses:
-    """The samples of each segment: the columns of its initial pose touch no others.
+    """The samples of each segment: the columns of its initial pose touch no others."""
 
-    Attributes
-    ----------
-    order : ndarray of int64, shape (n,)
-        Samples, segment by segment.
-    ends : ndarray of int64, shape (segments + 1,)
-        Where the samples of each segment begin and end in `order`.
-    """
-
-    order: Indices
-    ends: Indices
+    order: Indices  # shape (n,): samples, segment by segment
+    ends: Indices  # shape (segments + 1,): where those of each segment begin and end in `order`
 
     @classmethod
     def of(cls, segment: Indices, segments: int) -> "FreePoses":
@@ -49,20 +41,12 @@ class FreePoses:
 
 @dataclass(frozen=True)
 class Bases:
-    """Orthonormal bases of the pose columns of all segments.
-
-    Attributes
-    ----------
-    unit : ndarray, shape (n, 3)
-        Rows of the bases.
-    shown : ndarray, shape (segments, 3, 3)
-        Projects onto the directions in a basis that show in its segment: nearly always all.
-    solved : ndarray, shape (segments, 3, 3)
-        From what a segment has along its basis to the step of its pose.
-    """
+    """Orthonormal bases of the pose columns of all segments."""
 
     of: FreePoses
-    unit: Array
+    unit: Array  # shape (n, 3): rows of the bases
+    # shape (segments, 3, 3): projects onto the directions in a basis that show in its segment,
+    # nearly always all; from what a segment has along its basis to the step of its pose
     shown: Array
     solved: Array
 

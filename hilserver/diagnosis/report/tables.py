@@ -15,8 +15,7 @@ CUT_POINTS: Final = {
     "speed": "From the measured wheel speed: kinematics and sensors",
 }
 MAX_TWINS: Final = 40
-Row = dict[str, Any]
-"""Cells of a table's row, by name."""
+Row = dict[str, Any]  # cells of a table's row, by name
 
 
 def selected(findings: Findings) -> list[Row]:

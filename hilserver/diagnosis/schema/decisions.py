@@ -11,31 +11,18 @@ Action = Literal["taken", "refused", "swapped", "dropped"]
 
 @dataclass(frozen=True, slots=True)
 class ScreenRow:
-    """One cause in the screen.
-
-    Attributes
-    ----------
-    cause : str
-        Cause of the vocabulary; `part` its part or "".
-    statistic, critical : float
-        Robust test statistic and the value it must exceed at the family-wise level.
-    size : float or None
-        Estimate when it is taken alone, in `unit`; None: it would not be physically possible.
-    standard_error : float
-        Robust one of `size`.
-    dof : float
-        Effective degrees of freedom.
-    """
+    """One cause in the screen."""
 
     cause: str
-    part: str
+    part: str  # empty: the cause itself
+    # robust test statistic, and the value that it must exceed at the family-wise level
     statistic: float
     critical: float
     p_adjusted: float
-    size: float | None
-    standard_error: float
+    size: float | None  # estimate when it is taken alone; None: it is not physically possible
+    standard_error: float  # robust one of `size`
     unit: str
-    dof: float
+    dof: float  # effective degrees of freedom
 
 
 @checked(frozen=True, config=ConfigDict(extra="forbid"))
