@@ -63,14 +63,10 @@ OF_THE_POSE = (
     ("imu_latency", 0.01, 0.004, 0.0, 1.5),
 )
 """Step of the differences, least size worth a name, lower and upper bound."""
-LATENCIES = (
-    ("imu_latency", 0.01, 0.004),
-    ("yaw_latency", 0.02, 0.01),
-    ("nav_latency", 0.02, 0.008),
-)
+LATENCIES = ("imu_latency", "yaw_latency", "nav_latency")
 
 
-def drive_candidates(limit_pct: float) -> list[Candidate]:
+def drive_candidates() -> list[Candidate]:
     """Return the candidates that set-points, wheel speeds and duties judge."""
     stage: StageName = "drive"
     found = [single(name, stage, *sizes) for name, *sizes in OF_THE_DRIVE]
@@ -82,8 +78,7 @@ def drive_candidates(limit_pct: float) -> list[Candidate]:
         scale = single(term, stage, 0.01, 0.005, 0.3, 3.0)
         found.append(replace(scale, cause="unit_error", start=(1.0,), null=(1.0,)))
     found += [_stribeck(n_s) for n_s in (3.0, 6.0, 12.0)]
-    limits = [limit for limit in LIMITS_PCT if limit < limit_pct]
-    found += start_grid("saturation_limit", stage, 100.0, limits, -2.0, 1.0, 5.0, 99.0)
+    found += start_grid("saturation_limit", stage, 100.0, LIMITS_PCT, -2.0, 1.0, 5.0, 99.0)
     found += start_grid("actuation_delay", stage, 0.0, DELAYS_S, 0.002, 0.002, 0.0, 0.9)
     found += start_grid("setpoint_rate_limit", stage, 1e9, RATES_RPM_S, -10.0, 0.0, 1.0, 1e5)
     periods = start_grid("control_period", stage, 0.001, PERIODS_S, 0.001, 0.0015, 0.001, 0.02)
@@ -98,10 +93,11 @@ def pose_candidates(place: Region | None) -> list[Candidate]:
 
     `place` is where the robot drove: x_min, x_max, y_min, y_max [m]; None without a position.
     """
-    found = [replace(single(name, "pose", *sizes), prior=PRIORS.get(name, math.inf))
-             for name, *sizes in OF_THE_POSE]  # fmt: skip
-    for name, step, least in LATENCIES:
-        found += start_grid(name, "pose", 0.0, LATE_S, step, least, 0.0, 1.5)
+    sizes = {name: own for name, *own in OF_THE_POSE}
+    found = [replace(single(name, "pose", *own), prior=PRIORS.get(name, math.inf))
+             for name, own in sizes.items()]  # fmt: skip
+    for name in LATENCIES:
+        found += start_grid(name, "pose", 0.0, LATE_S, *sizes[name])
     found.append(replace(single("shift.nav", "pose", 0.02, 0.01, -1.5, 1.5), cause="clock_offset"))
     for name, step, least, most in (
         ("floor_slope", 0.005, 0.002, 0.5), ("nav_lever_arm", 0.02, 0.006, 2.0)
@@ -170,20 +166,14 @@ def _of_wheel(
 
 
 def _stribeck(n_s: float) -> Candidate:
-    candidate = several(
-        "stribeck_friction",
-        f"stribeck_friction@{n_s:.3g}",
-        "drive",
-        ("stribeck_friction.f_s",),
-        (1.0,),
-        0.5,
-        {"stribeck_friction.n_s": n_s},
-        0.0,
-        60.0,
-    )
-    return replace(
-        candidate, hidden=1, moved=lambda shift: _stribeck(min(max(n_s * math.exp(shift), 0.5), 40))
-    )
+    cause = "stribeck_friction"
+    label, names, fixed = f"{cause}@{n_s:.3g}", (f"{cause}.f_s",), {f"{cause}.n_s": n_s}
+
+    def moved(shift: float) -> Candidate:
+        return _stribeck(min(max(n_s * math.exp(shift), 0.5), 40))
+
+    made = several(cause, label, "drive", names, (1.0,), 0.5, fixed, 0.0, 60.0)
+    return replace(made, hidden=1, moved=moved)
 
 
 def _surfaces(place: Region) -> list[Candidate]:
@@ -198,22 +188,14 @@ def _surfaces(place: Region) -> list[Candidate]:
 
 
 def _surface(axis: str, side: str, edge: float) -> Candidate:
+    cause, steps = "surface_change", (0.05, 0.05)
+    label, names = f"{cause}@{axis}_{side}={edge:.3f}", (f"{cause}.k_om", f"{cause}.v")
     ends = {"x_min": -1e3, "x_max": 1e3, "y_min": -1e3, "y_max": 1e3, f"{axis}_{side}": edge}
-    candidate = several(
-        "surface_change",
-        f"surface_change@{axis}_{side}={edge:.3f}",
-        "pose",
-        ("surface_change.k_om", "surface_change.v"),
-        (0.05, 0.05),
-        0.03,
-        {f"surface_change.{key}": value for key, value in ends.items()},
-        -0.9,
-        3.0,
-    )
+    fixed = {f"{cause}.{key}": value for key, value in ends.items()}
     x_min, x_max, y_min, y_max = ends.values()
-    return replace(
-        candidate,
-        hidden=2,
-        moved=lambda shift_m: _surface(axis, side, edge + shift_m),
-        region=(x_min, x_max, y_min, y_max),
-    )
+
+    def moved(shift_m: float) -> Candidate:
+        return _surface(axis, side, edge + shift_m)
+
+    made = several(cause, label, "pose", names, steps, 0.03, fixed, -0.9, 3.0)
+    return replace(made, hidden=2, moved=moved, region=(x_min, x_max, y_min, y_max))

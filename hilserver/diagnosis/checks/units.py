@@ -80,15 +80,11 @@ def _known(
 def _finding(channels: list[str], factor: float, ratio: Line, text: str) -> Finding:
     half = 1.96 * abs(factor) * np.sqrt(1 / ratio.correlation**2 - 1) / np.sqrt(ratio.n)
     half = max(float(half), 0.02 * factor)
-    return data_fault(
-        "unit_error",
-        channels,
-        factor,
-        (factor - half, factor + half),
-        "1",
+    said = (
         f"{listed(channels)} {text} (factor {factor:.4g} against the other channels): correct the"
-        " unit in the mapping; it was converted.",
+        " unit in the mapping; it was converted."
     )
+    return data_fault("unit_error", channels, factor, (factor - half, factor + half), "1", said)
 
 
 def _wheels(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | None]:

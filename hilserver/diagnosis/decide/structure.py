@@ -14,6 +14,7 @@ from hilserver.diagnosis.regression.problem import Point, Problem, apart
 from hilserver.diagnosis.regression.screen import (
     Blocks,
     adjusted,
+    critical,
     least_t,
     null_maxima,
     score,
@@ -37,6 +38,7 @@ class Unknown:
 
     family: Family  # without what the accepted causes explain
     t: float
+    critical: float  # what it must exceed, among all families
     p: float
     gain: float  # deviance that the whole family saves, less one per column
 
@@ -75,16 +77,18 @@ def remaining(
         t = float(np.abs(scores[-1].t).max(initial=0.0))
         if t <= least_t(REST_LEVEL) and not gross:
             continue
-        u = Unknown(replace(family, white=white), t, 1.0, joint_gain(white, point.left))
+        gain = joint_gain(white, point.left)
+        u = Unknown(replace(family, white=white), t, np.inf, 1.0, gain)
         if gross and (most is None or u.gain > most.gain):
             most = u
         if t > least_t(REST_LEVEL) and u.gain > least and holds_out(problem, white, point.left):
             strong.append(u)
-    ps = adjusted(np.array([u.t for u in strong]), null_maxima(scores, rng))
+    maxima = null_maxima(scores, rng)
+    limit, ps = critical(maxima, REST_LEVEL), adjusted(np.array([u.t for u in strong]), maxima)
     found = [replace(u, p=float(p)) for u, p in zip(strong, ps, strict=True) if p < REST_LEVEL]
     if not found and most is not None:
-        return [most]
-    return sorted(found, key=lambda u: -u.gain)
+        found = [most]
+    return [replace(u, critical=limit) for u in sorted(found, key=lambda u: -u.gain)]
 
 
 def imitated(problem: Problem, point: Point, families: Iterable[Family]) -> int | None:

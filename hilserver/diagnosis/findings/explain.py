@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from typing import Any, Final
@@ -28,31 +27,22 @@ _CHOICE = re.compile(r"\{([^{}|]*)\|([^{}|]*)\}")
 _FIELD = re.compile(r"\{(?:(of):)?(\w+)\}")
 
 
-@dataclass(frozen=True, slots=True)
-class Sentence:
-    """What a cause is in words."""
-
-    says: str  # template of what was found
-    remedy: str  # what to do about it
-
-
 @cache
-def sentences() -> Mapping[str, Sentence]:
-    """Return the sentence of every cause."""
-    return {name: Sentence(**entry) for name, entry in _read()["causes"].items()}
+def _read() -> dict[str, Any]:
+    folder = files("hilserver.diagnosis.findings")
+    text = folder.joinpath("sentences.yaml").read_text(encoding="utf-8")
+    return dict(yaml.safe_load(text))
+
+
+def sentences() -> Mapping[str, Mapping[str, str]]:
+    """Return of every cause what it ``says``, a template, and its ``remedy``."""
+    return dict(_read()["causes"])
 
 
 @cache
 def experiments() -> Mapping[frozenset[str], str]:
     """Return what separates causes, by the causes."""
     return {frozenset(e["causes"]): e["text"] for e in _read()["experiments"]}
-
-
-def _read() -> dict[str, Any]:
-    folder = files("hilserver.diagnosis.findings")
-    text = folder.joinpath("sentences.yaml").read_text(encoding="utf-8")
-    data: dict[str, Any] = yaml.safe_load(text)
-    return data
 
 
 def number(value: float, unit: str = "1", *, digits: int = 3) -> str:
@@ -114,7 +104,7 @@ def of_two_wheels(finding: Finding) -> Finding:
 
 def remedy(cause: str) -> str:
     """Return what to do about a cause."""
-    return sentences()[cause_of(cause).name].remedy
+    return sentences()[cause_of(cause).name]["remedy"]
 
 
 def separating_experiment(causes: Iterable[str]) -> str:
@@ -171,7 +161,7 @@ def _say(cause: str, parameters: Mapping[str, Parameter]) -> str:
                  "percent": (100 * size, "%"), "number": (size, "1")}  # fmt: skip
         return number(*shown[name])
 
-    return _FIELD.sub(filled, _CHOICE.sub(chosen, sentences()[cause].says))
+    return _FIELD.sub(filled, _CHOICE.sub(chosen, sentences()[cause]["says"]))
 
 
 def _all_of(own: Mapping[str, Parameter]) -> str:

@@ -67,7 +67,7 @@ def fit_in_all(
     if free is None:
         model = points[0].model
         least = np.array([f.candidate.least for f in model.fitted for _ in f.theta])
-        free = free_parameters(fits, units_of(model), least, COMPARE_LEVEL)[0]
+        free = free_parameters(fits, units_of(model), least, COMPARE_LEVEL)
     return JointFit(tuple(members), tuple(points), tuple(fits), together(fits, free))
 
 

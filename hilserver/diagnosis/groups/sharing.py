@@ -99,8 +99,8 @@ def _inverse(matrix: Array) -> Array:
 
 def free_parameters(
     fits: Sequence[GroupFit], units: Sequence[Sequence[int]], least: Array, level: float
-) -> tuple[Mask, Array]:
-    """Return which parameters differ by group, and the p of no difference.
+) -> Mask:
+    """Return which parameters differ by group.
 
     All are shared at first. The one that differs most clearly becomes free, until no other does at
     the family-wise `level`; one that others have made superfluous becomes shared again.
@@ -112,27 +112,24 @@ def free_parameters(
     least : ndarray, shape (k,)
         Smaller differences are not worth a word.
     """
-    k = len(least)
-    free, p = np.zeros(k, dtype=bool), np.ones(k)
+    free = np.zeros(len(least), dtype=bool)
     while True:
         tests = {}
         for number, unit in enumerate(units):
             if not free[list(unit)].any():
                 chance, differ = _test(fits, unit, free)
                 if (differ >= least[list(unit)]).any():
-                    tests[number] = min(chance * len(units), 1.0)
+                    tests[number] = chance * len(units)
         best = min(tests, key=lambda number: tests[number], default=None)
         if best is None or tests[best] >= level:
             break
-        free[list(units[best])], p[list(units[best])] = True, tests[best]
+        free[list(units[best])] = True
     for unit in units:
         mine = list(unit)
         if free[mine].any():
             free[mine] = False
-            chance = min(_test(fits, unit, free)[0] * len(units), 1.0)
-            free[mine] = chance < level
-            p[mine] = chance
-    return free, p
+            free[mine] = _test(fits, unit, free)[0] * len(units) < level
+    return free
 
 
 def _test(fits: Sequence[GroupFit], unit: Sequence[int], free: Mask) -> tuple[float, Array]:

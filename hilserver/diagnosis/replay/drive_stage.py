@@ -120,7 +120,7 @@ class DriveStage(Stage):
 
     def candidates(self) -> list[Candidate]:
         """Return the causes of the drive, its controller and the log's speeds."""
-        return drive_candidates(FULL_DUTY_PCT)
+        return drive_candidates()
 
     def missing(self) -> list[Need]:
         """Return what the log does not have of what causes of the drive need."""

@@ -11,11 +11,9 @@ from hilserver.arrays import Array, Indices, Mask
 from hilserver.diagnosis.decide.structure import Unknown
 from hilserver.diagnosis.decide.unknown import peaks
 from hilserver.diagnosis.regression.problem import Point, Problem
-from hilserver.diagnosis.regression.screen import Blocks, critical, null_maxima, score
 from hilserver.diagnosis.replay.pose_stage import FORWARD, HEADING, TURN
 from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.schema.evidence import Dependence
-from hilserver.diagnosis.thresholds import REST_LEVEL
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SETPOINTS, SPEEDS, YAW
 from hilserver.measured.names import signal_unit
 
@@ -42,9 +40,6 @@ def dependences(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> l
 
     Regressors are read off the final model, so that no sensor's noise is in both.
     """
-    if not unknown:
-        return []
-    limit = _critical(problem, point, unknown)
     out: list[Dependence] = []
     drawn: list[Array] = []
     for u in unknown[:MOST]:
@@ -64,7 +59,7 @@ def dependences(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> l
             low, high = mean - half, mean + half
             own = signal_unit(left.name)
             out.append(
-                Dependence(left.name, own, label, unit, at, mean, low, high, abs(u.t), limit)
+                Dependence(left.name, own, label, unit, at, mean, low, high, abs(u.t), u.critical)
             )
     return out
 
@@ -74,15 +69,6 @@ def _alike(x: Array, other: Array) -> bool:
     if len(x) != len(other) or min(np.ptp(x), np.ptp(other)) == 0.0:
         return False
     return bool(abs(np.corrcoef(x, other)[0, 1]) > ALIKE)
-
-
-def _critical(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> float:
-    """Return the critical statistic of the structures that were found."""
-    blocks = Blocks.of(problem.stack.block, problem.stack.n_blocks)
-    scores = [
-        score(u.family.white[blocks.order], point.left[blocks.order], blocks) for u in unknown
-    ]
-    return critical(null_maxima(scores, np.random.default_rng(0)), REST_LEVEL)
 
 
 def _left(problem: Problem, point: Point, u: Unknown) -> _Left:

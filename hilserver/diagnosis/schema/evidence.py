@@ -96,7 +96,7 @@ class Dependence:
     mean: Array
     low: Array
     high: Array
-    # as in the screen, among the structures that were found
+    # as in the screen, among all structures
     statistic: float
     critical: float
 

@@ -6,7 +6,7 @@ from hilserver.diagnosis.catalogue.library import drive_candidates, pose_candida
 from hilserver.diagnosis.catalogue.traits import TRAITS, Need, Traits, lacking, traits_of
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES, cause_of, part_of
 
-CANDIDATES = [*drive_candidates(100.0), *pose_candidates((-2.0, 2.0, -2.0, 2.0))]
+CANDIDATES = [*drive_candidates(), *pose_candidates((-2.0, 2.0, -2.0, 2.0))]
 
 
 @pytest.mark.parametrize("cause", TRAITS)

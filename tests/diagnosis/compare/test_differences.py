@@ -5,7 +5,7 @@ import pytest
 from hilserver.diagnosis.catalogue.library import drive_candidates, pose_candidates
 from hilserver.diagnosis.compare.differences import Difference
 
-CANDIDATES = {c.label: c for c in (*drive_candidates(100.0), *pose_candidates(None))}
+CANDIDATES = {c.label: c for c in (*drive_candidates(), *pose_candidates(None))}
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from hilserver.diagnosis.replay.model import Model
 from tests.diagnosis import toy
 
 N = 2400
-LIBRARY = [*drive_candidates(100.0), *pose_candidates((-3.0, 3.0, -3.0, 3.0))]
+LIBRARY = [*drive_candidates(), *pose_candidates((-3.0, 3.0, -3.0, 3.0))]
 
 
 def columns_of():

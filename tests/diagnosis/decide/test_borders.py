@@ -8,7 +8,7 @@ from hilserver.diagnosis.replay.model import Model
 from hilserver.plant.terms import complete
 from tests.diagnosis import toy
 
-CANDIDATES = [*drive_candidates(100.0), *pose_candidates((-2.0, 2.0, -2.0, 2.0))]
+CANDIDATES = [*drive_candidates(), *pose_candidates((-2.0, 2.0, -2.0, 2.0))]
 
 
 def asked_for(candidate, at):

@@ -188,7 +188,7 @@ def dominates(times):
     problem = toy.problem(columns["a"] + columns["b"], columns)
     point = fit(problem, toy.model("a"), problem.point(Model(), NONE))
     family = Family("turn", ("t_s",), columns["b"][:, None])
-    unknown = structure.Unknown(family, 9.0, 1e-4, N / 2 / times)
+    unknown = structure.Unknown(family, 9.0, 3.0, 1e-4, N / 2 / times)
     return not structure.without_unknown(problem, point, [unknown])
 
 

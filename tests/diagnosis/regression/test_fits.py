@@ -208,7 +208,7 @@ def test_the_terms_of_a_model_stand_beside_those_of_the_plant():
 
 def test_no_effect_is_no_change_of_the_plant():
     base = pack(RobotParameters())
-    for candidate in drive_candidates(100.0):
+    for candidate in drive_candidates():
         terms = candidate.terms(candidate.null)
         if candidate.linear and len(terms) == 1 and not terms.keys() & OF_THE_LOG.keys():
             assert np.array_equal(pack(robot_with(RobotParameters(), terms)), base), candidate

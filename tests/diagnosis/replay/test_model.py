@@ -3,7 +3,7 @@
 from hilserver.diagnosis.catalogue.library import drive_candidates
 from hilserver.diagnosis.replay.model import Model
 
-CANDIDATES = {c.label: c for c in drive_candidates(100.0)}
+CANDIDATES = {c.label: c for c in drive_candidates()}
 
 
 def test_a_cause_that_is_taken_with_more_parameters_stands_in_its_own_place():
