@@ -17,7 +17,10 @@ def on_cluster(
 
     Its workers must have this version of hilserver and see the logs under the same paths.
 
-    FailedError if the extra is not installed or nothing answers at the address.
+    Raises
+    ------
+    FailedError
+        If the extra is not installed or nothing answers at the address.
     """
     with connected(address) as client:
         futures = client.map(function, tasks, pure=False)
@@ -31,7 +34,10 @@ def on_cluster(
 def connected(address: str) -> Any:
     """Return a client of the cluster at an address.
 
-    FailedError if the extra is not installed or nobody answers.
+    Raises
+    ------
+    FailedError
+        If the extra is not installed or nobody answers.
     """
     try:
         from distributed import Client  # noqa: PLC0415 (an extra)

@@ -52,7 +52,10 @@ def documents(diagnosis: Diagnosis) -> dict[str, str]:
 def write(folder: Path, files: Mapping[str, str]) -> None:
     """Write the files; each appears whole or not at all, and none of an older run stays.
 
-    FailedError if the folder cannot be written.
+    Raises
+    ------
+    FailedError
+        If the folder cannot be written.
     """
     write_files(folder, files, (FINDINGS, PATCH, REPORT))
 
@@ -60,7 +63,10 @@ def write(folder: Path, files: Mapping[str, str]) -> None:
 def write_files(folder: Path, files: Mapping[str, str], known: Sequence[str] = ()) -> None:
     """Write files, each whole or not at all; remove those of the `known` that are not written.
 
-    FailedError if the folder cannot be written.
+    Raises
+    ------
+    FailedError
+        If the folder cannot be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

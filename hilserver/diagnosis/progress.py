@@ -11,7 +11,10 @@ Report = Callable[[str, float], None]
 class Tracker:
     """Reports what a diagnosis does and measures its parts.
 
-    `timings_s` are by part, of all groups together.
+    Attributes
+    ----------
+    timings_s : dict of str to float
+        By part, of all groups together.
     """
 
     def __init__(self, report: Report | None = None) -> None:

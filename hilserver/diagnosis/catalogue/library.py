@@ -91,7 +91,10 @@ def drive_candidates() -> list[Candidate]:
 def pose_candidates(place: Region | None) -> list[Candidate]:
     """Return the candidates that pose and turn rate judge.
 
-    `place` is where the robot drove: x_min, x_max, y_min, y_max [m]; None without a position.
+    Parameters
+    ----------
+    place : tuple of float or None
+        Where the robot drove: x_min, x_max, y_min, y_max [m]; None without a position.
     """
     sizes = {name: own for name, *own in OF_THE_POSE}
     found = [replace(single(name, "pose", *own), prior=PRIORS.get(name, math.inf))
@@ -137,8 +140,10 @@ def encoders(wheels: Collection[int]) -> list[Candidate]:
 def side_encoders(wheels: Collection[int]) -> list[Candidate]:
     """Return encoders that show too much for the pose to judge: one of each side.
 
-    `wheels` are those with a speed in the log. Which of two on a side it is, the pose does not
-    show.
+    Parameters
+    ----------
+    wheels : collection of int
+        Those with a speed in the log. Which of two on a side it is, the pose does not show.
     """
     sides = [sorted({first, first + 1} & set(wheels)) for first in (0, 2)]
     return [

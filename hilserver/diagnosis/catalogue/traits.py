@@ -123,7 +123,10 @@ def traits_of(cause: str) -> Traits:
 def lacking(missing: Iterable[Need], drive: Iterable[str]) -> dict[str, str]:
     """Return why causes cannot be judged where something is missing, by cause.
 
-    `drive` are the causes that need wheel speeds.
+    Parameters
+    ----------
+    drive : iterable of str
+        Causes that need wheel speeds.
     """
     reasons: dict[str, str] = {}
     for need in sorted(missing, key=list(Need).index):

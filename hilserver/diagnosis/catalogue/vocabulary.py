@@ -120,7 +120,13 @@ CAUSES: Final[Mapping[str, Cause]] = MappingProxyType(
 
 
 def cause_of(name: str) -> Cause:
-    """Return the cause of a name (``cause``, ``cause.part``, ``cause.signal``), or KeyError."""
+    """Return the cause that a name (``cause``, ``cause.part``, ``cause.signal``) belongs to.
+
+    Raises
+    ------
+    KeyError
+        When there is none.
+    """
     return CAUSES[name.partition(".")[0]]
 
 
@@ -134,7 +140,13 @@ def known_part(name: str) -> Term | None:
 
 
 def part_of(name: str) -> Term:
-    """Return the part that a name stands for; KeyError if there is none."""
+    """Return the part that a name stands for.
+
+    Raises
+    ------
+    KeyError
+        When there is none.
+    """
     if (part := known_part(name)) is None:
         raise KeyError(name)
     return part

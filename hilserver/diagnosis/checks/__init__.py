@@ -75,7 +75,10 @@ class Checked:
 def check(log: MeasuredLog, robot: RobotParameters) -> Checked:
     """Find the faults of the log and take them out.
 
-    `robot` has the dimensions and signs of the machine as configured.
+    Parameters
+    ----------
+    robot : RobotParameters
+        Dimensions and signs of the machine as configured.
     """
     findings: list[Finding] = []
     far = max((abs(span.end_s) for span in log.spans), default=0.0) > FAR_S

@@ -23,7 +23,10 @@ NEIGHBOURS = 8
 def coarse_step(channels: Sequence[Array], smooth: Sequence[Array]) -> float | None:
     """Return the step that like quantities come in; None if they are smooth.
 
-    `channels` are measured values, `smooth` what they would be without rounding, shape (n,) each.
+    Parameters
+    ----------
+    channels, smooth : sequence of ndarray, shape (n,)
+        Measured values, and what they would be without rounding.
     """
     best = None
     for step in _suspects(channels, smooth):
@@ -76,10 +79,16 @@ def _spectrum(values: Array, edges: Array) -> Array:
 def lattice(values: Array, smooth: Array, step: float) -> tuple[float, float]:
     """Return how far values lie on multiples of a step, and how far they follow smooth ones.
 
-    Measured values, and what they would be without rounding, have shape (n,).
+    Parameters
+    ----------
+    values, smooth : ndarray, shape (n,)
+        Measured values, and what they would be without rounding.
 
-    These are the coefficients of ``exp(2 pi i values/q)`` on 1 and on ``exp(2 pi i smooth/q)``: the
-    first is there with rounding only, the second without. Both fall with the noise.
+    Returns
+    -------
+    tuple of float
+        Coefficients of ``exp(2 pi i values/q)`` on 1 and on ``exp(2 pi i smooth/q)``: the first is
+        there with rounding only, the second without. Both fall with the noise.
     """
     turned = 2j * np.pi / step
     columns = np.stack([np.ones(len(values)), np.exp(turned * smooth)], axis=1)

@@ -119,7 +119,10 @@ class Line:
 def line(y: Array | None, x: Array | None, least: float = 0.0) -> Line | None:
     """Return y = slope x, outliers left out; None where there is too little to say.
 
-    Windows with an |x| below `least` do not count as motion.
+    Parameters
+    ----------
+    least : float
+        Windows with a smaller |x| do not count as motion.
     """
     if x is None or y is None:
         return None

@@ -44,7 +44,10 @@ def corrected(log: MeasuredLog, faults: Faults) -> MeasuredLog:
 def rate_fault(cause: str, faults: Faults, text: str) -> Finding:
     """Return the finding of channels on a slower clock.
 
-    `text` has places for ``{names}`` and ``{rate_hz}``.
+    Parameters
+    ----------
+    text : str
+        With ``{names}`` and ``{rate_hz}``.
     """
     rate_hz, sd_hz = (float(np.median([f[k] for f in faults.values()])) for k in (1, 2))
     half = 1.96 * max(sd_hz, 0.01 * rate_hz)

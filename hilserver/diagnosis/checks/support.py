@@ -54,8 +54,11 @@ def subset(channel: Channel, keep: Mask) -> Channel:
 def along(channel: Channel, start_s: Array | None = None) -> Array:
     """Return stamps that rise over all spans, [s].
 
-    Counted from `start_s`, shape (spans,), where stamps may be seconds since some epoch, and a
-    later span an earlier day.
+    Parameters
+    ----------
+    start_s : ndarray, shape (spans,), optional
+        Counted from these; needed where stamps may be seconds since some epoch, and a later span
+        an earlier day.
     """
     since = channel.t_s if start_s is None else channel.t_s - start_s[channel.span]
     result: Array = since + SPAN_S * channel.span

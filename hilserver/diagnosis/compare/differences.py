@@ -54,7 +54,10 @@ def differences_of(
 ) -> list[Difference]:
     """Estimate every cause of a stage in both sets, beside the causes that both share.
 
-    `point` is the model that explains both sets together.
+    Parameters
+    ----------
+    point : Point
+        The model that explains both sets together.
     """
     library, stack = prepared.library, prepared.problem.stack
     span_of_block = np.full(stack.n_blocks, -1)

@@ -23,7 +23,10 @@ def difference_findings(
 ) -> list[Finding]:
     """Name the cause that explains the difference best in each stage, with its twins.
 
-    `points` are, by stage, the models that explain both sets together.
+    Parameters
+    ----------
+    points : mapping of str to Point
+        By stage, the model that explains both sets together.
     """
     found = []
     for stage, p in prepared.items():

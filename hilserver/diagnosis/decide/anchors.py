@@ -95,11 +95,16 @@ def anchor_off(
     It must hold on blocks that it was not fitted to, and beat every cause of the library and every
     unknown structure that was found: where another explains as much, nothing is concluded.
 
-    Of the deviance that the accepted causes save, `explained`, a small share may be their own
-    inexactness.
+    Parameters
+    ----------
+    explained : float
+        Deviance that the accepted causes save: a small share of it may be their own inexactness.
 
-    The p is family-wise over the anchors, weighted so that it compares with the level of the
-    screen.
+    Returns
+    -------
+    Anchor
+    float
+        Family-wise over the anchors, weighted so that it compares with the level of the screen.
     """
     problem = library.problem
     fields = _fields(problem, point)

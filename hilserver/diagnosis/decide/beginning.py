@@ -55,7 +55,10 @@ def causes_of(candidates: Sequence[Candidate], terms: Terms) -> Iterator[Fitted]
 def _as_it_runs(c: Candidate, own: Terms) -> Fitted:
     """Return a cause at given values; what only shapes it stays as given.
 
-    `own` are its terms in the order of the candidate's: first those that are fitted.
+    Parameters
+    ----------
+    own : mapping of str to float
+        By term, in the order of the candidate's: first those that are fitted.
     """
     values = list(own.values())
     theta = tuple(values[: c.n])

@@ -145,9 +145,17 @@ def _rearranged(
 ) -> tuple[Point, float]:
     """Exchange and drop causes, all compared with sizes and trends of their own in each part.
 
-    `first` is what was selected, before a cause was taken up for its change alone.
+    Parameters
+    ----------
+    first : Point
+        What was selected, before a cause was taken up for its change alone.
 
-    Returns the model with one size each, and the deviance with sizes and trends of their own.
+    Returns
+    -------
+    Point
+        With one size each.
+    float
+        Deviance with sizes and trends of their own.
     """
     problem, taken = library.problem, point.model.causes
     accepted = problem.accepted(point)

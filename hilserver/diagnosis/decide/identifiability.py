@@ -107,8 +107,11 @@ def explained(problem: Problem, point: Point, index: int) -> float:
 def rivals(library: Library, point: Point, index: int, near: Sequence[Trial] = ()) -> list[Rival]:
     """Fit every confusable rival in the place of an accepted cause; the best start of each.
 
-    `near` are others that explained nearly as much when the cause was accepted. A large effect need
-    not look like the slope of its cause: a limit does nothing until it is reached.
+    Parameters
+    ----------
+    near : sequence of Trial
+        Others that explained nearly as much when the cause was accepted. A large effect need not
+        look like the slope of its cause: a limit does nothing until it is reached.
     """
     problem, taken = library.problem, point.model.causes
     best: dict[str, tuple[Candidate, tuple[float, ...], float]] = {}
@@ -178,7 +181,10 @@ def with_best_rivals(
 
     One that leaves less, and larger errors on held-out blocks, is none.
 
-    `near` are those of each accepted cause, see `rivals`.
+    Parameters
+    ----------
+    near : mapping of str to sequence of Trial, optional
+        By accepted cause, see `rivals`.
     """
     near = near or {}
     for _ in range(MOST_SWAPS):

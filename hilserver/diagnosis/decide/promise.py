@@ -16,7 +16,10 @@ CLEARLY_SE: Final = 2.0
 class Step:
     """The exchange of one model for another, on held-out blocks, paired by block.
 
-    Both models are fitted on each half of the blocks and predict the other half.
+    Parameters
+    ----------
+    before, after : Point
+        Both are fitted on each half of the blocks and predict the other half.
     """
 
     def __init__(self, problem: Problem, before: Point, after: Point) -> None:

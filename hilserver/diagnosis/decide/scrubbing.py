@@ -49,7 +49,10 @@ def late_turn(point: Point) -> int | None:
 def bent_turn(problem: Problem, point: Point, explained: float) -> int | None:
     """Return the index of a cause that only bends what tyres make a little nearer to a gain.
 
-    All causes together save the deviance `explained`.
+    Parameters
+    ----------
+    explained : float
+        Deviance that all causes save together.
     """
     for index, cause in enumerate(point.model.causes):
         if traits_of(cause).bends_turn:

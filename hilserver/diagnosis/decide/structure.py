@@ -52,8 +52,10 @@ def remaining(
 ) -> list[Unknown]:
     """Return the families that the residual significantly depends on, the strongest first.
 
-    Of the deviance that the accepted causes save, `explained`, a small share may be their own
-    inexactness.
+    Parameters
+    ----------
+    explained : float
+        Deviance that the accepted causes save: a small share of it may be their own inexactness.
 
     Notes
     -----

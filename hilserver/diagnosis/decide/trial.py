@@ -114,7 +114,10 @@ def not_alone(information: Array) -> Mask:
 
     It would hide that of the others.
 
-    `information` is that of each block.
+    Parameters
+    ----------
+    information : ndarray, shape (blocks,)
+        Of each block.
     """
     used = np.ones(len(information), dtype=bool)
     while 2.0 * (left := information[used]).max() > left.sum() and np.count_nonzero(left) > 1:

@@ -69,7 +69,10 @@ def smallest(
 def _size(candidate: Candidate, times: float, norm: float) -> float | None:
     """Return the size that shows, from null; of a limit, which has none, its value.
 
-    So many `times` the unit of the candidate's column show.
+    Parameters
+    ----------
+    times : float
+        Units of the candidate's column that show.
     """
     if candidate.is_limit:
         return candidate.start[0] if times <= 1.0 else None

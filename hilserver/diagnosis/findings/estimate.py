@@ -54,7 +54,10 @@ class Estimate:
     def of(cls, model: Model, covariance: Array) -> "Estimate":
         """Return fitted parameters as they are reported.
 
-        `covariance`, shape (k, k), is that of the parameters as fitted.
+        Parameters
+        ----------
+        covariance : ndarray, shape (k, k)
+            Of the parameters as fitted.
         """
         names: list[str] = []
         owner: list[int] = []

@@ -49,7 +49,10 @@ def parameters(problem: Problem, point: Point) -> dict[int, dict[str, Parameter]
 def parameters_of(f: Fitted, shown: Array) -> dict[str, Parameter]:
     """Return the parameters of one cause as they are reported.
 
-    `shown` are the limits of 95 % of the parameters as fitted, shape (f.candidate.n, 2).
+    Parameters
+    ----------
+    shown : ndarray, shape (f.candidate.n, 2)
+        Limits of 95 % of the parameters as fitted.
     """
     terms = dict(f.terms)
     if is_wave(f):

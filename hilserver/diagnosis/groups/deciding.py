@@ -31,7 +31,10 @@ def decided(judged: Mapping[str, Judged]) -> Decided:
 
     What the others make superfluous is dropped, one cause at a time, the weakest first.
 
-    `judged` is by group.
+    Parameters
+    ----------
+    judged : mapping of str to Judged
+        By group.
     """
     members = tuple(judged.values())
     causes = causes_of(members)

@@ -58,7 +58,10 @@ def fit_in_all(
 ) -> JointFit:
     """Fit a model in every group.
 
-    The parameters that differ by group are `free`, shape (k,); without it they are found.
+    Parameters
+    ----------
+    free : ndarray of bool, shape (k,), optional
+        The parameters that differ by group; without it they are found.
     """
     points = [
         fit(j.prepared.problem, model, j.point) for j, model in zip(members, models, strict=True)

@@ -36,8 +36,13 @@ _LAGS = 40
 def fit_noise(residuals: Iterable[tuple[Array, Array]]) -> NoiseModel:
     """Fit white + Ornstein-Uhlenbeck noise with tails.
 
-    Residuals are stamps and values per span, shape (n,) each; stamps rise at any distances. Those
-    of a perfect replay, which do not differ, or fewer than 8 have next to no noise at all.
+    Residuals of a perfect replay, which do not differ, have next to no noise at all; fewer than 8
+    show none.
+
+    Parameters
+    ----------
+    residuals : iterable of (t_s, r)
+        Per span, shape (n,) each; stamps rise at any distances.
     """
     windows = Windows.cut(residuals, NOISE_WINDOW_S, SAMPLES_MAX)
     if windows.samples < 8 or not windows.spread > _FALLBACK_SD:

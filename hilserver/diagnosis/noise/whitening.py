@@ -50,11 +50,20 @@ class Filter:
         return cls(np.zeros(n), np.zeros(n), np.zeros(n))
 
     def prepare(self, part: slice, model: NoiseModel, t_s: Array, weights: Array) -> None:
-        """Fill the filter of one stretch of a noise; ValueError if there is no noise.
+        """Fill in the filter of a noise on one stretch.
 
-        Stamps and weights are those of all samples; stamps do not fall within a stretch. Weight w
-        multiplies the variance of an innovation by 1/w; a sample of weight 0 is skipped: output 0,
-        no trace in the later ones.
+        Parameters
+        ----------
+        t_s : ndarray, shape (n,)
+            Stamps of all samples, not falling in the stretch. Gaps are missing samples.
+        weights : ndarray, shape (n,)
+            Of each sample, at least 0. A sample of weight 0 is skipped: output 0, no trace in the
+            later ones. Weight w multiplies the variance of its innovation by 1/w.
+
+        Raises
+        ------
+        ValueError
+            If both standard deviations of the noise are 0, or one is not a number.
         """
         if not (model.sd > 0.0 and math.isfinite(model.sd) and model.ou_tau_s > 0.0):
             raise ValueError(f"no noise to whiten with: {model}")

@@ -56,7 +56,10 @@ class Manoeuvre:
 def of_log(log: MeasuredLog, robot: RobotParameters) -> list[Manoeuvre]:
     """Return the manoeuvre of every span of a log.
 
-    LogError if the log has no set-points, or is too short or too long.
+    Raises
+    ------
+    LogError
+        If the log has no set-points, or is too short or too long.
     """
     names = SETPOINTS if log.has(*SETPOINTS) else TWIST
     if not log.has(*names):
@@ -117,7 +120,10 @@ def of_scenario(
 ) -> list[Manoeuvre]:
     """Return the manoeuvre that a scenario's steps command; its faults are left out.
 
-    ConfigError if it is no scenario, has no set-points, or is too long.
+    Raises
+    ------
+    ConfigError
+        If it is no scenario, has no set-points, or is too long.
     """
     scenario = load_scenario(path)
     now: dict[str, float] = dict.fromkeys((*SETPOINTS, *TWIST, MODE), 0.0) | {ENABLE: 1.0}

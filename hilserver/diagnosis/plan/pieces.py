@@ -52,7 +52,10 @@ def there_and_back(moves: Sequence[Move]) -> list[Move]:
 def pieces(robot: RobotParameters, room_m: tuple[float, float]) -> list[Piece]:
     """Return the pieces that stay inside a room when begun in its middle, along its first side.
 
-    `room_m` are the sides of the room.
+    Parameters
+    ----------
+    room_m : tuple of float
+        Sides of the room.
     """
     half = [0.5 * side - MARGIN_M for side in room_m]
     found = [Piece(name, of_moves(moves)) for name, moves in _all(robot, max(half[0], 0.05))]

@@ -192,7 +192,10 @@ class PoseStage(Stage):
     def judges(log: MeasuredLog, robot: RobotParameters, *, driven: bool) -> bool:
         """Return whether the log has what this stage needs.
 
-        With `driven` the drive's stage replays wheels whose speed is not measured.
+        Parameters
+        ----------
+        driven : bool
+            The drive's stage replays wheels whose speed is not measured.
         """
         moved = driven or tell_motion(robot, lambda name: name in log)
         return moved and (log.has(*POSITION) or YAW in log or GYRO in log)

@@ -35,7 +35,10 @@ FEWEST: Final = 20
 def cuts(stages: Collection[Prepared]) -> tuple[CutRow, ...]:
     """Return the residual of every channel from every cut point that the log allows.
 
-    The configured plant is replayed, whatever was found. Stages are drive, pose or both.
+    Parameters
+    ----------
+    stages : collection of Prepared
+        Drive, pose or both. The configured plant is replayed, whatever was found.
     """
     known = any(p.problem.stage.follows_setpoints for p in stages)
     rows = [row for p in stages for row in _from_all(p, setpoints=known)]
@@ -45,7 +48,10 @@ def cuts(stages: Collection[Prepared]) -> tuple[CutRow, ...]:
 def _from_all(p: Prepared, *, setpoints: bool) -> list[CutRow]:
     """Return the residuals of one stage from every cut point.
 
-    With `setpoints` the log holds those that the machine got.
+    Parameters
+    ----------
+    setpoints : bool
+        The log holds those that the machine got.
     """
     stage, rows = p.problem.stage, []
     if isinstance(stage, DriveStage):

@@ -175,7 +175,10 @@ class Plot:
     ) -> None:
         """Draw a line; `role` is its class, `title` what shows when the pointer rests on it.
 
-        The line breaks where `run`, of the shape of `x`, changes.
+        Parameters
+        ----------
+        run : ndarray of int64, optional
+            The line breaks where it changes; shape as `x`.
         """
         kept = decimate(x, y, points) if run is None else thinned(x, y, run)
         self._line(*kept, role, title)

@@ -204,7 +204,10 @@ class Findings(_Model):
 def overall(found: Iterable[Finding], *, is_judged: bool = True) -> Overall:
     """Return the verdict on a log with these findings; too little motion to say is none.
 
-    Without `is_judged` the log lacks the channels that any cause shows in.
+    Parameters
+    ----------
+    is_judged : bool
+        False: the log lacks the channels that any cause shows in.
     """
     named = [one for one in found if one.verdict is not Verdict.INSUFFICIENT_EXCITATION]
     silent = Overall.NOTHING_FOUND if is_judged else Overall.NOT_JUDGED
