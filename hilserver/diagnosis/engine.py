@@ -110,19 +110,21 @@ def judge(
     answers = answers_of(member.judged, seed, jobs)
     tracker.timed("halves")
     tracker("measuring the gain", 0.0)
-    own = [answer.explained.gains(HORIZON_S, rng) for answer in answers]
-    of_patch = [answer.named.gains(HORIZON_S, rng) for answer in answers]
-    total, notices = _all_of(own), member.log.notices
+    of_all = [answer.explained.gains(HORIZON_S, rng) for answer in answers]
+    # the gain of all that predicts is that of a single cause where nothing else predicts
+    gains = [g if a.named is a.explained else None for g, a in zip(of_all, answers, strict=True)]
+    of_patch = [
+        gain or answer.named.gains(HORIZON_S, rng)
+        for gain, answer in zip(gains, answers, strict=True)
+    ]
+    whole, total, notices = _all_of(of_all), _all_of(of_patch), member.log.notices
     if test is not None:
-        total, patched = _on_other_logs(member, test, rng)
-        of_patch.append(patched)
+        whole, total = _on_other_logs(member, test, rng)
+        of_patch.append(total)
         files = ", ".join(s.file for s in test.sources)
         notices = (*notices, *test.notices, f"{ON_OTHER_LOGS}{files}")
-    # the gain of all that predicts is that of a single cause where nothing else predicts
-    alone = [j.whole is j.point for j in member.judged.values()]
-    gains = [gain if one else None for gain, one in zip(own, alone, strict=True)]
     found, fitted = _collected([member], answers, rng, gains)
-    ceiling = _all_of(ceilings(a.explained.parts[0], HORIZON_S, rng) for a in answers)
+    ceiling = _all_of(ceilings(a.named.parts[0], HORIZON_S, rng) for a in answers)
     sizes, unseen = member.smallest(rng)
     if stood_still(member.log):
         sizes, unseen = at_rest(sizes, unseen)
@@ -134,7 +136,7 @@ def judge(
         answers,
         found,
         fitted,
-        worsened(total, *of_patch),
+        worsened(whole, *of_patch),
         tracker,
         total_gain=total,
         seed=seed,
@@ -309,7 +311,7 @@ def _diagnosis(
     fields
         Of `Findings`.
     """
-    predicts = any(answer.explained.predicts for answer in answers)
+    predicts = any(answer.model.of_the_machine for answer in answers)
     findings = _findings(
         [m.log for m in members],
         verdict=overall(found, is_judged=any(m.judged for m in members)),
@@ -335,5 +337,5 @@ def _findings(logs: Iterable[MeasuredLog], *, notices: Iterable[str], **fields: 
 def _evidence(
     m: Member, answers: Sequence[Answer], terms: tuple[FittedTerm, ...], tracker: Tracker
 ) -> Evidence:
-    own = [part for a in answers for part in a.explained.parts if part.member == m.name]
+    own = [part for a in answers for part in a.named.parts if part.member == m.name]
     return evidence(m.log, own, terms, tracker.timings_s)

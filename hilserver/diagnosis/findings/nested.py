@@ -14,7 +14,7 @@ from hilserver.diagnosis.decide.revision import Judged, revised
 from hilserver.diagnosis.decide.selection import select
 from hilserver.diagnosis.findings.estimate import estimate_of
 from hilserver.diagnosis.findings.outcome import named_findings
-from hilserver.diagnosis.findings.worth import Answer, Explained, Part, Predictions, without_causes
+from hilserver.diagnosis.findings.worth import Answer, Explained, Part, Predictions
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.gain import of_halves
 from hilserver.diagnosis.regression.stages import without
@@ -70,31 +70,43 @@ def judged_by_halves(judged: Mapping[str, Judged], seed: int, jobs: int) -> dict
     return dict(found)
 
 
-def cross_validated(j: Judged, halves: Halves, before: Array, *, named: bool = False) -> Explained:
+def cross_validated(
+    j: Judged, halves: Halves, configured: Array, *, named: bool = False
+) -> Explained:
     """Return what the causes of a stage explain of blocks that had no part in choosing them.
+
+    Where they correct the log itself (its clock), they do so beside the configured plant as well.
 
     Parameters
     ----------
+    configured : ndarray, shape (n,)
+        What the configured plant predicts.
     named : bool
         Only those that have a name, fitted without the others.
     """
-    problem = j.prepared.problem
+    problem, poses = j.prepared.problem, j.point.poses
     names = [
         {f.candidate.cause, *(r.candidate.cause for r in j.ties.get(f.candidate.cause, ()))}
         for f in j.point.model.fitted
     ]
 
-    def without_some(causes: frozenset[int]) -> Predictions:
-        barred = set().union(*(names[i] for i in causes))
-        models = [Model() if half is None else _model(half, barred, named) for half in halves]
-        predicted = [
-            problem.point(model, j.point.poses, pose_steps=2).predicted if model.fitted else before
+    def by_halves(barred: set[str]) -> list[Model]:
+        both = halves or (None, None)
+        return [Model() if half is None else _model(half, barred, named) for half in both]
+
+    def predicted(models: Sequence[Model]) -> Array:
+        each = [
+            problem.point(model, poses, pose_steps=2).predicted if model.fitted else configured
             for model in models
         ]
-        return (of_halves(problem, predicted),)
+        return of_halves(problem, each)
 
-    after = without_some(frozenset())[0] if halves else before
-    return Explained((Part("", j, before, after),), without_some)
+    def without_some(causes: frozenset[int]) -> Predictions:
+        return (predicted(by_halves(set().union(*(names[i] for i in causes)))),)
+
+    found = by_halves(set())
+    of_log = [model.without(*model.of_the_machine) for model in found]
+    return Explained((Part("", j, predicted(of_log), predicted(found)),), without_some)
 
 
 def _model(half: Judged, barred: set[str], named: bool) -> Model:
@@ -103,5 +115,5 @@ def _model(half: Judged, barred: set[str], named: bool) -> Model:
     gone = [i for i, cause in enumerate(point.model.causes) if cause in barred]
     if not gone:
         return point.model
-    problem, less = half.prepared.problem, without_causes(point.model, gone)
+    problem, less = half.prepared.problem, point.model.without(*gone)
     return halfway(problem, fit(problem, less, point, iterations=3)).model

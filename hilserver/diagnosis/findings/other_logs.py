@@ -25,7 +25,7 @@ def gain_on(
     horizon_s: float,
     rng: np.random.Generator,
 ) -> dict[str, Gain]:
-    """Return what models of the stages gain on another log.
+    """Return what models of the stages gain on another log; both sides correct the log alike.
 
     Where the log consists of several runs, free runs go from the beginning of each to its end;
     `horizon_s` else.
@@ -37,8 +37,9 @@ def gain_on(
     known = models["drive"].terms if "drive" in models else {}
     for name, stage in stages_of(log, robot, drive_terms=known).items():
         problem, model = Problem(stage.uncut()), models.get(name, Model())
+        of_log = model.without(*model.of_the_machine)
         before, after = (
-            problem.predict(terms, problem.start_poses(terms)) for terms in ({}, model.terms)
+            problem.predict(m.terms, problem.start_poses(m.terms)) for m in (of_log, model)
         )
         found |= gains(problem, before, after, horizon_s, rng)
     return found

@@ -1,6 +1,6 @@
 """What each cause is worth on held-out blocks: alone, and with those that could stand in for it."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +22,7 @@ class Part:
 
     member: str
     judged: Judged
-    # held-out predictions without any cause, and with all of them
+    # held-out predictions: the configured plant, the log as all causes correct it; with all causes
     before: Array
     after: Array
 
@@ -43,11 +43,6 @@ class Explained:
     parts: tuple[Part, ...]
     # predictions of the model without some of its causes, by their places in it
     without: Callable[[frozenset[int]], Predictions]
-
-    @property
-    def predicts(self) -> bool:
-        """Whether there is a cause, with or without a name."""
-        return any(part.after is not part.before for part in self.parts)
 
     def gains(
         self, horizon_s: float, rng: np.random.Generator, before: Predictions | None = None
@@ -83,13 +78,6 @@ def _ratio(before: float, after: float) -> float:
     return 1.0 if before == after else before / max(after, 1e-300)
 
 
-def without_causes(model: Model, causes: Iterable[int]) -> Model:
-    """Return a model without some of its causes."""
-    for index in sorted(causes, reverse=True):
-        model = model.without(index)
-    return model
-
-
 @dataclass(frozen=True)
 class Answer:
     """The answer of one stage of all members."""
@@ -109,15 +97,14 @@ class Answer:
         Parameters
         ----------
         total : dict of str to Gain, optional
-            The gain of all causes, if known: that of a single one.
+            The gain of all causes, if known: that of a single one, if it is of the machine.
         """
-        found = []
+        found, single = [], len(self.findings) == len(self.model.of_the_machine) == 1
         for index, finding in enumerate(self.findings):
             alone = self.explained.without(frozenset({index}))
             partners = self.estimate.partners(index)
             together = self.explained.without(partners | {index}) if partners else alone
-            only = total if len(self.findings) == 1 else None
-            gain = only or self.explained.gains(horizon_s, rng, alone)
+            gain = (total if single else None) or self.explained.gains(horizon_s, rng, alone)
             matters = self.explained.matters(alone, together)
             found.append(finding.model_copy(update={"gain": gain, "matters": matters}))
         return found

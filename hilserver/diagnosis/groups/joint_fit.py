@@ -34,8 +34,19 @@ class JointFit:
         """Return the model of a group, with what it shares."""
         return _with_values(self.points[group].model, self.all.value[group])
 
-    def held_out(self) -> tuple[Array, ...]:
-        """Return every sample's prediction by a fit that did not see its block."""
+    def held_out(self, left_out: frozenset[int] = frozenset()) -> tuple[Array, ...]:
+        """Return every sample's prediction by a fit that did not see its block.
+
+        Parameters
+        ----------
+        left_out : frozenset of int
+            Causes that were fitted with the others and predict nothing.
+        """
+
+        def predicted(j: Judged, point: Point, values: Array) -> Array:
+            model = _with_values(point.model, values).without(*left_out)
+            return j.prepared.problem.point(model, point.poses).predicted
+
         folds = []
         for test in (0, 1):
             own = [
@@ -43,10 +54,7 @@ class JointFit:
                 for j, point, known in zip(self.members, self.points, self.fits, strict=True)
             ]
             values = together(own, self.all.free).value
-            folds.append([
-                j.prepared.problem.point(_with_values(point.model, value), point.poses).predicted
-                for j, point, value in zip(self.members, self.points, values, strict=True)
-            ])  # fmt: skip
+            folds.append(list(map(predicted, self.members, self.points, values)))
         pairs = zip(*folds, strict=True)
         return tuple(
             held_out(j.prepared.problem, pair) for j, pair in zip(self.members, pairs, strict=True)

@@ -12,7 +12,7 @@ import numpy as np
 from hilserver.diagnosis.catalogue.candidate import STAGES
 from hilserver.diagnosis.examine import Member
 from hilserver.diagnosis.findings.estimate import Estimate
-from hilserver.diagnosis.findings.worth import Answer, Explained, Part, Predictions, without_causes
+from hilserver.diagnosis.findings.worth import Answer, Explained, Part, Predictions
 from hilserver.diagnosis.groups.deciding import Decided, decided, with_what_remains
 from hilserver.diagnosis.groups.finding import estimate_in_groups, fitted_findings
 from hilserver.diagnosis.groups.joint_fit import fit_in_all
@@ -42,15 +42,21 @@ def _answer(d: Decided) -> Answer:
 
 def _explained(d: Decided) -> Explained:
     """Return what the causes of one stage explain in all groups."""
-    before = tuple(j.prepared.problem.point(Model(), j.point.poses).predicted for j in d.members)
     fitted = d.joint
-    after = before if fitted is None else fitted.held_out()
+    configured = tuple(
+        j.prepared.problem.point(Model(), j.point.poses).predicted for j in d.members
+    )
+    before = after = configured
+    if fitted is not None:
+        machine, after = fitted.points[0].model.of_the_machine, fitted.held_out()
+        if len(machine) < len(d.causes):  # the log is corrected beside both
+            before = fitted.held_out(machine)
 
     def without(causes: frozenset[int]) -> Predictions:
         assert fitted is not None
         if len(causes) == len(fitted.points[0].model.fitted):
-            return before
-        models = [without_causes(point.model, causes) for point in fitted.points]
+            return configured
+        models = [point.model.without(*causes) for point in fitted.points]
         slices = fitted.points[0].model.slices
         gone = [i for cause in causes for i in range(slices[cause].start, slices[cause].stop)]
         return fit_in_all(d.members, models, np.delete(fitted.all.free, gone)).held_out()

@@ -8,6 +8,7 @@ import numpy as np
 
 from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.candidate import Candidate
+from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG
 from hilserver.plant.parameters import RobotParameters
 
 
@@ -49,6 +50,12 @@ class Model:
         ends = accumulate((f.candidate.n for f in self.fitted), initial=0)
         return tuple(slice(begin, end) for begin, end in pairwise(ends))
 
+    @property
+    def of_the_machine(self) -> frozenset[int]:
+        """Places of the causes that a patch can hold; the others correct the log."""
+        by_place = enumerate(self.fitted)
+        return frozenset(i for i, f in by_place if f.terms.keys().isdisjoint(OF_THE_LOG))
+
     def theta(self) -> Array:
         """Return all parameters in one vector."""
         return np.array([v for f in self.fitted for v in f.theta])
@@ -74,9 +81,9 @@ class Model:
         others = (f for f in self.fitted if new.terms.keys().isdisjoint(f.terms))
         return Model((*others, new))
 
-    def without(self, index: int) -> "Model":
-        """Return the model without one of its causes."""
-        return Model(self.fitted[:index] + self.fitted[index + 1 :])
+    def without(self, *causes: int) -> "Model":
+        """Return the model without some of its causes, by their places."""
+        return Model(tuple(f for i, f in enumerate(self.fitted) if i not in causes))
 
     def swapped(self, index: int, candidate: Candidate, theta: tuple[float, ...]) -> "Model":
         """Return the model with one cause replaced."""

@@ -10,7 +10,7 @@ from hilserver.diagnosis.catalogue.candidate import wave
 from hilserver.diagnosis.findings.estimate import Estimate, estimate_of, joint
 from hilserver.diagnosis.findings.outcome import parameters
 from hilserver.diagnosis.findings.sensors import noise_of
-from hilserver.diagnosis.findings.worth import Answer, Explained, Part, without_causes
+from hilserver.diagnosis.findings.worth import Answer, Explained, Part
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.gain import crossed, held_out
 from hilserver.diagnosis.replay.model import Model
@@ -86,7 +86,7 @@ def test_partners_take_over_what_one_cause_explains_alone(alike):
     after = held_out(problem, crossed(problem, point, point.model))
 
     def without(causes):
-        start = problem.point(without_causes(point.model, causes), point.poses)
+        start = problem.point(point.model.without(*causes), point.poses)
         return (held_out(problem, crossed(problem, start, start.model)),)
 
     judged = SimpleNamespace(prepared=SimpleNamespace(problem=problem))

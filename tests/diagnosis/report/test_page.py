@@ -13,7 +13,7 @@ from hilserver.diagnosis.report.plain import plain
 from hilserver.diagnosis.report.summary import summary
 from hilserver.diagnosis.report.words import Change
 from hilserver.diagnosis.schema.evidence import Evidence
-from hilserver.diagnosis.schema.findings import ON_OTHER_LOGS, Finding
+from hilserver.diagnosis.schema.findings import ON_OTHER_LOGS, Finding, Parameter, Verdict
 from hilserver.signals import Ranges, robot_table
 from tests.diagnosis.sample import evidence, findings, gain, nothing_found
 
@@ -242,6 +242,19 @@ def test_a_decision_stands_beside_what_was_found_in_the_end(page):
     taken, refused = re.findall(r"<tr>\s*<td.*?</tr>", section, re.DOTALL)
     assert re.findall(r"<td[^>]*>(?:<code>)?([^<]*)", taken)[-2:] == ["0.001", f"{MINUS}0.47"]
     assert re.findall(r"<td[^>]*>(?:<code>)?([^<]*)", refused)[-2:] == ["", ""]
+
+
+def test_what_of_the_log_is_no_gain_of_the_patch_is_said_once(page):
+    said = "the clock offset of this log is corrected in both models"
+    late = Finding(
+        verdict=Verdict.NAMED, causes=("clock_offset",), block="timing",
+        parameters={"clock_offset.nav": Parameter(value=0.3, ci95=(0.29, 0.31), unit="s")},
+    )  # fmt: skip
+    given = findings()
+    given = given.model_copy(update={"findings": (*given.findings, late)})
+    assert render(given, Evidence()).count(said) == 1
+    assert said in " ".join(summary(given).split())
+    assert said not in page
 
 
 def test_a_ceiling_is_explained_where_it_stands(page):
