@@ -43,7 +43,7 @@ Found = tuple[MeasuredLog, list[Finding]]
 def find(log: MeasuredLog, robot: RobotParameters) -> Found:
     """Find wrong signs and swapped sides; they are put right."""
     findings: list[Finding] = []
-    for judge in (_wheels_by_setpoints, _frame, _sides_by_navigation, _turning):
+    for judge in (_wheels_by_setpoints, _frame, _wheels_by_navigation, _turning):
         log, found = judge(log, robot)
         findings += found
     return log, findings
@@ -192,33 +192,31 @@ def _other_rates(log: MeasuredLog, robot: RobotParameters) -> list[Array]:
     return rates if wheels is None else [*rates, wheels]
 
 
-def _sides_by_navigation(log: MeasuredLog, robot: RobotParameters) -> Found:
-    """Judge both sides by the tag: w = a v + b om, with a > 0 on the left and < 0 on the right."""
+def _wheels_by_navigation(log: MeasuredLog, robot: RobotParameters) -> Found:
+    """Judge wheels by the tag: w = a v + b om, with a > 0 on the left and < 0 on the right.
+
+    Those of a mecanum robot turn apart when it goes to the side: both of one side together.
+    """
     found = _forward(log) if _is_aligned(log, robot) else None
     kinds = [k for k in ("speed_rpm", "setpoint_rpm", "duty_pct") if f"wheel.fl.{k}" in log]
     if found is None or not kinds:
         return log, []
-    speed, rate = found
-    windows = windows_of(log)
-    fits = []
-    for side, forward in ((LEFT_WHEELS, 1.0), (RIGHT_WHEELS, -1.0)):
-        w = side_mean(log, side, kinds[0], windows)
-        fit = None if w is None else _two_weights(w * robot.wheel_radius_m, speed, rate)
+    windows, sides = windows_of(log), (LEFT_WHEELS, RIGHT_WHEELS)
+    own = sides if robot.is_mecanum else [(w,) for w in WHEELS if f"wheel.{w}.{kinds[0]}" in log]
+    signs: dict[tuple[str, ...], tuple[float, float]] = {}
+    for wheels in own:
+        w = side_mean(log, wheels, kinds[0], windows)
+        fit = None if w is None else _two_weights(w * robot.wheel_radius_m, *found)
         if fit is None or abs(fit[0]) < 0.2 or abs(fit[1]) < 0.02:
             return log, []
-        fits.append((forward * np.sign(fit[0]), robot.yaw_sign * np.sign(fit[1])))
-    (left_v, left_om), (right_v, right_om) = fits
-    if left_v == right_v == -1 and left_om == right_om == 1:
+        forward = 1.0 if wheels[0] in LEFT_WHEELS else -1.0
+        signs[wheels] = forward * np.sign(fit[0]), robot.yaw_sign * np.sign(fit[1])
+    if set(signs.values()) == {(-1.0, 1.0)}:
         text = "they roll backward where the tag, unless it is mounted so, goes forward"
         return _swapped(log, kinds, dict.fromkeys(kinds, 1.0), text)
-    against = [
-        f"wheel.{wheel}.{kind}"
-        for side, v, om in ((LEFT_WHEELS, left_v, left_om), (RIGHT_WHEELS, right_v, right_om))
-        if v == om == -1
-        for wheel in side
-        for kind in kinds
-        if f"wheel.{wheel}.{kind}" in log
-    ]
+    names = [f"wheel.{w}.{kind}" for wheels, sign in signs.items() if sign == (-1.0, -1.0)
+             for w in wheels for kind in kinds]  # fmt: skip
+    against = [name for name in names if name in log]
     if not against:
         return log, []
     return _flipped(log, against, 0.99, "the wheels roll against the motion that the tag measured")

@@ -179,6 +179,16 @@ def test_a_side_that_runs_backward_is_told_by_the_tag(table):
     assert fault(t, left)[::2] == ("sign_flip", set(SPEEDS[:2]))
 
 
+@pytest.mark.parametrize("wheel", [0, 3])
+def test_one_wheel_that_runs_backward_is_told_by_the_tag(table, wheel):
+    """Without set-points; beside it the mean of its side would stand still."""
+    t, columns = table
+    one = {n: v for n, v in scaled(columns, SPEEDS[wheel : wheel + 1], -1).items() if n not in SENT}
+    cause, _, channels, log = fault(t, one)
+    assert (cause, channels) == ("sign_flip", {SPEEDS[wheel]})
+    assert log[SPEEDS[wheel]].values == pytest.approx(columns[SPEEDS[wheel]])
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_swapped_sides(table, sign):
     t, columns = table
