@@ -57,6 +57,7 @@ def mjcf(body: BodyParameters, solids: Iterable[Solid] = ()) -> str:
   </worldbody>
   <sensor>
 {contacts}
+    <contact geom1="bumper" num="1" data="found"/>
     <accelerometer site="imu"/>
   </sensor>
 </mujoco>

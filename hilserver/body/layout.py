@@ -38,6 +38,7 @@ class Signals(Record):
     torque: Wheels  # [Nm]
     gap: float  # [m]
     gap_yaw: float  # [rad]
+    bump: float
 
 
 class Motion(Record):
@@ -52,12 +53,14 @@ class Motion(Record):
     contact: WheelVectors  # [m], where they act
     up: WheelVectors  # their directions
     accel: Three  # [m/s2], specific force
+    bump: float  # 1: the bumper touched something in the last slice
     pose_request: float
     failed: float  # 1: MuJoCo warned or a number is not finite; it stands still
     wait: float  # plant ticks until the wheels' speeds are handed over
     asked: Wheels  # [rad/s] or [%]: what the last run was driven by
     warnings: Annotated[NDArray[np.float64], N_WARNINGS]  # MuJoCo's counters, as bits: 0.0 is none
     touch: Annotated[NDArray[np.float64], (4, 2, 3)]  # sensor: net force and where it acts, world
+    bumps: float  # sensor: contacts of the bumper
     felt: Three  # sensor: specific force [m/s2]
     time: float  # from here on as mj_getState writes it
     position: Three  # [m], world

@@ -53,6 +53,7 @@ def _show_motion(b: Motion, pose: Any, out: Signals) -> None:
     out.angular = b.turning[2]
     out.gap = math.hypot(b.position[0] - pose[0], b.position[1] - pose[1])
     out.gap_yaw = wrap(yaw - pose[2])
+    out.bump = b.bump
 
 
 @part

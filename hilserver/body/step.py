@@ -120,6 +120,7 @@ def advance(p: Constants, numbers: Any, a: Addresses) -> bool:
     for i in range(N_WARNINGS):
         b.warnings[i] = 0.0
     call(a.copy_bytes, a.warnings, counters, 8 * N_WARNINGS, 0)
+    b.bump = 0.0
     for _ in range(int(p.steps)):
         _push(p, b, push)
         place, axes = vector(b.position), body_axes(b.orientation)
@@ -128,6 +129,8 @@ def advance(p: Constants, numbers: Any, a: Addresses) -> bool:
         call(a.get_state, a.model, a.memory, state.ctypes.data, a.signature)
         call(a.copy_bytes, sensors, a.sensors, 8 * (MUJOCO - TOUCH), 0)
         _read_contacts(b, place, axes)
+        if b.bumps != 0.0:
+            b.bump = 1.0
     call(a.copy_bytes, counters, a.warnings, 8 * N_WARNINGS, 0)
     warned = False
     for k in range(3):

@@ -222,6 +222,7 @@ def _body_outputs() -> list[tuple[str, str, float, float, str]]:
             math.pi,
             "Heading of the body minus the kinematic one",
         ),
+        ("mech.contact", "1", 0.0, 1.0, "1 while the chassis touches a wall, a box or the floor"),
     ]
 
 

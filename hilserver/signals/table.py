@@ -51,9 +51,10 @@ class Signal:
     @property
     def range_text(self) -> str:
         """The range in words: ``-0.8 .. 0.8 m/s``, or the only value that this robot accepts."""
+        unit = "" if self.unit == "1" else f" {self.unit}"
         if self.low == self.high:
-            return f"{self.low:g} {self.unit}, all that this robot's plant.drive can do"
-        return f"{self.low:g} .. {self.high:g} {self.unit}"
+            return f"{self.low:g}{unit}, all that this robot's plant.drive can do"
+        return f"{self.low:g} .. {self.high:g}{unit}"
 
     @property
     def writable(self) -> bool:

@@ -45,7 +45,10 @@ def test_on_the_floor_the_robot_has_to_be_accelerated():
 
 
 def test_blocked_by_a_wall_the_robot_stops_and_its_wheels_slip():
-    body = Body(torque=True, sensors=True, solids=WALL).run(4.0, *FULL)
+    body = Body(torque=True, sensors=True, solids=WALL).run(0.1, *FULL)
+    assert body.b.bump == 0.0
+    body.run(3.9, *FULL)
+    assert body.b.bump == 1.0
     assert front(body) == pytest.approx(0.975, abs=0.01)  # the wall is 50 mm thick
     assert body.velocity == pytest.approx((0.0, 0.0, 0.0), abs=1e-3)
     slip = body.b.slip

@@ -57,6 +57,7 @@ def test_signals_lie_in_the_order_of_the_model():
         "mech.wheel.fl.torque_nm": "torque",
         "mech.gap_m": "gap",
         "mech.gap_yaw_rad": "gap_yaw",
+        "mech.contact": "bump",
     }
     places = {name: Signals.where(field).start for name, field in begin.items()}
     assert {name: table.slot(name) - first for name in begin} == places
@@ -68,6 +69,7 @@ async def test_the_body_follows_the_plant_until_a_wall_stops_it():
         drive(core, 0.5)
         await core.scheduler.advance(2001)
         assert value(core, "mech.gap_m") < 0.02
+        assert value(core, "mech.contact") == 0.0
         assert value(core, "mech.imu.accel_z_m_s2") == pytest.approx(9.81, abs=0.01)
         forces = [value(core, f"mech.wheel.{w}.normal_force_n") for w in ("fl", "rl", "fr", "rr")]
         assert sum(forces) == pytest.approx(5.0 * 9.81, rel=1e-3)
@@ -80,6 +82,7 @@ async def test_the_body_follows_the_plant_until_a_wall_stops_it():
         assert value(core, "mech.linear_m_s") == pytest.approx(0.0, abs=1e-3)
         assert value(core, "mech.wheel.fl.slip_m_s") == pytest.approx(0.5, rel=0.01)
         assert value(core, "mech.tof.fl_m") < 0.06
+        assert value(core, "mech.contact") == 1.0
         gap = value(core, "pose.x_m") - value(core, "mech.x_m")
         assert value(core, "mech.gap_m") == pytest.approx(gap, rel=0.01)
         outputs = Outputs(core)
