@@ -151,8 +151,7 @@ class _Replay:
         engine.feed_state(in_rows=plan.feeds_state)
         with closing(writer), Progress() as progress:
             for stretch in plan.stretches:
-                if stretch.state is not None:
-                    writer.add_state(State(stretch.segment, stretch.first_tick, stretch.state))
+                writer.add_state(engine.start_of(stretch))
                 async for batch in engine.play(stretch):
                     writer.write(batch)
                     if comparison is not None:

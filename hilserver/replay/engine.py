@@ -12,12 +12,13 @@ from hilserver.daemon.builder import Pace, build
 from hilserver.errors import ConfigError, LogError
 from hilserver.image import read_frames
 from hilserver.image.changes import Changes
-from hilserver.logs import Log
+from hilserver.logs import Log, State
 from hilserver.logs.csv_writer import BAD
 from hilserver.logs.log import Change
 from hilserver.logs.writer import Segmented
 from hilserver.replay.plan import Stretch
-from hilserver.signals import Direction, SignalTable, State
+from hilserver.signals import Direction, SignalTable
+from hilserver.signals import State as DaemonState
 
 QUEUE_ROWS = 1 << 17
 RING_FRAMES = 1 << 11
@@ -68,7 +69,7 @@ class Engine:
 
     def feed_state(self, *, in_rows: bool) -> None:
         """Say whether the daemon's state comes in the rows, or is ``running`` throughout."""
-        self.image.control.state = IN_ROWS if in_rows else State.RUNNING
+        self.image.control.state = IN_ROWS if in_rows else DaemonState.RUNNING
 
     def _post(self, changes: deque[Change], until: int) -> list[Change]:
         """Hand over the changes before the tick `until`, as many as there is room for."""
@@ -81,10 +82,14 @@ class Engine:
             posted.append(change)
         return posted
 
+    def start_of(self, stretch: Stretch) -> State:
+        """Return the state that a stretch begins with."""
+        words = self._fresh if stretch.state is None else stretch.state
+        return State(stretch.segment, stretch.first_tick, words)
+
     async def play(self, stretch: Stretch) -> AsyncIterator[Segmented]:
         """Run through a stretch; give its frames."""
-        state = self._fresh if stretch.state is None else stretch.state
-        await self._store.restore(state, stretch.first_tick)
+        await self._store.restore(self.start_of(stretch).words, stretch.first_tick)
         rows, period_ns = stretch.rows, self.assembly.base_period_ns
         changes = deque(stretch.changes)
         number, done = self.image.head, 0

@@ -48,6 +48,7 @@ def test_missing_samples_hold_and_segments_start_anew(replay_here, tmp_path):
     header = HEADER.replace("t_s", "t_s,segment")
     log = write_steps(tmp_path / "log.csv", rows, header)
     replay_here(log, "-o", "out.csv")
+    assert "bit for bit" in replay_here("out.csv", "-o", "again.mcap", "--check")
     out = read_log(tmp_path / "out.csv")
     assert sorted(set(out.segment.tolist())) == [5, 6]
     first, second = ({n: c[out.segment == s] for n, c in out.columns.items()} for s in (5, 6))
