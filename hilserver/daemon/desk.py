@@ -15,7 +15,7 @@ from hilserver.config.loading import LIVE_BYTES
 from hilserver.config.recording import RecordingConfig
 from hilserver.core.recalibration import Decisions
 from hilserver.daemon.builder import Core
-from hilserver.daemon.patches import Patches
+from hilserver.daemon.patches import Patches, file_of
 from hilserver.errors import ControlRefused, UserError
 from hilserver.faults import Play, load_scenario
 from hilserver.faults.scenario import Stage
@@ -49,16 +49,14 @@ class Scenarios:
         a mistake.
         """
         self._refuse_while_playing()
-        path = self._folder / name
-        if not path.is_file():
-            raise ControlRefused(f"there is no scenario '{name}' in {self._folder}")
+        path = file_of(self._folder, name, "scenario")
         scenario = await asyncio.to_thread(load_scenario, path, LIVE_BYTES)
         self._refuse_while_playing()  # another one may have begun while the file was read
         self._stage.check(Play(scenario, path))
         start, owner = self._core.scheduler.tick + 1, self._core.gate.owner
         self._stage.play(scenario, start)
         end = start + round(scenario.length_s / self._period_s)
-        self._playing = _Playing(name, start, end, owner)
+        self._playing = _Playing(path.name, start, end, owner)
 
     def _refuse_while_playing(self) -> None:
         if self.view() is not None:
@@ -103,13 +101,13 @@ class Recordings:
 
         ControlRefused if a recording runs, the suffix is none of ours, or the file exists.
         """
-        path = self._folder / name
+        path = self._folder / (name if "." in name else name + SUFFIXES[0])
         if self._task is not None and not self._task.done():
             raise ControlRefused(f"{self._path.name} is being recorded: StopRecording ends it")
         if path.suffix not in SUFFIXES:
             raise ControlRefused(f"'{name}' does not end in {' or '.join(SUFFIXES)}")
         if path.exists():
-            raise ControlRefused(f"'{name}' exists; choose another name")
+            raise ControlRefused(f"'{path.name}' exists; choose another name")
         self._path, self._asked = path, asyncio.Event()
         self._task = asyncio.create_task(self._run(path, self._asked), name="recording")
 

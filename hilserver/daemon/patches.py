@@ -20,6 +20,14 @@ from hilserver.plant.errors import PlantError
 MOST_FILES: Final = 100  # patches in the folder: whoever may save one must not fill the disk
 
 
+def file_of(folder: Path, name: str, kind: str) -> Path:
+    """Return the file of a name, with or without its ``.yaml``; ControlRefused if there is none."""
+    for path in (folder / name, folder / f"{name}.yaml"):
+        if path.is_file():
+            return path
+    raise ControlRefused(f"there is no {kind} '{name}' in {folder}")
+
+
 class Patches:
     """Lays patches of one folder over the plant of a running core, and saves what was tuned."""
 
@@ -47,12 +55,10 @@ class Patches:
         ControlRefused if there is none of that name; ConfigError if the file has a mistake or does
         not fit the configuration.
         """
-        path = self._folder / name
-        if not path.is_file():
-            raise ControlRefused(f"there is no patch '{name}' in {self._folder}")
+        path = file_of(self._folder, name, "patch")
         patch = await asyncio.to_thread(load_patch, path)
         tick = await self._lay(patch)
-        self._tell(200, f"model patch '{name}' is loaded from tick {tick} on")
+        self._tell(200, f"model patch '{path.name}' is loaded from tick {tick} on")
         notice = patch.notice(self._core.assembly.config.sha256)
         if notice is not None:
             self._tell(400, notice)

@@ -29,7 +29,8 @@ async def run(tmp_path):
 
 async def test_of_scenarios_started_at_once_one_plays(run):
     core, scenarios = run
-    answers = await asyncio.gather(*map(scenarios.start, DRIVES), return_exceptions=True)
+    names = ("ahead.yaml", "turn")  # with and without the suffix
+    answers = await asyncio.gather(*map(scenarios.start, names), return_exceptions=True)
     (refused,) = (answer for answer in answers if answer is not None)
     assert isinstance(refused, ControlRefused)
     assert "StopScenario ends it" in str(refused)
@@ -43,8 +44,8 @@ async def test_a_recording_that_has_ended_by_itself_is_over(run, tmp_path):
     core, _ = run
     recordings = Recordings(tmp_path, RecordingConfig(keep_free_mb=1e9), core.image.name)
     try:
-        for name in ("first.mcap", "second.mcap"):
-            recordings.start(name)
+        for asked, name in (("first.csv", "first.csv"), ("second", "second.mcap")):
+            recordings.start(asked)
             assert recordings.view()["name"] == name
             async with asyncio.timeout(120):
                 while recordings.view() is not None:  # noqa: ASYNC110 - a child ends it

@@ -166,7 +166,8 @@ async def test_what_was_tuned_is_saved_as_a_patch_that_brings_it_back(run, folde
         await run.patches.save("tuned")
     run.core.parameters.reset()
     assert run.core.parameters.differing == {}
-    await run.patches.load("tuned.yaml")
+    await run.patches.load("tuned")  # by the name that it was saved by
+    assert run.patches.loaded == "tuned.yaml"
     assert run.core.parameters.differing == tuned
     await run.patches.load("turn.yaml")
     assert run.core.parameters.differing == {"terms.rotation_gain": GAIN}
