@@ -22,6 +22,7 @@ __tracebackhide__ = True  # of pytest: what fails is a line of the test
 Mode = Literal["virtual", "realtime"]
 Value = float | bool | list[float]
 DRAIN_EVERY_S = 0.1
+DEFAULT_WAIT_S = 10.0  # of `Hil.wait_for`
 WATCH_EVERY_S = 0.002
 LATE_FACTOR, LATE_S = 5.0, 10.0
 """In real time a step may take so many times its duration, and so much more, in wall time."""
@@ -169,13 +170,19 @@ class Hil:
         return float(frame.values[slot])
 
     async def wait_for(
-        self, signal: str, predicate: Callable[[float], bool], timeout_s: float
+        self,
+        signal: str,
+        predicate: Callable[[float], bool],
+        timeout: float | None = None,  # noqa: ASYNC109 - of simulated time
+        *,
+        timeout_s: float = DEFAULT_WAIT_S,
     ) -> Sample:
         """Advance until a value of `signal` satisfies `predicate`; every tick is looked at.
 
-        `timeout_s`: simulated time [s]. HilError when none has within `timeout_s`; says what it was
-        last.
+        `timeout`, or `timeout_s`: simulated time [s]. HilError when none has within it; says what
+        it was last.
         """
+        timeout_s = timeout_s if timeout is None else timeout
         slot = self._slot(signal)
         self.tap.drain()
         frame = self.daemon.image.latest()

@@ -50,7 +50,7 @@ async def test_wait_for_finds_the_moment_or_says_what_it_is(hil, mode):
     sample = await hil.wait_for(SPEED, lambda rpm: rpm > 20.0, timeout_s=1.0)
     assert 20.0 < sample.value < 25.0
     with pytest.raises(HilError, match=r"did not get there in 0\.05 s; it is"):
-        await hil.wait_for(SPEED, lambda rpm: rpm > 80.0, timeout_s=0.05)
+        await hil.wait_for(SPEED, lambda rpm: rpm > 80.0, timeout=0.05)
 
 
 @pytest.mark.hil(mode="realtime")
