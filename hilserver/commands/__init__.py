@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from hilserver import __version__
-from hilserver.errors import FailedError
+from hilserver.errors import FailedError, meant
 from hilserver.program import harness
 
 COMMANDS = {
@@ -64,6 +64,8 @@ def _parse(words: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--version", action="version", version=f"hilserver {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     asked = next((word for word in words if not word.startswith("-")), None)
+    if asked is not None and asked not in COMMANDS:
+        parser.error(f"there is no command '{asked}'; {meant(asked, COMMANDS, 'see --help')}")
     for name, text in COMMANDS.items():
         if name != asked:
             commands.add_parser(name, help=text)

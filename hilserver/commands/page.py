@@ -11,7 +11,7 @@ import os
 import socket
 import sys
 
-from hilserver.commands.options import add_config
+from hilserver.commands.options import add_config, add_patch
 from hilserver.errors import EXIT_DONE
 from hilserver.io.page.listening import listen, url_of
 from hilserver.io.page.server import PageServer
@@ -26,10 +26,7 @@ NICENESS = 5
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
     add_config(parser)
-    parser.add_argument(
-        "--patch", type=os.fspath, metavar="FILE", help="the model patch that the daemon runs with"
-    )
-    parser.add_argument("--group", metavar="NAME", help="the group of that patch")
+    add_patch(parser)  # the one that the daemon runs with
     parser.add_argument("--beside", type=int, metavar="FD", help=argparse.SUPPRESS)
 
 

@@ -220,6 +220,15 @@ def test_a_file_that_cannot_be_written_is_one_sentence(here, words, complaint):
     assert len(said.splitlines()) == 1
 
 
+@pytest.mark.parametrize(
+    ("word", "hint"), [("diagnosis", "did you mean 'diagnose'?"), ("rnu", "see --help")]
+)
+def test_a_command_that_does_not_exist_is_one_sentence(here, word, hint):
+    code, out, said = here(word, "-o", "x")
+    assert (code, out) == (2, "")
+    assert said.splitlines()[-1] == f"hilserver: error: there is no command '{word}'; {hint}"
+
+
 def test_a_figure_file_is_tried_before_the_measurement(here, monkeypatch):
     monkeypatch.setattr("hilserver.bench.loop.run", lambda _: pytest.fail("it was measured"))
     code, out, said = here("bench", "loop", "--json", "absent/x.json")

@@ -258,4 +258,5 @@ def _plain(signal: Signal, variant: ua.Variant) -> object:
     value = variant.Value
     if isinstance(value, list) and len(value) > len(signal.slots):
         return f"{len(value)} elements"  # nobody wants to read a million of them in the log
-    return value if variant.VariantType.value == DATA_TYPES[signal.type] else variant
+    is_ours = variant.VariantType.value == DATA_TYPES[signal.type]
+    return value if is_ours else f"{value!r:.40} of type {variant.VariantType.name}"

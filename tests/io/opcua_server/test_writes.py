@@ -108,7 +108,8 @@ async def test_refusals_are_counted_and_published(rig: Rig, client: RobotClient)
     assert reasons == {"type_mismatch": 1, "out_of_range": 1, "not_finite": 1}
     kinds = [event.kind for event in rig.events.recent][-3:]
     assert kinds == [EventKind.SETPOINT_REFUSED] * 3
-    assert "Int64" in rig.events.recent[-3].message
+    text = "wheel.fl.setpoint_rpm = '5 of type Int64' refused: a value of type Double expected"
+    assert rig.events.recent[-3].message == f"opcua: {text}"
 
 
 async def test_good_ones_of_a_mixed_request_get_through(rig: Rig, client: RobotClient) -> None:
