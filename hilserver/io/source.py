@@ -9,14 +9,10 @@ from hilserver.config.section import Driver
 from hilserver.core.events import Event, EventKind
 from hilserver.core.inputs import InputGate, Refusal
 from hilserver.core.staleness import Staleness, Transition
+from hilserver.io.arrival import WATCH_S, Arrivals
 from hilserver.io.link_status import FaultBook, PeerStatus
 
-WATCH_S: Final = 0.02
-WATCH_NS: Final = round(WATCH_S * 1e9)
-LEFT_OVER_NS = 100_000_000
-LEFT_OVER_SHARE = 10
-"""So long after a standstill of ours, or this part of it, what is read may be as old as that."""
-OFFERED_AGAIN = frozenset({Refusal.NOT_IN_CONTROL, Refusal.QUEUE_FULL})
+OFFERED_AGAIN: Final = frozenset({Refusal.NOT_IN_CONTROL, Refusal.QUEUE_FULL})
 """Reasons that are not the value's: the next group may be accepted as it is."""
 
 
@@ -63,29 +59,13 @@ class Source:
         self.staleness = Staleness(round(driver.limit_ms * 1e6), commanding)
         self._label, self._gate, self._publish = label, gate, publish
         self._on_stale, self._fresh = driver.on_stale, fresh
-        self._looked_ns = self._stood_since_ns = self._left_over_until_ns = 0  # 0: not yet
-        self._is_exact = is_exact
+        self._arrivals, self._is_exact = Arrivals(self.staleness.limit_ns), is_exact
         self._has_written = False  # a first command that lapses at once would stop the start
 
     def came_ns(self, now_ns: int) -> int:
-        """Return when what is read now came in; after a standstill of ours it may be its begin.
-
-        Whoever has sent it may be gone since.
-        """
-        if self._is_exact:
-            return now_ns
-        self._note_standstill(now_ns)
-        is_left_over = now_ns < self._left_over_until_ns and self._has_written
-        return self._stood_since_ns if is_left_over and self._gate.in_real_time else now_ns
-
-    def _note_standstill(self, now_ns: int) -> None:
-        """Note a standstill that ends now: one that a command does not survive."""
-        stood_ns = now_ns - self._looked_ns
-        if not self._looked_ns or stood_ns <= WATCH_NS + self.staleness.limit_ns:
-            return
-        draining_ns = max(LEFT_OVER_NS, stood_ns // LEFT_OVER_SHARE)
-        self._stood_since_ns, self._left_over_until_ns = self._looked_ns, now_ns + draining_ns
-        self._looked_ns = now_ns
+        """Return when what is read now came in."""
+        came_ns = self._arrivals.came_ns(now_ns)
+        return now_ns if self._is_exact or not self._has_written else came_ns
 
     def write(
         self,
@@ -120,8 +100,7 @@ class Source:
 
     def watch(self, now_ns: int) -> Transition | None:
         """Judge its silence; called every `WATCH_S`, see `keep_watch`. Return what changed."""
-        self._note_standstill(now_ns)
-        self._looked_ns = now_ns
+        self._arrivals.look(now_ns)
         self.faults.expire(now_ns)
         transition = self.staleness.check(now_ns)
         self.status.stale = self.staleness.stale

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from hilserver.config.section import Driver
 from hilserver.core.events import EventBus
+from hilserver.io.arrival import LEFT_OVER_NS, WATCH_NS
 from hilserver.io.link_status import PeerStatus
-from hilserver.io.source import LEFT_OVER_NS, WATCH_NS, Source, keep_watch
+from hilserver.io.source import Source, keep_watch
 from tests.fakes import make_gate, make_image, make_table
 
 MS = 1_000_000
@@ -18,10 +19,10 @@ LIMIT_MS, WATCH_MS = 250, 20
 DRIVER = Driver("plc", "peer:plc", "the PLC", LIMIT_MS, "zero")
 
 
-def watched(until_ms, *, limit_ms=LIMIT_MS, in_real_time=True, has_written=True, is_exact=False):
+def watched(until_ms, *, limit_ms=LIMIT_MS, has_written=True, is_exact=False):
     """Return a source that has been looked at from 1 s on."""
     events, table = EventBus(), make_table()
-    gate = make_gate(table, make_image(table), events, in_real_time=in_real_time)
+    gate = make_gate(table, make_image(table), events)
     status = PeerStatus("plc")
     driver = DRIVER._replace(limit_ms=limit_ms)
     source = Source(
@@ -113,10 +114,6 @@ async def test_it_is_watched_in_real_time():
     first, second = await looks.get(), await looks.get()
     task.cancel()
     assert second - first >= WATCH_NS // 2
-
-
-def test_simulated_time_does_not_pass_meanwhile():
-    assert watched(2001, in_real_time=False).came_ns(7000 * MS) == 7000 * MS
 
 
 def test_a_command_is_handed_on_with_when_it_came(monkeypatch):

@@ -1,27 +1,36 @@
 """A daemon that is stopped by a signal: what was sent meanwhile does not drive after it."""
 
 import asyncio
+import contextlib
+import json
+import os
 import signal
 import socket
+import struct
 import time
 from pathlib import Path
 
+import aiohttp
+import pytest
 from asyncua import ua
 
 from hilserver.image import ImageReader
-from tests.helpers.daemons import running_daemon
+from hilserver.io.shield.protocol import Command, request
+from tests.helpers.daemons import free_port, running_daemon
 from tests.io.opcua_server.rig import RobotClient
 from tests.loopback.rig import wait_until
 
 FL = "wheel.fl.setpoint_rpm"
-DEADMAN_S, STOPPED_S = 0.5, 2.0
+DEADMAN_S, STOPPED_S = 0.5, 4.0
 CONFIG = f"""
-control: {{source: opcua}}
-page: {{enabled: false, deadman_ms: {DEADMAN_S * 1e3:g}}}
+control: {{{{source: {{source}}}}}}
+page: {{{{enabled: false, deadman_ms: {DEADMAN_S * 1e3:g}}}}}
+foxglove: {{{{enabled: true, port: {{port}}}}}}
+shield: {{{{enabled: true, link: shield, stale_after_ms: {DEADMAN_S * 1e3:g}}}}}
 scheduler:
   communication_timeout_ms: 0
-  limits: {{single_overrun_ms: null, consecutive_overruns: null}}
-  realtime: {{priority: 0, lock_memory: false, hold_latency_target: false}}
+  limits: {{{{single_overrun_ms: null, consecutive_overruns: null}}}}
+  realtime: {{{{priority: 0, lock_memory: false, hold_latency_target: false}}}}
 """
 
 
@@ -41,30 +50,103 @@ class AtOnce:
         self.sent += 1
 
 
-async def test_what_was_sent_while_it_was_stopped_does_not_drive_after_it(tmp_path):
-    with running_daemon(tmp_path, config=CONFIG) as daemon:
+class Teleop:
+    """A client of OPC UA that named itself so; it has a dead-man."""
+
+    source = "opcua"
+
+    def __init__(self, daemon, _port):
+        self._client = RobotClient(daemon.url)
+        self._client.description, self._said = "teleop", []
+
+    async def connect(self):
+        await self._client.connect()
+        protocol = self._client.uaclient.protocol
+        protocol.transport = self._transport = AtOnce(protocol.transport)
+
+    async def say(self, rpm):
+        await self._client.write((FL, rpm, ua.VariantType.Double))
+
+    async def say_now(self, rpm):
+        """Send it before this returns; nobody answers."""
+        before = self._transport.sent
+        self._said.append(asyncio.create_task(self.say(rpm)))
+        while self._transport.sent == before:  # noqa: ASYNC110 - a step of the loop, not a time
+            await asyncio.sleep(0)
+
+    async def close(self):
+        await asyncio.gather(*self._said)
+        await self._client.disconnect()
+
+
+class Viewer:
+    """Foxglove, with a panel that publishes."""
+
+    source = "page"
+
+    def __init__(self, _daemon, port):
+        self._port = port
+
+    async def connect(self):
+        self._session = aiohttp.ClientSession()
+        url = f"ws://127.0.0.1:{self._port}"
+        self._socket = await self._session.ws_connect(url, protocols=["foxglove.sdk.v1"])
+        channel = {"id": 1, "topic": "/hilserver/set", "encoding": "json", "schemaName": ""}
+        await self._socket.send_json({"op": "advertise", "channels": [channel]})
+
+    async def say(self, rpm):
+        await self._socket.send_bytes(struct.pack("<BI", 1, 1) + json.dumps({FL: rpm}).encode())
+
+    say_now = say  # a socket that is not full sends in the call
+
+    async def close(self):
+        await self._socket.close()
+        await self._session.close()
+
+
+class Host:
+    """The robot's own driver on the serial line."""
+
+    source = "shield"
+
+    def __init__(self, daemon, _port):
+        self._link = daemon.folder / "shield"
+
+    async def connect(self):
+        self._file = os.open(self._link, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+
+    async def say(self, rpm):
+        speeds = struct.pack("<4h", *(round(100 * sign * rpm) for sign in (-1, -1, 1, 1)))
+        os.write(self._file, request(Command.ENABLE) + request(Command.SET_RPM, speeds))
+        with contextlib.suppress(BlockingIOError):
+            os.read(self._file, 1 << 16)
+
+    say_now = say
+
+    async def close(self):
+        os.close(self._file)
+
+
+@pytest.mark.parametrize("kind", [Teleop, Viewer, Host])
+async def test_what_was_sent_while_it_was_stopped_does_not_drive_after_it(tmp_path, kind):
+    port = free_port()
+    with running_daemon(tmp_path, config=CONFIG.format(source=kind.source, port=port)) as daemon:
         image = ImageReader.attach(daemon.image)
         slots = {row["name"]: row["slots"][0] for row in image.description["signals"]}
-        client = RobotClient(daemon.url)
-        client.description = "teleop"
+        client = kind(daemon, port)
         await client.connect()
-        protocol = client.uaclient.protocol
-        protocol.transport = transport = AtOnce(protocol.transport)
 
         async def drives(rpm):
-            assert await client.write((FL, rpm, ua.VariantType.Double)) == ["Good"]
+            await client.say(rpm)
             return image.latest().values[slots[FL]] == rpm
 
         await wait_until(lambda: drives(20.0))
         stopped(daemon.process)
-        before = transport.sent
-        sent = asyncio.create_task(client.write((FL, 50.0, ua.VariantType.Double)))
-        while transport.sent == before:  # noqa: ASYNC110 - a step of the loop, not a time
-            await asyncio.sleep(0)
+        for _ in range(10):
+            await client.say_now(50.0)
         time.sleep(STOPPED_S)  # noqa: ASYNC251 - nothing of it is sent later
         head = image.head
         daemon.process.send_signal(signal.SIGCONT)
-        assert await sent == ["Good"]
         frames = []
 
         def has_gone_on():  # read as they come: the ring does not keep them for ever
@@ -74,7 +156,7 @@ async def test_what_was_sent_while_it_was_stopped_does_not_drive_after_it(tmp_pa
         await wait_until(has_gone_on)
         assert 50.0 not in {frame.values[slots[FL]] for frame in frames if frame is not None}
         await wait_until(lambda: drives(30.0))
-        await client.disconnect()
+        await client.close()
 
 
 def stopped(process):

@@ -6,6 +6,7 @@ and the dead-man of the page ends what is not renewed.
 
 import asyncio
 import math
+import time
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -19,9 +20,11 @@ from pydantic import BaseModel, TypeAdapter
 from hilserver.config.foxglove import FoxgloveConfig
 from hilserver.errors import FailedError
 from hilserver.image import Frame
+from hilserver.io.arrival import Arrivals
 from hilserver.io.foxglove.door import Door, hidden_host
 from hilserver.io.foxglove.inbox import Inbox
 from hilserver.io.foxglove.scene import scene
+from hilserver.io.source import keep_watch
 from hilserver.io.world import Part, World
 from hilserver.logs.mcap_writer import TOPIC
 from hilserver.logs.message import CDR_LITTLE_ENDIAN, SCHEMA_NAME, make_layout
@@ -71,8 +74,9 @@ class Endpoint(Part):
         self._transforms = FrameTransformChannel("/transforms", context=self._context)
         self._scene = SceneUpdateChannel("/scene", context=self._context)
         self._door = Door(config.origins)
+        self._arrivals = Arrivals(round(world.config.page.deadman_ms * 1e6))
         self._server: Any = None
-        self._task: asyncio.Task[None] | None = None
+        self._tasks: list[asyncio.Task[None]] = []
 
     @property
     def url(self) -> str:
@@ -115,15 +119,21 @@ class Endpoint(Part):
                 f"foxglove: cannot listen on {self._config.host}:{self._config.port} ({error});"
                 " choose another port"
             ) from None
-        self._task = asyncio.create_task(self._show_for_ever(), name="foxglove")
+        self._tasks = [
+            asyncio.create_task(self._show_for_ever(), name="foxglove"),
+            asyncio.create_task(keep_watch(self._look), name="foxglove-watch"),
+        ]
 
     async def stop(self) -> None:
         """Close all connections."""
-        await event_loop.end(self._task)
+        await event_loop.end(*self._tasks)
         await self._door.close()
         if self._server is not None:
             await asyncio.to_thread(self._server.stop)
-        self._server = self._task = None
+        self._server, self._tasks = None, []
+
+    def _look(self) -> None:
+        self._arrivals.look(time.monotonic_ns())
 
     async def _show_for_ever(self) -> None:
         period_s, scene_s = 1.0 / self._config.rate_hz, 0.0
@@ -173,7 +183,8 @@ class Endpoint(Part):
     def _take_all(self, inbox: Inbox) -> None:
         values, received_ns = inbox.take()
         if values:
-            self._world.gate.write(SOURCE, values, received_ns=received_ns)
+            came_ns = self._arrivals.came_ns(received_ns)
+            self._world.gate.write(SOURCE, values, received_ns=received_ns, commanded_ns=came_ns)
 
     def _understood(self, topic: str, encoding: str, data: bytes) -> Mapping[str, object]:
         if topic == SET and encoding == "json":

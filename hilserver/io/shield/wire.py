@@ -3,7 +3,8 @@
 It never needs the interpreter lock, so a busy event loop delays no response. Bytes of a request
 count as come in when a line of 115200 baud would have carried them, those of a response are handed
 over together when it would have carried the last one, as a UART with a FIFO hands them to its
-driver. Between two responses the line has its rest, too: none is sent before the one before it.
+driver. What has waited while this thread stood is as old as that. Between two responses the line
+has its rest, too: none is sent before the one before it.
 """
 
 from typing import Any, Final, NamedTuple
@@ -28,6 +29,7 @@ libc_read: Any = ExternalFunction("read", int64(int32, voidptr, uint64))
 libc_ppoll: Any = ExternalFunction("ppoll", int32(voidptr, uint64, voidptr, voidptr))
 
 LONGEST_WAIT_NS: Final = 50_000_000  # the thread looks at its words at least this often
+STOOD_NS: Final = 3 * LONGEST_WAIT_NS  # who has not looked at the line for so long has stood
 ABSENT_WAIT_NS: Final = 5_000_000  # how often it looks for a host that opens the line
 POLL_IN, POLL_BROKEN = 0x1, 0x8 | 0x10 | 0x20
 IMU_RAW: Final = int(Command.IMU_RAW)
@@ -151,17 +153,22 @@ def _listen(
     """Wait for bytes and read no more than a request lacks; return whether the line is lost."""
     seen = _wait(file, until_ns, now_ns, poll, timespec)
     state[w.CONNECTED] = (seen & POLL_BROKEN) == 0
-    if seen & POLL_IN:
+    if not seen & POLL_IN:
+        state[w.EMPTY] = now_ns
+    else:
         now_ns = monotonic_ns(timespec)
         missing = REQUEST_BYTES - state[w.FILL] % REQUEST_BYTES
         count = libc_read(file, chunk.ctypes, missing)
         if count > 0:
-            begins_ns = max(now_ns, state[w.RX_LAST])
+            has_stood = 0 < state[w.EMPTY] < now_ns - STOOD_NS  # its sender may be gone since
+            begins_ns = max(state[w.EMPTY] if has_stood else now_ns, state[w.RX_LAST])
             if state[w.MORE]:  # however late they are read, they have come behind the last ones
                 begins_ns = state[w.RX_LAST]
             state[w.RX_COUNT] = count
             state[w.RX_DUE] = begins_ns + count * state[w.BYTE]
             state[w.MORE] = (_wait(file, 0, 0, poll, timespec) & POLL_IN) != 0
+            if not state[w.MORE]:
+                state[w.EMPTY] = now_ns
             return False
     state[w.MORE] = 0
     if seen & POLL_BROKEN:

@@ -26,6 +26,7 @@ ALONE: Final = 1  # flag of a request that stood alone and did not end as it sho
     RX_COUNT,
     RX_DUE,  # [ns] when the bytes that were read have come in
     RX_LAST,  # [ns] when the newest byte had come in
+    EMPTY,  # [ns] when nothing was waiting on the line, as far as that was looked at
     MORE,  # 1: others were waiting when the newest ones were read
     TX_COUNT,
     TX_DUE,  # [ns] before which the response must not be seen
@@ -47,7 +48,7 @@ ALONE: Final = 1  # flag of a request that stood alone and did not end as it sho
     LATE_SUM,  # [ns]
     LATE_MAX,  # [ns]
     LATE_COUNTS,
-) = range(33)
+) = range(34)
 PENDING_ROWS: Final = LATE_COUNTS + N_BUCKETS  # PENDING x (command, due)
 RING_ROWS: Final = PENDING_ROWS + 2 * PENDING  # WAITING_MOST x (command, flags, payload, time)
 STAMP_ROWS: Final = RING_ROWS + 4 * WAITING_MOST  # STAMPS x (due, written)

@@ -41,8 +41,6 @@ class RecordingGate:
     news: list[Collection[str] | None] = field(default_factory=list)
     ages_ns: list[int] = field(default_factory=list)
 
-    in_real_time: bool = True
-
     def write(
         self,
         source: str,

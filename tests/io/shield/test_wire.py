@@ -1,6 +1,7 @@
 """What the thread of the line makes of bytes, however late it is."""
 
 import os
+import time
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from hilserver.io.shield import words as w
 from hilserver.io.shield.framing import stands_alone
 from hilserver.io.shield.protocol import BYTE_NS, REQUEST_BYTES, Command, request
-from hilserver.io.shield.wire import _listen, _receive
+from hilserver.io.shield.wire import STOOD_NS, _listen, _receive
 
 HOUR_NS = 3600 * 10**9
 
@@ -25,7 +26,8 @@ class Line:
 
     def read(self):
         """Read once; whatever this thread reads later, it reads after a pause of its own."""
-        _listen(self.far, 0, 0, self.chunk, self.state, self.poll, self.scratch)
+        now_ns = time.monotonic_ns()
+        _listen(self.far, 0, now_ns, self.chunk, self.state, self.poll, self.scratch)
         _receive(self.chunk, self.frame, self.state, -1, self.scratch[2:])
 
 
@@ -59,3 +61,28 @@ def test_bytes_that_came_later_have_come_after_a_pause(line):
     line.read()
     assert line.state[w.REQUESTS] == 1
     assert line.state[w.SKIPPED] == 6
+
+
+def test_what_has_waited_while_the_thread_stood_is_as_old_as_that(line):
+    line.read()
+    empty_ns = line.state[w.EMPTY] = line.state[w.EMPTY] - STOOD_NS
+    os.write(line.near, 3 * request(Command.ENABLE))
+    for _ in range(3):
+        line.read()
+    stood_ns = time.monotonic_ns()
+    os.write(line.near, request(Command.ENABLE))
+    line.read()
+    rows = line.state[w.RING_ROWS :][: 4 * w.WAITING_MOST].reshape(-1, 4)
+    came_ns = rows[: line.state[w.RING_HEAD], 3]
+    assert len(came_ns) == 4
+    assert (came_ns[:3] <= empty_ns + 3 * REQUEST_BYTES * BYTE_NS).all()
+    assert came_ns[3] >= stood_ns
+
+
+def test_whoever_looks_in_time_has_not_stood(line):
+    line.read()
+    line.state[w.EMPTY] -= STOOD_NS // 3
+    os.write(line.near, request(Command.ENABLE))
+    before_ns = time.monotonic_ns()
+    line.read()
+    assert line.state[w.RX_LAST] >= before_ns
