@@ -24,8 +24,13 @@ def _us(nanoseconds: float | None) -> float | None:
 
 
 def slice_table(scheduler: Scheduler) -> Table:
-    """Return latency, execution, margin and overruns of every slice [us]."""
+    """Return latency, execution, margin [us] and overruns of every slice, and its pace."""
     table: Table = {}
+    tick = scheduler.statistics.tick
+    last, total = (
+        None if math.isnan(factor) else factor
+        for factor in (tick.real_time_factor, tick.real_time_factor_total)
+    )
     for name, f in slices_by_name(scheduler).items():
         table[name] = {
             "period_ms": f.period_ns * 1e-6,
@@ -36,10 +41,14 @@ def slice_table(scheduler: Scheduler) -> Table:
             "jitter_us": _us(f.window.deviation_ns),
             "execution_mean_us": _us(f.execution_sum_ns / f.count) if f.count else None,
             "execution_max_us": _us(f.execution_max_ns),
+            "execution_max_tick": f.execution_max_tick,
             "margin_min_us": _us(f.margin_min_ns),
+            "margin_min_tick": f.margin_min_tick,
             "late_wakes": f.late_wakes,
             "long_runs": f.long_runs,
             "missed_ticks": f.missed_ticks,
+            "realtime_factor": last,
+            "realtime_factor_total": total,
         }
     return table
 

@@ -5,7 +5,7 @@ import math
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
-from hilserver.daemon.figures import model_gap
+from hilserver.daemon.figures import model_gap, slice_table
 from tests.io.opcua_client.conftest import wait_until
 
 
@@ -24,6 +24,9 @@ async def test_model_gap_is_measured_minus_simulated_of_what_is_measured() -> No
             return dict(model_gap(daemon.gate, daemon.table, daemon.image.latest()))
 
         assert gaps() == {}
+        await wait_until(lambda: slice_table(daemon.scheduler)["plant"]["realtime_factor_total"])
+        plant = slice_table(daemon.scheduler)["plant"]
+        assert 0 <= plant["margin_min_tick"] < daemon.scheduler.tick
         daemon.control.set_pose(0.0, 0.0, 3.0)
         measured = {"measured.wheel.fl.speed_rpm": 12.5, "measured.pose.yaw_rad": -3.0}
         assert daemon.gate.write("page", measured) == {}
