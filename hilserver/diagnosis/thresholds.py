@@ -47,7 +47,7 @@ COMB_TIMES: Final = 5.0  # by which it exceeds the coefficient of a smooth quant
 
 # Data checks: values copied, held, interpolated, repeated, missing, limited
 COPIED_LEAST_CHANGE_RPM: Final = 0.02  # rpm: smaller changes of a set-point are not used
-HELD_SLOWEST_HZ: Final = 1.5  # Hz: slower is no held sample but a stuck one
+HELD_SLOWEST_HZ: Final = 0.9  # Hz: a GPS has one a second; slower is a stuck one
 HELD_QUANTA: Final = 4.0  # steps of the resolution by which a change is real
 HELD_SHARE: Final = 0.8  # of the stretches that last two rows and longer
 HELD_SPREAD: Final = 3.0  # longest usual stretch by the shortest: a sampling is even

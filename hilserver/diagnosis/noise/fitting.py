@@ -36,16 +36,20 @@ _LAGS = 40
 def fit_noise(residuals: Iterable[tuple[Array, Array]]) -> NoiseModel:
     """Fit white + Ornstein-Uhlenbeck noise with tails.
 
-    Residuals of a perfect replay, which do not differ, have next to no noise at all; fewer than 8
-    show none.
+    Residuals of a perfect replay, which do not differ, have next to no noise at all. Of fewer than
+    8 nobody knows what is noise: all of it counts as such.
 
     Parameters
     ----------
     residuals : iterable of (t_s, r)
         Per span, shape (n,) each; stamps rise at any distances.
     """
+    residuals = list(residuals)
     windows = Windows.cut(residuals, NOISE_WINDOW_S, SAMPLES_MAX)
-    if windows.samples < 8 or not windows.spread > _FALLBACK_SD:
+    if windows.samples < 8:
+        values = np.concatenate([r for _, r in residuals] or [np.zeros(1)])
+        return NoiseModel(max(float(np.sqrt(np.nanmean(values**2))), _FALLBACK_SD))
+    if not windows.spread > _FALLBACK_SD:
         return NoiseModel(_FALLBACK_SD)
     windows.gate_level(2.0 * FAR_SD)
     model = _fit(windows, None)

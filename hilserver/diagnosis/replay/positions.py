@@ -5,8 +5,10 @@ from typing import Final
 import numpy as np
 
 from hilserver.diagnosis.catalogue.candidate import Region
+from hilserver.diagnosis.checks.support import along, subset
+from hilserver.diagnosis.thresholds import HALF
 from hilserver.measured.channels import POSITION
-from hilserver.measured.data import Channel, MeasuredLog
+from hilserver.measured.data import MeasuredLog
 
 SAME_START_M: Final = 0.01
 FEWEST_STARTS: Final = 4
@@ -38,14 +40,25 @@ def driven_place(log: MeasuredLog) -> Region | None:
 
 
 def paired(log: MeasuredLog) -> MeasuredLog:
-    """Return the log with only those positions that have both coordinates."""
+    """Return the log with only those positions that have both coordinates.
+
+    Where they come in rows of their own, the second is taken between its samples when the first
+    came.
+    """
     if not log.has(*POSITION):
         return log
+    start_s = np.array([span.start_s for span in log.spans])
     x, y = (log[n] for n in POSITION)
-    keys = [c.span * 1e7 + c.t_s for c in (x, y)]
-    both = np.intersect1d(keys[0], keys[1])
-    kept = {}
-    for name, c, key in zip(POSITION, (x, y), keys, strict=True):
-        rows = np.isin(key, both)
-        kept[name] = Channel(c.t_s[rows], c.values[rows], c.span[rows])
-    return log.with_channels(kept)
+    at, own = along(x, start_s), along(y, start_s)
+    both = np.isin(at, own)
+    if both.sum() > HALF * min(len(x), len(y)):
+        return log.with_channels(
+            {POSITION[0]: subset(x, both), POSITION[1]: subset(y, np.isin(own, at))}
+        )
+    after = np.clip(np.searchsorted(own, at), 1, len(own) - 1)
+    between = (y.span[after] == x.span) & (y.span[after - 1] == x.span)
+    between &= (own[after - 1] <= at) & (at <= own[after])
+    x = subset(x, between)
+    return log.with_channels(
+        {POSITION[0]: x, POSITION[1]: x.with_values(np.interp(at[between], own, y.values))}
+    )

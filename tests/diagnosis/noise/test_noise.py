@@ -173,11 +173,19 @@ def test_whitener_of_the_fit_leaves_independent_samples_after_outliers():
 
 @pytest.mark.parametrize(
     "spans",
-    [[], [(np.arange(3.0), np.ones(3))], [(np.arange(500.0), np.zeros(500))]],
+    [[], [(np.arange(3.0), np.zeros(3))], [(np.arange(500.0), np.zeros(500))]],
     ids=["none", "short", "perfect"],
 )
 def test_without_noise_the_floor_remains(spans):
     assert fit_noise(spans) == NoiseModel(1e-9)
+
+
+@pytest.mark.parametrize("gap_s", [1.0, 30.0], ids=["few", "far apart"])
+def test_of_too_few_samples_all_may_be_noise(gap_s):
+    """Taken for exact they would outweigh every other channel."""
+    r = np.array([0.3, -0.1, 0.2, 0.1, -0.4, 0.2, 0.1])
+    found = fit_noise([(gap_s * np.arange(len(r)), r)])
+    assert found == NoiseModel(pytest.approx(np.sqrt(np.mean(r**2))))
 
 
 def test_short_spans_do_not_become_a_random_walk():
