@@ -37,6 +37,14 @@ def test_readme_shows_picture_commands_and_result_on_its_first_screen() -> None:
         assert shown in first_screen
 
 
+def test_readme_has_a_row_for_every_command() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    table = text.split("\n## Commands\n\n")[1].split("\n\n")[0]
+    rows = re.findall(r"^\| (`.*?`) \|", table, re.MULTILINE)
+    named = {word for row in rows for word in re.findall(r"`(?:hilserver )?(.+?)`", row)}
+    assert named == set(commands.COMMANDS)
+
+
 def test_figures_of_the_readme_stand_in_one_line_cells() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     rows = text.split("<!-- figures: begin -->")[1].split("<!-- figures: end -->")[0].splitlines()

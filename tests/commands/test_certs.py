@@ -73,6 +73,10 @@ def test_the_key_goes_where_the_configuration_wants_it(tmp_path: Path, place: st
 
 
 def test_expiry_is_shown(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert certs(config, "list", "--expiring", "5") == 0
+    assert capsys.readouterr().out == ""
+    assert certs(config, "list") == 0
+    assert capsys.readouterr().out == "no certificates; 'hilserver certs make' makes one\n"
     certs(config, "make", "--days", "10")
     capsys.readouterr()
     assert certs(config, "list") == 0
