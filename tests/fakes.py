@@ -2,6 +2,7 @@
 
 import itertools
 import os
+import time
 
 from hilserver.core.inputs import InputGate
 from hilserver.core.leases import Leases
@@ -29,8 +30,9 @@ def make_image(table=None, **options):
     return ProcessImage(image_name(), table or make_table(), **(settings | options))
 
 
-def make_gate(table, image, events, ramp_ticks=0, **options):
-    return InputGate(table, image, events, Leases(image, ramp_ticks), **options)
+def make_gate(table, image, events, ramp_ticks=0, monotonic_ns=time.monotonic_ns, **options):
+    leases = Leases(image, ramp_ticks, monotonic_ns)
+    return InputGate(table, image, events, leases, monotonic_ns=monotonic_ns, **options)
 
 
 def latch_inputs(image, tick=0):

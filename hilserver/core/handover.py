@@ -1,13 +1,19 @@
 """Who drives as a table: which source has control after an event, or that it is refused.
 
-`InputGate` looks up what was asked; that the other rows hold, too, is tested against gate and state
+`HandOver` looks up what was asked; that the other rows hold, too, is tested against gate and state
 machine. ``docs/reference/control.md`` prints it. What the wheels get
 meanwhile is the step's business.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from typing import Final
+
+from hilserver.core.events import Event, EventBus, EventKind
+from hilserver.core.leases import NOBODY, OFFERING, Leases, kind_of
+from hilserver.errors import ControlRefused
+from hilserver.image import ProcessImage, Row
+from hilserver.plant.layout import N_SETPOINTS
 
 
 class Happening(StrEnum):
@@ -65,3 +71,115 @@ TABLE: Final[Mapping[Happening, tuple[Next, Next, Next]]] = {
 def next_driver(happening: Happening, standing: Standing) -> Next:
     """Return who has control after something has happened."""
     return TABLE[happening][tuple(Standing).index(standing)]
+
+
+class HandOver:
+    """Has one kind of sources in control, and hands control on.
+
+    Parameters
+    ----------
+    owner : str
+        Kind of source that commands at the start, one of `SOURCES`.
+    priority : sequence of str
+        Kinds of sources, highest priority first; those left out may not command.
+    fallback : str
+        Who has control when its holder is gone: ``nobody``, or the source ``before``.
+
+    Attributes
+    ----------
+    owner : str
+        Kind of source that has control, or ``nobody``.
+    may_fall_back : bool
+        Set to False by what ended a command; taking control sets it anew.
+    """
+
+    def __init__(
+        self,
+        image: ProcessImage,
+        events: EventBus,
+        leases: Leases,
+        owner: str,
+        priority: Sequence[str],
+        fallback: str,
+    ) -> None:
+        self.owner, self.leases, self.priority = owner, leases, tuple(priority)
+        self.may_fall_back = True
+        leases.begin(owner)
+        self._image, self._events = image, events
+        self._fallback, self._before, self._speaker = fallback, NOBODY, ""
+        self._holder: object = None
+
+    def take(self, kind: str, holder: object = None) -> None:
+        """Give control to the sources of `kind`, or to nobody.
+
+        Parameters
+        ----------
+        holder : object
+            Whose it is; when that is `gone`, control goes on.
+
+        Raises
+        ------
+        ControlRefused
+            If `kind` is unknown, or the plant does not take more.
+        """
+        if kind not in (*self.priority, NOBODY):
+            known = ", ".join(self.priority)
+            raise ControlRefused(f"'{kind}' cannot take control; sources are {known}")
+        if (kind, holder) == (self.owner, self._holder):
+            return
+        if not self._image.push([self.leases.hand_over(kind)]):
+            raise ControlRefused("the queue of inputs is full: ask again")
+        before, self.owner, self._holder, self._speaker = self.owner, kind, holder, ""
+        if kind != before:
+            self._before, self.may_fall_back = before, True
+            text = f"control goes from '{before}' to '{kind}'"
+            self._events.publish(Event(EventKind.STATE, 300, kind, text))
+
+    def request(self, requester: str, kind: str, holder: object = None) -> None:
+        """Let `requester` hand control to `kind`, if it may; "nobody" gives it back.
+
+        Raises
+        ------
+        ControlRefused
+            If the present owner outranks the requester.
+        """
+        happening = Happening.TAKE if kind == requester else Happening.GIVE
+        if kind == NOBODY:
+            happening = Happening.RELEASE
+        following = next_driver(happening, self._standing(requester))
+        if following is Next.REFUSED:
+            none = f": '{requester}' has none to give back"
+            why = none if kind == NOBODY else f" and outranks '{requester}'"
+            raise ControlRefused(f"'{self.owner}' has control{why}")
+        if following is Next.FALLBACK:
+            self._fall_back("gives control back")
+        else:
+            self.take(kind, holder if kind == requester else None)
+
+    def _standing(self, kind: str) -> Standing:
+        if kind == self.owner:
+            return Standing.ITSELF
+        order, owner = self.priority, self.owner
+        is_above = kind in order and (owner not in order or order.index(kind) <= order.index(owner))
+        return Standing.ABOVE if is_above else Standing.BELOW
+
+    def gone(self, holder: object) -> None:
+        """Let control go on: who held it is no longer there."""
+        if holder is not None and holder is self._holder:
+            self._fall_back("is gone")
+
+    def _fall_back(self, why: str) -> None:
+        gone, before = self.owner, self._before
+        kind = before if self._fallback == "before" and self.may_fall_back else NOBODY
+        self.take(kind)
+        who = "nobody drives" if kind == NOBODY else f"'{kind}' drives again"
+        self._events.publish(Event(EventKind.STATE, 500, gone, f"'{gone}' {why}: {who}"))
+
+    def _passed_on(self, source: str, rows: list[Row]) -> list[Row]:
+        """Return what ends the commands of another source of the same kind; two never mix."""
+        kind = kind_of(source)
+        is_driving = kind == self.owner and any(row.slot < N_SETPOINTS for row in rows)
+        if kind in OFFERING or not is_driving:
+            return []
+        before, self._speaker = self._speaker, source
+        return [] if before in ("", source) else [self.leases.hand_over(kind)]

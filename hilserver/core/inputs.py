@@ -12,9 +12,8 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from enum import StrEnum
 
 from hilserver.core.events import Event, EventBus, EventKind
-from hilserver.core.handover import Happening, Next, Standing, next_driver
-from hilserver.core.leases import NOBODY, OFFERING, Leases
-from hilserver.errors import ControlRefused
+from hilserver.core.handover import HandOver
+from hilserver.core.leases import NOBODY, OFFERING, Leases, kind_of
 from hilserver.image import ProcessImage, Row
 from hilserver.image.status import (
     BAD_WAITING_FOR_INITIAL_DATA,
@@ -35,11 +34,6 @@ class Refusal(StrEnum):
     OUT_OF_RANGE = "out_of_range"
     NOT_IN_CONTROL = "not_in_control"
     QUEUE_FULL = "queue_full"
-
-
-def kind_of(source: str) -> str:
-    """Return the kind of a source: ``peer:iot2050`` is a ``peer``."""
-    return source.partition(":")[0]
 
 
 def check_value(signal: Signal, value: object) -> tuple[float, ...] | Refusal:
@@ -67,29 +61,15 @@ def check_value(signal: Signal, value: object) -> tuple[float, ...] | Refusal:
     return tuple(numbers)
 
 
-class InputGate:
+class InputGate(HandOver):
     """Checks and hands over what sources write.
 
     Parameters
     ----------
-    owner : str
-        Kind of source that commands at the start, one of `SOURCES`; later the one that has control,
-        or ``nobody``.
-    priority : sequence of str
-        Kinds of sources, highest priority first; those left out may not command.
+    owner, priority, fallback
+        See `HandOver`.
     monotonic_ns : callable
-        Clock for the age of inputs.
-    fallback : str
-        Who has control when its holder is gone: ``nobody``, or the source ``before``.
-    in_real_time : bool
-        Whether a command is as old as the time since it came in; simulated time stands meanwhile.
-
-    Attributes
-    ----------
-    owner : str
-        Kind of source that has control, or ``nobody``.
-    may_fall_back : bool
-        Set to False by what ended a command; taking control sets it anew.
+        Clock of what comes in.
     """
 
     def __init__(
@@ -103,20 +83,10 @@ class InputGate:
         priority: Sequence[str] = SOURCES,
         fallback: str = NOBODY,
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
-        in_real_time: bool = True,
     ) -> None:
-        self.owner, self.leases = owner, leases
-        leases.begin(owner)
-        self.priority = tuple(priority)
-        self.may_fall_back = True  # False by what ended a command; taking control sets it anew
-        self._fallback, self._before, self._speaker = fallback, NOBODY, ""
-        self._holder: object = None
+        super().__init__(image, events, leases, owner, priority, fallback)
         self.rejected: Counter[tuple[str, str]] = Counter()
-        self.accepted: Counter[str] = Counter()
-        self._table = table
-        self._image = image
-        self._events = events
-        self._now_ns, self.in_real_time = monotonic_ns, in_real_time
+        self._table, self._now_ns = table, monotonic_ns
         self._last_ns: dict[str, int] = {}
         self._newest: dict[int, tuple[str, float]] = {}
         self._change: tuple[int, int] | None = None
@@ -153,18 +123,20 @@ class InputGate:
             Signals whose values are samples of their own, not those of before; by default all.
         renews : bool
             Whether what the source holds may go on; False while it lacks something.
+
+        Returns
+        -------
+        dict of Refusal
+            The refused signals; empty when all were accepted.
         """
         now_ns = self._now_ns() if received_ns is None else received_ns
+        came_ns = now_ns if commanded_ns is None else commanded_ns
         rows, offered, refused = self._sort(source, values)
         group = offered + [row for found in rows.values() for row in found]
-        if self._counted:
-            new = rows if news is None else rows.keys() & news
-            group += self.stamps(new, self._time_s(now_ns), age_ns * 1e-9)
-        speaker = self._speaker
-        came_ns = now_ns if commanded_ns is None else commanded_ns
-        placed = self._passed_on(source, group)
+        speaker, placed = self._speaker, self._passed_on(source, group)
         placed += self._placed(source, group, came_ns if renews else None)
-        if group and not self._image.push(placed):
+        placed += self._sampled(rows if news is None else rows.keys() & news, now_ns, age_ns)
+        if placed and not self._image.push(placed):
             refused |= dict.fromkeys(rows, Refusal.QUEUE_FULL)
             rows, self._speaker = {}, speaker
         if rows:
@@ -208,38 +180,23 @@ class InputGate:
             rows += [Row(self._table.slot(f"internal.{n}"), v, tick=tick) for n, v in news.items()]
         return rows
 
-    def _time_s(self, now_ns: int) -> float:
-        """Return the simulated time of an instant of CLOCK_MONOTONIC."""
-        frame = self._image.latest()
+    def _sampled(self, names: Iterable[str], now_ns: int, age_ns: int) -> list[Row]:
+        """Return the stamps of what came in at an instant of CLOCK_MONOTONIC."""
+        frame = self._image.latest() if self._counted else None
         if frame is None:
-            return 0.0
+            return self.stamps(names, 0.0)
         shown_s = float(frame.values[self._table.slot("sim.time_s")])
-        return max(shown_s + (now_ns - frame.planned_ns) * 1e-9, 0.0)
-
-    def _passed_on(self, source: str, rows: list[Row]) -> list[Row]:
-        """Return what ends the commands of another source of the same kind; two never mix."""
-        kind = kind_of(source)
-        is_driving = kind == self.owner and any(row.slot < N_SETPOINTS for row in rows)
-        if kind in OFFERING or not is_driving:
-            return []
-        before, self._speaker = self._speaker, source
-        return [] if before in ("", source) else [self.leases.hand_over(kind)]
+        time_s = max(shown_s + (now_ns - frame.planned_ns) * 1e-9, 0.0)
+        return self.stamps(names, time_s, age_ns * 1e-9)
 
     def _placed(self, source: str, rows: list[Row], came_ns: int | None = None) -> list[Row]:
-        """Return rows for the place of the source's kind; they renew its lease from then."""
+        """Return rows for the place of the source's kind; commands renew its lease from then."""
         kind, place = kind_of(source), self.leases.place
         placed = [row._replace(slot=place(kind, row.slot)) for row in rows]
         is_command = any(not self._table.by_slot(row.slot).is_measured for row in rows)
-        renews = is_command and came_ns is not None
-        return placed + self._renewal(source, came_ns or 0) if renews else placed
-
-    def renew(self, source: str, received_ns: int) -> None:
-        """Let what `source` holds go on: it was heard then, and has nothing new to say."""
-        self._image.push(self._renewal(source, received_ns))
-
-    def _renewal(self, source: str, came_ns: int) -> list[Row]:
-        age_ns = max(self._now_ns() - came_ns, 0) if self.in_real_time else 0
-        return self.leases.renewal(source, age_ns)
+        if is_command and came_ns is not None:
+            placed += self.leases.renewal(source, came_ns)
+        return placed
 
     def _check(self, name: str, value: object) -> tuple[float, ...] | Refusal:
         if name not in self._table or self._table[name].hidden:
@@ -257,7 +214,6 @@ class InputGate:
             changed |= before is None or before[1] != row.value
             self._newest[row.slot] = source, row.value
         self._last_ns[source] = now_ns
-        self.accepted[source] += 1
         if changed and self._change is None:
             self._change = (now_ns, self._image.pushed_rows)
 
@@ -285,69 +241,6 @@ class InputGate:
             wanted = f"{len(signal.slots)} values of type" if signal.is_array else "a value of type"
             return f"{wanted} {signal.type} expected"
         return reason.value.replace("_", " ")
-
-    def take(self, kind: str, holder: object = None) -> None:
-        """Give control to the sources of `kind`, or to nobody.
-
-        ControlRefused if `kind` is unknown, or the plant does not take more.
-
-        Parameters
-        ----------
-        holder : object
-            Whose it is; when that is `gone`, control goes on.
-        """
-        if kind not in (*self.priority, NOBODY):
-            known = ", ".join(self.priority)
-            raise ControlRefused(f"'{kind}' cannot take control; sources are {known}")
-        if (kind, holder) == (self.owner, self._holder):
-            return
-        if not self._image.push([self.leases.hand_over(kind)]):
-            raise ControlRefused("the queue of inputs is full: ask again")
-        before, self.owner, self._holder, self._speaker = self.owner, kind, holder, ""
-        if kind != before:
-            self._before, self.may_fall_back = before, True
-            text = f"control goes from '{before}' to '{kind}'"
-            self._events.publish(Event(EventKind.STATE, 300, kind, text))
-
-    def outranks(self, kind: str, other: str) -> bool:
-        """Whether `kind` stands at least as high as `other` in the priority."""
-        order = self.priority
-        return kind in order and (other not in order or order.index(kind) <= order.index(other))
-
-    def request(self, requester: str, kind: str, holder: object = None) -> None:
-        """Let `requester` hand control to `kind`, if it may; "nobody" gives it back.
-
-        ControlRefused if the present owner outranks the requester.
-        """
-        happening = Happening.TAKE if kind == requester else Happening.GIVE
-        if kind == NOBODY:
-            happening = Happening.RELEASE
-        following = next_driver(happening, self._standing(requester))
-        if following is Next.REFUSED:
-            none = f": '{requester}' has none to give back"
-            why = none if kind == NOBODY else f" and outranks '{requester}'"
-            raise ControlRefused(f"'{self.owner}' has control{why}")
-        if following is Next.FALLBACK:
-            self._fall_back("gives control back")
-        else:
-            self.take(kind, holder if kind == requester else None)
-
-    def _standing(self, kind: str) -> Standing:
-        if kind == self.owner:
-            return Standing.ITSELF
-        return Standing.ABOVE if self.outranks(kind, self.owner) else Standing.BELOW
-
-    def gone(self, holder: object) -> None:
-        """Let control go on: who held it is no longer there."""
-        if holder is not None and holder is self._holder:
-            self._fall_back("is gone")
-
-    def _fall_back(self, why: str) -> None:
-        gone, before = self.owner, self._before
-        kind = before if self._fallback == "before" and self.may_fall_back else NOBODY
-        self.take(kind)
-        who = "nobody drives" if kind == NOBODY else f"'{kind}' drives again"
-        self._events.publish(Event(EventKind.STATE, 500, gone, f"'{gone}' {why}: {who}"))
 
     def mark_stale(self, source: str) -> None:
         """Keep what the source wrote last, with status UncertainLastUsableValue."""

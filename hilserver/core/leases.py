@@ -1,6 +1,7 @@
 """The leases of a robot as Python sees them: who may hold one, for how long, which have lapsed."""
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from hilserver.image import ProcessImage, Row, leases
@@ -13,6 +14,11 @@ NOBODY, TELEOP = "nobody", "opcua:teleop"
 OFFERING = frozenset(SOURCES[leases.FIRST_OFFERING :])
 """Kinds that say what they want whether or not they have control."""
 _ACTIONS = {number: action for action, number in leases.POLICIES.items()}
+
+
+def kind_of(source: str) -> str:
+    """Return the kind of a source: ``peer:iot2050`` is a ``peer``."""
+    return source.partition(":")[0]
 
 
 class Lapse(NamedTuple):
@@ -28,11 +34,21 @@ class Lapse(NamedTuple):
 class Leases:
     """Places in the image's region for sources, by name; a kind of sources shares a row.
 
-    `ramp_ticks`: in which the set-points go to zero when control changes hands, and in the safe
-    state.
+    Parameters
+    ----------
+    ramp_ticks : int
+        In which the set-points go to zero when control changes hands, and in the safe state.
+    monotonic_ns : callable
+        Clock for the age of commands; it stands where time is simulated.
     """
 
-    def __init__(self, image: ProcessImage, ramp_ticks: int = 0) -> None:
+    def __init__(
+        self,
+        image: ProcessImage,
+        ramp_ticks: int = 0,
+        monotonic_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self.now_ns = monotonic_ns
         self._image, base = image, image.layout.regions[leases.REGION].base
         self._words = image.words[base:]
         self._driving = Driving.of(self._words)
@@ -47,7 +63,7 @@ class Leases:
         """Give `source` a lease; what it commands lapses after `limit_ms`, None: never."""
         self._places[source] = leases.words_needed(len(self._places))
         lease = self._lease(source)
-        lease.kind = SOURCES.index(source.partition(":")[0])
+        lease.kind = SOURCES.index(kind_of(source))
         lease.policy = leases.POLICIES[action]
         self._driving.count = len(self._places)
         self.limit(source, limit_ms)
@@ -71,9 +87,14 @@ class Leases:
             return slot
         return self._slot(leases.VALUES + self._number(kind) * leases.ROW + slot)
 
-    def renewal(self, source: str, age_ns: int = 0) -> list[Row]:
-        """Return the row that renews what `source` holds; none if that never lapses."""
-        place = self._places.get(source) or self._places.get(source.partition(":")[0])
+    def renew(self, source: str, came_ns: int) -> None:
+        """Let what `source` holds go on: it has sent something then, and no other command."""
+        self._image.push(self.renewal(source, came_ns))
+
+    def renewal(self, source: str, came_ns: int) -> list[Row]:
+        """Return the row that renews what `source` holds from then on; none if it never lapses."""
+        place = self._places.get(source) or self._places.get(kind_of(source))
+        age_ns = max(self.now_ns() - came_ns, 0)
         return [] if place is None else [Row(self._slot(place), float(age_ns))]
 
     def hand_over(self, kind: str) -> Row:

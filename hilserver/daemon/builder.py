@@ -195,11 +195,10 @@ def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
         table,
         image,
         events,
-        leases_of(config, image, assembly.base_period_ns),
+        leases_of(config, image, assembly.base_period_ns, pace),
         owner=config.first_source,
         priority=config.sources,
         fallback=config.control.fallback,
-        in_real_time=pace.backend != "virtual",
     )
     folder = assembly.folder / config.snapshots.folder
     snapshots = SnapshotStore(image, folder, dict(assembly.identity))
@@ -231,9 +230,10 @@ def faults_of(
     return Faults(table, Mailbox(image), planner, events, tick=tick, lines=lines or {})
 
 
-def leases_of(config: Config, image: ProcessImage, period_ns: int) -> Leases:
+def leases_of(config: Config, image: ProcessImage, period_ns: int, pace: Pace) -> Leases:
     """Return the leases of every source that a configuration has, before the first tick."""
-    found = Leases(image, round(config.plant.safe_ramp_s * 1e9 / period_ns))
+    clock = time.monotonic_ns if pace.backend != "virtual" else lambda: 0
+    found = Leases(image, round(config.plant.safe_ramp_s * 1e9 / period_ns), clock)
     found.add("opcua", config.control.opcua_stale_after_ms, "ramp")
     found.add(TELEOP, config.page.deadman_ms, "zero")
     found.add("page", config.page.deadman_ms, "zero")

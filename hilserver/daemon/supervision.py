@@ -7,8 +7,7 @@ from dataclasses import replace
 
 from hilserver.core.control import Control
 from hilserver.core.events import Event, EventKind
-from hilserver.core.inputs import kind_of
-from hilserver.core.leases import OFFERING
+from hilserver.core.leases import OFFERING, kind_of
 from hilserver.daemon.builder import Core
 from hilserver.fmu.layout import hangs_since, slow_call
 from hilserver.monitoring.logging_setup import log_overrun

@@ -253,4 +253,8 @@ def test_a_group_is_sampled_where_one_of_its_values_is_new():
         r.value for r in gate.stamps([speed], 5.0) if "samples" in table.by_slot(r.slot).name
     )
     assert count == 4.0
+    gate.leases.add("peer", 100.0, "zero")
+    before = image.pushed_rows
+    gate.write("peer:robot", {speed: 1.0})
+    assert image.pushed_rows - before == 4, "a value, its stamps, and nothing that renews"
     image.close()

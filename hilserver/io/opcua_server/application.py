@@ -25,8 +25,8 @@ from typing import Any
 
 from asyncua import ua
 
-from hilserver.core.inputs import InputGate, Refusal, kind_of
-from hilserver.core.leases import NOBODY, TELEOP
+from hilserver.core.inputs import InputGate, Refusal
+from hilserver.core.leases import NOBODY, TELEOP, kind_of
 from hilserver.errors import ControlRefused, UserError
 from hilserver.image import ProcessImage
 from hilserver.io.arrival import came_ns
