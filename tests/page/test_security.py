@@ -106,6 +106,8 @@ async def test_a_call_needs_cookie_and_token_of_one_browser(visitor):
         stranger = Visitor(other, visitor.url)
         stranger.token = visitor.token
         assert (await stranger.call("session"))[0] == 401
+        async with other.get(f"{visitor.url}api/signals") as response:
+            assert response.status == 200  # where nobody logs in, programs read without a cookie
         await stranger.load()
         assert (await stranger.call("session", **{"X-Hilserver-Token": visitor.token}))[0] == 403
 

@@ -168,11 +168,9 @@ class PageServer:
         browser.address = request.remote or ""
         return browser
 
-    def _reader(self, request: web.Request) -> Browser:
-        browser = self._known(request)
-        if self._setup.opcua.needs_login and not browser.hand.is_connected:
+    def _reader(self, request: web.Request) -> None:
+        if self._setup.opcua.needs_login and not self._known(request).hand.is_connected:
             raise web.HTTPUnauthorized(text="log in first")
-        return browser
 
     async def _signals(self, request: web.Request) -> web.Response:
         self._reader(request)
@@ -244,8 +242,8 @@ class PageServer:
     async def _socket(self, request: web.Request) -> web.StreamResponse:
         if request.headers.get("Origin") is None:
             raise web.HTTPForbidden(text="no origin")
-        browser = self._reader(request)
-        return await self._live.serve(request, browser)
+        self._reader(request)
+        return await self._live.serve(request, self._known(request))
 
     # --- what it does -----------------------------------------------------------------------------
 
