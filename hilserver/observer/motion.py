@@ -29,8 +29,9 @@ from hilserver.observer.layout import (
     Y,
 )
 from hilserver.plant.kernels import part
-from hilserver.plant.kinematics import across, velocity_terms
+from hilserver.plant.kinematics import across, in_region, velocity_terms
 from hilserver.plant.layout import PARAMETERS, Parameters
+from hilserver.plant.pose import shift as of_arc
 from hilserver.plant.pose import sinc
 from hilserver.plant.robot import SLOPE_REST_RAD_S
 
@@ -53,12 +54,6 @@ def _dsinc(half: float) -> float:
 
 
 @part
-def is_inside(p: Parameters, x: float, y: float) -> bool:
-    """Return whether a place [m] lies on the patch of `surface_change`."""
-    return bool(p.region_x_min <= x <= p.region_x_max and p.region_y_min <= y <= p.region_y_max)
-
-
-@part
 def bend(time: float, left: float, right: float, before: Moment, now: Moment) -> None:
     """Write how the wheels' speeds bend at the moment before; an older one had these [s, rad/s]."""
     ratio = (now.time - before.time) / (before.time - time)
@@ -69,7 +64,7 @@ def bend(time: float, left: float, right: float, before: Moment, now: Moment) ->
 @part
 def wheel_velocity(p: Parameters, before: Moment, now: Moment) -> tuple[float, float]:
     """Return speed [m/s] and turn rate [rad/s] that the wheels of a moment make."""
-    inside = is_inside(p, before.estimate[X], before.estimate[Y])
+    inside = in_region(p, before.estimate[X], before.estimate[Y])
     dt, (left, right) = now.time - before.time, _sides(p, now)
     left_before, right_before = _sides(p, before)
     dleft, dright = (left - left_before) / dt, (right - right_before) / dt
@@ -111,10 +106,8 @@ def shift(
 ) -> tuple[float, float]:
     """Return how far [m] the robot moves in `dt` [s] with constant velocities."""
     vy = across(p, v, om, 0.0, 0.0)[0] + aside
-    half = 0.5 * om * dt
-    chord, heading = dt * sinc(half), yaw + half
-    cos, sin = math.cos(heading), math.sin(heading)
-    return chord * (v * cos - vy * sin), chord * (v * sin + vy * cos)
+    dx, dy = of_arc(yaw, v, vy, om, dt)
+    return dx, dy
 
 
 @part

@@ -62,7 +62,7 @@ def _catch_up(p: Parameters, x: State) -> None:
     rate = SIDE * p.inverse_t2
     v, om, _, _ = velocity_terms(
         p,
-        in_region(p, x),
+        in_region(p, x.pose[0], x.pose[1]),
         0.5 * (x.angle[0] + x.angle[1]),
         left * SIDE,
         right * SIDE,

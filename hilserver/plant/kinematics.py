@@ -6,12 +6,25 @@ derivatives, v, vy, om and dv, dvy, dom, in m/s, rad/s and their rates.
 """
 
 import math
+from collections import namedtuple
 
 from hilserver.plant.kernels import inlined, part, plain
 from hilserver.plant.layout import Parameters, State, Wheels
 from hilserver.plant.units import RAD_S_PER_RPM
 
 Velocity = tuple[float, float, float, float, float, float]
+
+
+OfSpeeds = namedtuple(
+    "OfSpeeds",
+    "radius_left radius_right yaw_gain icr half_track base_turn gain_speed traction"
+    " longitudinal_slip acceleration_slip side_slip misalignment surface_gain surface_speed"
+    " gain_radius runout runout_phase",
+)
+"""What `velocity_terms` and `across` read; at null what hangs on more than place and wheel speeds.
+
+By value: compiled code keeps it in registers, and computes several ticks at once.
+"""
 
 
 @plain
@@ -54,12 +67,9 @@ def sideways(p: Parameters, x: State) -> tuple[float, float]:
 
 
 @part
-def in_region(p: Parameters, x: State) -> bool:
-    """Return whether the centre of mass stands on the patch of `surface_change`."""
-    return bool(
-        p.region_x_min <= x.pose[0] <= p.region_x_max
-        and p.region_y_min <= x.pose[1] <= p.region_y_max
-    )
+def in_region(p: Parameters, px: float, py: float) -> bool:
+    """Return whether a centre of mass there stands on the patch of `surface_change`."""
+    return bool(p.region_x_min <= px <= p.region_x_max and p.region_y_min <= py <= p.region_y_max)
 
 
 @part
@@ -122,3 +132,19 @@ def across(p: Parameters, v: float, om: float, dv: float, dom: float) -> tuple[f
         vy += p.misalignment * v
         dvy += p.misalignment * dv
     return vy, dvy
+
+
+@part
+def speeds_suffice(p: Parameters) -> bool:
+    """Return whether the velocity hangs on place and speeds of the wheels alone, now."""
+    return p.gain_radius == 0.0 and p.runout == 0.0 and p.body_lag == 0.0 and p.mecanum == 0.0
+
+
+@inlined
+def of_speeds(p: Parameters) -> OfSpeeds:
+    """Return the kinematics of parameters for which speeds suffice."""
+    return OfSpeeds(
+        p.radius_left, p.radius_right, p.yaw_gain, p.icr, p.half_track, p.base_turn, p.gain_speed,
+        p.traction, p.longitudinal_slip, p.acceleration_slip, p.side_slip, p.misalignment,
+        p.surface_gain, p.surface_speed, 0.0, 0.0, 0.0,
+    )  # fmt: skip

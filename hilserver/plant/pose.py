@@ -38,19 +38,32 @@ def sinc(half_rad: float) -> float:
 
 
 @inlined
-def move(x: State, v: float, vy: float, om: float, dt_s: float) -> None:
-    """Move the pose over `dt_s` with constant body velocity [m/s, m/s, rad/s].
+def shift(yaw: float, v: float, vy: float, om: float, dt_s: float) -> tuple[float, float]:
+    """Return the way [m] in `dt_s` of constant body velocity [m/s, m/s, rad/s].
 
     The chord of the arc lies at the mean heading and is sin(h)/h of the arc long, so one sine and
     one cosine give the exact end point.
     """
     half = 0.5 * om * dt_s
-    chord = dt_s * sinc(half)
-    heading = x.pose[2] + half
+    chord, heading = dt_s * sinc(half), yaw + half
     cos, sin = math.cos(heading), math.sin(heading)
-    x.pose[0] += chord * (v * cos - vy * sin)
-    x.pose[1] += chord * (v * sin + vy * cos)
-    x.pose[2] = wrap(heading + half)
+    return chord * (v * cos - vy * sin), chord * (v * sin + vy * cos)
+
+
+@inlined
+def turn(yaw: float, om: float, dt_s: float) -> float:
+    """Return the heading after the same."""
+    half = 0.5 * om * dt_s
+    return float(wrap(yaw + half + half))
+
+
+@inlined
+def move(x: State, v: float, vy: float, om: float, dt_s: float) -> None:
+    """Move the pose over `dt_s` with constant body velocity."""
+    dx, dy = shift(x.pose[2], v, vy, om, dt_s)
+    x.pose[0] += dx
+    x.pose[1] += dy
+    x.pose[2] = turn(x.pose[2], om, dt_s)
 
 
 @inlined

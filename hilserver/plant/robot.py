@@ -31,7 +31,7 @@ def follow_wheels(
 ) -> None:
     """Let the body move as its wheels do [rad/s, rad/s2], without the lag of `body_lag`."""
     angle = 0.5 * (y.angle[0] + y.angle[1])
-    v, om, _, _ = velocity_terms(p, in_region(p, x), angle, w_l, w_r, dw_l, dw_r)
+    v, om, _, _ = velocity_terms(p, in_region(p, x.pose[0], x.pose[1]), angle, w_l, w_r, dw_l, dw_r)
     x.body_v, x.body_om = v, om
 
 
@@ -70,7 +70,7 @@ def drive_on_with_terms(
     the middle of the tick.
     """
     dt, is_mecanum = p.dt, p.mecanum != 0.0
-    inside = in_region(p, x)
+    inside = in_region(p, x.pose[0], x.pose[1])
     angle = 0.5 * (y.angle[0] + y.angle[1])
     v, om, dv, dom = velocity_terms(p, inside, angle, w_l, w_r, dw_l, dw_r)
     lag_s = p.body_lag

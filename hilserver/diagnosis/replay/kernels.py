@@ -12,10 +12,17 @@ from hilserver.compiled import kernel
 from hilserver.compiled.records import assign, record_at
 from hilserver.plant.command import command
 from hilserver.plant.drive import drive_base, drive_terms, encoder, load, process_of_tick
-from hilserver.plant.kinematics import sideways
+from hilserver.plant.kinematics import (
+    across,
+    in_region,
+    of_speeds,
+    sideways,
+    speeds_suffice,
+    velocity_terms,
+)
 from hilserver.plant.layout import INPUTS, Inputs, Outputs, Parameters, State
 from hilserver.plant.nav import shown_position, shown_yaw
-from hilserver.plant.pose import wrap
+from hilserver.plant.pose import shift, turn, wrap
 from hilserver.plant.robot import SIDE, drive_on_with_terms, follow_wheels
 
 SETPOINT = Inputs.where("setpoint").start
@@ -261,10 +268,54 @@ def run_pose(
     pose : ndarray, shape (ticks, 4)
         Written: x [m], y [m], yaw [rad] not wrapped, turn rate [rad/s].
     """
+    suffice = speeds_suffice(p) and p.slope_x == 0.0 and p.slope_y == 0.0
     for s in which:
+        begin, end = first[s], first[s + 1]
+        if suffice:
+            _run_by_speeds(p, pose_0[s], left[begin:end], right[begin:end], pose[begin:end])
+            continue
         for i in range(3):
             x.pose[i] = pose_0[s, i]
-        _run_segment(p, x, first[s], first[s + 1] - 1, left, right, apart, angle_0[s], y, pose)
+        _run_segment(p, x, begin, end - 1, left, right, apart, angle_0[s], y, pose)
+
+
+@kernel()
+def _velocities(p: Parameters, inside: bool, w_l: Any, w_r: Any, out: Any) -> None:
+    """Write of every tick the mean velocity ahead, aside, in turn, and the turn rate that shows.
+
+    They do not wait for each other, so the processor computes several at once.
+    """
+    dt, q = p.dt, of_speeds(p)
+    for k in range(w_l.size - 1):
+        mean_l, mean_r = 0.5 * (w_l[k] + w_l[k + 1]), 0.5 * (w_r[k] + w_r[k + 1])
+        dw_l, dw_r = (w_l[k + 1] - w_l[k]) / dt, (w_r[k + 1] - w_r[k]) / dt
+        _, out[3, k], _, _ = velocity_terms(q, inside, 0.0, w_l[k], w_r[k], dw_l, dw_r)
+        dw_l, dw_r = (mean_l - w_l[k]) * (2.0 / dt), (mean_r - w_r[k]) * (2.0 / dt)
+        v, om, _, _ = velocity_terms(q, inside, 0.0, mean_l, mean_r, dw_l, dw_r)
+        out[0, k], out[2, k] = v, om
+        out[1, k], _ = across(q, v, om, 0.0, 0.0)
+
+
+@kernel()
+def _run_by_speeds(p: Parameters, pose_0: Any, left: Any, right: Any, pose: Any) -> None:
+    """Run one segment by place and wheel speeds alone, to the bit as `_run_segment` does."""
+    n, patch = left.size, p.surface_gain != 1.0 or p.surface_speed != 1.0
+    w_l, w_r = np.empty(n + 1), np.empty(n + 1)
+    w_l[:n], w_r[:n] = left * SIDE, right * SIDE
+    w_l[n], w_r[n] = w_l[n - 1], w_r[n - 1]
+    both = np.empty((2, 4, n))  # beside the patch and on it
+    _velocities(p, False, w_l, w_r, both[0])
+    if patch:
+        _velocities(p, True, w_l, w_r, both[1])
+    px, py, yaw = pose_0[0], pose_0[1], pose_0[2]
+    turned = yaw
+    for k in range(n):
+        i = 1 if patch and in_region(p, px, py) else 0
+        pose[k, 0], pose[k, 1], pose[k, 2], pose[k, 3] = px, py, turned, both[i, 3, k]
+        dx, dy = shift(yaw, both[i, 0, k], both[i, 1, k], both[i, 2, k], p.dt)
+        px, py, before = px + dx, py + dy, yaw
+        yaw = turn(yaw, both[i, 2, k], p.dt)
+        turned += wrap(yaw - before)
 
 
 @kernel()
