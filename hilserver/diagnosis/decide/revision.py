@@ -15,7 +15,13 @@ from hilserver.diagnosis.decide.predicting import before_settling, halfway, with
 from hilserver.diagnosis.decide.promise import Step
 from hilserver.diagnosis.decide.scrubbing import bent_turn, late_turn, scrubs
 from hilserver.diagnosis.decide.selection import Selected, with_noise_anew
-from hilserver.diagnosis.decide.structure import Unknown, imitated, remaining, without_unknown
+from hilserver.diagnosis.decide.structure import (
+    Imitation,
+    Unknown,
+    imitated,
+    remaining,
+    without_unknown,
+)
 from hilserver.diagnosis.decide.trial import at_bound, implausible, worth_a_name
 from hilserver.diagnosis.decide.unknown import families_of
 from hilserver.diagnosis.regression.fitting import fit
@@ -109,14 +115,20 @@ def _beside_structure(
     rows: list[Decision],
 ) -> tuple[Point, list[Unknown]]:
     """Return a model without causes that unknown structure stands for, and that structure."""
-    point, unknown = weighed, _remaining(problem, weighed, rng, explained)
+    point, look = weighed, Imitation(problem, weighed)
+    families = look.beside(families_of(problem, weighed))
+    unknown = remaining(problem, weighed, rng, families, explained)
     doubtful = _harmless(problem, point, without_unknown(problem, point, unknown))
     contest = scale_or_anchor(problem, point)
     doubtful |= {contest.index} if contest is not None and contest.more > TIE else set()
     for index in sorted(doubtful, reverse=True):
         point = _dropped(problem, point, index, rows, BY_STRUCTURE)
-    while (found := imitated(problem, point, families_of(problem, point))) is not None:
+    found = look.index
+    if point is not weighed:
+        found = imitated(problem, point, families_of(problem, point))
+    while found is not None:
         point = _dropped(problem, point, found, rows, BY_STRUCTURE)
+        found = imitated(problem, point, families_of(problem, point))
     if point is not weighed or (unknown and explained > 0.0):
         unknown = _remaining(problem, point, rng, 0.0) or unknown
     return point, unknown

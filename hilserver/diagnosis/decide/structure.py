@@ -1,6 +1,6 @@
 """Unknown structure: what remains after the library, without a name."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -93,23 +93,43 @@ def remaining(
     return [replace(u, critical=limit) for u in sorted(found, key=lambda u: -u.gain)]
 
 
-def imitated(problem: Problem, point: Point, families: Iterable[Family]) -> int | None:
-    """Return the accepted cause that a column of unknown structure most clearly explains better.
+class Imitation:
+    """The accepted cause that a column of unknown structure most clearly explains better.
 
     On blocks that neither was fitted to, what the other causes explain taken out of both. Only
     columns that could stand in its place count: others explain something else, which may well be
     more. And a column that is better by little may be a twin of the cause, whose own form is exact
     and the column's linear. It is one cause at a time: without it, the next may be needed.
     """
-    accepted = problem.accepted(point)
-    if accepted is None:
+
+    def __init__(self, problem: Problem, point: Point) -> None:
+        self._problem, self._point = problem, point
+        self._better = np.zeros(len(point.model.fitted))
+
+    def beside(self, families: Iterable[Family]) -> Iterator[Family]:
+        """Yield families, one at a time, each held against every cause."""
+        accepted = self._problem.accepted(self._point)
+        for family in families:
+            for index in range(len(self._better)):
+                assert accepted is not None
+                more = _better(self._problem, family.white, self._point, accepted, index)
+                self._better[index] = max(self._better[index], more)
+            yield family
+
+    @property
+    def index(self) -> int | None:
+        """Its place among the causes, or None."""
+        return int(np.argmax(self._better)) if self._better.any() else None
+
+
+def imitated(problem: Problem, point: Point, families: Iterable[Family]) -> int | None:
+    """Return the place of an accepted cause that is imitated, see `Imitation`, or None."""
+    if not point.model.fitted:
         return None
-    better = np.zeros(len(point.model.fitted))
-    for family in families:  # one at a time: those of the drive together would fill the memory
-        for index in range(len(better)):
-            more = _better(problem, family.white, point, accepted, index)
-            better[index] = max(better[index], more)
-    return int(np.argmax(better)) if better.any() else None
+    found = Imitation(problem, point)
+    for _ in found.beside(families):
+        pass
+    return found.index
 
 
 def _better(problem: Problem, white: Array, point: Point, accepted: Array, index: int) -> float:
