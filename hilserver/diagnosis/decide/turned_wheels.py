@@ -55,8 +55,7 @@ def _moved(
     problem, poses = p.problem, p.base.poses
     anew = stages_of(log, problem.stage.robot, jobs, drive_terms=terms)[problem.stage.name]
     moved = problem.stage.difference(anew.predict({}, poses), problem.stage.predict({}, poses))
-    bases = problem.bases(problem.nuisance(p.base.predicted, poses))
-    return anew, problem.project(problem.whiten(moved), bases)
+    return anew, problem.shown(p.base, moved)
 
 
 def _sound(p: Prepared, rng: np.random.Generator) -> bool:

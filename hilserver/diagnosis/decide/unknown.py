@@ -48,10 +48,8 @@ def families_of(problem: Problem, point: Point) -> Iterator[Family]:
     else:
         assert isinstance(stage, DriveStage)
         found = _of_the_drive(stage, problem, point)
-    bases = problem.bases(problem.nuisance(point.predicted, point.poses))
     for name, regressors, columns in found:
-        white = problem.project(problem.whiten(np.stack(columns, axis=1)), bases)
-        yield Family(name, regressors, white)
+        yield Family(name, regressors, problem.shown(point, np.stack(columns, axis=1)))
 
 
 def _of_the_body(m: Motion, problem: Problem, point: Point) -> Iterator[Raw]:

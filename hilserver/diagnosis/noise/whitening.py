@@ -77,6 +77,8 @@ class Filter:
     def whiten(self, columns: Array) -> Array:
         """Whiten columns, shape (n,) or (n, k): each passes the same linear operator."""
         table = np.ascontiguousarray(columns if columns.ndim > 1 else columns[:, None], float)
+        if not self.gain.any():  # white as they are
+            return (table * self.scale[:, None]).reshape(np.shape(columns))
         out = np.empty_like(table)
         filter_columns(table, self.keep, self.gain, self.scale, out)
         return out.reshape(np.shape(columns))

@@ -42,11 +42,11 @@ class Library:
     def rewhiten(self, point: Point) -> None:
         """Whiten and project all columns with the problem's present noise."""
         problem = self.problem
-        nuisance = problem.nuisance(point.predicted, point.poses)
+        bases, begin = problem.bases_at(point), 0
         noise, known = self._made_for
-        if noise is problem.noise and (nuisance is None or known is point):
+        if noise is problem.noise and (bases is None or known is point):
             return
-        bases, begin, self.norms = problem.bases(nuisance), 0, []
+        self.norms = []
         for first in range(0, len(self.raw), AT_ONCE):
             some = self.raw[first : first + AT_ONCE]
             table = np.concatenate(some, axis=1, dtype=np.float64)

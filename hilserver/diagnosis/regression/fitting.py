@@ -35,7 +35,7 @@ def fit(
     if not model.fitted:
         return point
     used = np.ones(problem.stack.n_blocks, dtype=bool) if rows is None else rows
-    raw = problem.whiten(_columns_near(problem, point, start))
+    raw = _columns_near(problem, point, start)
     fresh = np.array_equal(point.predicted, start.predicted)
     for more in reversed(range(iterations)):
         best, expected = _step(problem, point, raw, used)
@@ -50,18 +50,18 @@ def fit(
 
 
 def _columns_near(problem: Problem, point: Point, start: Point) -> Array:
-    """Return raw sensitivities: of causes that are alike at the start those that it has."""
+    """Return whitened sensitivities: of causes that are alike at the start those that it has."""
     model, theirs = point.model, start.model
     found = np.empty((len(problem.stack), len(model.theta())))
     new: list[int] = []
     for f, mine in zip(model.fitted, model.slices, strict=True):
         if f in theirs.fitted:
             at = theirs.slices[theirs.fitted.index(f)]
-            found[:, mine] = problem.own_columns(start)[:, at]
+            found[:, mine] = problem.own_white(start)[:, at]
         else:
             new += range(mine.start, mine.stop)
     if new:
-        found[:, new] = problem.columns(point, model, new)
+        found[:, new] = problem.whiten(problem.columns(point, model, new))
     return found
 
 
@@ -77,7 +77,7 @@ def _step(problem: Problem, point: Point, raw: Array, used: Mask) -> tuple[Point
         Whitened sensitivities.
     """
     steering = used
-    bases = problem.bases(problem.nuisance(point.predicted, point.poses))
+    bases = problem.bases_at(point)
     white = problem.project(raw, bases)
     for _ in range(ATTEMPTS):
         found, expected, diverged = _attempted(problem, point, raw, white, bases, used, steering)
@@ -100,7 +100,7 @@ def _attempted(
 ) -> tuple[Point | None, float, Mask]:
     """Return the same for the step that some blocks give, and where it diverged."""
     low, high = point.model.borders()
-    keep = steering[problem.stack.block]
+    keep = slice(None) if steering.all() else steering[problem.stack.block]
     step, expected = ridge(white[keep], point.left[keep], DAMPED), 0.0
     diverged = np.zeros_like(used)
     for share in (1.0, 0.5, 0.2):

@@ -6,7 +6,7 @@ that went through the same whitening and projection.
 """
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -25,6 +25,7 @@ from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.thresholds import NEGLIGIBLE, NOISE_TAU_MAX_S
 from hilserver.measured.channels import POSITION
 
+_Kept = deque[tuple[tuple[object, ...], Array]]
 PREDICTIONS_KEPT: Final = 14  # a step at a border, or one tried once more, asks for them again
 
 
@@ -39,6 +40,7 @@ class Point:
     left: Array  # shape (n,): the same, initial poses projected out
     loss: Array  # shape (blocks,): sum of the squares of `left` over each block
     noise: Mapping[str, NoiseModel] | None = None  # under which it was evaluated
+    bases: Bases | None = None  # of what its initial poses explain
 
     @property
     def deviance(self) -> float:
@@ -63,8 +65,8 @@ class Problem:
             self.weights = np.ones(len(self.stage.stack))
         self._runs = list(self.stage.stack.runs())
         self._filter = (self.noise, np.zeros(0), Filter.empty(0))
-        self._known: deque[tuple[Point, Array]] = deque(maxlen=2)
-        self._shown: deque[tuple[tuple[object, ...], Array]] = deque(maxlen=PREDICTIONS_KEPT)
+        self._known, self._white, self._left = (_Kept(maxlen=2) for _ in range(3))
+        self._shown = _Kept(maxlen=PREDICTIONS_KEPT)
         self._poses = FreePoses.of(self.stage.stack.segment, len(self.stage.segments))
         limits = self.stage.log.limits
         self.readings = {
@@ -132,6 +134,12 @@ class Problem:
         """Return bases of what the initial poses of the segments explain."""
         return None if nuisance is None else self._poses.bases(self.whiten(nuisance))
 
+    def bases_at(self, point: Point) -> Bases | None:
+        """Return those of a point, under the present noise."""
+        if point.noise is self.noise:
+            return point.bases
+        return self.bases(self.nuisance(point.predicted, point.poses))
+
     def project(self, white: Array, bases: Bases | None) -> Array:
         """Take the free initial poses out of whitened columns."""
         return white if bases is None else bases.project(white)
@@ -151,7 +159,7 @@ class Problem:
             white = self.whiten(self.residual(predicted))
         left = self.project(white, bases)
         loss = self.stack.block_sums(left * left)
-        return Point(model, poses, predicted, white, left, loss, self.noise)
+        return Point(model, poses, predicted, white, left, loss, self.noise, bases)
 
     def columns(self, point: Point, model: Model, which: Sequence[int] | None = None) -> Array:
         """Return the raw sensitivities of the parameters of a model, all or some: shape (n, k)."""
@@ -172,21 +180,24 @@ class Problem:
 
     def own_columns(self, point: Point) -> Array:
         """Return the raw sensitivities of a point's own parameters; of the last points, once."""
-        for known, columns in list(self._known):
-            if known is point:
-                return columns
-        columns = self.columns(point, point.model)
-        self._known.append((point, columns))
-        return columns
+        return _once(self._known, (point,), lambda: self.columns(point, point.model))
+
+    def own_white(self, point: Point) -> Array:
+        """Return these whitened; of the last points, once."""
+        key = (point, self.noise, self.weights)
+        return _once(self._white, key, lambda: self.whiten(self.own_columns(point)))
 
     def shown(self, point: Point, columns: Array) -> Array:
         """Return raw columns as they show at a point: whitened, initial poses projected out."""
-        bases = self.bases(self.nuisance(point.predicted, point.poses))
-        return self.project(self.whiten(columns), bases)
+        return self.project(self.whiten(columns), self.bases_at(point))
 
     def accepted(self, point: Point) -> Array | None:
-        """Return whitened, projected sensitivities of a model's own parameters."""
-        return self.shown(point, self.own_columns(point)) if point.model.fitted else None
+        """Return whitened, projected sensitivities of a model's own parameters; likewise."""
+        if not point.model.fitted:
+            return None
+        key = (point, self.noise, self.weights)
+        bases = self.bases_at(point)
+        return _once(self._left, key, lambda: self.project(self.own_white(point), bases))
 
     def effect(self, point: Point, index: int) -> Array:
         """Return what a point's cause changes, whitened and projected, shape (n,)."""
@@ -256,6 +267,16 @@ class Problem:
             for part in mine:
                 weights[part] = robust_weights(raw[part] / scale, noise[name].tail_dof)
         self.noise, self.weights = noise, weights
+
+
+def _once(kept: _Kept, key: tuple[object, ...], compute: Callable[[], Array]) -> Array:
+    """Return what was computed of the same objects lately, or compute it; nobody changes it."""
+    for known, found in list(kept):
+        if all(a is b for a, b in zip(known, key, strict=True)):
+            return found
+    found = compute()
+    kept.append((key, found))
+    return found
 
 
 def apart(point: Point, accepted: Array, index: int) -> tuple[Array, Array]:
