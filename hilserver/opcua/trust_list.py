@@ -17,6 +17,8 @@ cannot be read nobody is let in: it may revoke any certificate.
 import ipaddress
 import os
 import re
+import time
+from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -43,6 +45,8 @@ from hilserver.opcua.logs import log
 from hilserver.small_file import read_small
 
 MAX_REJECTED = 100
+KEPT_AT_ONCE, KEPT_WITHIN_S = 10, 60.0
+"""New rejected certificates that are kept in so long: each is a file to be written to the disk."""
 MAX_LIST_BYTES = 64_000_000
 FOLDERS = ("own", "trusted", "rejected", "revoked")
 _SHA2 = {
@@ -75,8 +79,9 @@ class _Folder:
     """Certificates and revocation lists of one folder, read again when a file of it changes."""
 
     path: Path
+    effect: str  # of a file that cannot be read
     stamp: dict[Path, tuple[int, ...]] = field(default_factory=dict)
-    unread: list[tuple[Path, str]] = field(default_factory=list)  # with the reason
+    has_unread: bool = False
     certificates: dict[str, x509.Certificate] = field(default_factory=dict)
     lists: list[x509.CertificateRevocationList] = field(default_factory=list)
 
@@ -91,7 +96,7 @@ class _Folder:
         return self
 
     def _read(self, paths: Iterable[Path]) -> None:
-        self.certificates, self.lists, self.unread = {}, [], []
+        self.certificates, self.lists, self.has_unread = {}, [], False
         for path in paths:
             try:
                 certificate = load_certificate(path)
@@ -103,7 +108,8 @@ class _Folder:
         try:
             self.lists.append(_load_list(path))
         except (ValueError, OSError) as error:
-            self.unread.append((path, getattr(error, "strerror", None) or str(error)))
+            self.has_unread, why = True, getattr(error, "strerror", None) or str(error)
+            log.error(f"{self.effect}: replace or remove this file", file=str(path), reason=why)
 
 
 def _stamp(path: Path) -> tuple[int, ...]:
@@ -134,8 +140,9 @@ class TrustList:
         self.folder = folder
         # trusted as a client like those in the folder: the operator page shows it
         self.ours: x509.Certificate | None = None
-        self._trusted = _Folder(folder / "trusted")
-        self._revoked = _Folder(folder / "revoked")
+        self._trusted = _Folder(folder / "trusted", "nobody is trusted by it")
+        self._revoked = _Folder(folder / "revoked", "nobody is let in")
+        self._kept_s: deque[float] = deque(maxlen=KEPT_AT_ONCE)
 
     def make_folders(self) -> None:
         """Make the folders, readable by their owner only; FailedError if that fails."""
@@ -192,9 +199,7 @@ class TrustList:
             return Verdict.USE
         if issuer and _is_on_a_list(certificate, issuer, revoked.lists):
             return Verdict.REVOKED
-        for path, why in revoked.unread:
-            log.error("nobody is let in: replace or remove this file", file=str(path), reason=why)
-        return Verdict.REVOCATION_UNKNOWN if revoked.unread else Verdict.GOOD
+        return Verdict.REVOCATION_UNKNOWN if revoked.has_unread else Verdict.GOOD
 
     def judge_server(
         self,
@@ -217,7 +222,10 @@ class TrustList:
         return Verdict.GOOD
 
     def keep_rejected(self, data: bytes) -> Path | None:
-        """Put a refused certificate into ``rejected``; the oldest make room. None if that fails."""
+        """Put a refused certificate into ``rejected``; the oldest make room.
+
+        None if that fails, or strangers have shown `KEPT_AT_ONCE` others lately.
+        """
         try:
             certificate = parse_certificate(data)
             folder = self.folder / "rejected"
@@ -225,6 +233,10 @@ class TrustList:
             path = folder / file_name(certificate)
             if path.exists():
                 return path
+            now_s = time.monotonic()
+            if len(self._kept_s) == KEPT_AT_ONCE and now_s - self._kept_s[0] < KEPT_WITHIN_S:
+                return None
+            self._kept_s.append(now_s)
             kept = sorted(files_in(folder), key=lambda p: p.stat().st_mtime_ns)
             for old in kept[: max(0, len(kept) - MAX_REJECTED + 1)]:
                 old.unlink(missing_ok=True)
