@@ -110,21 +110,19 @@ def judge(
     answers = answers_of(member.judged, seed, jobs)
     tracker.timed("halves")
     tracker("measuring the gain", 0.0)
-    of_all = [answer.explained.gains(HORIZON_S, rng) for answer in answers]
-    # the gain of all that predicts is that of a single cause where nothing else predicts
-    gains = [g if a.named is a.explained else None for g, a in zip(of_all, answers, strict=True)]
-    of_patch = [
-        gain or answer.named.gains(HORIZON_S, rng)
-        for gain, answer in zip(gains, answers, strict=True)
-    ]
-    whole, total, notices = _all_of(of_all), _all_of(of_patch), member.log.notices
+    own = [answer.explained.gains(HORIZON_S, rng) for answer in answers]
+    patch = _all_of(a.named.gains(HORIZON_S, rng, a.named.corrected) for a in answers)
+    total, notices, patches = _all_of(own), member.log.notices, [patch]
     if test is not None:
-        whole, total = _on_other_logs(member, test, rng)
-        of_patch.append(total)
+        total, patch = _on_other_logs(member, test, rng)
+        patches.append(patch)
         files = ", ".join(s.file for s in test.sources)
         notices = (*notices, *test.notices, f"{ON_OTHER_LOGS}{files}")
+    # the gain of all that predicts is that of a single cause where nothing else predicts
+    alone = [j.whole is j.point for j in member.judged.values()]
+    gains = [gain if one else None for gain, one in zip(own, alone, strict=True)]
     found, fitted = _collected([member], answers, rng, gains)
-    ceiling = _all_of(ceilings(a.named.parts[0], HORIZON_S, rng) for a in answers)
+    ceiling = _all_of(ceilings(a.explained.parts[0], HORIZON_S, rng) for a in answers)
     sizes, unseen = member.smallest(rng)
     if stood_still(member.log):
         sizes, unseen = at_rest(sizes, unseen)
@@ -136,9 +134,10 @@ def judge(
         answers,
         found,
         fitted,
-        worsened(whole, *of_patch),
+        worsened(total, *patches),
         tracker,
         total_gain=total,
+        patch_gain=patch,
         seed=seed,
         config_sha256=config_sha256,
         ceiling=ceiling,
@@ -187,6 +186,7 @@ def diagnose_groups(
         worsened(total, *by_group.values()),
         tracker,
         total_gain=total,
+        patch_gain=_all_of(a.named.gains(HORIZON_S, rng, a.named.corrected) for a in answers),
         seed=seed,
         config_sha256=assembly.config.sha256,
         smallest_detectable=tuple(sizes),
@@ -240,7 +240,7 @@ def _on_other_logs(
     whole = {stage: j.whole.model for stage, j in stages}
     named = {stage: j.point.model for stage, j in stages}
     predicted = gain_on(log, member.robot, whole, HORIZON_S, rng)
-    return predicted, gain_on(log, member.robot, named, HORIZON_S, rng)
+    return predicted, gain_on(log, member.robot, named, HORIZON_S, rng, of_patch=True)
 
 
 def _collected(
@@ -299,6 +299,7 @@ def _diagnosis(
     tracker: Tracker,
     *,
     total_gain: Mapping[str, Gain],
+    patch_gain: Mapping[str, Gain],
     notices: tuple[str, ...],
     **fields: Any,
 ) -> Diagnosis:
@@ -311,13 +312,15 @@ def _diagnosis(
     fields
         Of `Findings`.
     """
-    predicts = any(answer.model.of_the_machine for answer in answers)
+    predicts = any(part.judged.whole.model.fitted for a in answers for part in a.explained.parts)
+    holds = refusal is None and any(answer.model.of_the_machine for answer in answers)
     findings = _findings(
         [m.log for m in members],
         verdict=overall(found, is_judged=any(m.judged for m in members)),
         baseline={key: gain.before for key, gain in total_gain.items()},
         findings=tuple(found),
         total_gain=dict(total_gain) if found and predicts else {},
+        patch_gain=dict(patch_gain) if holds else {},
         joint=joint([answer.estimate for answer in answers]),
         notices=notices if refusal is None else (*notices, refusal),
         decisions=tuple(row for m in members for row in m.decisions),
@@ -337,5 +340,5 @@ def _findings(logs: Iterable[MeasuredLog], *, notices: Iterable[str], **fields: 
 def _evidence(
     m: Member, answers: Sequence[Answer], terms: tuple[FittedTerm, ...], tracker: Tracker
 ) -> Evidence:
-    own = [part for a in answers for part in a.named.parts if part.member == m.name]
+    own = [part for a in answers for part in a.explained.parts if part.member == m.name]
     return evidence(m.log, own, terms, tracker.timings_s)

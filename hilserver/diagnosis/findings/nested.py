@@ -75,8 +75,6 @@ def cross_validated(
 ) -> Explained:
     """Return what the causes of a stage explain of blocks that had no part in choosing them.
 
-    Where they correct the log itself (its clock), they do so beside the configured plant as well.
-
     Parameters
     ----------
     configured : ndarray, shape (n,)
@@ -106,7 +104,8 @@ def cross_validated(
 
     found = by_halves(set())
     of_log = [model.without(*model.of_the_machine) for model in found]
-    return Explained((Part("", j, predicted(of_log), predicted(found)),), without_some)
+    part = Part("", j, configured, predicted(of_log), predicted(found))
+    return Explained((part,), without_some)
 
 
 def _model(half: Judged, barred: set[str], named: bool) -> Model:

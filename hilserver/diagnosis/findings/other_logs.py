@@ -24,11 +24,18 @@ def gain_on(
     models: Mapping[str, Model],
     horizon_s: float,
     rng: np.random.Generator,
+    *,
+    of_patch: bool = False,
 ) -> dict[str, Gain]:
-    """Return what models of the stages gain on another log; both sides correct the log alike.
+    """Return what models of the stages gain on another log.
 
     Where the log consists of several runs, free runs go from the beginning of each to its end;
     `horizon_s` else.
+
+    Parameters
+    ----------
+    of_patch : bool
+        Correct the log beside the configured plant as well: no patch does.
     """
     lengths = [s.end_s - s.start_s for s in log.spans]
     if len(lengths) >= FEWEST_RUNS and max(lengths) <= LONGEST_RUN_S:
@@ -37,9 +44,9 @@ def gain_on(
     known = models["drive"].terms if "drive" in models else {}
     for name, stage in stages_of(log, robot, drive_terms=known).items():
         problem, model = Problem(stage.uncut()), models.get(name, Model())
-        of_log = model.without(*model.of_the_machine)
+        base = model.without(*model.of_the_machine) if of_patch else Model()
         before, after = (
-            problem.predict(m.terms, problem.start_poses(m.terms)) for m in (of_log, model)
+            problem.predict(m.terms, problem.start_poses(m.terms)) for m in (base, model)
         )
         found |= gains(problem, before, after, horizon_s, rng)
     return found

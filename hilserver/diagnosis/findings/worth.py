@@ -22,8 +22,9 @@ class Part:
 
     member: str
     judged: Judged
-    # held-out predictions: the configured plant, the log as all causes correct it; with all causes
+    # held-out predictions: the configured plant; the same, the log corrected; with all causes
     before: Array
+    corrected: Array
     after: Array
 
     @property
@@ -43,6 +44,11 @@ class Explained:
     parts: tuple[Part, ...]
     # predictions of the model without some of its causes, by their places in it
     without: Callable[[frozenset[int]], Predictions]
+
+    @property
+    def corrected(self) -> Predictions:
+        """Predictions of the configured plant where the causes correct the log, its clock."""
+        return tuple(part.corrected for part in self.parts)
 
     def gains(
         self, horizon_s: float, rng: np.random.Generator, before: Predictions | None = None
@@ -97,14 +103,15 @@ class Answer:
         Parameters
         ----------
         total : dict of str to Gain, optional
-            The gain of all causes, if known: that of a single one, if it is of the machine.
+            The gain of all causes, if known: that of a single one.
         """
-        found, single = [], len(self.findings) == len(self.model.of_the_machine) == 1
+        found = []
         for index, finding in enumerate(self.findings):
             alone = self.explained.without(frozenset({index}))
             partners = self.estimate.partners(index)
             together = self.explained.without(partners | {index}) if partners else alone
-            gain = (total if single else None) or self.explained.gains(horizon_s, rng, alone)
+            only = total if len(self.findings) == 1 else None
+            gain = only or self.explained.gains(horizon_s, rng, alone)
             matters = self.explained.matters(alone, together)
             found.append(finding.model_copy(update={"gain": gain, "matters": matters}))
         return found

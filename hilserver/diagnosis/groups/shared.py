@@ -46,11 +46,11 @@ def _explained(d: Decided) -> Explained:
     configured = tuple(
         j.prepared.problem.point(Model(), j.point.poses).predicted for j in d.members
     )
-    before = after = configured
+    corrected = after = configured
     if fitted is not None:
         machine, after = fitted.points[0].model.of_the_machine, fitted.held_out()
-        if len(machine) < len(d.causes):  # the log is corrected beside both
-            before = fitted.held_out(machine)
+        if len(machine) < len(d.causes):
+            corrected = fitted.held_out(machine)
 
     def without(causes: frozenset[int]) -> Predictions:
         assert fitted is not None
@@ -61,7 +61,7 @@ def _explained(d: Decided) -> Explained:
         gone = [i for cause in causes for i in range(slices[cause].start, slices[cause].stop)]
         return fit_in_all(d.members, models, np.delete(fitted.all.free, gone)).held_out()
 
-    parts = zip(d.names, d.members, before, after, strict=True)
+    parts = zip(d.names, d.members, configured, corrected, after, strict=True)
     return Explained(tuple(Part(*part) for part in parts), without)
 
 

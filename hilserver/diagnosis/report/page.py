@@ -53,7 +53,7 @@ def render(findings: Findings, evidence: Evidence) -> str:
             headline=words.headline(findings),
             best=words.best(gains),
             held_out=words.held_out(findings),
-            corrected=words.corrected(findings),
+            of_patch=words.of_patch(findings),
             understated=words.understated(findings),
             changed=[g for g in gains if not words.is_unchanged(g.gain)],
             unchanged=[g for g in gains if words.is_unchanged(g.gain)],

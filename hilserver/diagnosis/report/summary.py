@@ -5,10 +5,10 @@ import textwrap
 from hilserver.diagnosis.findings.explain import explain_finding, number
 from hilserver.diagnosis.report.words import (
     Change,
-    corrected,
     gains,
     headline,
     is_unchanged,
+    of_patch,
     shared_and_free,
     understated,
 )
@@ -36,7 +36,7 @@ def summary(findings: Findings) -> str:
         for g in gains(findings)
         if not is_unchanged(g.gain)
     ]
-    lines += [f"  {text}" for text in (corrected(findings), understated(findings)) if text]
+    lines += [f"  {text}" for text in (of_patch(findings), understated(findings)) if text]
     if findings.verdict is Overall.NOTHING_FOUND and findings.smallest_detectable:
         lines.append("  The report says how large an effect must be to be found.")
     lines += [f"  Note: {notice}" for notice in findings.notices]

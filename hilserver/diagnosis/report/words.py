@@ -1,9 +1,9 @@
 """The text of the first page: the headline, the gains, in which block, and what to do."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG, cause_of
+from hilserver.diagnosis.catalogue.vocabulary import cause_of
 from hilserver.diagnosis.findings.explain import QUANTITIES, explain_finding, number, remedy
 from hilserver.diagnosis.report.plain import plain
 from hilserver.diagnosis.schema.evidence import CutRow
@@ -35,8 +35,6 @@ MOST_TIMES = 1000
 """By which an error shrinks or grows; more is an error of next to nothing, before or after."""
 FREE_RUNS = ("position_m", "yaw_rad")
 """Quantities whose error is taken at the end of a free run; of the others it is the mean."""
-CORRECTED = frozenset(OF_THE_LOG.values())
-"""Parameters of the log that are fitted with those of the model."""
 COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
 
 
@@ -154,14 +152,17 @@ def held_out(findings: Findings) -> str:
     return "other logs" if other else "parts of the recording that were not used for the fit"
 
 
-def corrected(findings: Findings) -> str:
-    """Return what of the log is no part of the total gain; nothing where there is nothing."""
-    own = [f.causes[0] for f in findings.findings if not f.parameters.keys().isdisjoint(CORRECTED)]
-    if not own or not findings.total_gain:
+def of_patch(findings: Findings) -> str:
+    """Return what the patch gains by itself; nothing where that is the total gain."""
+    alone, total = findings.patch_gain, findings.total_gain
+    less = [key for key in QUANTITIES if key in alone and key in total
+            and Change.of(alone[key]).times != Change.of(total[key]).times]  # fmt: skip
+    if not less:
         return ""
-    what = " and ".join(dict.fromkeys(own)).replace("_", " ")
+    each = (f"{QUANTITIES[key][0]} {replace(Change.of(alone[key]), ci95=None)}" for key in less)
     return (
-        f"This is the gain of the patch alone: the {what} of this log is corrected in both models."
+        f"The patch by itself: {', '.join(each)}."
+        " It holds neither the clock of this log nor what has no name."
     )
 
 

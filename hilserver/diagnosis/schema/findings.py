@@ -188,6 +188,7 @@ class Findings(_Model):
     baseline: dict[str, float] = Field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
     total_gain: dict[str, Gain] = Field(default_factory=dict)
+    patch_gain: dict[str, Gain] = Field(default_factory=dict)
     ceiling: dict[str, float] = Field(default_factory=dict)
     joint: Joint | None = None
     noise: dict[str, Noise] = Field(default_factory=dict)

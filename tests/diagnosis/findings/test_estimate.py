@@ -90,7 +90,7 @@ def test_partners_take_over_what_one_cause_explains_alone(alike):
         return (held_out(problem, crossed(problem, start, start.model)),)
 
     judged = SimpleNamespace(prepared=SimpleNamespace(problem=problem))
-    whole = Explained((Part("", judged, np.zeros(N), after),), without)
+    whole = Explained((Part("", judged, np.zeros(N), np.zeros(N), after),), without)
     findings = (sample.findings().findings[0],) * 3
     answer = Answer(whole, whole, point.model, findings, estimate)
     found = answer.with_worth(5.0, np.random.default_rng(0))

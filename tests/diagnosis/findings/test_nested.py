@@ -131,20 +131,23 @@ def test_a_column_without_a_name_predicts_and_is_in_no_patch():
     assert whole.gains(5.0, np.random.default_rng(0))["speed_rpm"].ratio > 1.5
 
 
-def test_what_corrects_the_log_stands_beside_both_models():
-    """A clock is of this log: what it explains is no gain of the patch."""
+def test_what_corrects_the_log_is_no_gain_of_the_patch():
+    """A clock is of this log."""
     values, columns = drawn()
     clock, turn = columns.pop("c0"), columns["c1"]
     j = judged(values, {"shift.nav": clock, **columns})
     assert set(j.point.model.causes) == {"shift.nav", "c1"}
     explained = cross_validated(j, judged_by_halves({"drive": j}, SEED, 1)["drive"], np.zeros(N))
     (part,) = explained.parts
-    assert np.allclose(part.before, clock, atol=0.1), "the configured plant, the clock corrected"
+    assert not part.before.any(), "the configured plant"
+    assert np.allclose(part.corrected, clock, atol=0.1), "the same, the clock corrected"
     assert np.allclose(part.after, clock + turn, atol=0.2)
-    gain = explained.gains(5.0, np.random.default_rng(0))["speed_rpm"]
-    noise = values - clock - turn
-    assert gain.before == pytest.approx(np.abs(turn + noise).mean(), rel=0.02)
-    assert gain.after == pytest.approx(np.abs(noise).mean(), rel=0.02)
+    rng, noise = np.random.default_rng(0), values - clock - turn
+    total = explained.gains(5.0, rng)["speed_rpm"]
+    patch = explained.gains(5.0, rng, explained.corrected)["speed_rpm"]
+    assert total.before == pytest.approx(np.abs(values).mean(), rel=0.02)
+    assert patch.before == pytest.approx(np.abs(turn + noise).mean(), rel=0.02)
+    assert total.after == patch.after == pytest.approx(np.abs(noise).mean(), rel=0.02)
 
 
 def test_where_only_the_log_is_corrected_a_patch_gains_nothing():
@@ -152,7 +155,7 @@ def test_where_only_the_log_is_corrected_a_patch_gains_nothing():
     j = judged(values, {"shift.nav": columns.pop("c0"), **columns})
     assert j.point.model.causes == ("shift.nav",)
     explained = cross_validated(j, judged_by_halves({"drive": j}, SEED, 1)["drive"], np.zeros(N))
-    assert np.array_equal(explained.parts[0].before, explained.parts[0].after)
+    assert np.array_equal(explained.parts[0].corrected, explained.parts[0].after)
     (alone,) = explained.without(frozenset({0}))
     gain = explained.gains(5.0, np.random.default_rng(0), (alone,))["speed_rpm"]
     assert gain.ratio > 1.3, "the finding itself does gain"

@@ -13,7 +13,7 @@ from hilserver.diagnosis.report.plain import plain
 from hilserver.diagnosis.report.summary import summary
 from hilserver.diagnosis.report.words import Change
 from hilserver.diagnosis.schema.evidence import Evidence
-from hilserver.diagnosis.schema.findings import ON_OTHER_LOGS, Finding, Parameter, Verdict
+from hilserver.diagnosis.schema.findings import ON_OTHER_LOGS, Finding
 from hilserver.signals import Ranges, robot_table
 from tests.diagnosis.sample import evidence, findings, gain, nothing_found
 
@@ -244,17 +244,16 @@ def test_a_decision_stands_beside_what_was_found_in_the_end(page):
     assert re.findall(r"<td[^>]*>(?:<code>)?([^<]*)", refused)[-2:] == ["", ""]
 
 
-def test_what_of_the_log_is_no_gain_of_the_patch_is_said_once(page):
-    said = "the clock offset of this log is corrected in both models"
-    late = Finding(
-        verdict=Verdict.NAMED, causes=("clock_offset",), block="timing",
-        parameters={"clock_offset.nav": Parameter(value=0.3, ci95=(0.29, 0.31), unit="s")},
-    )  # fmt: skip
+def test_what_the_patch_gains_by_itself_is_said_once_where_it_is_less(page):
+    said = "The patch by itself: position 2 times smaller."
     given = findings()
-    given = given.model_copy(update={"findings": (*given.findings, late)})
+    given = given.model_copy(
+        update={"patch_gain": given.total_gain | {"position_m": gain(0.2, 0.1, 1.8, 2.2)}}
+    )
     assert render(given, Evidence()).count(said) == 1
     assert said in " ".join(summary(given).split())
-    assert said not in page
+    alike = given.model_copy(update={"patch_gain": given.total_gain})
+    assert "by itself: position" not in render(alike, Evidence()) + page
 
 
 def test_a_ceiling_is_explained_where_it_stands(page):
