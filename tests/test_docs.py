@@ -37,6 +37,11 @@ def test_readme_shows_picture_commands_and_result_on_its_first_screen() -> None:
         assert shown in first_screen
 
 
+def figures_of_the_readme() -> list[str]:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    return text.split("<!-- figures: begin -->")[1].split("<!-- figures: end -->")[0].splitlines()
+
+
 def test_readme_has_a_row_for_every_command() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     table = text.split("\n## Commands\n\n")[1].split("\n\n")[0]
@@ -46,10 +51,14 @@ def test_readme_has_a_row_for_every_command() -> None:
 
 
 def test_figures_of_the_readme_stand_in_one_line_cells() -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    rows = text.split("<!-- figures: begin -->")[1].split("<!-- figures: end -->")[0].splitlines()
-    cells = [cell.strip() for row in rows for cell in row.split("|")]
+    cells = [cell.strip() for row in figures_of_the_readme() for cell in row.split("|")]
     assert not [cell for cell in cells if len(cell) > 55]
+
+
+def test_every_figure_of_the_readme_has_a_command_that_the_program_takes() -> None:
+    lines = re.findall(r"`(bench .+?)` \|$", "\n".join(figures_of_the_readme()), re.MULTILINE)
+    assert len(lines) > 20
+    assert all(commands._parse(shlex.split(line)) for line in set(lines))
 
 
 def test_every_page_of_the_docs_can_be_reached_from_the_index() -> None:
