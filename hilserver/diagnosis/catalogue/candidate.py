@@ -80,20 +80,10 @@ def single(
     return several(cause, name, stage, (name,), (step,), least, low=low, high=high)
 
 
-def start_grid(
-    name: str,
-    stage: StageName,
-    null: float,
-    values: Sequence[float],
-    step: float,
-    least: float,
-    low: float,
-    high: float,
-) -> list[Candidate]:
+def start_grid(made: Candidate, null: float, values: Sequence[float]) -> list[Candidate]:
     """Return one candidate per start value of a parameter whose effect is not linear."""
-    made = single(name, stage, step, least, low, high)
     return [
-        replace(made, label=f"{name}@{value:g}", start=(value,), null=(null,), linear=False)
+        replace(made, label=f"{made.label}@{value:g}", start=(value,), null=(null,), linear=False)
         for value in values
     ]
 

@@ -20,13 +20,9 @@ from hilserver.diagnosis.catalogue.candidate import (
 )
 from hilserver.diagnosis.catalogue.vocabulary import SPEED_SCALES
 
-DELAYS_S = (0.01, 0.04, 0.15, 0.4)
 LATE_S = (0.15, 0.4)  # far from zero a latency is no longer linear
 PERIODS_S = (0.002, 0.003, 0.005, 0.007, 0.01, 0.013)
 USUAL_PERIODS_S = (0.0015, 0.0025, 0.004, 0.006, 0.008, 0.009, 0.011, 0.012, 0.0125, 0.014)
-QUANTA_RPM = (0.25, 0.5, 1.0)
-RATES_RPM_S = (80.0, 150.0, 400.0)
-LIMITS_PCT = (85.0, 65.0, 45.0)
 MEASURED = 0.05
 """Prior deviation of what somebody measured or counted: radii, distances between anchors, the
 increments of a turn."""
@@ -41,6 +37,15 @@ OF_THE_DRIVE = (
     ("controller_gains.p", -0.05, 0.03, -0.9, 2.0),
     ("controller_gains.i", -0.05, 0.05, -0.9, 3.0),
 )
+STARTS_OF_THE_DRIVE = (
+    ("saturation_limit", 100.0, (85.0, 65.0, 45.0), -2.0, 1.0, 5.0, 99.0),
+    ("actuation_delay", 0.0, (0.01, 0.04, 0.15, 0.4), 0.002, 0.002, 0.0, 0.9),
+    ("setpoint_rate_limit", 1e9, (80.0, 150.0, 400.0), -10.0, 0.0, 1.0, 1e5),
+    ("control_period", 0.001, PERIODS_S, 0.001, 0.0015, 0.001, 0.02),
+    ("encoder_filter", 0.0, (0.005, 0.02), 0.001, 0.001, 0.0, 0.2),
+    ("encoder_quantization", 0.0, (0.25, 0.5, 1.0), 0.1, 0.2, 0.0, 20.0),
+)
+"""The same behind the null and the values from which a fit begins: none of them is linear."""
 OF_THE_POSE = (
     ("wheel_radius", 0.01, 0.002, -0.5, 1.0),
     # 10 m with it cost about half the heading of a full turn with the least rotation_gain
@@ -78,14 +83,10 @@ def drive_candidates() -> list[Candidate]:
         scale = single(term, stage, 0.01, 0.005, 0.3, 3.0)
         found.append(replace(scale, cause="unit_error", start=(1.0,), null=(1.0,)))
     found += [_stribeck(n_s) for n_s in (3.0, 6.0, 12.0)]
-    found += start_grid("saturation_limit", stage, 100.0, LIMITS_PCT, -2.0, 1.0, 5.0, 99.0)
-    found += start_grid("actuation_delay", stage, 0.0, DELAYS_S, 0.002, 0.002, 0.0, 0.9)
-    found += start_grid("setpoint_rate_limit", stage, 1e9, RATES_RPM_S, -10.0, 0.0, 1.0, 1e5)
-    periods = start_grid("control_period", stage, 0.001, PERIODS_S, 0.001, 0.0015, 0.001, 0.02)
-    found += [replace(c, tried=USUAL_PERIODS_S) for c in periods]
-    found += start_grid("encoder_filter", stage, 0.0, (0.005, 0.02), 0.001, 0.001, 0.0, 0.2)
-    found += start_grid("encoder_quantization", stage, 0.0, QUANTA_RPM, 0.1, 0.2, 0.0, 20.0)
-    return found
+    for name, null, values, *sizes in STARTS_OF_THE_DRIVE:
+        found += start_grid(single(name, stage, *sizes), null, values)
+    tried = {"control_period": USUAL_PERIODS_S}
+    return [replace(c, tried=tried.get(c.cause, ())) for c in found]
 
 
 def pose_candidates(place: Region | None) -> list[Candidate]:
@@ -100,7 +101,7 @@ def pose_candidates(place: Region | None) -> list[Candidate]:
     found = [replace(single(name, "pose", *own), prior=PRIORS.get(name, math.inf))
              for name, own in sizes.items()]  # fmt: skip
     for name in LATENCIES:
-        found += start_grid(name, "pose", 0.0, LATE_S, *sizes[name])
+        found += start_grid(single(name, "pose", *sizes[name]), 0.0, LATE_S)
     found.append(replace(single("shift.nav", "pose", 0.02, 0.01, -1.5, 1.5), cause="clock_offset"))
     for name, step, least, most in (
         ("floor_slope", 0.005, 0.002, 0.5), ("nav_lever_arm", 0.02, 0.006, 2.0)

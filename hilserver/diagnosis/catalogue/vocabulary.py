@@ -4,7 +4,7 @@ The physical causes are the plant's terms (`plant/terms.csv`), in their order; t
 have no term, because the data are corrected, not the model.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import inf
 from types import MappingProxyType
@@ -53,8 +53,11 @@ class Cause:
     parts: tuple[Term, ...]  # the main one first; of the log's faults, too
     physical: bool  # True: a term of the plant. False: a fault of the log.
     description: str
-    # True: its parameters are called ``cause.<signal or source>``, one for each that is affected
-    by_channel: bool = False
+
+    @property
+    def by_channel(self) -> bool:
+        """Whether its parameters are called ``cause.<signal or source>``, one for each."""
+        return not self.physical and bool(self.parts)
 
     @property
     def stage(self) -> StageName:
@@ -87,35 +90,30 @@ def _physical() -> list[Cause]:
     ]
 
 
-def _data(
-    name: str,
-    block: Block,
-    unit: str | None,
-    null: float | None,
-    description: str,
-    *,
-    by_channel: bool = True,
-) -> Cause:
-    part = Term(name, block, unit or "1", null, None, -inf, inf, False, "", description)
-    return Cause(name, block, (part,) if unit else (), False, description, by_channel)
-
-
-_DATA: Final = (
-    _data("clock_offset", "timing", "s", 0.0, "stamps of a source are late by this much"),
-    _data("clock_drift", "timing", "1", 0.0, "stamps of a source gain this much per second"),
-    _data("sign_flip", "data", "1", 1.0, "a channel has the other sign: factor -1"),
-    _data("swapped_sides", "data", None, None, "left and right exchanged", by_channel=False),
-    _data("unit_error", "data", "1", 1.0, "a channel is too large by this factor"),
-    _data("held_samples", "data", "Hz", None, "a channel changes at this lower rate"),
-    _data("interpolated_setpoint", "data", "Hz", None, "set-points made up between samples"),
-    _data("setpoint_as_measurement", "data", "1", 0.0, "a measured channel is the set-point"),
-    _data("dropouts", "data", "1", 0.0, "share of samples that are missing or repeated"),
-    _data("limited_channel", "data", "1", None, "largest reading of a channel, in its unit"),
-    _data("missed_ticks", "timing", "1", 0.0, "share of the recorder's ticks that did not happen"),
+_OF_THE_LOG: Final[tuple[tuple[str, Block, str, float | None, str], ...]] = (
+    ("clock_offset", "timing", "s", 0.0, "stamps of a source are late by this much"),
+    ("clock_drift", "timing", "1", 0.0, "stamps of a source gain this much per second"),
+    ("sign_flip", "data", "1", 1.0, "a channel has the other sign: factor -1"),
+    ("swapped_sides", "data", "", None, "left and right exchanged"),
+    ("unit_error", "data", "1", 1.0, "a channel is too large by this factor"),
+    ("held_samples", "data", "Hz", None, "a channel changes at this lower rate"),
+    ("interpolated_setpoint", "data", "Hz", None, "set-points made up between samples"),
+    ("setpoint_as_measurement", "data", "1", 0.0, "a measured channel is the set-point"),
+    ("dropouts", "data", "1", 0.0, "share of samples that are missing or repeated"),
+    ("limited_channel", "data", "1", None, "largest reading of a channel, in its unit"),
+    ("missed_ticks", "timing", "1", 0.0, "share of the recorder's ticks that did not happen"),
 )
+"""Name, block, unit (empty: it has no size), null and description."""
+
+
+def _faults() -> Iterator[Cause]:
+    for name, block, unit, null, text in _OF_THE_LOG:
+        part = Term(name, block, unit, null, None, -inf, inf, False, "", text)
+        yield Cause(name, block, (part,) if unit else (), physical=False, description=text)
+
 
 CAUSES: Final[Mapping[str, Cause]] = MappingProxyType(
-    {cause.name: cause for cause in (*_physical(), *_DATA)}
+    {cause.name: cause for cause in (*_physical(), *_faults())}
 )
 
 

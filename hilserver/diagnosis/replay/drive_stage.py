@@ -65,6 +65,7 @@ class DriveStage(Stage):
     block = "drive"
     memoryless = True
     follows_setpoints = True
+    needs = (Need.SPEED, Need.DUTY, Need.VOLTAGE, Need.STAMPS)
     quantities: ClassVar = {"speed_rpm": SPEEDS, "duty_pct": DUTIES}
 
     def __init__(self, log: MeasuredLog, robot: RobotParameters, *, block_s: float) -> None:
@@ -121,17 +122,6 @@ class DriveStage(Stage):
     def candidates(self) -> list[Candidate]:
         """Return the causes of the drive, its controller and the log's speeds."""
         return drive_candidates()
-
-    def missing(self) -> list[Need]:
-        """Return what the log does not have of what causes of the drive need."""
-        log = self.log
-        held = {
-            Need.SPEED: any(n in log for n in SPEEDS),
-            Need.DUTY: any(n in log for n in DUTIES),
-            Need.VOLTAGE: VOLTAGE in log,
-            Need.STAMPS: log.has_stamps,
-        }
-        return [need for need, there in held.items() if not there]
 
     def signals(self, terms: Mapping[str, float], poses: Array) -> Mapping[str, Array]:
         """Return shown speed, duty and angle of every wheel at every tick."""

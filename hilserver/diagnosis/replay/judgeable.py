@@ -1,13 +1,14 @@
 """Which causes a log can judge by its channels, and why others are not judged."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Final
 
 from hilserver.diagnosis.catalogue.candidate import Candidate, StageName
-from hilserver.diagnosis.catalogue.traits import lacking, traits_of
+from hilserver.diagnosis.catalogue.traits import Need, lacking, traits_of
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
+from hilserver.diagnosis.replay.positions import begins_anew
 from hilserver.diagnosis.replay.stage import Stage
-from hilserver.measured.channels import POSITION
+from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, VOLTAGE, YAW
 from hilserver.measured.data import MeasuredLog
 
 NO_STAGE: Final[Mapping[StageName, str]] = {
@@ -18,11 +19,25 @@ NO_STAGE: Final[Mapping[StageName, str]] = {
 """Why causes are not judged whose stage the log does not allow."""
 
 
+HOLDS: Final[Mapping[Need, Callable[[MeasuredLog], bool]]] = {
+    Need.SPEED: lambda log: any(n in log for n in SPEEDS),
+    Need.DUTY: lambda log: any(n in log for n in DUTIES),
+    Need.VOLTAGE: lambda log: VOLTAGE in log,
+    Need.POSITION: lambda log: log.has(*POSITION),
+    Need.PLACE: lambda log: not begins_anew(log),
+    Need.YAW: lambda log: YAW in log,
+    Need.GYRO: lambda log: GYRO in log,
+    Need.STAMPS: lambda log: log.has_stamps,
+}
+"""Whether a log holds what causes need."""
+
+
 def judged_candidates(stage: Stage) -> tuple[list[Candidate], dict[str, str]]:
     """Return the candidates that a stage's channels can judge, and why others are not judged."""
     found = stage.candidates()
     reasons = dict(stage.robot.meaningless)
-    reasons |= lacking(stage.missing(), [c.cause for c in found])
+    missing = [need for need in stage.needs if not HOLDS[need](stage.log)]
+    reasons |= lacking(missing, [c.cause for c in found])
     return [c for c in found if c.cause not in reasons], reasons
 
 

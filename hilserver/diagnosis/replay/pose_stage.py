@@ -78,6 +78,7 @@ class PoseStage(Stage):
     block = "kinematics"
     memoryless = False
     follows_setpoints = False
+    needs = (Need.POSITION, Need.PLACE, Need.YAW, Need.GYRO, Need.STAMPS)
     quantities: ClassVar = {"gyro_z_rad_s": (GYRO,)}
 
     def __init__(
@@ -167,18 +168,6 @@ class PoseStage(Stage):
         if self.robot.is_mecanum:
             return found + roller_candidates() + encoders(self.encoders)
         return found + side_encoders(self.encoders)
-
-    def missing(self) -> list[Need]:
-        """Return what the log does not have of what causes of the pose need."""
-        log = self.log
-        held = {
-            Need.POSITION: log.has(*POSITION),
-            Need.PLACE: not self.begins_anew,
-            Need.YAW: YAW in log,
-            Need.GYRO: GYRO in log,
-            Need.STAMPS: log.has_stamps,
-        }
-        return [need for need, there in held.items() if not there]
 
     @property
     def lateral_m_s(self) -> Array:

@@ -1,7 +1,7 @@
 """What a regression needs of a replay, whichever part of the machine it replays."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from copy import copy
 from typing import ClassVar, Final, Self
 
@@ -28,6 +28,7 @@ class Stage(ABC):
     memoryless: ClassVar[bool]
     # it predicts nothing where the log does not hold the set-points that the machine got
     follows_setpoints: ClassVar[bool]
+    needs: ClassVar[tuple[Need, ...]]  # what its causes may need of the log
     # channels whose errors are reported sample by sample, by the name of the quantity
     quantities: ClassVar[Mapping[str, tuple[str, ...]]]
     log: MeasuredLog
@@ -38,10 +39,6 @@ class Stage(ABC):
     @abstractmethod
     def candidates(self) -> list[Candidate]:
         """Return the candidates that it could judge with all of its channels."""
-
-    @abstractmethod
-    def missing(self) -> Sequence[Need]:
-        """Return what the log does not have of what its causes need."""
 
     @abstractmethod
     def predict(self, terms: Mapping[str, float], poses: Array, *, keep: bool = False) -> Array:
