@@ -18,7 +18,7 @@ from hilserver.diagnosis.catalogue.candidate import (
     start_grid,
     wave,
 )
-from hilserver.diagnosis.catalogue.vocabulary import SPEED_SCALES
+from hilserver.diagnosis.catalogue.vocabulary import LATENCIES, SPEED_SCALES
 
 LATE_S = (0.15, 0.4)  # far from zero a latency is no longer linear
 PERIODS_S = (0.002, 0.003, 0.005, 0.007, 0.01, 0.013)
@@ -68,7 +68,6 @@ OF_THE_POSE = (
     ("imu_latency", 0.01, 0.004, 0.0, 1.5),
 )
 """Step of the differences, least size worth a name, lower and upper bound."""
-LATENCIES = ("imu_latency", "yaw_latency", "nav_latency")
 
 
 def drive_candidates() -> list[Candidate]:
@@ -100,7 +99,7 @@ def pose_candidates(place: Region | None) -> list[Candidate]:
     sizes = {name: own for name, *own in OF_THE_POSE}
     found = [replace(single(name, "pose", *own), prior=PRIORS.get(name, math.inf))
              for name, own in sizes.items()]  # fmt: skip
-    for name in LATENCIES:
+    for name in reversed(tuple(LATENCIES.values())):
         found += start_grid(single(name, "pose", *sizes[name]), 0.0, LATE_S)
     found.append(replace(single("shift.nav", "pose", 0.02, 0.01, -1.5, 1.5), cause="clock_offset"))
     for name, step, least, most in (

@@ -8,7 +8,6 @@ from hilserver.diagnosis.checks.support import row_period_s
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.thresholds import LARGE_STEP_RPM, LOST_LATE_S
 from hilserver.measured.channels import SETPOINTS, SPEEDS
-from hilserver.measured.data import Channel
 
 RESPONSE_S: Final = 0.15  # in which the wheel answers a step
 
@@ -32,7 +31,9 @@ def lost_steps(problem: Problem, point: Point) -> tuple[int, int]:
         edge = stack.edges[speed]
         t, r = stack.t_s[edge], residual[edge]
         stays = np.diff(stack.values[edge], prepend=np.inf) == 0.0
-        row_s = np.where(stays, row_period_s(log[speed]), _row_s(log[setpoint], log[speed]))
+        rows_s, samples_s = row_period_s(log[setpoint]), row_period_s(log[speed])
+        # when a sample was taken that is slower than the rows, is known to a row only
+        row_s = np.where(stays, samples_s, rows_s if samples_s > 1.5 * rows_s else 0.0)
         at_once, by_a_row, later = (
             np.interp(stack.at[edge] - by_s * rate_hz, np.arange(len(shown[speed])), shown[speed])
             for by_s in (0.0, row_s, row_s + 2.0 * LOST_LATE_S)
@@ -54,12 +55,3 @@ def lost_steps(problem: Problem, point: Point) -> tuple[int, int]:
     if len(late) < 12:
         return 0, 0
     return sum(late), len(late)
-
-
-def _row_s(setpoint: Channel, speed: Channel) -> float:
-    """Return the time [s] between rows that hold a speed sampled more slowly; 0 where none does.
-
-    When such a sample was taken is known to a row only.
-    """
-    rows_s, samples_s = row_period_s(setpoint), row_period_s(speed)
-    return rows_s if samples_s > 1.5 * rows_s else 0.0

@@ -8,7 +8,6 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from hilserver.arrays import Array
-from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG
 from hilserver.diagnosis.regression.intervals import whole_covariance
 from hilserver.diagnosis.regression.problem import Point, Problem
@@ -17,17 +16,6 @@ from hilserver.diagnosis.schema.findings import Joint
 
 PARTNERS: Final = 0.5
 """|correlation| of two estimates from which one cause can take over what another explains."""
-
-
-def fitted_covariance(
-    problem: Problem, point: Point, columns: Array | None = None
-) -> tuple[Array, int]:
-    """Return the covariance of a model's parameters as fitted, and its degrees of freedom."""
-    extra = np.array([
-        0.3 * problem.stage.robot.period_s if traits_of(f.candidate.cause).whole_ticks else 0.0
-        for f in point.model.fitted for _ in f.theta
-    ])  # fmt: skip
-    return whole_covariance(problem, point, extra, columns)
 
 
 def is_wave(f: Fitted) -> bool:
@@ -83,7 +71,7 @@ def estimate_of(problem: Problem, point: Point) -> Estimate:
     """Return the estimate of a fitted model."""
     if not point.model.fitted:
         return Estimate.none()
-    return Estimate.of(point.model, fitted_covariance(problem, point)[0])
+    return Estimate.of(point.model, whole_covariance(problem, point)[0])
 
 
 def joint(estimates: Sequence[Estimate]) -> Joint | None:

@@ -23,10 +23,10 @@ from hilserver.diagnosis.decide.revision import Judged
 from hilserver.diagnosis.decide.scrubbing import as_friction
 from hilserver.diagnosis.decide.structure import Unknown
 from hilserver.diagnosis.decide.trial import implausible
-from hilserver.diagnosis.findings.estimate import fitted_covariance, is_wave
+from hilserver.diagnosis.findings.estimate import is_wave
 from hilserver.diagnosis.findings.explain import explain_finding, number, separating_experiment
 from hilserver.diagnosis.noise.quick_noise import deviation_from_median
-from hilserver.diagnosis.regression.intervals import limits
+from hilserver.diagnosis.regression.intervals import limits, whole_covariance
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.evidence import FittedTerm
@@ -41,7 +41,7 @@ LEAST_OUTLIERS: Final = 0.004  # share of the positions
 
 def parameters(problem: Problem, point: Point) -> dict[int, dict[str, Parameter]]:
     """Return the parameters of every accepted cause with their intervals, by its index."""
-    shown = limits(point.model.theta(), *fitted_covariance(problem, point))
+    shown = limits(point.model.theta(), *whole_covariance(problem, point))
     parts = zip(point.model.fitted, point.model.slices, strict=True)
     return {i: parameters_of(f, shown[mine]) for i, (f, mine) in enumerate(parts)}
 

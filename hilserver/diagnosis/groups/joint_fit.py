@@ -9,10 +9,11 @@ import numpy as np
 from hilserver.arrays import Array, Mask
 from hilserver.diagnosis.compare.differences import run_of_spans
 from hilserver.diagnosis.decide.revision import Judged
-from hilserver.diagnosis.findings.estimate import fitted_covariance, is_wave
+from hilserver.diagnosis.findings.estimate import is_wave
 from hilserver.diagnosis.groups.sharing import GroupFit, Together, free_parameters, together
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.gain import held_out
+from hilserver.diagnosis.regression.intervals import whole_covariance
 from hilserver.diagnosis.regression.linear import sandwich
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Model
@@ -120,7 +121,7 @@ def _known(problem: Problem, point: Point) -> GroupFit:
     covariance, dofs = np.zeros((k, k)), np.full(k, 1.0)
     if known.any():
         place = np.ix_(known, known)
-        every, dof = fitted_covariance(problem, point, columns)
+        every, dof = whole_covariance(problem, point, columns)
         own = every[place]
         scatter, logs = _between_logs(problem, point, columns[:, known])
         growth = np.sqrt(np.maximum(scatter / np.diag(own), 1.0))

@@ -7,28 +7,24 @@ exact restricted likelihood (REML) of the windows; gross outliers are left out b
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Final
 
 import numpy as np
 from scipy.optimize import minimize
 from scipy.special import gammaln
 
 from hilserver.arrays import Array
-from hilserver.diagnosis.noise.whitening import SMALLEST_DOF, NoiseModel
-from hilserver.diagnosis.noise.windows import Windows
+from hilserver.diagnosis.noise.whitening import NoiseModel
+from hilserver.diagnosis.noise.windows import SAMPLES_MAX, Windows
 from hilserver.diagnosis.thresholds import (
-    FAR_SD,
     NOISE_GATED_MAX,
     NOISE_NATS,
     NOISE_TAU_MAX_S,
-    NOISE_WINDOW_S,
     SHORT_DOF,
 )
 
-SAMPLES_MAX: Final = 12_000
 _SHARE_LOGITS = (-4.0, -2.0, 0.0, 2.0, 5.0)
 _LOGIT_RANGE = (-8.0, 10.0)
-_DOFS = (SMALLEST_DOF, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 11.0, 15.0, 25.0)
+_DOFS = (2.1, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 11.0, 15.0, 25.0)
 _FALLBACK_SD = 1e-9
 _LAGS = 40
 
@@ -45,16 +41,16 @@ def fit_noise(residuals: Iterable[tuple[Array, Array]]) -> NoiseModel:
         Per span, shape (n,) each; stamps rise at any distances.
     """
     residuals = list(residuals)
-    windows = Windows.cut(residuals, NOISE_WINDOW_S, SAMPLES_MAX)
+    windows = Windows.cut(residuals)
     if windows.samples < 8:
         values = np.concatenate([r for _, r in residuals] or [np.zeros(1)])
         return NoiseModel(max(float(np.sqrt(np.nanmean(values**2))), _FALLBACK_SD))
     if not windows.spread > _FALLBACK_SD:
         return NoiseModel(_FALLBACK_SD)
-    windows.gate_level(2.0 * FAR_SD)
+    windows.gate_level()
     model = _fit(windows, None)
-    if windows.gate_innovations(model, FAR_SD) > NOISE_GATED_MAX:
-        windows.gate_level(2.0 * FAR_SD)
+    if windows.gate_innovations(model) > NOISE_GATED_MAX:
+        windows.gate_level()
     else:
         model = _fit(windows, model)
     dof = _tail_dof(windows.innovations(model))
@@ -96,6 +92,20 @@ def short_noise(residuals: Sequence[Array]) -> tuple[NoiseModel, float]:
             break
         total += 2.0 * together
     return NoiseModel(sd * math.sqrt(total), tail_dof=SHORT_DOF), sd
+
+
+def robust_weights(samples: Array) -> Array:
+    """Return the weights of Student's t distribution for samples of short segments.
+
+    With ``(dof + 1) / (dof - 2 + z^2)`` the weighted samples have variance 1 again, and none counts
+    more than about ``sqrt(dof + 1)`` standard deviations.
+
+    Parameters
+    ----------
+    samples : ndarray
+        By their scale, see `short_noise`.
+    """
+    return np.asarray((SHORT_DOF + 1.0) / (SHORT_DOF - 2.0 + np.square(samples)))
 
 
 def _fit(windows: Windows, start: NoiseModel | None) -> NoiseModel:

@@ -8,14 +8,12 @@ weights alone, so that a residual and its sensitivities go through the same line
 
 import math
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from hilserver.arrays import Array
 from hilserver.compiled import kernel
-
-SMALLEST_DOF: Final = 2.1  # degrees of freedom; at 2 there is no variance
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,29 +80,6 @@ class Filter:
         out = np.empty_like(table)
         filter_columns(table, self.keep, self.gain, self.scale, out)
         return out.reshape(np.shape(columns))
-
-
-def robust_weights(innovations: Array, dof: float) -> Array:
-    """Return the weights of Student's t distribution, to be handed to the filter again.
-
-    Parameters
-    ----------
-    innovations : ndarray of float64
-        Whitened residual, variance 1.
-    dof : float
-        Degrees of freedom (`NoiseModel.tail_dof`); infinite: all weights 1.
-
-    Returns
-    -------
-    ndarray of float64
-        ``(dof + 1) / (dof - 2 + z^2)``: with these the weighted innovations have variance 1 again,
-        and no sample counts more than about ``sqrt(dof + 1)`` standard deviations.
-    """
-    if math.isinf(dof):
-        return np.ones_like(innovations)
-    dof = max(dof, SMALLEST_DOF)
-    weights: Array = (dof + 1.0) / (dof - 2.0 + np.square(innovations))
-    return weights
 
 
 @kernel()

@@ -4,14 +4,16 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from hilserver.arrays import Array, Indices
 from hilserver.compiled import kernel
 from hilserver.diagnosis.noise.whitening import NoiseModel
+from hilserver.diagnosis.thresholds import FAR_SD, NOISE_WINDOW_S
 
+SAMPLES_MAX: Final = 12_000
 _SAMPLES_MIN = 4  # in a window: level and slope are free
 _TRIMMED = 0.75
 _TRIMMED_MEAN_SQUARE = 0.3685  # of a normal variable's smallest 75 % (by size)
@@ -29,22 +31,20 @@ class Windows:
     lines: Array  # shape (windows, 2): level and slope, robust
 
     @classmethod
-    def cut(
-        cls, residuals: Iterable[tuple[Array, Array]], window_s: float, samples_max: int
-    ) -> "Windows":
-        """Cut spans into equal windows of at most `window_s`; evenly drop what is too many."""
+    def cut(cls, residuals: Iterable[tuple[Array, Array]]) -> "Windows":
+        """Cut spans into equal windows; evenly drop what is too many."""
         pieces: list[tuple[Array, Array]] = []
         for stamps, values in residuals:
             good = np.isfinite(values)
             t_s, r = np.asarray(stamps, float)[good], np.asarray(values, float)[good]
             if not len(t_s):
                 continue
-            count = max(1, math.ceil((t_s[-1] - t_s[0]) / window_s))
+            count = max(1, math.ceil((t_s[-1] - t_s[0]) / NOISE_WINDOW_S))
             edges = np.linspace(t_s[0], t_s[-1], count + 1)[1:-1]
             cuts = np.searchsorted(t_s, edges)
             pieces += zip(np.split(t_s, cuts), np.split(r, cuts), strict=True)
         pieces = [piece for piece in pieces if len(piece[0]) >= _SAMPLES_MIN]
-        return cls._of(_evenly(pieces, samples_max))
+        return cls._of(_evenly(pieces))
 
     @classmethod
     def _of(cls, pieces: list[tuple[Array, Array]]) -> "Windows":
@@ -90,13 +90,13 @@ class Windows:
             self.t_s[index], self.r[index], self.weights[index], starts, self.lines[chosen]
         )
 
-    def gate_level(self, gate_sd: float) -> None:
+    def gate_level(self) -> None:
         """Leave out samples far from their window's line."""
-        self.weights = (np.abs(self._detrended()) <= gate_sd * self.spread).astype(float)
+        self.weights = (np.abs(self._detrended()) <= 2.0 * FAR_SD * self.spread).astype(float)
 
-    def gate_innovations(self, model: NoiseModel, gate_sd: float) -> float:
+    def gate_innovations(self, model: NoiseModel) -> float:
         """Leave out samples whose innovation is too large; return their share."""
-        self._innovations(model, gate_sd, weights := np.ones(self.samples))
+        self._innovations(model, FAR_SD, weights := np.ones(self.samples))
         self.weights = weights
         return 1.0 - float(weights.mean())
 
@@ -129,11 +129,11 @@ class Windows:
         return out
 
 
-def _evenly(pieces: list[tuple[Array, Array]], samples_max: int) -> list[tuple[Array, Array]]:
+def _evenly(pieces: list[tuple[Array, Array]]) -> list[tuple[Array, Array]]:
     total = sum(len(t) for t, _ in pieces)
-    if total <= samples_max:
+    if total <= SAMPLES_MAX:
         return pieces
-    wanted = max(1, len(pieces) * samples_max // total)
+    wanted = max(1, len(pieces) * SAMPLES_MAX // total)
     chosen = np.unique(np.linspace(0, len(pieces) - 1, wanted).round().astype(int))
     return [pieces[i] for i in chosen]
 

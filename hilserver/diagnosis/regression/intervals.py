@@ -1,5 +1,7 @@
 """Intervals of fitted parameters that hold under autocorrelation: they count blocks."""
 
+from typing import Final
+
 import numpy as np
 from scipy import stats
 
@@ -8,6 +10,8 @@ from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.regression import linear
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.thresholds import INEXACT
+
+ROUNDED: Final = 0.3  # ticks: standard deviation of what is rounded to whole ones
 
 
 def own_share(cause: str) -> float:
@@ -33,28 +37,27 @@ def covariance(problem: Problem, point: Point, columns: Array) -> tuple[Array, i
 
 
 def whole_covariance(
-    problem: Problem, point: Point, extra: Array | None = None, columns: Array | None = None
+    problem: Problem, point: Point, columns: Array | None = None
 ) -> tuple[Array, int]:
-    """Return the covariance of all parameters, with what the model's own form may cost.
+    """Return the covariance of all parameters as fitted, and its degrees of freedom.
+
+    What the model's own form may cost is in it, and the rounding of delays to whole ticks.
 
     Parameters
     ----------
-    extra : ndarray, shape (k,), optional
-        Standard deviations to add for what is rounded (a delay to whole ticks).
     columns : ndarray, shape (n, k), optional
         `Problem.accepted`, where it is known already.
     """
     columns = problem.accepted(point) if columns is None else columns
     assert columns is not None
     cov, dof = covariance(problem, point, columns)
-    fitted = point.model.fitted
-    share = [own_share(f.candidate.cause) for f in fitted for _ in f.theta]
-    variance = np.diag(cov) + (np.array(share) * point.model.theta()) ** 2
+    causes = [f.candidate.cause for f in point.model.fitted for _ in f.theta]
+    share = np.array([own_share(cause) for cause in causes])
+    ticks = np.array([ROUNDED * traits_of(cause).whole_ticks for cause in causes])
+    variance = np.diag(cov) + (share * point.model.theta()) ** 2
     if problem.is_short:  # see `halfway`: the variance that it has more (Hausman 1978)
         variance += linear.ridge(columns, point.left) ** 2  # one distance shows no correlation
-    if extra is not None:
-        variance += extra**2
-    np.fill_diagonal(cov, variance)
+    np.fill_diagonal(cov, variance + (ticks * problem.stage.robot.period_s) ** 2)
     return cov, max(dof, 2)
 
 

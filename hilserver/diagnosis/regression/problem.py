@@ -14,10 +14,10 @@ import numpy as np
 
 from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.candidate import Candidate
-from hilserver.diagnosis.noise.fitting import fit_noise, short_noise
+from hilserver.diagnosis.noise.fitting import fit_noise, robust_weights, short_noise
 from hilserver.diagnosis.noise.quick_noise import isolated, noise_of_neighbours, plain_noise, spikes
 from hilserver.diagnosis.noise.readings import Reading, noise_of_readings
-from hilserver.diagnosis.noise.whitening import Filter, NoiseModel, robust_weights
+from hilserver.diagnosis.noise.whitening import Filter, NoiseModel
 from hilserver.diagnosis.regression.free_poses import Bases, FreePoses
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.stack import Stack
@@ -265,7 +265,7 @@ class Problem:
             mine = [part for n, _, part in self._runs if n == name]
             noise[name], scale = short_noise([raw[part] for part in mine])
             for part in mine:
-                weights[part] = robust_weights(raw[part] / scale, noise[name].tail_dof)
+                weights[part] = robust_weights(raw[part] / scale)
         self.noise, self.weights = noise, weights
 
 

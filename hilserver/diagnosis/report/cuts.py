@@ -68,8 +68,8 @@ def _from_all(p: Prepared, *, setpoints: bool) -> list[CutRow]:
 
 def _of_pose(cut: str, problem: Problem, point: Point) -> list[CutRow]:
     """Return the residuals of the pose at a point, initial poses free."""
-    taken = _taken_by_start(problem, point.predicted, point.poses)
-    return _rows(cut, problem, problem.residual(point.predicted), less=taken)
+    more = _added_by_start(problem, point.predicted, point.poses)
+    return _rows(cut, problem, problem.residual(point.predicted), more=more)
 
 
 def remarks(stages: Collection[Prepared]) -> tuple[str, ...]:
@@ -94,7 +94,6 @@ def _rows(
     problem: Problem,
     residual: Array,
     *,
-    less: Array | None = None,
     more: Array | None = None,
     only: Mask | None = None,
 ) -> list[CutRow]:
@@ -102,10 +101,9 @@ def _rows(
 
     Parameters
     ----------
-    less : ndarray, shape (n,), optional
-        Variance that the fit of the initial poses takes from every sample.
     more : ndarray, shape (n,), optional
-        Variance that the noise of the cut's own sensor adds to it.
+        Variance of every sample besides: what the noise of the cut's own sensor adds, or, negative,
+        what the fit of the initial poses takes.
     only : ndarray of bool, shape (n,), optional
         Samples that can be judged.
     """
@@ -120,8 +118,6 @@ def _rows(
             continue
         rms = float(np.sqrt(np.mean((weights * residual[edge] ** 2)[used])))
         variance = problem.noise[name].sd ** 2
-        if less is not None:
-            variance -= float(np.mean(less[edge][used]))
         if more is not None:
             variance += float(np.mean(more[edge][used]))
         expected = float(np.sqrt(variance)) if variance > 0.0 else None
@@ -129,8 +125,8 @@ def _rows(
     return rows
 
 
-def _taken_by_start(problem: Problem, predicted: Array, poses: Array) -> Array | None:
-    """Return the variance that each sample loses to the fit of its initial pose.
+def _added_by_start(problem: Problem, predicted: Array, poses: Array) -> Array | None:
+    """Return the variance that each sample loses to the fit of its initial pose, negative.
 
     Of generalised least squares: the diagonal of ``X (X' C^-1 X)^-1 X'``.
     """
@@ -142,7 +138,7 @@ def _taken_by_start(problem: Problem, predicted: Array, poses: Array) -> Array |
     for i in range(len(problem.stage.segments)):
         rows = np.flatnonzero(segment == i)
         spread = np.linalg.pinv(white[rows].T @ white[rows], hermitian=True)
-        out[rows] = np.einsum("ij,jk,ik->i", columns[rows], spread, columns[rows])
+        out[rows] = -np.einsum("ij,jk,ik->i", columns[rows], spread, columns[rows])
     return out
 
 

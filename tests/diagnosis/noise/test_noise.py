@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hilserver.diagnosis.noise.fitting import fit_noise
-from hilserver.diagnosis.noise.whitening import Filter, NoiseModel, robust_weights
+from hilserver.diagnosis.noise.fitting import fit_noise, robust_weights
+from hilserver.diagnosis.noise.whitening import Filter, NoiseModel
+from hilserver.diagnosis.thresholds import SHORT_DOF
 from tests.diagnosis.toy import whitened
 from tests.diagnosis.uwb_trolley import range_errors
 
@@ -107,11 +108,10 @@ def test_linear_in_the_columns(seed, factor, white_sd, ou_sd, tau_s):
 
 
 def test_weights_keep_the_variance_and_bound_an_outlier():
-    z = np.random.default_rng(6).standard_t(5.0, 400_000) * math.sqrt(3.0 / 5.0)
-    weights = robust_weights(z, 5.0)
+    z = np.random.default_rng(6).standard_t(SHORT_DOF, 400_000) * math.sqrt(1.0 - 2.0 / SHORT_DOF)
+    weights = robust_weights(z)
     assert np.mean(weights * z**2) == pytest.approx(1.0, abs=0.02)
-    assert math.sqrt(robust_weights(np.array([1e6]), 5.0)[0]) * 1e6 <= math.sqrt(6.0)
-    assert (robust_weights(z, math.inf) == 1.0).all()
+    assert math.sqrt(robust_weights(np.array([1e6]))[0]) * 1e6 <= math.sqrt(SHORT_DOF + 1.0)
 
 
 def test_nothing_to_whiten_with_is_refused():

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from hilserver.diagnosis.catalogue.library import drive_candidates
+from hilserver.diagnosis.catalogue.traits import Traits
 from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG
 from hilserver.diagnosis.noise.quick_noise import isolated
+from hilserver.diagnosis.regression import intervals as of_intervals
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.gain import Errors, compare, crossed, held_out
 from hilserver.diagnosis.regression.intervals import covariance, limits, whole_covariance
@@ -18,8 +20,8 @@ from tests.diagnosis.assertions import no_prediction_saw_its_block
 N = 2400
 
 
-def intervals(problem, point, extra=None):
-    return limits(point.model.theta(), *whole_covariance(problem, point, extra))
+def intervals(problem, point):
+    return limits(point.model.theta(), *whole_covariance(problem, point))
 
 
 def columns_of(rng, n_columns=2, n=N):
@@ -80,9 +82,17 @@ def test_more_data_and_stronger_columns_make_intervals_narrower():
     )
     narrow = np.ptp(intervals(strong, fitted(strong, "c0", "c1")), axis=1)
     assert narrow == pytest.approx(wide / 4.0, rel=1e-3)
-    extra = intervals(problem, fitted(problem, "c0", "c1"), np.array([0.5, 0.0]))
-    assert np.ptp(extra, axis=1)[0] > 1.9 > wide[0]
-    assert np.ptp(extra, axis=1)[1] == pytest.approx(wide[1])
+
+
+def test_what_acts_in_whole_ticks_is_known_no_better_than_its_rounding(monkeypatch):
+    problem = drawn(3)
+    point = fitted(problem, "c0", "c1")
+    wide = np.ptp(intervals(problem, point), axis=1)
+    monkeypatch.setattr(of_intervals, "traits_of", lambda cause: Traits(whole_ticks=cause == "c0"))
+    monkeypatch.setattr(of_intervals, "ROUNDED", 0.5 / problem.stage.robot.period_s)
+    rounded = np.ptp(intervals(problem, point), axis=1)
+    assert rounded[0] > 1.9 > wide[0]
+    assert rounded[1] == pytest.approx(wide[1])
 
 
 @pytest.mark.parametrize("n", [200, 600])
