@@ -1,11 +1,12 @@
 """From a diagnosis to `model_patch.yaml`, which `hilserver run --patch` loads."""
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 
 import yaml
 
-from hilserver.config.patch import SCHEMA, FittedIn, MadeFrom, ModelPatch, PatchTerm
-from hilserver.diagnosis.schema.evidence import Diagnosis, FittedTerm
+from hilserver.config.patch import SCHEMA, MadeFrom, ModelPatch, PatchTerm
+from hilserver.diagnosis.schema.evidence import Diagnosis
+from hilserver.diagnosis.schema.findings import InGroup, Parameter
 
 _HEAD = """\
 # Terms that 'hilserver diagnose' has fitted. Run the extended model with
@@ -30,6 +31,16 @@ def make_patch(diagnosis: Diagnosis, findings_sha256: str) -> ModelPatch | None:
     if not evidence.extension:
         return None
     fitted = evidence.fitted.model_copy(update={"conditions": _conditions(diagnosis)})
+    terms: dict[str, PatchTerm] = {}
+    groups: dict[str, dict[str, PatchTerm]] = {}  # of the terms that differ
+    for term in evidence.extension:
+        p = term.parameter
+        by_group: Mapping[str, Parameter | InGroup] = p.groups or {"": p}
+        for group, own in by_group.items():
+            place = groups.setdefault(group, {}) if group else terms
+            place[term.name] = PatchTerm(
+                value=own.value, unit=p.unit, ci95=own.ci95, fitted_in=fitted
+            )
     return ModelPatch(
         schema_=SCHEMA,
         made_from=MadeFrom(
@@ -37,26 +48,9 @@ def make_patch(diagnosis: Diagnosis, findings_sha256: str) -> ModelPatch | None:
             config_sha256=findings.config_sha256,
             version=findings.version,
         ),
-        terms={
-            term.name: PatchTerm(value=p.value, unit=p.unit, ci95=p.ci95, fitted_in=fitted)
-            for term in evidence.extension
-            if (p := term.parameter).groups is None
-        },
-        groups=_groups(evidence.extension, fitted),
+        terms=terms,
+        groups=groups or None,
     )
-
-
-def _groups(
-    terms: Iterable[FittedTerm], fitted: FittedIn
-) -> dict[str, dict[str, PatchTerm]] | None:
-    """Return the terms that differ, by group; None without any."""
-    groups: dict[str, dict[str, PatchTerm]] = {}
-    for term in terms:
-        for group, own in (term.parameter.groups or {}).items():
-            groups.setdefault(group, {})[term.name] = PatchTerm(
-                value=own.value, unit=term.parameter.unit, ci95=own.ci95, fitted_in=fitted
-            )
-    return groups or None
 
 
 def _conditions(diagnosis: Diagnosis) -> str:
