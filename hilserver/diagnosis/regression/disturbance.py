@@ -35,10 +35,7 @@ class Motion:
             for i, r in enumerate(self.rows)
         ])  # fmt: skip
         self.moving = np.tanh((np.abs(left) + np.abs(right)) / 10.0) ** 2
-        self._place_samples()
-
-    def _place_samples(self) -> None:
-        stack, first = self.problem.stack, self.stage.segments.first
+        stack = problem.stack
         local = (stack.at - first[stack.segment]) / self.stride
         last = np.diff(self.bounds)[stack.segment] - 1.0
         self.at = self.bounds[stack.segment] + np.clip(local, 0.0, last)

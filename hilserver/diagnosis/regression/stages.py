@@ -197,7 +197,7 @@ def clean(problem: Problem, library: Library, point: Point) -> None:
     """
     library.rewhiten(point)
     if problem.is_short:
-        raw = _of_the_other_half(problem, library, point)
+        raw = of_the_other_half(problem, library, point)
     else:
         raw = library.effect(library.ridge(point), slice(None))
     left = problem.residual(point.predicted) - raw
@@ -209,7 +209,7 @@ def clean(problem: Problem, library: Library, point: Point) -> None:
     problem.estimate_noise(left)
 
 
-def _of_the_other_half(problem: Problem, library: Library, point: Point) -> Array:
+def of_the_other_half(problem: Problem, library: Library, point: Point) -> Array:
     """Return what all causes explain of each fold with the coefficients of the other."""
     fold = problem.stack.fold[problem.stack.block]
     out = np.zeros(len(fold))

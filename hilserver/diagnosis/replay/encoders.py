@@ -28,20 +28,11 @@ def _gains(robot: RobotParameters, terms: Mapping[str, float]) -> Array:
     return p.encoder_gain
 
 
-def speed_factors(robot: RobotParameters, terms: Mapping[str, float]) -> dict[str, float]:
-    """Return by how much each wheel's speed in the log is that of the wheel, where it is not 1."""
-    gains = _gains(robot, terms)
-    factors = {
-        name: terms.get(scale, 1.0) * float(gains[wheel])
-        for wheel, (name, scale) in enumerate(SPEED_SCALES.items())
-    }
-    return {name: factor for name, factor in factors.items() if factor != 1.0}
-
-
 def as_turned(log: MeasuredLog, robot: RobotParameters, terms: Mapping[str, float]) -> MeasuredLog:
     """Return the log with the speeds at which the wheels turned, whatever their encoders show."""
-    factors = speed_factors(robot, terms)
-    return log.with_channels({
-        name: log[name].with_values(log[name].values / factor)
-        for name, factor in factors.items() if name in log
-    })  # fmt: skip
+    turned = {}
+    for (name, scale), gain in zip(SPEED_SCALES.items(), _gains(robot, terms), strict=True):
+        factor = terms.get(scale, 1.0) * float(gain)
+        if name in log and factor != 1.0:
+            turned[name] = log[name].with_values(log[name].values / factor)
+    return log.with_channels(turned)
