@@ -13,6 +13,7 @@ import numpy as np
 from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.checks import (
+    angles,
     blocked,
     clocks,
     copied,
@@ -22,9 +23,7 @@ from hilserver.diagnosis.checks import (
     repetitions,
     setpoint_runs,
     too_fast,
-    turned,
     units,
-    wrapped,
 )
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.measured.data import MeasuredLog
@@ -42,8 +41,7 @@ ORDER: Final[tuple[Check, ...]] = (
     setpoint_runs.find_interpolated,
     repetitions.find_held,
     dropouts.find,
-    wrapped.find,
-    turned.find,
+    angles.find,
     units.find,
     too_fast.find,
     orientation.find,

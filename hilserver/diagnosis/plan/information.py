@@ -15,13 +15,13 @@ from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.vocabulary import reference
 from hilserver.diagnosis.regression.columns import Library
-from hilserver.diagnosis.thresholds import TIE
+from hilserver.diagnosis.thresholds import DETECTABLE_POWER_SD, RIVAL_CLEAR_Z, TIE
 
 T_NEEDED: Final = 5.5
 """Deviations at which an effect is found with good power in a log of a minute and more."""
-Z_APART: Final = 3.28
+Z_APART: Final = RIVAL_CLEAR_Z + DETECTABLE_POWER_SD
 """Standard errors between the deviances of an effect and its best imitation at which a diagnosis
-tells them apart with good power: 2.33 (`identifiability.CLEAR_Z`) and 0.95."""
+tells them apart with good power."""
 SEEN: Final = 0.5  # worth of seeing a cause, by the worth of separating it from all others
 ENOUGH_TIMES: Final = 3.0
 LINEAR_REACH: Final = 1.5

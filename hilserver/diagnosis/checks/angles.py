@@ -1,4 +1,4 @@
-"""Angle and counter wrap: wheel angles that jump back; they are made continuous without ado."""
+"""Wheel angles: those that jump back are made continuous, those that stand alone become speeds."""
 
 from dataclasses import replace
 
@@ -6,25 +6,31 @@ import numpy as np
 
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import UNITY
+from hilserver.measured.channels import SPEEDS
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
-from hilserver.plant.units import RAD_S_PER_RPM
+from hilserver.plant.units import RAD_S_PER_RPM, RPM_PER_RAD_S
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
-    """Unwrap wheel angles; a notice gives the place, for a wrap is no fault of the log."""
-    unwrapped: dict[str, Channel] = {}
+    """Unwrap wheel angles, and put speeds in their place where none was recorded.
+
+    Neither is a fault of the log: notices give the places.
+    """
+    speed_of = dict(zip((f"wheel.{wheel}.angle_rad" for wheel in WHEELS), SPEEDS, strict=True))
     notices: list[str] = []
-    for wheel in WHEELS:
-        name = f"wheel.{wheel}.angle_rad"
-        if name not in log:
-            continue
+    for name in (n for n in speed_of if n in log):
         size = _wrap(log[name], UNITY * robot.max_rpm * RAD_S_PER_RPM)
         if size:
-            unwrapped[name] = _unwrap(log[name], size)
+            log = log.with_channels({name: _unwrap(log[name], size)})
             notices.append(f"{name}: the angle wraps at {size:.4g} rad; it was made continuous")
-    log = log.with_channels(unwrapped)
+    alone = {a: s for a, s in speed_of.items() if a in log and s not in log and len(log[a]) > 1}
+    if alone:
+        speeds = {speed: _changing(log[angle]) for angle, speed in alone.items()}
+        log = log.without(alone).with_channels(speeds)
+        made = f"no speed was recorded of {', '.join(alone)}: it is made of how the angles change"
+        notices.append(made)
     return replace(log, notices=(*log.notices, *notices)), []
 
 
@@ -53,3 +59,11 @@ def _unwrap(channel: Channel, size: float) -> Channel:
         first, end = np.searchsorted(channel.span, [span, span + 1])
         values[first:end] = np.unwrap(values[first:end], period=size)
     return channel.with_values(values)
+
+
+def _changing(angle: Channel) -> Channel:
+    """Return the speed [rpm] between every two samples of a span, in the middle between them."""
+    inside = np.flatnonzero(np.diff(angle.span) == 0)
+    dt = np.diff(angle.t_s)[inside]
+    speed = np.diff(angle.values)[inside] / dt * RPM_PER_RAD_S
+    return Channel(angle.t_s[inside] + 0.5 * dt, speed, angle.span[inside])
