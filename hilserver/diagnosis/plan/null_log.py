@@ -52,11 +52,6 @@ class Recording:
     rate_hz: float = 50.0  # rows per second
     navigation_hz: float = 20.0  # samples of the navigation per second
 
-    def with_channels(self, *names: str) -> "Recording":
-        """Return it with more channels."""
-        more = tuple(n for n in ALL if n in self.channels or n in names)
-        return Recording(more, self.rate_hz, self.navigation_hz)
-
 
 @dataclass(frozen=True)
 class Studio:

@@ -1,7 +1,7 @@
 """A whole plan: the manoeuvre as it is, the better one, and what to record besides."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -163,7 +163,8 @@ def _missing(
         absent = tuple(n for n in signals if n not in recording.channels)
         if not absent:
             continue
-        then = look(spans, recording.with_channels(*absent), studio)
+        more = tuple(n for n in ALL if n in recording.channels or n in absent)
+        then = look(spans, replace(recording, channels=more), studio)
         shows = tuple(c for c in then.shown if c not in now.shown)
         before = {c for group in now.groups for c in group}
         separates = tuple(c for c in then.named if c in before)

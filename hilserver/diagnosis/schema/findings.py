@@ -1,8 +1,9 @@
 """The findings of a diagnosis: the models of ``findings.json``."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from enum import StrEnum
-from typing import Any, Final, Literal
+from types import MappingProxyType
+from typing import Any, ClassVar, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
 
@@ -38,6 +39,12 @@ class Overall(StrEnum):
 
 class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
+    unsaid: ClassVar[Mapping[str, Any]] = {}  # values that the document leaves out
+
+    @model_serializer(mode="wrap")
+    def _lean(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        data: dict[str, Any] = handler(self)
+        return {key: value for key, value in data.items() if self.unsaid.get(key, ...) != value}
 
 
 Interval = tuple[float, float]
@@ -73,10 +80,7 @@ class Parameter(_Model):
     unit: str
     groups: dict[str, InGroup] | None = None
 
-    @model_serializer(mode="wrap")
-    def _lean(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        data: dict[str, Any] = handler(self)
-        return {key: value for key, value in data.items() if key != "groups" or value}
+    unsaid = MappingProxyType({"groups": None})
 
 
 class Gain(_Model):
@@ -146,11 +150,7 @@ class Finding(_Model):
     matters: dict[str, Matters] = Field(default_factory=dict)
     halves: Literal[0, 1, 2] = 2
 
-    @model_serializer(mode="wrap")
-    def _lean(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        data: dict[str, Any] = handler(self)
-        usual = {"matters": {}, "halves": 2}
-        return {key: value for key, value in data.items() if usual.get(key, ...) != value}
+    unsaid = MappingProxyType({"matters": {}, "halves": 2})
 
 
 class Detectable(_Model):
