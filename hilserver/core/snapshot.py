@@ -33,6 +33,8 @@ from hilserver.kernel.adoption import unfit
 from hilserver.program.whole_file import whole
 
 SCHEMA = "hilserver.core.snapshot/1"
+OF_THE_RUN = ("config_sha256", "patch", "seed", "audit")
+"""What a snapshot says about the run that made it, beside its identity; nothing is asked of it."""
 _DAMAGED = (
     OSError, ValueError, LookupError, MemoryError, EOFError, RuntimeError, SyntaxError, TypeError,
     zipfile.BadZipFile, zlib.error,
@@ -91,7 +93,9 @@ class SnapshotStore:
             await self._serve(REQUEST_SAVE, 0)
             tick = self._image.control.request_tick
             state = self._image.shadow.copy()
+        run = self._image.description["run"]
         meta = {"schema": SCHEMA, "tick": tick, "identity": self.identity, "sha256": _sum(state)}
+        meta |= {key: run.get(key) for key in OF_THE_RUN}
         try:
             await asyncio.to_thread(_write, path, state, meta)
         except OSError as error:

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from hilserver import __version__
+from hilserver.compiled import kernel_hash
 from hilserver.daemon.assembly import Assembly
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.checks.standstill import at_rest, stood_still, too_little_motion
@@ -334,7 +335,7 @@ def _diagnosis(
 def _findings(logs: Iterable[MeasuredLog], *, notices: Iterable[str], **fields: Any) -> Findings:
     files = tuple(LogFile(file=s.file, sha256=s.sha256) for log in logs for s in log.sources)
     once = tuple(dict.fromkeys(notices))
-    return Findings(logs=files, version=__version__, notices=once, **fields)
+    return Findings(logs=files, version=__version__, kernels=kernel_hash(), notices=once, **fields)
 
 
 def _evidence(

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from hilserver.config.root import Config
-from hilserver.core.snapshot import SnapshotStore
+from hilserver.core.snapshot import SnapshotStore, read_snapshot
 from hilserver.daemon.assembly import assemble, assemble_config
 from hilserver.daemon.builder import build
 from hilserver.daemon.patches import Patches
@@ -114,7 +114,7 @@ async def test_where_it_was_not_fitted_outputs_are_uncertain_and_the_user_is_tol
     run.recorder.close()
 
 
-async def test_a_snapshot_brings_its_patch_and_a_reset_keeps_the_one_at_work(run):
+async def test_a_snapshot_brings_its_patch_and_a_reset_keeps_the_one_at_work(run, folder):
     store: SnapshotStore = run.core.snapshots
     p, _ = run.core.image.region("p")
     plain = p.copy()
@@ -136,6 +136,8 @@ async def test_a_snapshot_brings_its_patch_and_a_reset_keeps_the_one_at_work(run
     await run.turn_rate()
     await store.load("after")
     assert run.patches.loaded == "turn.yaml"
+    _, meta = read_snapshot(folder / "snapshots" / "after.npz")
+    assert (meta["config_sha256"], meta["seed"]) == (CONFIG.sha256, 0)
     run.recorder.close()
 
 

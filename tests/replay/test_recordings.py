@@ -9,6 +9,7 @@ import sys
 import numpy as np
 import pytest
 
+from hilserver.core.snapshot import OF_THE_RUN, read_snapshot
 from hilserver.logs import read_log
 from hilserver.logs.csv_writer import meta_path
 from hilserver.signals import Direction
@@ -20,7 +21,7 @@ OUTPUTS = {s.name for s in make_table().scalars if s.direction is Direction.OUT}
 
 def replay(*words, cwd, code=0):
     command = [sys.executable, "-m", "hilserver", "replay", *map(str, words)]
-    run = subprocess.run(command, capture_output=True, text=True, cwd=cwd, check=False, timeout=120)
+    run = subprocess.run(command, capture_output=True, text=True, cwd=cwd, check=False, timeout=600)
     assert run.returncode == code, run.stdout + run.stderr
     assert "Traceback" not in run.stderr
     return run.stdout + run.stderr
@@ -95,6 +96,13 @@ def test_a_snapshot_in_the_middle_continues_to_the_bit(recorded, tmp_path):
     first = int(again.ticks(PERIOD_NS)[0])
     assert first > read_log(recorded.middle).states[0].tick
     assert outputs_from(again) == outputs_from(read_log(recorded.middle), tick=first)
+
+
+def test_a_snapshot_says_of_its_run_what_a_recording_says(recorded):
+    _, meta = read_snapshot(recorded.snapshot)
+    run = read_log(recorded.full).run
+    assert meta["audit"]
+    assert {key: meta[key] for key in OF_THE_RUN} == {key: run[key] for key in OF_THE_RUN}
 
 
 def test_one_altered_input_sample_is_found_at_its_tick(replay_here, recorded, tmp_path):

@@ -184,6 +184,7 @@ class Findings(_Model):
     logs: tuple[LogFile, ...]
     seed: int
     version: str
+    kernels: str | None = None  # hash of the compiled equations
     config_sha256: str
     baseline: dict[str, float] = Field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
