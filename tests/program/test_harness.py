@@ -82,7 +82,7 @@ sys.exit(harness.run(lambda: event_loop.run(serve())))
 
 
 def test_an_event_loop_hears_the_signals():
-    assert subprocess.run(python("-c", EVENT_LOOP), timeout=120, check=False).returncode == 3
+    assert subprocess.run(python("-c", EVENT_LOOP), timeout=600, check=False).returncode == 3
 
 
 @pytest.fixture

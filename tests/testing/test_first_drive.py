@@ -22,7 +22,7 @@ def demo(tmp_path_factory):
 
 def lines(program, daemon):
     command = [sys.executable, FOLDER / program, daemon.url]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert ended.returncode == 0, ended.stderr
     return ended.stdout.splitlines()
 
@@ -48,6 +48,6 @@ def test_before_the_daemon_listens_it_says_so(program):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         nobody = f"opc.tcp://127.0.0.1:{taken.getsockname()[1]}/hilserver"
     command = [sys.executable, program, nobody]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert ended.returncode == 1
     assert re.fullmatch(f"{nobody} does not answer: wait until .* its addresses\n", ended.stderr)

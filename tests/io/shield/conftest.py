@@ -32,7 +32,7 @@ def host_program(tmp_path_factory):
         pytest.fail("the hosts need a C compiler (Debian: gcc libc6-dev)", pytrace=False)
     program = tmp_path_factory.mktemp("host") / "host"
     command = [compiler, "-O1", "-Wall", "-Werror", "-o", str(program), str(SOURCE), "-lm"]
-    subprocess.run(command, check=True, timeout=120)
+    subprocess.run(command, check=True, timeout=600)
     return program
 
 
