@@ -69,5 +69,5 @@ def check_suffix(path: Path) -> None:
 def reason(error: OSError) -> str:
     """Return a system error in a few words."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-        return "no space is left for it; free some, or use --rotate-mb with --keep"
+        return "no space is left for it; free some"
     return (error.strerror or str(error)).lower()
