@@ -30,6 +30,8 @@ class Motion:
         self.x, self.y, self.yaw, self.om = (dense[take, c] for c in range(4))
         left, right = stage.left[take], stage.right[take]
         self.v, self.vy = stage.forward_m_s()[take], stage.lateral_m_s[take]
+        self._ahead = np.exp(1j * self.yaw)
+        self._velocity = (self.v + 1j * self.vy) * self._ahead
         self.t = np.concatenate([
             stage.segments.start_s[i] - stage.segments.lead_s + stage.period_s * (r - first[i])
             for i, r in enumerate(self.rows)
@@ -43,9 +45,7 @@ class Motion:
     def column(self, dv: Array, dvy: Array, dom: Array) -> Array:
         """Return the raw column of a disturbance of the body velocity."""
         yaw = self._integrate(dom)
-        z = (dv + 1j * dvy) * np.exp(1j * self.yaw)
-        velocity = (self.v + 1j * self.vy) * np.exp(1j * self.yaw)
-        place = self._integrate(z + 1j * yaw * velocity)
+        place = self._integrate((dv + 1j * dvy) * self._ahead + 1j * yaw * self._velocity)
         return self._sampled(
             {POSITION[0]: place.real, POSITION[1]: place.imag, YAW: yaw, GYRO: dom}
         )

@@ -8,7 +8,7 @@ that went through the same whitening and projection.
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Any, Final, TypeVar, cast
 
 import numpy as np
 
@@ -25,7 +25,8 @@ from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.thresholds import NEGLIGIBLE, NOISE_TAU_MAX_S
 from hilserver.measured.channels import POSITION
 
-_Kept = deque[tuple[tuple[object, ...], Array]]
+T = TypeVar("T")
+_Kept = deque[tuple[tuple[object, ...], Any]]
 PREDICTIONS_KEPT: Final = 14  # a step at a border, or one tried once more, asks for them again
 
 
@@ -40,7 +41,6 @@ class Point:
     left: Array  # shape (n,): the same, initial poses projected out
     loss: Array  # shape (blocks,): sum of the squares of `left` over each block
     noise: Mapping[str, NoiseModel] | None = None  # under which it was evaluated
-    bases: Bases | None = None  # of what its initial poses explain
 
     @property
     def deviance(self) -> float:
@@ -66,7 +66,7 @@ class Problem:
         self._runs = list(self.stage.stack.runs())
         self._filter = (self.noise, np.zeros(0), Filter.empty(0))
         self._known, self._white, self._left = (_Kept(maxlen=2) for _ in range(3))
-        self._shown = _Kept(maxlen=PREDICTIONS_KEPT)
+        self._shown, self._bases = (_Kept(maxlen=PREDICTIONS_KEPT) for _ in range(2))
         self._poses = FreePoses.of(self.stage.stack.segment, len(self.stage.segments))
         limits = self.stage.log.limits
         self.readings = {
@@ -105,7 +105,8 @@ class Problem:
 
     def forget(self) -> None:
         """Let go of what is kept for the next steps of a search; there is none."""
-        self._shown.clear()
+        for kept in (self._shown, self._bases, self._known, self._white, self._left):
+            kept.clear()
 
     def residual(self, predicted: Array) -> Array:
         """Return measured minus predicted."""
@@ -135,10 +136,12 @@ class Problem:
         return None if nuisance is None else self._poses.bases(self.whiten(nuisance))
 
     def bases_at(self, point: Point) -> Bases | None:
-        """Return those of a point, under the present noise."""
-        if point.noise is self.noise:
-            return point.bases
-        return self.bases(self.nuisance(point.predicted, point.poses))
+        """Return those of a point, under the present noise; of the last points, once."""
+        return _once(
+            self._bases,
+            (point, self.noise, self.weights),
+            lambda: self.bases(self.nuisance(point.predicted, point.poses)),
+        )
 
     def project(self, white: Array, bases: Bases | None) -> Array:
         """Take the free initial poses out of whitened columns."""
@@ -159,7 +162,9 @@ class Problem:
             white = self.whiten(self.residual(predicted))
         left = self.project(white, bases)
         loss = self.stack.block_sums(left * left)
-        return Point(model, poses, predicted, white, left, loss, self.noise, bases)
+        point = Point(model, poses, predicted, white, left, loss, self.noise)
+        self._bases.append(((point, self.noise, self.weights), bases))
+        return point
 
     def columns(self, point: Point, model: Model, which: Sequence[int] | None = None) -> Array:
         """Return the raw sensitivities of the parameters of a model, all or some: shape (n, k)."""
@@ -269,11 +274,11 @@ class Problem:
         self.noise, self.weights = noise, weights
 
 
-def _once(kept: _Kept, key: tuple[object, ...], compute: Callable[[], Array]) -> Array:
+def _once(kept: _Kept, key: tuple[object, ...], compute: Callable[[], T]) -> T:
     """Return what was computed of the same objects lately, or compute it; nobody changes it."""
     for known, found in list(kept):
         if all(a is b for a, b in zip(known, key, strict=True)):
-            return found
+            return cast("T", found)
     found = compute()
     kept.append((key, found))
     return found

@@ -48,6 +48,17 @@ def test_only_the_last_predictions_are_kept_and_none_once_a_search_is_over(repla
     assert len(terms) == PREDICTIONS_KEPT + 3
 
 
+def test_sensitivities_are_whitened_once_for_a_point_and_a_noise(replayed):
+    made, terms = replayed
+    point = made.point(toy.model("a"), NO_POSES)
+    first = made.accepted(point)
+    assert made.accepted(point) is first
+    made.noise = {name: toy.NoiseModel(2.0 * m.white_sd) for name, m in made.noise.items()}
+    terms.clear()
+    assert made.accepted(point) == pytest.approx(0.5 * first)
+    assert not terms  # nor are they replayed again
+
+
 def test_after_its_last_step_a_fit_asks_for_no_sensitivities(replayed, monkeypatch):
     made, terms = replayed
     linear = made.stage.predict
