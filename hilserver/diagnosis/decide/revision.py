@@ -67,15 +67,13 @@ def revised(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     explained = max(p.base.deviance - weighed.deviance, 0.0) if weighed.model.fitted else 0.0
     point, unknown = _beside_structure(problem, weighed, explained, rng, rows)
     point, unknown, drift = _changing(p, point, unknown, rng, rows)
-    point, silent = _named_only(problem, point, ties, rows)
+    point, is_missed = _named_only(problem, point, ties, drift, rows)
     drift = {cause: p for cause, p in drift.items() if cause in point.model.causes}
-    if silent:
+    if is_missed:
         unknown = _remaining(problem, point, rng, explained)
     if not drift and fails(p, point):
         rows += _left_out(problem, point, p.base, "dropped", "far more remains than it explains")
-        point, unknown = problem.point(Model(), p.base.poses), []
-    if not point.model.fitted and not unknown and point is not weighed:
-        # a gross misfit is never left without a word
+        point = problem.point(Model(), p.base.poses)
         unknown = _remaining(problem, point, rng, 0.0)
     scrubbed = scrubs(problem, point, unknown)
     if scrubbed:
@@ -153,16 +151,25 @@ def _changing(
 
 
 def _named_only(
-    problem: Problem, point: Point, ties: Mapping[str, Sequence[Rival]], rows: list[Decision]
+    problem: Problem,
+    point: Point,
+    ties: Mapping[str, Sequence[Rival]],
+    drift: Mapping[str, float],
+    rows: list[Decision],
 ) -> tuple[Point, bool]:
-    """Return a model without causes that are no findings, and whether one of them was large."""
-    large = False
+    """Return a model without causes that are no findings, and whether one of them is missed.
+
+    What is too small for a name is none: what it explained is not unknown, and of no use. The mean
+    of one that changes does not say how large it is.
+    """
+    is_missed = False
     while True:
         reasons = [no_name(problem, f, ties) for f in point.model.fitted]
         index = next((i for i, reason in enumerate(reasons) if reason is not None), None)
         if index is None:
-            return point, large
-        large = large or worth_a_name(point.model.fitted[index])
+            return point, is_missed
+        gone = point.model.fitted[index]
+        is_missed = is_missed or worth_a_name(gone) or gone.candidate.cause in drift
         point = _dropped(problem, point, index, rows, reasons[index] or "")
 
 
