@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> list[Result]:
     """Drive and time; a line a drive is added to drives.jsonl in the folder."""
     if args.recordings is not None:
-        return measure(args.recordings, args.keep)
+        return measure(args.recordings, args.keep, args.jobs)
     return [*figures(_scores(args)), *costs()]
 
 

@@ -25,6 +25,7 @@ from hilserver.observer.layout import YAW
 from hilserver.observer.offline import GYRO, Series, run
 from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
+from hilserver.program.progress import Progress
 
 DRIVE_S: Final = 150.0
 CUT_S: Final = (80.0, 140.0)
@@ -70,10 +71,19 @@ def recipes() -> Iterator[tuple[str, Recipe]]:
         seed += 1
 
 
+@dataclass(frozen=True)
+class Known:
+    """What a diagnosis has found of a robot."""
+
+    robot: RobotParameters  # with its patch
+    constants: Array  # of its filter
+    late_s: float = 0.0  # by how much the stamps of the navigation are late
+
+
 def diagnosed(
-    folder: Path, log: Callable[[], MeasuredLog], config: Config, seed: int
-) -> tuple[RobotParameters, Array]:
-    """Return a robot with its patch, and the constants of its filter.
+    folder: Path, log: Callable[[], MeasuredLog], config: Config, seed: int, jobs: int = 1
+) -> Known:
+    """Return what is known of a robot.
 
     Parameters
     ----------
@@ -82,14 +92,16 @@ def diagnosed(
     """
     if not (folder / "findings.json").exists():
         folder.mkdir(parents=True, exist_ok=True)
-        result = diagnose(log(), assemble_config(config), seed=seed, jobs=1, progress=None)
+        with Progress() as progress:
+            assembly = assemble_config(config)
+            result = diagnose(log(), assembly, seed=seed, jobs=jobs, progress=progress)
         for name, text in documents(result).items():
             if name.endswith((".json", ".yaml")):
                 (folder / name).write_text(text, encoding="utf-8")
     path = folder / "model_patch.yaml"
     patch = load_patch(path) if path.exists() else None
-    robot = assemble_config(config, None, patch).robot
-    return robot, constants_of(robot, load_found(folder / "findings.json"))
+    robot, found = assemble_config(config, None, patch).robot, load_found(folder / "findings.json")
+    return Known(robot, constants_of(robot, found), found.nav_late_s)
 
 
 def without_navigation(series: Series, cut_s: tuple[float, float]) -> Series:
@@ -107,16 +119,17 @@ def angle(values: Array) -> Array:
 def scored(one: Robot) -> list[Score]:
     """Diagnose a robot, and return what its drives show."""
     recipe, folder = one.recipe, one.keep / sources() / one.key
-    robot, c = diagnosed(folder, lambda: measured(make(recipe)[0], recipe), Config(), recipe.seed)
-    return [score(one.key, recipe, robot, c, number) for number in range(one.n_drives)]
+    known = diagnosed(folder, lambda: measured(make(recipe)[0], recipe), Config(), recipe.seed)
+    return [score(one.key, recipe, known, number) for number in range(one.n_drives)]
 
 
-def score(key: str, recipe: Recipe, robot: RobotParameters, c: Array, number: int) -> Score:
+def score(key: str, recipe: Recipe, known: Known, number: int) -> Score:
     """Return what drive `number` of a diagnosed robot shows."""
     again = replace(recipe, seed=recipe.seed + 1000 * (number + 1), duration_s=DRIVE_S)
     table, truth = make(again)
-    series = without_navigation(series_of(measured(table, again), 0, robot), CUT_S)
-    course, t = run(pack(robot), c, series), series.wheels[:, 0]
+    log = measured(table, again)
+    series = without_navigation(series_of(log, 0, known.robot, known.late_s), CUT_S)
+    course, t = run(pack(known.robot), known.constants, series), series.wheels[:, 0]
     true = np.stack([np.interp(t, truth.dense[:, 0], truth.dense[:, k]) for k in (1, 2, 3)], axis=1)
     error = course.estimate[:, :3] - true
     error[:, YAW] = angle(error[:, YAW])
@@ -129,7 +142,7 @@ def score(key: str, recipe: Recipe, robot: RobotParameters, c: Array, number: in
     )
     plain = assemble(None).robot
     base = pack(plain)
-    raw = without_navigation(series_of(measured(table, again), 0, plain), CUT_S)
+    raw = without_navigation(series_of(log, 0, plain), CUT_S)
     wheels = run(base, constants_of(plain, None), Series(raw.wheels, np.zeros((0, 4)))).estimate
     begin = int(np.searchsorted(t, CUT_S[0]))
     turn = true[begin, 2] - wheels[begin, 2]

@@ -1,7 +1,8 @@
 """Real recordings with motion capture: the navigation is silent every other 20 s.
 
 Each robot is diagnosed from drives of one kind and observed on those of another. Beside it: the
-wheels alone without the patch, and a filter with default covariances.
+wheels alone without the patch, and a filter with default covariances. The stamps of the capture are
+put right for all of them, and for the truth, by what the diagnosis says of its clock.
 """
 
 from collections.abc import Iterator
@@ -15,7 +16,7 @@ from scipy.stats import chi2
 
 from benchmarks.default_filter import default_filter
 from benchmarks.diagnose_results import sources
-from benchmarks.observer_drives import diagnosed
+from benchmarks.observer_drives import Known, diagnosed
 from hilserver.arrays import Array, Indices
 from hilserver.bench.report import Result
 from hilserver.config.observer import constants_of
@@ -58,16 +59,19 @@ class Drive:
     ----------
     errors : ndarray, shape (cuts, 4)
         Of the position at the end of each cut [m], in the order of `HOW`.
+    nees : ndarray, shape (cuts,)
+        Of the observer's position there.
     nis : ndarray
         Of the samples, by their number of values.
     """
 
     errors: Array
+    nees: Array
     nis: Array
 
 
-def measure(root: Path, keep: Path) -> list[Result]:
-    """Return the figures of every robot whose recordings are there.
+def measure(root: Path, keep: Path, jobs: int) -> list[Result]:
+    """Return the figures of every robot whose recordings are there; a diagnosis has `jobs` threads.
 
     Raises
     ------
@@ -78,31 +82,30 @@ def measure(root: Path, keep: Path) -> list[Result]:
     if not there:
         folders = ", ".join(one.folder for one in MACHINES)
         raise FailedError(f"--recordings {root}: holds no recordings of {folders}")
-    return [row for one in there for row in _figures(one, list(_drives(one, root, keep)))]
+    return [row for one in there for row in _figures(one, list(_drives(one, root, keep, jobs)))]
 
 
-def _drives(one: Machine, root: Path, keep: Path) -> Iterator[Drive]:
+def _drives(one: Machine, root: Path, keep: Path, jobs: int) -> Iterator[Drive]:
     learned, driven = (sorted((root / one.folder).glob(p)) for p in (one.learned, one.driven))
     mapping = MAPPINGS / f"{one.mapping}.yaml"
     log = read_measured(learned, mapping)
     config = machine_config(log, Config())
     print(f"{one.folder}: diagnosed once into {keep}, then {len(driven)} logs observed", flush=True)
-    robot, c = diagnosed(keep / sources() / one.folder, lambda: log, config, 0)
+    known = diagnosed(keep / sources() / one.folder, lambda: log, config, 0, jobs)
     plain = assemble_config(config).robot
     for file in driven:
         log = read_measured([file], mapping)
         for span in range(len(log.spans)):
-            whole = [series_of(log, span, which) for which in (robot, plain)]
-            if np.ptp(whole[0].wheels[:, 0]) > 2.1 * CUT_S:
-                yield _drive(robot, c, plain, *whole)
+            own, raw = (series_of(log, span, r, known.late_s) for r in (known.robot, plain))
+            if np.ptp(own.wheels[:, 0]) > 2.1 * CUT_S:
+                yield _drive(known, plain, own, raw)
 
 
 def _silent(t: Array, start: float) -> NDArray[np.bool_]:
     return np.asarray((t - start) % (2.0 * CUT_S) >= CUT_S)
 
 
-def _drive(robot: RobotParameters, c: Array, plain: RobotParameters, own: Series,
-           raw: Series) -> Drive:  # fmt: skip
+def _drive(known: Known, plain: RobotParameters, own: Series, raw: Series) -> Drive:
     t = own.wheels[:, 0]
     cut = _silent(t, t[0])
     begins = np.flatnonzero(~cut[:-1] & cut[1:])
@@ -110,7 +113,7 @@ def _drive(robot: RobotParameters, c: Array, plain: RobotParameters, own: Series
     ends = np.array([k + int(np.argmin(cut[k + 1 :])) for k in begins])
     true = _truth(raw, t)
     rest = [Series(s.wheels, s.samples[~_silent(s.samples[:, 1], t[0])]) for s in (own, raw)]
-    course = run(pack(robot), c, rest[0])
+    course = run(pack(known.robot), known.constants, rest[0])
     base = pack(plain)
     wheels = run(base, constants_of(plain, None), Series(raw.wheels, np.zeros((0, 4)))).estimate
     rival = default_filter(base, rest[1])
@@ -120,8 +123,11 @@ def _drive(robot: RobotParameters, c: Array, plain: RobotParameters, own: Series
         _reckoned(wheels, true, np.zeros_like(begins), ends),
         rival[ends, :2],
     )
-    errors = [np.hypot(*(path - true[ends, :2]).T) for path in paths]
-    return Drive(np.stack(errors, axis=1), course.innovations[np.isfinite(course.innovations)])
+    away = [path - true[ends, :2] for path in paths]
+    weighed = np.linalg.solve(course.covariance[ends, :2, :2], away[0][:, :, None])[:, :, 0]
+    errors = np.stack([np.hypot(*one.T) for one in away], axis=1)
+    nis = course.innovations[np.isfinite(course.innovations)]
+    return Drive(errors, (away[0] * weighed).sum(axis=1), nis)
 
 
 def _truth(series: Series, t: Array) -> Array:
@@ -145,7 +151,7 @@ def _reckoned(wheels: Array, true: Array, begins: Indices, ends: Indices) -> Arr
 
 def _figures(one: Machine, drives: list[Drive]) -> list[Result]:
     errors = np.concatenate([drive.errors for drive in drives])
-    nis = np.concatenate([drive.nis for drive in drives])
+    nis, nees = (np.concatenate([getattr(d, name) for d in drives]) for name in ("nis", "nees"))
     ours, *others = np.median(errors, axis=0).tolist()
     name = f"{one.folder}, {len(errors)} cuts"
     rows = [
@@ -153,8 +159,10 @@ def _figures(one: Machine, drives: list[Drive]) -> list[Result]:
         for how, other in zip(HOW[1:], others, strict=True)
     ]
     inside = float((nis < chi2.ppf(0.95, 2) / 2.0).mean())
+    ended = float((nees < chi2.ppf(0.95, 2)).mean())
     return [
         *rows,
+        Result(f"{name}: inside its ellipse of 95 %", ended, "1", 0.95, "wanted"),
         Result(f"{name}: NIS, mean", float(nis.mean()), "1", 1.0, "chi-squared"),
         Result(f"{name}: NIS inside 95 %", inside, "1", 0.95, "wanted"),
     ]

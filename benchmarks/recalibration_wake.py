@@ -46,7 +46,7 @@ class Looks:
     def busy(self, place: Place) -> Iterator[str]:
         """Run it; its first look is over when it begins, so nothing is compiled any more."""
         order = place.folder / process.ORDER
-        order.write_text(self.order(place.folder).text(), encoding="utf-8")
+        order.write_text(self.order(place).text(), encoding="utf-8")
         with piped(
             python("-m", "benchmarks.recalibration_wake", str(order)), name="the looks"
         ) as self._process:
@@ -59,14 +59,14 @@ class Looks:
                 self.say("change")  # who is stopped does not end
 
     @staticmethod
-    def order(folder: Path) -> Order:
+    def order(place: Place) -> Order:
         """Write a window; return the order to look at it, with a share as by default."""
-        window, config = folder / "window.csv", RecalibrationConfig()
+        window, config = place.folder / "window.csv", RecalibrationConfig()
         make(Recipe(seed=1, causes=HIDDEN, duration_s=WINDOW_S))[0].write_csv(window)
-        cores = process.other_cores(None, config.cpu)
+        cores = process.other_cores(place.pacing_thread, config.cpu)
         share = Share(config.nice, cores, round(config.memory_mb * 1e6), os.getpid())
         plain = without_passwords(Config())
-        return Order(Todo(1, {}, look=True), str(window), plain, str(folder), {}, "", share)
+        return Order(Todo(1, {}, look=True), str(window), plain, str(place.folder), {}, "", share)
 
     def _awaited(self) -> None:
         own: subprocess.Popen[str] = self._process

@@ -10,7 +10,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ class Place:
 
     folder: Path
     port: int
+    pacing_thread: int = 0  # of the daemon, once it runs
 
 
 @dataclass(frozen=True)
@@ -128,6 +129,7 @@ def loaded_daemon(
             text = f"{N_CLIENTS} OPC UA clients, {N_NODES} nodes at {RATE_HZ} Hz each"
             clients_of = piped(python(*load), name="the OPC UA clients")
             with contextlib.ExitStack() as stack, clients_of as clients:
+                place = replace(place, pacing_thread=statistics.thread_id)
                 others = [stack.enter_context(one.busy(place)) for one in beside]
                 subject = Subject(statistics, [text, *others])
                 time.sleep(SETTLES_S)

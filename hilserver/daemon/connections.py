@@ -29,6 +29,7 @@ from hilserver.monitoring.audit import METRICS as AUDIT_METRICS
 from hilserver.monitoring.health_http import HealthSources, HttpServer
 from hilserver.monitoring.metrics import Metrics
 from hilserver.observer import metrics as observer_metrics
+from hilserver.observer.layout import Head
 from hilserver.ros.robot import Shape
 from hilserver.scheduler import metrics as scheduler_metrics
 
@@ -66,6 +67,7 @@ def make_world(of: Surroundings) -> World:
         shape=Shape.of(assembly.robot, parameters),
         hall=assembly.composition.hall,
         period_ns=assembly.base_period_ns,
+        pacing_thread=lambda: core.scheduler.thread_id,
         description=lambda prefix: robot_urdf(assembly.body, prefix),
         read_output=outputs.read,
         tables={
@@ -119,7 +121,7 @@ def make_metrics(
     )
 
 
-def _observed(core: Core) -> list[observer_metrics.Counted]:
+def _observed(core: Core) -> list[Head]:
     """Return what the observer has counted, where it runs."""
     if core.assembly.composition.observer is None:
         return []

@@ -75,6 +75,7 @@ class World:
     shape: Shape
     hall: Any  # float64, shape (n, 4); walls [m]
     period_ns: int
+    pacing_thread: Callable[[], int]  # the system's number of it; 0 in virtual time
     # the robot as URDF, with a prefix before the names of frames and joints
     description: Callable[[str], str]
     # value, status and planned start [ns] of a signal in the newest frame

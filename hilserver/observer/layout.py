@@ -140,7 +140,6 @@ FIGURES: Final = Figures.layout
 HEAD: Final = Head.layout
 MOMENT: Final = Moment.layout
 SHOWN: Final = Shown.layout
-SHOWN_STATUS: Final = ShownStatus.layout
 N_FIGURES: Final = Figures.n_words
 N_PARAMETERS: Final = Parameters.n_words
 N_HEAD: Final = Head.n_words

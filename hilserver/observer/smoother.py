@@ -7,7 +7,6 @@ along as the filter has it.
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.compiled.records import record_at
 from hilserver.observer.filter import read
@@ -31,11 +30,10 @@ from hilserver.observer.layout import (
     Y,
 )
 from hilserver.observer.motion import bend, predict, transition
-from hilserver.observer.offline import Course, Series
+from hilserver.observer.offline import Array, Course, Series
 from hilserver.plant.kernels import part
 from hilserver.plant.layout import PARAMETERS, Parameters
 
-Array = NDArray[np.float64]
 _REGULAR = 1e-14
 
 

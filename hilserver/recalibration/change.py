@@ -38,7 +38,7 @@ class Residuals:
 
     def __init__(self, block_s: float = GAP_BLOCK_S) -> None:
         self._block_s = block_s
-        self._begun_s: float | None = None
+        self._begun_s = math.inf
         self._before: tuple[float, Values, Values] | None = None
         self._squares: dict[str, list[float]] = {}
         self._moved = self._seen = 0
@@ -51,7 +51,7 @@ class Residuals:
         mapping of str to float
             By channel, once a block is complete; empty else.
         """
-        if self._begun_s is None or t_s < self._begun_s:
+        if t_s < self._begun_s:
             self._restart(t_s)
         shared = measured.keys() & simulated.keys()
         for name in shared - _INTEGRALS:
@@ -59,7 +59,6 @@ class Residuals:
         self._stride(t_s, measured, simulated)
         self._seen += 1
         self._moved += moves
-        assert self._begun_s is not None
         if t_s - self._begun_s < self._block_s:
             return {}
         is_driven = self._moved >= LEAST_MOVED * self._seen

@@ -66,21 +66,18 @@ def gains(differences: Array, rng: np.random.Generator) -> Answer:
     n = len(counted)
     if n == 0:
         return Answer(1.0, 1.0, 0)
-    total = float(counted.sum())
+    # other orders of the same signs add up to the same but for rounding
+    least = float(counted.sum()) - 1e-12 * float(np.abs(counted).sum())
     if 2**n <= MOST_FLIPS:
         signs = 1.0 - 2.0 * ((np.arange(2**n)[:, None] >> np.arange(n)) & 1)
-        reached = int(np.count_nonzero(signs @ counted >= total - _rounding(counted)))
+        reached = int(np.count_nonzero(signs @ counted >= least))
         return Answer(reached / 2**n, 0.5**n, n)
     reached = done = 0
     while done < MOST_FLIPS:
         signs = 1.0 - 2.0 * rng.integers(0, 2, size=(_AT_ONCE, n))
-        reached += int(np.count_nonzero(signs @ counted >= total - _rounding(counted)))
+        reached += int(np.count_nonzero(signs @ counted >= least))
         done += _AT_ONCE
     return Answer((reached + 1) / (done + 1), 1.0 / (done + 1), n)
-
-
-def _rounding(values: Array) -> float:
-    return 1e-12 * float(np.abs(values).sum())
 
 
 def fewest_blocks(level: float) -> int:

@@ -7,7 +7,7 @@ daemon that is killed may leave half a line; it is cut off at the next start, an
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
@@ -94,8 +94,9 @@ class History:
 
 def _parsed(text: bytes) -> dict[str, Any] | None:
     try:
-        line = json.loads(text)
-    except ValueError:
+        # there is no integer of NaN and the like, which `_hash` does not take
+        line = json.loads(text, parse_constant=int)
+    except (ValueError, RecursionError):
         return None
     return line if text.endswith(b"\n") and isinstance(line, dict) else None
 
@@ -105,11 +106,16 @@ def _hash(line: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(own, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
 
-def broken(lines: Iterator[Mapping[str, Any]] | list[dict[str, Any]]) -> int | None:
+def is_sound(line: Mapping[str, Any]) -> bool:
+    """Return whether a line says what it said when it was written."""
+    return bool(line.get("hash") == _hash(line))
+
+
+def broken(lines: Iterable[Mapping[str, Any]]) -> int | None:
     """Return the number of the first line that does not fit the one before; None if all do."""
     last = _FIRST
     for count, line in enumerate(lines, 1):
-        if line.get("before") != last or line.get("hash") != _hash(line):
+        if line.get("before") != last or not is_sound(line):
             return count
         last = str(line["hash"])
     return None

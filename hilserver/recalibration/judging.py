@@ -7,7 +7,7 @@ wants to know: a change counts once its interval is further from what runs than 
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Final
@@ -71,7 +71,7 @@ class Judge:
                 measure = compared(self.log, self.robot, todo.measure, todo.loaded)
             if todo.confirm is not None:
                 confirm = compared(self.log, self.robot, todo.loaded, todo.confirm)
-            is_confirmed = confirm is not None and confirm.flips.holds(todo.level)
+            is_confirmed = confirm is not None and confirm.holds(todo.level)
             if todo.look and not is_confirmed:
                 look = self._look()
         except UserError as error:
@@ -107,7 +107,7 @@ class Judge:
             small = [f for f in named if not loaded.keys() & f.parameters.keys()]
             return self._unchanged(others, small)
         again = compared(self.log, self.robot, loaded, values)
-        if not again.flips.holds(self._level(terms)):
+        if not again.holds(self._level(terms)):
             return replace(self._unchanged(others), p=again.p)
         gone = {name: value for name, value in loaded.items() if name not in values}
         changed = {name for name, value in values.items() if value != loaded.get(name)}
@@ -118,7 +118,6 @@ class Judge:
             tuple(cause for f in new for cause in f.causes) or tuple(sorted(gone)),
             terms,
             gone,
-            loaded,
             diagnosis.evidence.fitted.model_dump(mode="json", exclude_none=True),
             p=again.p,
         )
@@ -150,7 +149,7 @@ class Judge:
                 continue
             less = {n: t for n, t in terms.items() if n not in own}
             again = compared(self.log, self.robot, values_of(terms), values_of(less))
-            terms = less if again.flips.holds(level) else terms
+            terms = less if again.holds(level) else terms
         return terms
 
     def _shows(self, own: Mapping[str, Term]) -> bool:
@@ -253,8 +252,7 @@ def compared(log: MeasuredLog, robot: RobotParameters, before: Values, after: Va
         found = gains(problem, first.predicted, second.predicted, HORIZON_S, rng)
         gain |= {n: Quantity(g.before, g.after, g.ratio, g.ci95) for n, g in found.items()}
     seen = flips.seen(np.concatenate(differences), np.concatenate(shown))
-    answer = flips.gains(seen, rng)
-    return Compared(answer.p, answer.resolution, answer.blocks, gain)
+    return Compared(**asdict(flips.gains(seen, rng)), gain=gain)
 
 
 def _points(problem: Problem, before: Model, after: Model) -> tuple[Point, Point]:

@@ -4,11 +4,13 @@ A cause is named on one window. The next one, which took no part, is compared un
 only if the new one gains there, at the level that the budget has for it, there is a proposal.
 """
 
+from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from hilserver.errors import ControlRefused
+from hilserver.recalibration.flips import Answer, fewest_blocks
 from hilserver.recalibration.orders import Compared, Looked, Result, Todo, Values
 from hilserver.recalibration.proposals import Proposal, Quantity, Stage, Step, Term
 from hilserver.recalibration.spending import Spending
@@ -57,7 +59,7 @@ class Loop:
     def __init__(self, every_s: float | None, spending: Spending, now_s: float) -> None:
         self._every_s, self._spending, self._looked_s = every_s, spending, now_s
         self._candidate: Candidate | None = None
-        self._rejected: list[Proposal] = []
+        self._rejected: deque[Proposal] = deque(maxlen=REMEMBERED)
         self._accepted_in: int | None = None
         self.proposal: Proposal | None = None  # the newest
         # channel whose gap has left its usual range since the last look
@@ -87,8 +89,9 @@ class Loop:
         if candidate is not None and candidate.loaded != loaded:
             candidate = self._candidate = None
         measure = None
-        if proposal is not None and proposal.stage is Stage.ACCEPTED and self._began_after(window):
-            measure = present(proposal)
+        began = self._accepted_in
+        if proposal is not None and proposal.stage is Stage.ACCEPTED and began is not None:
+            measure = present(proposal) if window > began else None
         is_due = self._every_s is not None and now_s - self._looked_s >= self._every_s
         found = Todo(
             window,
@@ -99,9 +102,6 @@ class Loop:
             look=is_due or self.changed is not None,
         )
         return found if found.look or candidate is not None or measure is not None else None
-
-    def _began_after(self, window: int) -> bool:
-        return self._accepted_in is not None and window > self._accepted_in
 
     def take(self, todo: Todo, result: Result, now_s: float) -> list[Note]:
         """Take what came of a window; return what has to be written down and said."""
@@ -136,18 +136,15 @@ class Loop:
         candidate, self._candidate = self._candidate, None
         if candidate is None:
             return []
-        flips, looked = compared.flips, candidate.looked
-        fields = {
-            "window": todo.window,
-            "named_on": candidate.window,
-            "level": candidate.level,
-            "p": flips.p,
-            "resolution": flips.resolution,
-            "blocks": flips.blocks,
-        }
-        if not flips.holds(candidate.level):
-            verdict = "not_confirmed" if flips.resolves(candidate.level) else "no_test"
-            return [Note("confirmation", {**fields, "verdict": verdict})]
+        looked, level = candidate.looked, candidate.level
+        fields: dict[str, Any] = {"window": todo.window, "named_on": candidate.window}
+        fields |= {"level": level, "p": compared.p}
+        fields |= {"resolution": compared.resolution, "blocks": compared.blocks}
+        if not compared.resolves(level):
+            why = too_little(todo.window, compared, level)
+            return [Note("confirmation", {**fields, "verdict": "no_test", "sentence": why})]
+        if not compared.holds(level):
+            return [Note("confirmation", {**fields, "verdict": "not_confirmed"})]
         made = Proposal(
             number=self.count + 1,
             causes=looked.causes,
@@ -158,37 +155,34 @@ class Loop:
             patch=file_of(self.count + 1),
             former=file_of(self.count + 1, "-former"),
             gain=compared.gain,
-            p=flips.p,
-            level=candidate.level,
+            p=compared.p,
+            level=level,
             windows=(candidate.window, todo.window),
         )
-        known = [*self._rejected, *([self.proposal] if self._waits else [])]
-        if any(made.resembles(other) for other in known if other is not None):
+        waiting = [self.proposal] if self.proposal is not None and self.proposal.waits else []
+        if any(made.resembles(other) for other in (*self._rejected, *waiting)):
             return [Note("confirmation", {**fields, "verdict": "known"})]
         notes = [Note("confirmation", {**fields, "verdict": "confirmed"})]
         return notes + self._propose(made)
 
     def _propose(self, made: Proposal) -> list[Note]:
         notes: list[Note] = []
-        if self.proposal is not None and self._waits:
+        if self.proposal is not None and self.proposal.waits:
             self.proposal = self.proposal.after(Step.REPLACE)
             notes.append(Note("decision", {"who": "", "proposal": self.proposal.as_json()}))
         self.count, self.proposal = made.number, made
         return [*notes, Note("proposal", {"proposal": made.as_json()}, announced(made), 400)]
-
-    @property
-    def _waits(self) -> bool:
-        return self.proposal is not None and self.proposal.waits
 
     def _measured(self, todo: Todo, compared: Compared) -> list[Note]:
         before = self.proposal
         if before is None or before.stage is not Stage.ACCEPTED:
             return []
         fields: dict[str, Any] = {"window": todo.window, "p": compared.p}
-        if not compared.flips.resolves(EFFECT_LEVEL):  # the robot stood: the next window says it
-            return [Note("effect", {**fields, "verdict": "too_short"})]
+        if not compared.resolves(EFFECT_LEVEL):  # the robot stood: the next window says it
+            why = too_little(todo.window, compared, EFFECT_LEVEL)
+            return [Note("effect", {**fields, "verdict": "too_short", "sentence": why})]
         self._accepted_in = None
-        is_better = compared.flips.holds(EFFECT_LEVEL)
+        is_better = compared.holds(EFFECT_LEVEL)
         after = before.after(Step.GAINED if is_better else Step.LOST)
         self.proposal = replace(after, effect=compared.gain)
         fields["proposal"] = self.proposal.as_json()
@@ -226,7 +220,7 @@ class Loop:
         """
         self.proposal, self._candidate = decided, None
         if decided.stage is Stage.REJECTED:
-            self._rejected = [*self._rejected, decided][-REMEMBERED:]
+            self._rejected.append(decided)
         if decided.stage is Stage.ACCEPTED:
             self._accepted_in, self.changed = recording, None
 
@@ -239,15 +233,24 @@ class Loop:
         for line in lines:
             try:
                 found = Proposal.from_json(line["proposal"])
-            except (TypeError, ValueError, KeyError):
+                self.count = max(self.count, found.number)
+            except (TypeError, ValueError, KeyError, AttributeError):
                 continue  # of another kind, or of another version
-            self.proposal, self.count = found, max(self.count, found.number)
+            self.proposal = found
             if found.stage is Stage.REJECTED:
-                self._rejected = [*self._rejected, found][-REMEMBERED:]
+                self._rejected.append(found)
         if self.proposal is not None and self.proposal.stage is Stage.ACCEPTED:
             self._accepted_in = window
             if self._is_undone(loaded):
                 self.proposal, self._accepted_in = self.proposal.after(Step.REOPEN), None
+
+
+def too_little(window: int, answer: Answer, level: float) -> str:
+    """Return why a window cannot say which of two models is better."""
+    return (
+        f"In {answer.blocks} stretches of window {window} the robot moved so that the two models"
+        f" differ; it takes {fewest_blocks(level)} to say which is better."
+    )
 
 
 def file_of(number: int, kind: str = "") -> str:

@@ -60,34 +60,23 @@ class Order:
 
 
 @dataclass(frozen=True)
-class Compared:
+class Compared(Answer):
     """How two models explain a window."""
 
-    # see `flips.Answer`
-    p: float
-    resolution: float
-    blocks: int
     gain: Mapping[str, Quantity] = field(default_factory=dict)  # by quantity
-
-    @property
-    def flips(self) -> Answer:
-        """The test."""
-        return Answer(self.p, self.resolution, self.blocks)
 
 
 @dataclass(frozen=True)
 class Looked:
     """What a diagnosis of a window has found."""
 
-    # named, nothing, data_fault, unexplained or not_judged; as_running: what is named is what runs
-    # already; too_small: what is named is no change worth a proposal
+    # as in docs/reference/recalibration.md
     verdict: str
     sentence: str = ""
     causes: tuple[str, ...] = ()
     # all of the model that would be proposed
     terms: Mapping[str, Term] = field(default_factory=dict)
     gone: Values = field(default_factory=dict)  # terms that run now and are not among them
-    former: Values = field(default_factory=dict)  # all terms that run now
     # where the terms were fitted, as in a patch
     fitted: Mapping[str, Any] = field(default_factory=dict)
     faults: tuple[str, ...] = ()  # a sentence for each fault of the data

@@ -20,7 +20,7 @@ from hilserver.metrics import Source
 from hilserver.plant.layout import WHEELS
 from hilserver.recalibration import patches, process
 from hilserver.recalibration.change import ChangeDetector, Residuals
-from hilserver.recalibration.history import History, broken
+from hilserver.recalibration.history import History, broken, is_sound
 from hilserver.recalibration.loop import Loop, Note, present
 from hilserver.recalibration.orders import Order, Share, Todo
 from hilserver.recalibration.proposals import Proposal, Stage, Step
@@ -85,10 +85,11 @@ class Recalibration(Part):
         config = self._config
         begun_s = self._news.last * config.window_s
         self.loop = Loop(config.every_s, Spending(config.false_per_year), begun_s)
-        self.loop.restore(self._history.lines, patches.split(self._differing)[0], self._news.last)
+        sound = filter(is_sound, self._history.lines)
+        self.loop.restore(sound, patches.split(self._differing)[0], self._news.last)
         if (line := broken(self._history.lines)) is not None:
             self._failed(f"{self._history.path}: line {line} does not follow from those before it:"
-                         " it was changed, or lines are missing")  # fmt: skip
+                         " lines are missing, or it was changed and does not count")  # fmt: skip
         self._history.lines.clear()
         if (window := process.cut_short(self._folder)) is not None:
             why = "the daemon was killed during its look"
@@ -159,8 +160,7 @@ class Recalibration(Part):
     def _order(self, window: Window, todo: Todo) -> Order:
         world, config = self._world, self._config
         _, others = patches.split(self._differing)
-        pacing = world.config.scheduler.realtime.cpu
-        cores = process.other_cores(pacing, config.cpu)
+        cores = process.other_cores(world.pacing_thread(), config.cpu)
         memory = round(config.memory_mb * 1e6)
         return Order(
             todo,

@@ -16,6 +16,7 @@ from hilserver.recalibration.windows import KEPT, SIGNALS, first_file
 ORDER: Final = "order.json"
 MOST_SAID: Final = 300  # characters of a last line that a message repeats
 RECORDER_STOP_S: Final = 5.0
+_PROCESSOR: Final = 36  # field of /proc/*/stat, behind the name
 
 
 async def looked(order: Order, folder: Path, limit_s: float) -> Result:
@@ -119,9 +120,17 @@ async def recorded(command: list[str]) -> str:
     return text[:MOST_SAID] or f"it ended with exit code {process.returncode}"
 
 
-def other_cores(pacing: int | None, wanted: int | None) -> tuple[int, ...]:
-    """Return the cores of a look: the one that is wanted, or all but that of the pacing thread."""
+def other_cores(pacing_thread: int, wanted: int | None) -> tuple[int, ...]:
+    """Return the cores of a look: the one that is wanted, or all but that of the pacing thread.
+
+    A thread that is bound to no core stays on its last one while no other is as urgent.
+    """
     if wanted is not None:
         return (wanted,)
     cores = os.sched_getaffinity(0)
-    return tuple(sorted(cores - {pacing})) if len(cores) > 1 else ()
+    try:
+        after_name = Path(f"/proc/{pacing_thread}/stat").read_text().rpartition(")")[2]
+        cores -= {int(after_name.split()[_PROCESSOR])} if len(cores) > 1 else set()
+    except (OSError, ValueError, IndexError):
+        return ()
+    return tuple(sorted(cores))

@@ -61,17 +61,15 @@ def _all(folder: Path) -> list[Window]:
     return sorted(found, key=lambda window: window.number)
 
 
-def _newest(folder: Path) -> int:
-    return max((window.number for window in _all(folder)), default=0)
-
-
 class News:
     """Says of every window once that it is complete."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         # the newest that is complete; the next one is being written
-        self.last = _newest(folder)  # of a run before: not ours
+        self.last = max(
+            (one.number for one in _all(folder)), default=0
+        )  # of a run before: not ours
 
     def next(self) -> Window | None:
         """Return the newest window that has become complete; those before it are too late."""

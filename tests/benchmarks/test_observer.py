@@ -1,5 +1,6 @@
 """The observer's figures: a short row of drives with a known patch; long: diagnosed ones."""
 
+import json
 from argparse import Namespace
 
 import numpy as np
@@ -8,8 +9,9 @@ from hilserver_injector import Recipe
 
 from benchmarks import observer, observer_recordings
 from benchmarks.observer import figures, run
-from benchmarks.observer_drives import Score, score
+from benchmarks.observer_drives import Known, Score, diagnosed, score
 from hilserver.config.observer import Found, constants_of
+from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.errors import FailedError
 from hilserver.plant.parameters import RobotParameters
@@ -22,7 +24,7 @@ TERMS = {"rotation_gain": 0.03, "wheel_radius": -0.04}
 def test_a_short_row_of_drives_whose_patch_is_known():
     robot = RobotParameters(terms=TERMS)
     c = constants_of(robot, Found.model_validate(FOUND))
-    scores = [score("known", Recipe(seed=3, causes=TERMS), robot, c, k) for k in range(6)]
+    scores = [score("known", Recipe(seed=3, causes=TERMS), Known(robot, c), k) for k in range(6)]
     assert 0.5 < np.mean([one.nees for one in scores]) < 8.0
     assert np.median([one.observer_m for one in scores]) < 0.2
     by_name = {(r.name, r.reference_name): r for r in figures(scores)}
@@ -56,23 +58,29 @@ def test_real_robots_are_found_while_the_navigation_is_silent(tmp_path, monkeypa
     ):
         (tmp_path / folder.name / f"{link}.csv").symlink_to(folder / f"{name}.csv")
 
-    def known(_, __, config, ___):
+    def known(_, __, config, *___):
         robot = assemble_config(config).robot
         noise = {**FOUND["noise"], "nav.yaw_rad": {"white_sd": 0.01}}
         noise |= {f"nav.{axis}_m": {"white_sd": 0.003} for axis in "xy"}
-        return robot, constants_of(robot, Found.model_validate(FOUND | {"noise": noise}))
+        return Known(robot, constants_of(robot, Found.model_validate(FOUND | {"noise": noise})))
 
     monkeypatch.setattr(observer_recordings, "diagnosed", known)
-    args = Namespace(recordings=tmp_path, keep=tmp_path)
+    args = Namespace(recordings=tmp_path, keep=tmp_path, jobs=1)
     by_name = {(r.name.partition(": ")[2], r.reference_name): r for r in run(args)}
     assert by_name["error", "wheels since the cut"].value < 0.1
     assert by_name["error", "wheels since the start"].ratio > 1.0
     assert by_name["NIS inside 95 %", "wanted"].value > 0.5
 
 
+def test_stamps_that_a_diagnosis_found_late_are_put_right(tmp_path):
+    drift = {"verdict": "drift", "parameters": {"clock_offset.nav": {"value": 0.05}}}
+    (tmp_path / "findings.json").write_text(json.dumps(FOUND | {"findings": [drift]}))
+    assert diagnosed(tmp_path, list, Config(), 0).late_s == 0.05
+
+
 def test_a_folder_without_recordings_gets_a_sentence(tmp_path):
     with pytest.raises(FailedError, match="holds no recordings of diffdrive_umbmark, omni4"):
-        run(Namespace(recordings=tmp_path, keep=tmp_path))
+        run(Namespace(recordings=tmp_path, keep=tmp_path, jobs=1))
 
 
 @pytest.mark.long

@@ -172,6 +172,6 @@ def test_looks_that_find_nothing_are_no_load(verdicts):
 
 
 def test_a_look_beside_the_daemon_has_the_share_that_is_shipped(tmp_path):
-    made = recalibration_wake.Looks.order(tmp_path)
+    made = recalibration_wake.Looks.order(Place(tmp_path, 1000))
     assert made.share.nice == RecalibrationConfig().nice
     assert Path(made.path).is_file()

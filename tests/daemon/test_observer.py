@@ -13,7 +13,7 @@ from hilserver.errors import ConfigError
 from hilserver.image.status import BAD_WAITING_FOR_INITIAL_DATA, GOOD, UNCERTAIN
 from hilserver.logs import read_log
 from hilserver.observer.layout import N_HEAD, Shown
-from hilserver.observer.metrics import METRICS, counted
+from hilserver.observer.metrics import METRICS, SAMPLES, counted
 
 NAV = {"enabled": True, "latency_s": 0.12, "yaw_latency_s": 0.08}
 ESTIMATED = ("x_m", "y_m", "yaw_rad")
@@ -98,6 +98,11 @@ async def feed(core, ticks, *, frozen=False):
         assert core.gate.write("ros2", read, received_ns=now_ns) == {}
 
 
+def samples_of(core):
+    head = counted(core.image.region("observer")[0])
+    return {name: head[name] for name in SAMPLES}
+
+
 async def test_the_measured_robot_is_tracked_and_dead_reckoning_is_said():
     async with build(assembled(source="measured")) as core:
         names = [f"measured.nav.{n}" for n in ESTIMATED]
@@ -111,12 +116,12 @@ async def test_the_measured_robot_is_tracked_and_dead_reckoning_is_said():
         assert far < 0.15
         assert abs(turned) < 0.05
         assert status(core, "estimate.x_m") == GOOD
-        samples = counted(core.image.region("observer")[0]).samples
+        samples = samples_of(core)
         assert samples["accepted"] == pytest.approx(2 * 60, abs=4)
         assert samples["rejected"] == 0
         await feed(core, 2000, frozen=True)
         assert value(core, "estimate.state") == 3.0  # dead reckoning
-        assert counted(core.image.region("observer")[0]).samples == samples
+        assert samples_of(core) == samples
 
 
 async def test_equal_samples_are_samples():
@@ -129,10 +134,10 @@ async def test_equal_samples_are_samples():
             core.gate.write("ros2", still | pose, received_ns=core.image.latest().planned_ns)
             await core.scheduler.advance(20)
         assert value(core, "internal.samples_nav") == 30.0
-        samples = counted(core.image.region("observer")[0]).samples
+        samples = samples_of(core)
         assert samples["accepted"] + samples["late"] == 60
         await core.scheduler.advance(200)
-        assert counted(core.image.region("observer")[0]).samples == samples
+        assert samples_of(core) == samples
 
 
 @pytest.mark.parametrize("lie", [1e5, -1e5])

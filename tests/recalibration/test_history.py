@@ -9,6 +9,7 @@ import pytest
 from hypothesis import strategies as st
 
 from hilserver.errors import FailedError
+from hilserver.recalibration import judging, loop
 from hilserver.recalibration.history import FILE, History, broken
 
 
@@ -75,15 +76,13 @@ def test_a_full_disk_is_named_and_leaves_nothing(tmp_path, monkeypatch):
     assert broken(lines_of(tmp_path)) is None
 
 
-def test_every_verdict_of_the_how_to_has_words_on_the_page():
+def test_every_verdict_stands_in_the_reference_and_has_words_on_the_page():
     root = Path(__file__).parents[2]
-    rows = (root / "docs" / "how-to" / "recalibrate.md").read_text(encoding="utf-8").splitlines()
+    reference = (root / "docs" / "reference" / "recalibration.md").read_text(encoding="utf-8")
     page = (root / "page" / "src" / "views" / "proposal.ts").read_text(encoding="utf-8")
-    verdicts = [
-        verdict
-        for row in rows
-        if row.startswith(("| `look` |", "| `confirmation` |", "| `effect` |"))
-        for verdict in re.findall(r"`(\w+)`", row.partition(" | ")[2])
-    ]
-    assert {"too_small", "no_test", "too_short"} < set(verdicts)
-    assert [one for one in verdicts if f"\n  {one}: " not in page] == []
+    rooms = (loop.__file__, judging.__file__)
+    source = "".join(Path(file).read_text(encoding="utf-8") for file in rooms)
+    made = set(re.findall(r'(?:Looked\(\s*|"verdict": | else )"(\w+)"', source))
+    said = set(re.findall(r"^\| `(\w+)` \| .* \| ", reference, re.MULTILINE))
+    assert {"too_small", "no_test", "too_short", "nothing", "better"} < made <= said
+    assert [one for one in sorted(said) if f"\n  {one}: " not in page] == []

@@ -29,13 +29,13 @@ def test_the_right_model_gains_where_it_should(window):
     result = judged(window, Todo(2, {}, confirm=HIDDEN, level=0.001))
     assert result.error == ""
     assert result.look is None
-    assert result.confirm.flips.holds(0.001)
+    assert result.confirm.holds(0.001)
     assert result.confirm.gain["yaw_rad"].ratio > 3.0
 
 
 @pytest.mark.parametrize("wrong", [{"rotation_gain": -0.06}, {"nav_latency": 0.2}])
 def test_a_wrong_model_does_not_gain(window, wrong):
-    assert not judged(window, Todo(2, {}, confirm=wrong, level=0.01)).confirm.flips.holds(0.01)
+    assert not judged(window, Todo(2, {}, confirm=wrong, level=0.01)).confirm.holds(0.01)
 
 
 def test_a_model_is_no_better_than_itself(window):
@@ -49,13 +49,13 @@ def test_a_robot_that_stands_says_nothing_of_what_turns(tmp_path, after_s):
     path = stopped(tmp_path / "window.csv", HIDDEN, 5, after_s)
     result = judged(path, Todo(2, HIDDEN, measure={}, confirm={"wheel_radius": 0.03}, level=0.001))
     assert result.error == ""
-    assert not result.measure.flips.resolves(0.05)
-    assert not result.confirm.flips.resolves(0.001)
+    assert not result.measure.resolves(0.05)
+    assert not result.confirm.resolves(0.001)
 
 
 def test_a_repaired_robot_takes_the_patch_back(window):
     result = judged(window, Todo(2, {**HIDDEN, "nav_scale": 0.1}, confirm=HIDDEN, level=0.001))
-    assert result.confirm.flips.holds(0.001)
+    assert result.confirm.holds(0.001)
 
 
 def test_a_damaged_window_is_named(tmp_path):

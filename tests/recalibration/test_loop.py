@@ -44,7 +44,7 @@ class Robot:
         todo = self.loop.todo(self.window, self.loaded, now_s)
         if todo is None:
             return None
-        is_confirmed = todo.confirm is not None and confirm.flips.holds(todo.level)
+        is_confirmed = todo.confirm is not None and confirm.holds(todo.level)
         result = Result(
             measure if todo.measure is not None else None,
             confirm if todo.confirm is not None else None,
@@ -100,6 +100,9 @@ def test_too_few_blocks_are_no_test_and_the_history_says_so():
     assert robot.loop.proposal is None
     assert robot.notes[1].fields["verdict"] == "no_test"
     assert robot.notes[1].fields["resolution"] == 2.0**-6
+    why = robot.notes[1].fields["sentence"]
+    assert why.startswith("In 6 stretches of window 2 the robot moved")
+    assert why.endswith("it takes 8 to say which is better.")
 
 
 def test_a_window_that_went_by_while_a_look_was_slow_is_no_loss():
@@ -142,7 +145,7 @@ def test_a_decision_that_did_not_help_offers_the_former_model():
     robot.loop.changed = "nav.x_m"
     robot.loaded = {"rotation_gain": 0.01, "nav_latency": 0.1}
     terms = {"rotation_gain": replace(TERM, present=0.01)}
-    robot.next(replace(NAMED, terms=terms, gone={"nav_latency": 0.1}, former=robot.loaded))
+    robot.next(replace(NAMED, terms=terms, gone={"nav_latency": 0.1}))
     robot.next(confirm=BETTER)
     robot.decide(Step.ACCEPT)
     robot.next()
@@ -165,6 +168,7 @@ def test_a_window_that_cannot_say_leaves_the_effect_to_the_next():
     robot.next()
     robot.next(measure=Compared(1.0, 1.0, 0))
     assert robot.notes[-2].fields["verdict"] == "too_short"
+    assert robot.notes[-2].fields["sentence"].startswith("In 0 stretches of window 4 the robot")
     assert robot.loop.proposal.stage is Stage.ACCEPTED
     robot.next(measure=BETTER)
     assert robot.loop.proposal.stage is Stage.BETTER

@@ -385,10 +385,11 @@ async def test_a_number_that_is_none_is_an_event(tmp_path, answers):
         assert daemon.core.parameters.differing == {}
 
 
-async def test_a_damaged_history_is_one_sentence(tmp_path, answers):
+@pytest.mark.parametrize("line", ["nonsense", '{"p": NaN}', '{"p": ' + "[" * 100_000])
+async def test_a_damaged_history_is_one_sentence(tmp_path, answers, line):
     folder = tmp_path / "recalibration"
     folder.mkdir()
-    (folder / FILE).write_text("{}\nnonsense\n{}\n")
+    (folder / FILE).write_text(f"{{}}\n{line}\n{{}}\n")
     with pytest.raises(FailedError, match="line 2 is damaged"):
         async with daemon_in(tmp_path):
             pass
@@ -399,9 +400,10 @@ async def test_a_history_that_somebody_changed_is_an_event(tmp_path, answers):
         await proposed(part, answers)
     file = tmp_path / "recalibration" / FILE
     file.write_text(file.read_text().replace('"value": 0.03', '"value": 0.3'))
-    async with daemon_in(tmp_path) as (daemon, _):
+    async with daemon_in(tmp_path) as (daemon, part):
         said = [e.message for e in daemon.events.recent if e.kind == "recalibration"]
         assert any("line 3 does not follow from those before it" in text for text in said)
+        assert part.loop.proposal is None  # nobody can accept what was not proposed
 
 
 async def test_a_recorder_that_ends_is_an_event(tmp_path, answers, monkeypatch):

@@ -14,7 +14,7 @@ const LOOKS: Record<string, string> = {
   not_judged: "The last window says too little: more motion, more channels.",
   confirmed: "Confirmed on a window that took no part.",
   not_confirmed: "What was named was not confirmed on the next window.",
-  no_test: "What was named cannot be confirmed: the next window was too short for that.",
+  no_test: "What was named cannot be confirmed: the next window shows too little for that.",
   known: "What was named again is decided, or waits for that.",
   proposal: "A cause was named and confirmed on a window that took no part: decide.",
   accepted: "The patch acts; the next whole window says whether the gap has fallen.",
@@ -24,13 +24,16 @@ const LOOKS: Record<string, string> = {
   not_better: "The gap has not fallen.",
   too_short: "The robot moved too little to say whether the gap has fallen: the next window will.",
 };
+/** Verdicts whose sentence says more than a proposal does. */
+const SAID = ["named", "too_small", "unexplained", "no_test", "too_short"];
 const STAGES: Record<string, string> = { not_better: "not better", accepted: "accepted, being measured" };
 
 /** Return the card, and what shows a board in it. */
 export function proposalCard(context: Context): { element: HTMLElement; show: (board: Partial<Board>) => void } {
   const look = h("p", { class: "hint", role: "status" });
+  const why = h("p", { class: "note" });
   const body = h("div", {});
-  const element = h("section", { class: "panel", "aria-label": "Recalibration", hidden: true }, h("h2", {}, "Recalibration"), look, body);
+  const element = h("section", { class: "panel", "aria-label": "Recalibration", hidden: true }, h("h2", {}, "Recalibration"), look, why, body);
   let shown = "";
   function show(board: Partial<Board>): void {
     const now = board.recalibration;
@@ -39,6 +42,8 @@ export function proposalCard(context: Context): { element: HTMLElement; show: (b
     if (!now || text === shown) return;
     shown = text;
     look.textContent = said(now.look);
+    why.textContent = SAID.includes(String(now.look["verdict"])) ? String(now.look["sentence"]) : "";
+    why.hidden = !why.textContent;
     body.replaceChildren(now.proposal ? proposed(context, now.proposal) : h("p", { class: "note" }, "No proposal yet."));
   }
   return { element, show };
