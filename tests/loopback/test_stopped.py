@@ -21,7 +21,7 @@ from tests.io.opcua_server.rig import RobotClient
 from tests.loopback.rig import wait_until
 
 FL = "wheel.fl.setpoint_rpm"
-DEADMAN_S, STOPPED_S = 0.5, 4.0
+DEADMAN_S, STOPPED_S, LONG_S = 0.5, 2.0, 10.0
 CONFIG = f"""
 control: {{{{source: {{source}}}}}}
 page: {{{{enabled: false, deadman_ms: {DEADMAN_S * 1e3:g}}}}}
@@ -53,7 +53,7 @@ class AtOnce:
 class Teleop:
     """A client of OPC UA that named itself so; it has a dead-man."""
 
-    source = "opcua"
+    source, stopped_s = "opcua", STOPPED_S
 
     def __init__(self, daemon, _port):
         self._client = RobotClient(daemon.url)
@@ -80,9 +80,9 @@ class Teleop:
 
 
 class Viewer:
-    """Foxglove, with a panel that publishes."""
+    """Foxglove, with a panel that publishes; what has waited may come for a tenth of that time."""
 
-    source = "page"
+    source, stopped_s = "page", LONG_S
 
     def __init__(self, _daemon, port):
         self._port = port
@@ -107,7 +107,7 @@ class Viewer:
 class Host:
     """The robot's own driver on the serial line."""
 
-    source = "shield"
+    source, stopped_s = "shield", STOPPED_S
 
     def __init__(self, daemon, _port):
         self._link = daemon.folder / "shield"
@@ -144,7 +144,7 @@ async def test_what_was_sent_while_it_was_stopped_does_not_drive_after_it(tmp_pa
         stopped(daemon.process)
         for _ in range(10):
             await client.say_now(50.0)
-        time.sleep(STOPPED_S)  # noqa: ASYNC251 - nothing of it is sent later
+        time.sleep(kind.stopped_s)  # noqa: ASYNC251 - nothing of it is sent later
         head = image.head
         daemon.process.send_signal(signal.SIGCONT)
         frames = []
