@@ -12,7 +12,7 @@ from hilserver.body.parameters import (
     BodyParameters,
 )
 from hilserver.plant.hall import Solid
-from hilserver.plant.layout import WHEEL_WORDS, WHEELS
+from hilserver.plant.layout import CORNERS, WHEEL_WORDS, WHEELS
 
 _BODY = 'name="robot"'
 SOFT = 'solref="0.02 1" solimp="0.9 0.95 0.001"'
@@ -88,7 +88,6 @@ def _axes(solid: Solid) -> str:
 
 
 FINDER_HEIGHT_M = 0.045  # EduArt's range finders above the floor
-_FINDERS = ("fl", "fr", "rl", "rr")
 
 
 def _text(*numbers: float) -> str:
@@ -158,7 +157,7 @@ def robot_urdf(body: BodyParameters, prefix: str = "") -> str:
         Xml.SubElement(joint, "origin", xyz=_text(*centre), rpy="0 0 0")
         Xml.SubElement(joint, "axis", xyz="0 1 0")
     tof, (ahead, aside, height) = body.robot.tof, body.centre_of_mass_m
-    for place in _FINDERS:
+    for place in CORNERS:
         words = WHEEL_WORDS[place].split()
         name, is_front, is_left = "/".join(words), place[0] == "f", place[1] == "l"
         Xml.SubElement(root, "link", name=f"{prefix}range/{name}")

@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.compiled.records import Record
+from hilserver.plant.layout import Three, Wheels
 
 N_WARNINGS: Final = 7
 
-Three = Annotated[NDArray[np.float64], 3]
-Wheels = Annotated[NDArray[np.float64], 4]
 WheelVectors = Annotated[NDArray[np.float64], (4, 3)]
 
 

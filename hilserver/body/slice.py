@@ -17,21 +17,12 @@ from hilserver.body.wheels import vector
 from hilserver.compiled.records import record_at
 from hilserver.plant.imu import show_imu
 from hilserver.plant.kernels import part
-from hilserver.plant.layout import (
-    BAD_OUT_OF_SERVICE,
-    COMMAND_SAFE,
-    GOOD,
-    UNCERTAIN,
-    Inputs,
-    Outputs,
-    Parameters,
-    State,
-    Status,
-)
+from hilserver.plant.layout import COMMAND_SAFE, Inputs, Outputs, Parameters, State, Status
 from hilserver.plant.pose import wrap
 from hilserver.plant.tof import FARTHEST_M, NEAREST_M, seen_by, show_ranges
 from hilserver.plant.units import RAD_S_PER_RPM
 from hilserver.scheduler.faults import BODY
+from hilserver.status import BAD_OUT_OF_SERVICE, GOOD, UNCERTAIN
 
 MIRROR = (1.0, 1.0, -1.0, -1.0)
 

@@ -6,16 +6,14 @@ CSV and Parquet hold no status codes, Parquet no run to replay.
 """
 
 import argparse
-from contextlib import closing
 from pathlib import Path
 
 from hilserver.commands.options import add_mapping, add_storage, warn
 from hilserver.errors import EXIT_DONE, FailedError, LogError
-from hilserver.logs import Log, open_writer
+from hilserver.logs import Log
 from hilserver.logs.bag_writer import Storage
 from hilserver.logs.mf4 import write_mf4
-from hilserver.logs.rewriting import rewrite, run_of, write_table_csv
-from hilserver.logs.writing import forget, reason
+from hilserver.logs.writing import forget, reason, write_log
 from hilserver.measured.conversion import read_any, write_parquet
 from hilserver.measured.names import signal_unit
 
@@ -62,10 +60,4 @@ def _write(log: Log, out: Path, bag: Storage | None) -> None:
     if out.suffix == ".mf4" and bag is None:
         write_mf4(log, out, signal_unit)
         return
-    if out.suffix == ".csv" and bag is None and not log.is_ours:
-        write_table_csv(log, out)
-        return
-    described = run_of(log)
-    slots = range(len(described["signals"]))
-    with closing(open_writer(out, described, slots, 0, bag)) as writer:
-        rewrite(log, writer)
+    write_log(log, out, bag)

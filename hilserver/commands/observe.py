@@ -6,7 +6,6 @@ of the signals estimate.*; beside it stands a picture of the path, of the same n
 """
 
 import argparse
-from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +16,8 @@ from hilserver.commands.options import add_config, add_mapping, add_out, add_pat
 from hilserver.commands.patching import assembled
 from hilserver.config.observer import constants_of, load_found
 from hilserver.errors import EXIT_DONE, ConfigError, FailedError
-from hilserver.logs import Log, open_writer
-from hilserver.logs.rewriting import rewrite, run_of, write_table_csv
-from hilserver.logs.writing import check_suffix, reason
+from hilserver.logs import Log
+from hilserver.logs.writing import check_suffix, reason, write_log
 from hilserver.measured.frames import Sampling
 from hilserver.measured.observed import series_of
 from hilserver.measured.reading import read_measured
@@ -89,13 +87,8 @@ def _write(out: Path, spans: list[Observed], picture: str) -> None:
         block=None,
         columns=dict(zip(names, shown.T, strict=True)),
     )
-    described = run_of(log)
     try:
-        if out.suffix == ".csv":
-            write_table_csv(log, out)
-        else:
-            with closing(open_writer(out, described, range(len(described["signals"])))) as writer:
-                rewrite(log, writer)
+        write_log(log, out)
         out.with_suffix(".svg").write_text(picture, encoding="utf-8")
     except OSError as error:
         raise FailedError(f"{out}: cannot be written: {reason(error)}") from None

@@ -21,7 +21,6 @@ from hilserver.commands.options import (
 from hilserver.config.root import load_config
 from hilserver.errors import EXIT_DONE, FailedError
 from hilserver.io.recorder import Recorder, Settings
-from hilserver.io.recorder.series import Limits
 from hilserver.program.ending import on_end
 
 RECORDER_NICENESS = -5
@@ -88,7 +87,8 @@ def run(args: argparse.Namespace) -> int:
             keep=args.keep,
             rotate_s=args.rotate_s,
             sparse=args.sparse,
-            limits=Limits(args.max_mb * 1e6, args.keep_free_mb * 1e6),
+            max_bytes=args.max_mb * 1e6,
+            keep_free_bytes=args.keep_free_mb * 1e6,
             buffer_bytes=round(args.buffer_mb * 1e6),
             bag=args.storage if args.format == "bag" else None,
         ),

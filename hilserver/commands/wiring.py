@@ -18,10 +18,10 @@ from hilserver.commands.options import add_config, config_path
 from hilserver.daemon.assembly import Assembly, assemble
 from hilserver.daemon.daemon import Daemon
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, ConfigError
-from hilserver.image.status import UNCERTAIN_LAST_USABLE_VALUE
 from hilserver.monitoring.logging_setup import setup_logging
 from hilserver.plant.layout import WHEEL_WORDS, WHEELS
 from hilserver.program import event_loop
+from hilserver.status import UNCERTAIN_LAST_USABLE_VALUE
 
 EXAMPLE = "hilserver wiring --demo"
 MOVES_RPM = 0.05

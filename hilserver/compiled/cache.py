@@ -34,7 +34,7 @@ def _without_linear_algebra() -> None:
 
 _without_linear_algebra()
 _PACKAGE = Path(__file__).resolve().parent.parent
-_KERNEL_ROOMS = ("compiled", "plant", "body", "observer", "scheduler", "image", "kernel")
+_KERNEL_ROOMS = ("status", "compiled", "plant", "body", "observer", "scheduler", "image", "kernel")
 
 
 def kernel_sources() -> list[Path]:

@@ -18,7 +18,7 @@ from pydantic import AfterValidator, Field, model_validator
 from hilserver.config import s7, s7_peer
 from hilserver.config.peer_security import PeerSecurity
 from hilserver.config.section import Driver, LinkSection
-from hilserver.errors import meant
+from hilserver.errors import no_signal
 from hilserver.opcua.loopback import is_loopback
 from hilserver.opcua.settings import check_endpoint
 from hilserver.signals import SignalTable
@@ -259,7 +259,7 @@ def check_signals(peer: PeerConfig, table: SignalTable) -> list[SignalProblem]:
     for node, signal in _reads(peer):
         message = ""
         if signal not in known:
-            message = _unknown(signal, known)
+            message = no_signal(signal, known)
         elif not table[signal].writable:
             message = f"'{signal}' is an output, so no peer can set it"
         else:
@@ -273,7 +273,7 @@ def check_signals(peer: PeerConfig, table: SignalTable) -> list[SignalProblem]:
     for signal in peer.write:
         message = ""
         if signal not in known:
-            message = _unknown(signal, known)
+            message = no_signal(signal, known)
         elif table[signal].writable:
             message = f"'{signal}' is an input: write sends outputs"
         elif len(table[signal].slots) > 1:
@@ -302,11 +302,6 @@ def check_peers(peers: list[PeerConfig]) -> list[SignalProblem]:
 
 def _reads(peer: PeerConfig) -> Iterator[tuple[str, str]]:
     return ((node, signal) for node in peer.read for signal in peer.inputs_of(node))
-
-
-def _unknown(signal: str, names: Iterable[str]) -> str:
-    hint = meant(signal, names, "see 'hilserver signals'")
-    return f"there is no signal '{signal}': {hint}"
 
 
 def _first_duplicate(names: Iterable[str]) -> str | None:

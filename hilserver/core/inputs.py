@@ -15,13 +15,13 @@ from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.core.handover import HandOver
 from hilserver.core.leases import NOBODY, OFFERING, Leases, kind_of
 from hilserver.image import ProcessImage, Row
-from hilserver.image.status import (
-    BAD_WAITING_FOR_INITIAL_DATA,
-    UNCERTAIN_LAST_USABLE_VALUE,
-)
 from hilserver.plant.layout import N_COMMANDS, N_SETPOINTS
 from hilserver.signals import MEASURED, SAMPLED, SOURCES, Signal, SignalTable, ValueType
 from hilserver.signals.numbers import is_finite_number
+from hilserver.status import (
+    BAD_WAITING_FOR_INITIAL_DATA,
+    UNCERTAIN_LAST_USABLE_VALUE,
+)
 
 
 class Refusal(StrEnum):

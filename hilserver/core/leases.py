@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 from hilserver.image import ProcessImage, Row, leases
 from hilserver.image.leases import Driving, Lease
-from hilserver.image.status import GOOD
 from hilserver.plant.layout import N_COMMANDS, N_SETPOINTS
 from hilserver.signals import SOURCES
+from hilserver.status import GOOD
 
 NOBODY, TELEOP = "nobody", "opcua:teleop"
 OFFERING = frozenset(SOURCES[leases.FIRST_OFFERING :])

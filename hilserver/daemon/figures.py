@@ -6,13 +6,13 @@ from collections.abc import Iterable, Mapping
 
 from hilserver.core.inputs import InputGate
 from hilserver.image import Frame
-from hilserver.image.status import GOOD
 from hilserver.io.link_status import PeerStatus
 from hilserver.io.world import Figure
 from hilserver.monitoring.audit import AuditItem
 from hilserver.scheduler import Scheduler
 from hilserver.scheduler.metrics import slices_by_name
 from hilserver.signals import MEASURED, SignalTable
+from hilserver.status import GOOD
 
 Table = dict[str, dict[str, Figure]]
 

@@ -11,9 +11,9 @@ from collections.abc import Callable, Mapping
 from hilserver.config.monitoring import ShadowConfig
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.image import Frame
-from hilserver.image.status import GOOD
 from hilserver.plant.layout import Parameters
 from hilserver.signals import MEASURED, SignalTable
+from hilserver.status import GOOD
 
 Pose = tuple[float, float, float]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hilserver.compiled import kernel
 from hilserver.compiled.records import Record, record_at
 from hilserver.image import word
-from hilserver.image.status import GOOD
+from hilserver.status import GOOD
 
 REGION: Final = "leases"
 KINDS: Final = 6

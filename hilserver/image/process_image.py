@@ -12,8 +12,8 @@ from hilserver.image import word
 from hilserver.image.queues import push_rows
 from hilserver.image.reader import ImageReader
 from hilserver.image.shared_file import OwnMemory, SharedFile
-from hilserver.image.status import GOOD
 from hilserver.signals import SignalTable
+from hilserver.status import GOOD
 
 
 class Row(NamedTuple):

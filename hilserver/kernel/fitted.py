@@ -14,9 +14,9 @@ from hilserver.compiled import kernel
 from hilserver.compiled.records import record_at
 from hilserver.config.patch import Interval, ModelPatch
 from hilserver.image import word
-from hilserver.image.status import GOOD, UNCERTAIN
 from hilserver.plant.layout import N_WHEELS, OUTPUTS, Inputs, Outputs
 from hilserver.plant.terms import TERMS, main_part
+from hilserver.status import GOOD, UNCERTAIN
 
 BLOCKS: Final = ("drive", "kinematics", "navigation", "inertial")
 N_ROW: Final = 6  # low and high of speed [m/s], turn rate [rad/s], wheel speed [rpm]

@@ -5,9 +5,9 @@ from typing import Any
 
 from hilserver.compiled import kernel
 from hilserver.image import word
-from hilserver.image.status import GOOD_LOCAL_OVERRIDE, UNCERTAIN_NO_COMMUNICATION
 from hilserver.kernel.modifier_layout import RING_TICKS, Entry, Kind, Modifiers
 from hilserver.plant.noise import normal, uniform
+from hilserver.status import GOOD_LOCAL_OVERRIDE, UNCERTAIN_NO_COMMUNICATION
 
 STUCK, NOISE, BIAS, SCALE = (int(Kind.STUCK), int(Kind.NOISE), int(Kind.BIAS), int(Kind.SCALE))
 DELAY, JITTER, DROP = int(Kind.DELAY), int(Kind.JITTER), int(Kind.DROP)

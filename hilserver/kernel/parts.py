@@ -8,7 +8,6 @@ from typing import Any
 
 from hilserver.compiled import kernel
 from hilserver.image import leases, word
-from hilserver.image.status import BAD_SENSOR_FAILURE, GOOD
 from hilserver.kernel.places import Places, p, q, u, x, y
 from hilserver.plant.battery import battery_step
 from hilserver.plant.imu import imu_step
@@ -18,6 +17,7 @@ from hilserver.plant.robot import robot_step
 from hilserver.plant.shield import shield_step
 from hilserver.plant.tof import tof_step
 from hilserver.signals import SOURCES
+from hilserver.status import BAD_SENSOR_FAILURE, GOOD
 
 SCENARIO = SOURCES.index("scenario")
 

@@ -10,13 +10,13 @@ from hilserver.image.leases import Lease, adopt_outcome, driving, end_leases, le
 from hilserver.image.queues import latch_rows
 from hilserver.image.requests import serve
 from hilserver.image.ring import publish_frame
-from hilserver.image.status import GOOD, UNCERTAIN
 from hilserver.kernel.changes import drop_changes, take_changes
 from hilserver.kernel.modifiers import modifiers, modify_inputs, modify_outputs, restore_true_values
 from hilserver.kernel.places import Places
 from hilserver.plant.layout import COMMAND_NORMAL, COMMAND_SAFE, Inputs, Outputs
 from hilserver.scheduler import faults
 from hilserver.signals import State
+from hilserver.status import GOOD, UNCERTAIN
 
 SAFE = int(State.SAFE)
 FIRST_OUTPUT = Inputs.n_words

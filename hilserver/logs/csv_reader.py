@@ -99,33 +99,20 @@ def read_table(
         table.lines = range(2, len(numbers) + 2)
         if time is None or not np.abs(table.column(time)[:1]).max(initial=0.0) >= EXACT:
             return table
+    csv.field_size_limit(MAX_FIELD_CHARACTERS)
     with path.open(encoding="utf-8-sig", newline="") as file:
         try:
-            return _read_strictly(path, file, names, ours=ours, time=time, used=used, dated=dated)
+            separator = separator_of(file.readline(MAX_FIELD_CHARACTERS))
+            file.seek(0)
+            lines = _Lines(file)
+            reader = csv.reader(lines, delimiter=separator, strict=True)
+            table = _begin(path, next(reader, None), names, time, used)
+            rows = _plain(table, reader, separator, time if dated else None)
+            return _parse(table, reader, rows, lines, time, drop_unended=ours)
         except UnicodeDecodeError as error:
             raise _undecodable(path, error) from None
         except csv.Error as error:
             raise LogError(f"{path}: is not CSV: {error}; write UTF-8 text with commas") from None
-
-
-def _read_strictly(
-    path: Path,
-    file: TextIO,
-    names: "_Names | None",
-    *,
-    ours: bool,
-    time: str | None,
-    used: Container[str] | None,
-    dated: bool,
-) -> Table:
-    csv.field_size_limit(MAX_FIELD_CHARACTERS)
-    separator = separator_of(file.readline(MAX_FIELD_CHARACTERS))
-    file.seek(0)
-    lines = _Lines(file)
-    reader = csv.reader(lines, delimiter=separator, strict=True)
-    table = _begin(path, next(reader, None), names, time, used)
-    rows = _plain(table, reader, separator, time if dated else None)
-    return _parse(table, reader, rows, lines, time, drop_unended=ours)
 
 
 def _undecodable(path: Path, error: UnicodeDecodeError) -> LogError:

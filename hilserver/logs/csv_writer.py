@@ -17,8 +17,7 @@ from hilserver.logs.log import State
 from hilserver.logs.provenance import pack_meta
 from hilserver.logs.writer import Segmented, WholeFile
 from hilserver.program.whole_file import whole
-
-BAD = 0x8000_0000  # a status code with this bit has no usable value
+from hilserver.status import BAD
 
 
 def meta_path(path: Path) -> Path:

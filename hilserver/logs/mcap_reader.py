@@ -33,8 +33,8 @@ from hilserver.logs.mcap_writer import (
 from hilserver.logs.provenance import SCHEMA, check_run
 from hilserver.logs.table import BLOCK, TIME
 from hilserver.logs.unpacking import PIECE_BYTES, Budget
+from hilserver.status import BAD
 
-BAD = 0x8000_0000
 _MESSAGE_HEAD = 9 + 22  # bytes of a record before the data of its message
 _TEXTS = ("schema", "version", "kernels", "config_sha256", "config_folder", "replay_of")
 _READ = {

@@ -13,9 +13,9 @@ from hilserver.logs.log import NS_PER_S, Log
 from hilserver.logs.provenance import SCHEMA
 from hilserver.logs.table import BLOCK, SEGMENT, TIME
 from hilserver.logs.writer import LogWriter, Segmented
+from hilserver.status import BAD_NO_DATA
 
 ROWS_AT_ONCE: Final = 1024
-BAD_NO_DATA: Final = 0x809B_0000
 GAP_NS: Final = NS_PER_S
 """Between the stamps of two segments, which are placed one behind the other."""
 

@@ -4,13 +4,16 @@ import contextlib
 import errno
 import shutil
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 from hilserver.errors import FailedError
 from hilserver.logs.bag_writer import BagWriter, Storage
 from hilserver.logs.csv_writer import CsvWriter, changes_path, meta_path
+from hilserver.logs.log import Log
 from hilserver.logs.mcap_writer import McapWriter
+from hilserver.logs.rewriting import rewrite, run_of, write_table_csv
 from hilserver.logs.writer import LogWriter
 
 SUFFIXES = (".mcap", ".csv")
@@ -50,6 +53,16 @@ def open_writer(
         if is_new:
             forget(path)
         raise FailedError(f"{path}: cannot be written: {reason(error)}") from None
+
+
+def write_log(log: Log, path: Path, bag: Storage | None = None) -> None:
+    """Write all of a log; what is not ours becomes a plain table as CSV."""
+    if path.suffix == ".csv" and bag is None and not log.is_ours:
+        write_table_csv(log, path)
+        return
+    described = run_of(log)
+    with closing(open_writer(path, described, range(len(described["signals"])), 0, bag)) as writer:
+        rewrite(log, writer)
 
 
 def forget(path: Path) -> None:

@@ -18,13 +18,12 @@ from hilserver.measured.channels import MODE, OF_MODE, SETPOINTS
 from hilserver.measured.names import is_input, known_signals
 from hilserver.measured.thresholds import ENOUGH_ROWS, FEWEST_VALUES
 from hilserver.signals import MEASURED, SAMPLED
+from hilserver.status import BAD, UNCERTAIN
 
 TICK: Final = "sim.tick"
 COMMAND: Final = "internal.command"
 POSE_REQUEST: Final = "internal.pose_request"
 SECTIONS: Final = ("scheduler", "sensors", "plant")
-BAD: Final = 0x8000_0000
-UNCERTAIN: Final = 0x4000_0000
 RARE: Final = 0.05  # share of the samples
 GAP_STEPS: Final = 1.5  # times the usual distance of two samples, from which on one is missing
 OLDEST_S: Final = 1.0  # a stamp that makes a sample older than that is wrong

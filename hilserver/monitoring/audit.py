@@ -6,29 +6,17 @@ metric and in OPC UA, and never stop the daemon.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from hilserver.metrics import gauges
+from hilserver.scheduler.realtime import CAP_IPC_LOCK, CAP_SYS_NICE, Grant, has_capability
 
 if TYPE_CHECKING:
     from hilserver.scheduler import Scheduler
 
-_CAP_IPC_LOCK, _CAP_SYS_NICE = 14, 23
+AuditItem = Grant
 _GOOD_CLOCKS = ("tsc", "arch_sys_counter", "kvm-clock")
-
-
-@dataclass(frozen=True, slots=True)
-class AuditItem:
-    """One finding."""
-
-    name: str  # snake case; label of the metric
-    ok: bool
-    # in words
-    found: str
-    wanted: str
-    remedy: str = ""  # what to do; empty if `ok` or if nothing can be done
 
 
 def audit(scheduler: "Scheduler", root: Path = Path("/")) -> list[AuditItem]:
@@ -37,11 +25,7 @@ def audit(scheduler: "Scheduler", root: Path = Path("/")) -> list[AuditItem]:
     # Another thread's slack may only be read with privileges: the thread's own answer is better.
     if all(grant.name != "timer_slack" for grant in scheduler.grants):
         items.append(timer_slack(root, scheduler.thread_id))
-    items += [
-        AuditItem(g.name, g.ok, g.found, g.wanted, "" if g.ok else g.remedy)
-        for g in scheduler.grants
-    ]
-    return items
+    return items + scheduler.grants
 
 
 def kernel(root: Path) -> AuditItem:
@@ -70,7 +54,7 @@ def isolated_cores(root: Path) -> AuditItem:
 
 def rtprio_limit(root: Path) -> AuditItem:
     """Check that a thread of this process may have a real-time priority."""
-    if _has_capability(root, _CAP_SYS_NICE):
+    if has_capability(CAP_SYS_NICE, root):
         return _item("rtprio_limit", True, "CAP_SYS_NICE", "LimitRTPRIO or CAP_SYS_NICE", "")
     limit = _limit(root, "Max realtime priority")
     remedy = "LimitRTPRIO=95 in the unit, or ulimit -r 95"
@@ -80,7 +64,7 @@ def rtprio_limit(root: Path) -> AuditItem:
 
 def memlock_limit(root: Path) -> AuditItem:
     """Check that this process may lock its memory."""
-    if _has_capability(root, _CAP_IPC_LOCK):
+    if has_capability(CAP_IPC_LOCK, root):
         return _item("memlock_limit", True, "CAP_IPC_LOCK", "unlimited or CAP_IPC_LOCK", "")
     limit = _limit(root, "Max locked memory")
     remedy = "LimitMEMLOCK=infinity in the unit, or ulimit -l unlimited"
@@ -198,10 +182,3 @@ def _limit(root: Path, name: str) -> str:
         if line.startswith(name):
             return line[len(name) :].split()[0]
     return "?"
-
-
-def _has_capability(root: Path, number: int) -> bool:
-    for line in _read(root, "proc/self/status").splitlines():
-        if line.startswith("CapEff:"):
-            return bool(int(line.split()[1], 16) >> number & 1)
-    return False

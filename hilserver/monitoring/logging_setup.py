@@ -18,12 +18,13 @@ import sys
 import time
 from collections.abc import Callable, MutableMapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, TextIO
 
 import structlog
 
 from hilserver.core.events import Event, EventKind
 from hilserver.errors import UserError
+from hilserver.program.writer import Footer, Writer
 
 if TYPE_CHECKING:  # loading the scheduler takes longer than most commands
     from hilserver.scheduler import OverrunReport
@@ -41,17 +42,7 @@ LIBRARIES = ("asyncua", "asyncio")  # their INFO lines tell nothing to somebody 
 _NUMBERS = re.compile(r"0x[0-9a-fA-F]+|[-+]?\d+(?:\.\d+)?")
 
 
-class Stream(Protocol):
-    """Where lines go."""
-
-    def write(self, text: str, /) -> int:
-        """Write whole lines."""
-
-    def flush(self) -> None:
-        """Hand over what was written."""
-
-    def isatty(self) -> bool:
-        """Whether it is a terminal."""
+Stream = TextIO | Writer | Footer
 
 
 @dataclass(slots=True)
@@ -122,13 +113,11 @@ def setup_logging(
     line_format: str = "auto",
     repeat_window_s: float = 10.0,
     stream: Stream | None = None,
-    expected_errors: tuple[type[BaseException], ...] = (),
     clock_s: Callable[[], float] = time.monotonic,
 ) -> RepeatLimiter:
     """Set up structlog and the standard library's logging; may be called again.
 
-    `expected_errors` are reported in one line, besides `EXPECTED_ERRORS`. What is returned goes to
-    `report_repeats` now and then.
+    What is returned goes to `report_repeats` now and then.
     """
     out = sys.stderr if stream is None else stream
     is_console = is_readable(line_format, out)
@@ -138,7 +127,7 @@ def setup_logging(
         processors=[
             _add_logger_name,
             structlog.processors.add_log_level,
-            _ExpectedErrors((*EXPECTED_ERRORS, *expected_errors)),
+            _in_a_sentence,
             _printable,
             limiter,
             *_rendering(is_console, colors=out.isatty()),
@@ -246,22 +235,17 @@ class _ToStructlog(logging.Handler):
         structlog.get_logger(record.name).log(standard, text, **details)
 
 
-class _ExpectedErrors:
-    """Replaces the traceback of an expected error by its sentence."""
-
-    def __init__(self, kinds: tuple[type[BaseException], ...]) -> None:
-        self._kinds = kinds
-
-    def __call__(self, _logger: object, _method: str, event: EventDict) -> EventDict:
-        info = event.pop("exc_info", None)
-        if info is True:
-            info = sys.exc_info()
-        error = info[1] if isinstance(info, tuple) else info
-        if isinstance(error, self._kinds):
-            event["error"] = f"{type(error).__name__}: {error}".removesuffix(": ")
-        elif error:
-            event["exc_info"] = error
-        return event
+def _in_a_sentence(_logger: object, _method: str, event: EventDict) -> EventDict:
+    """Replace the traceback of an expected error by its sentence."""
+    info = event.pop("exc_info", None)
+    if info is True:
+        info = sys.exc_info()
+    error = info[1] if isinstance(info, tuple) else info
+    if isinstance(error, EXPECTED_ERRORS):
+        event["error"] = f"{type(error).__name__}: {error}".removesuffix(": ")
+    elif error:
+        event["exc_info"] = error
+    return event
 
 
 def _add_logger_name(logger: Any, _method: str, event: EventDict) -> EventDict:

@@ -22,8 +22,9 @@ from hilserver.observer.layout import (
 )
 from hilserver.observer.outputs import show
 from hilserver.plant.kernels import part
-from hilserver.plant.layout import BAD_OUT_OF_SERVICE, GOOD, UNCERTAIN, Parameters
+from hilserver.plant.layout import Parameters
 from hilserver.plant.units import RAD_S_PER_RPM
+from hilserver.status import BAD_OUT_OF_SERVICE, GOOD, UNCERTAIN
 
 
 @part

@@ -112,11 +112,7 @@ class OpcUaLimits(_Checked):
 
     def of(self, role: Role) -> OpcUaShare:
         """Return the share of a role."""
-        return {
-            Role.OBSERVER: self.observer,
-            Role.OPERATOR: self.operator,
-            Role.ENGINEER: self.engineer,
-        }[role]
+        return getattr(self, role.name.lower())  # type: ignore[no-any-return]
 
 
 class OpcUaSettings(_Checked):

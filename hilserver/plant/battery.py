@@ -10,16 +10,8 @@ from typing import Final
 import numpy as np
 
 from hilserver.plant.kernels import part
-from hilserver.plant.layout import (
-    BAD_OUT_OF_SERVICE,
-    GOOD,
-    N_WHEELS,
-    Inputs,
-    Outputs,
-    Parameters,
-    State,
-    Status,
-)
+from hilserver.plant.layout import N_WHEELS, Inputs, Outputs, Parameters, State, Status
+from hilserver.status import BAD_OUT_OF_SERVICE, GOOD
 
 LOWEST_V: Final = 17.5
 HIGHEST_V: Final = 23.5

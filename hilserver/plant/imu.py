@@ -6,16 +6,9 @@ unit's fused one: bias and scale of the gyro do not make it drift.
 
 from hilserver.plant.history import between, between_angles, push, weights
 from hilserver.plant.kernels import part
-from hilserver.plant.layout import (
-    BAD_OUT_OF_SERVICE,
-    GOOD,
-    Inputs,
-    Outputs,
-    Parameters,
-    State,
-    Status,
-)
+from hilserver.plant.layout import Inputs, Outputs, Parameters, State, Status
 from hilserver.plant.noise import normal
+from hilserver.status import BAD_OUT_OF_SERVICE, GOOD
 
 CHANNEL_GYRO = 0
 CHANNEL_ACCEL_X = 1

@@ -26,18 +26,13 @@ LEFT_WHEELS: Final = ("fl", "rl")
 RIGHT_WHEELS: Final = ("fr", "rr")
 WHEELS: Final = LEFT_WHEELS + RIGHT_WHEELS
 N_WHEELS: Final = 4
+CORNERS: Final = ("fl", "fr", "rl", "rr")  # EduArt's order: of range finders and lamps
 WHEEL_WORDS: Final = {
     "fl": "front left",
     "rl": "rear left",
     "fr": "front right",
     "rr": "rear right",
 }
-
-# --- status codes (OPC UA part 4) -----------------------------------------------------------------
-GOOD: Final = 0
-UNCERTAIN: Final = 0x40000000
-BAD_WAITING_FOR_INITIAL_DATA: Final = 0x80320000
-BAD_OUT_OF_SERVICE: Final = 0x808D0000
 
 
 class Inputs(Record):

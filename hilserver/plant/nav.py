@@ -9,17 +9,10 @@ import math
 
 from hilserver.plant.history import between, between_angles, push, weights
 from hilserver.plant.kernels import part
-from hilserver.plant.layout import (
-    BAD_OUT_OF_SERVICE,
-    GOOD,
-    Inputs,
-    Outputs,
-    Parameters,
-    State,
-    Status,
-)
+from hilserver.plant.layout import Inputs, Outputs, Parameters, State, Status
 from hilserver.plant.noise import normal, uniform
 from hilserver.plant.pose import wrap
+from hilserver.status import BAD_OUT_OF_SERVICE, GOOD
 
 CHANNEL_OU = 8  # 3 channels: x, y, yaw
 CHANNEL_WHITE = 11  # 2 channels

@@ -10,9 +10,10 @@ from hilserver.plant.command import command
 from hilserver.plant.drive import drive_base, drive_terms
 from hilserver.plant.kernels import inlined, part
 from hilserver.plant.kinematics import across, in_region, sideways, velocity_base, velocity_terms
-from hilserver.plant.layout import GOOD, N_WHEELS, Inputs, Outputs, Parameters, State, Status
+from hilserver.plant.layout import N_WHEELS, Inputs, Outputs, Parameters, State, Status
 from hilserver.plant.pose import move, set_pose
 from hilserver.plant.units import RAD_S_PER_RPM
+from hilserver.status import GOOD
 
 SIDE = 0.5 * RAD_S_PER_RPM  # sum of two wheels in rpm to their mean in rad/s
 SLOPE_REST_RAD_S = 0.05

@@ -9,7 +9,8 @@ from typing import Final
 
 from hilserver.plant.battery import drawn_current
 from hilserver.plant.kernels import part
-from hilserver.plant.layout import GOOD, Inputs, Outputs, Parameters, State, Status
+from hilserver.plant.layout import Inputs, Outputs, Parameters, State, Status
+from hilserver.status import GOOD
 
 AMBIENT_DEGC: Final = 25.0
 WARMING_DEGC_PER_A: Final = 2.5

@@ -8,16 +8,8 @@ import math
 from typing import Any, Final
 
 from hilserver.plant.kernels import part
-from hilserver.plant.layout import (
-    BAD_OUT_OF_SERVICE,
-    GOOD,
-    UNCERTAIN,
-    Inputs,
-    Outputs,
-    Parameters,
-    State,
-    Status,
-)
+from hilserver.plant.layout import Inputs, Outputs, Parameters, State, Status
+from hilserver.status import BAD_OUT_OF_SERVICE, GOOD, UNCERTAIN
 
 NEAREST_M: Final = 0.01
 FARTHEST_M: Final = 5.0

@@ -14,7 +14,6 @@ from hilserver.core.events import Event, EventKind
 from hilserver.core.recalibration import RECALIBRATION_METRICS, Figures, Table
 from hilserver.errors import ControlRefused, FailedError, UserError
 from hilserver.image import Frame
-from hilserver.image.status import GOOD
 from hilserver.io.world import Figure, Part, World
 from hilserver.metrics import Source
 from hilserver.plant.layout import WHEELS
@@ -27,6 +26,7 @@ from hilserver.recalibration.proposals import Proposal, Stage, Step
 from hilserver.recalibration.spending import Spending
 from hilserver.recalibration.windows import News, Window
 from hilserver.signals import MEASURED
+from hilserver.status import GOOD
 
 LOOK_FOR_WINDOWS_S: Final = 1.0
 RECORD_AGAIN_S: Final = 60.0  # after a recorder has ended; a full disk does not get emptier at once

@@ -13,12 +13,12 @@ from hilserver.errors import ConfigError, LogError
 from hilserver.image import read_frames
 from hilserver.image.changes import Changes
 from hilserver.logs import Log, State
-from hilserver.logs.csv_writer import BAD
 from hilserver.logs.log import Change
 from hilserver.logs.writer import Segmented
 from hilserver.replay.plan import Stretch
 from hilserver.signals import Direction, SignalTable
 from hilserver.signals import State as DaemonState
+from hilserver.status import BAD
 
 QUEUE_ROWS = 1 << 17
 RING_FRAMES = 1 << 11

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from hilserver.errors import LogError
 from hilserver.image.layout import Layout
-from hilserver.image.status import GOOD
 from hilserver.logs import Log, State
 from hilserver.logs.log import Change
 from hilserver.measured.channels import MODE, OF_MODE, TWIST
 from hilserver.signals import Direction, SignalTable
+from hilserver.status import GOOD
 
 MAX_TICKS = 10**9
 ENABLE = "drive.enable"

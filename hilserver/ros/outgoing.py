@@ -7,8 +7,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.plant.layout import CORNERS, WHEEL_WORDS
 from hilserver.plant.units import RPM_PER_RAD_S, STANDARD_GRAVITY_M_S2
-from hilserver.ros.robot import EDUART_ORDER, Robot
+from hilserver.ros.robot import Robot
 
 SHARE: Final = 0.02
 """Standard deviation of odometry by what was driven or turned: wheels on a level floor."""
@@ -24,7 +25,7 @@ MODE_INACTIVE, MODE_REMOTE, MODE_AUTONOMOUS = 1, 2, 4
 KINEMATIC_SKID, KINEMATIC_MECANUM = 1, 2
 MOTORS: Final = ("rr", "fr", "rl", "fl")
 """edu_robot's order of motors; it also turns all signs around: right wheels forward positive."""
-PLACES: Final = {"fl": "front_left", "fr": "front_right", "rl": "rear_left", "rr": "rear_right"}
+PLACES: Final = {place: WHEEL_WORDS[place].replace(" ", "_") for place in CORNERS}
 
 
 def _floats(robot: Robot, numbers: list[float]) -> Any:
@@ -85,7 +86,7 @@ def _covariance(*values: float) -> Any:
 
 def tof(robot: Robot) -> Iterator[Any]:
     """Distances [m], fl, fr, rl, rr."""
-    yield _floats(robot, [robot[f"tof.{place}_m"] for place in EDUART_ORDER])
+    yield _floats(robot, [robot[f"tof.{place}_m"] for place in CORNERS])
 
 
 def tof_thesis(robot: Robot) -> Iterator[Any]:

@@ -5,12 +5,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Self
 
-from hilserver.plant.layout import WHEELS, Parameters
+from hilserver.plant.layout import CORNERS, WHEELS, Parameters
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RPM_PER_RAD_S
 from hilserver.ros.types import Types
 
-EDUART_ORDER: Final = ("fl", "fr", "rl", "rr")  # of EduArt's messages and of the range finders
 NS_PER_S: Final = 1_000_000_000
 
 
@@ -125,7 +124,7 @@ class Robot:
         """Return a signal that not every configuration has."""
         return self.values.get(name, default)
 
-    def wheels(self, quantity: str, order: tuple[str, ...] = EDUART_ORDER) -> list[float]:
+    def wheels(self, quantity: str, order: tuple[str, ...] = CORNERS) -> list[float]:
         """Return one quantity of all wheels."""
         return [self.values[f"wheel.{wheel}.{quantity}"] for wheel in order]
 

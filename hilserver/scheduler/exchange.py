@@ -13,7 +13,7 @@ Communication slices have one row each; its sequence number is odd while the loo
 Overruns go into a bounded ring; what does not fit is counted, not waited for.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numba.core import types
@@ -35,25 +35,29 @@ MAX_STEPS = 2**32 - 1
 COMM_SEQUENCE, COMM_TICK, COMM_PLANNED, COMM_PERIOD_TICKS = range(4)
 N_COMM = 4
 
-# One row per overrun or fault
-(
-    R_TICK,
-    R_KIND,
-    R_SLICE,
-    R_PLANNED,
-    R_LATENCY,
-    R_EXECUTION,
-    R_CPU,
-    R_MINOR_FAULTS,
-    R_MAJOR_FAULTS,
-    R_PREEMPTED,
-    R_MISSED,
-    R_CODE,
-) = range(12)
-N_RECORD = 12
 MOST_RECORDS = 256
 
 _WORDS = types.int64[::1]
+
+
+@dataclass(frozen=True, slots=True)
+class OverrunRecord:
+    """One overrun or fault as the pacing loop saw it, a row of the ring; times in ns."""
+
+    tick: int
+    kind: int  # ``LATE_WAKE`` or ``LONG_RUN`` of the law; 0 for a fault that was no overrun
+    # the row of the slice that is blamed: the first for a late wake, the longest otherwise
+    slice_index: int
+    planned_ns: int
+    latency_ns: int
+    execution_ns: int
+    # what the thread used and suffered since the end of the previous tick
+    cpu_ns: int
+    minor_faults: int
+    major_faults: int
+    preempted: int
+    missed: int  # planned starts that the policy gave up
+    code: int  # the ``FAULT_*`` code handed to the step; -1: the scheduler stopped; 0: none
 
 
 @kernel()
@@ -118,26 +122,6 @@ def write_word(control: NDArray[np.int64], index: int, value: int) -> None:
     store_release(control, index, value)
 
 
-@dataclass(frozen=True, slots=True)
-class OverrunRecord:
-    """One overrun or fault as the pacing loop saw it; times in ns."""
-
-    tick: int
-    kind: int  # ``LATE_WAKE`` or ``LONG_RUN`` of the law; 0 for a fault that was no overrun
-    # the row of the slice that is blamed: the first for a late wake, the longest otherwise
-    slice_index: int
-    planned_ns: int
-    latency_ns: int
-    execution_ns: int
-    # what the thread used and suffered since the end of the previous tick
-    cpu_ns: int
-    minor_faults: int
-    major_faults: int
-    preempted: int
-    missed: int  # planned starts that the policy gave up
-    code: int  # the ``FAULT_*`` code handed to the step; -1: the scheduler stopped; 0: none
-
-
 class Exchange:
     """The event loop's side of the words."""
 
@@ -147,7 +131,7 @@ class Exchange:
         self.control = np.zeros(N_CONTROL, dtype=np.int64)
         self.comm = np.zeros(len(comm_period_ticks) * N_COMM, dtype=np.int64)
         self.comm[COMM_PERIOD_TICKS::N_COMM] = comm_period_ticks
-        self.ring = np.zeros((MOST_RECORDS, N_RECORD), dtype=np.int64)
+        self.ring = np.zeros((MOST_RECORDS, len(fields(OverrunRecord))), dtype=np.int64)
         self._generation = 0
         self.control[COMMAND] = FREE_RUN
         self.control[PACED_PERIOD] = base_period_ns
@@ -200,9 +184,8 @@ class Exchange:
         taken = self.get(RECORDS_TAKEN)
         if taken == self.get(RECORDS_MADE):
             return None
-        row = self.ring[taken % MOST_RECORDS]
-        if row[R_PLANNED] + row[R_LATENCY] + row[R_EXECUTION] > ended_before_ns:
+        record = OverrunRecord(*self.ring[taken % MOST_RECORDS].tolist())
+        if record.planned_ns + record.latency_ns + record.execution_ns > ended_before_ns:
             return None
-        record = OverrunRecord(*(int(word) for word in row))
         write_word(self.control, RECORDS_TAKEN, taken + 1)
         return record

@@ -16,7 +16,7 @@ from pathlib import Path
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _PR_SET_TIMERSLACK = 29
 _LATENCY_TARGET = Path("/dev/cpu_dma_latency")
-_CAP_IPC_LOCK = 14
+CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,13 +36,14 @@ class RealtimeSettings:
 
 @dataclass(frozen=True, slots=True)
 class Grant:
-    """The answer to one request: what was wanted, what the system said, how to fix it."""
+    """The answer to one request, or another finding of the audit."""
 
-    name: str
+    name: str  # snake case; label of the metric
     ok: bool
-    wanted: str
+    # in words
     found: str
-    remedy: str = ""
+    wanted: str
+    remedy: str = ""  # what to do; empty if `ok` or if nothing can be done
 
 
 class ProcessGrants:
@@ -87,20 +88,20 @@ class ProcessGrants:
         cores = os.sched_getaffinity(0)
         others = cores - {cpu}
         if not others:
-            return Grant("core_of_its_own", False, wanted, "the only core", "use a second core")
+            return Grant("core_of_its_own", False, "the only core", wanted, "use a second core")
         _move_all_threads(others)
         self._cores = cores
-        return Grant("core_of_its_own", True, wanted, f"the rest on {sorted(others)}")
+        return Grant("core_of_its_own", True, f"the rest on {sorted(others)}", wanted)
 
     def _lock_memory(self) -> Grant:
         limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
         remedy = "LimitMEMLOCK=infinity in the unit, or ulimit -l unlimited"
         # With a finite limit and MCL_FUTURE a later allocation would fail in the middle of the run.
-        if limit != resource.RLIM_INFINITY and not _has_capability(_CAP_IPC_LOCK):
-            return Grant("memory_lock", False, "locked", f"limit {limit // 1024} KiB", remedy)
+        if limit != resource.RLIM_INFINITY and not has_capability(CAP_IPC_LOCK):
+            return Grant("memory_lock", False, f"limit {limit // 1024} KiB", "locked", remedy)
         libc = ctypes.CDLL(None, use_errno=True)
         if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT) != 0:
-            return Grant("memory_lock", False, "locked", os.strerror(ctypes.get_errno()), remedy)
+            return Grant("memory_lock", False, os.strerror(ctypes.get_errno()), "locked", remedy)
         self._locked = True
         return Grant("memory_lock", True, "locked", "locked")
 
@@ -111,7 +112,7 @@ class ProcessGrants:
         except OSError as error:
             remedy = f"give the user write access to {_LATENCY_TARGET} (a udev rule)"
             found = error.strerror or "error"
-            return Grant("latency_target", False, "0 us, held", found, remedy)
+            return Grant("latency_target", False, found, "0 us, held", remedy)
         return Grant("latency_target", True, "0 us, held", "0 us, held")
 
 
@@ -135,7 +136,7 @@ def _move_all_threads(cpus: set[int]) -> None:
 
 def _timer_slack() -> Grant:
     if ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0) != 0:
-        return Grant("timer_slack", False, "1 ns", os.strerror(ctypes.get_errno()))
+        return Grant("timer_slack", False, os.strerror(ctypes.get_errno()), "1 ns")
     return Grant("timer_slack", True, "1 ns", "1 ns")
 
 
@@ -144,7 +145,7 @@ def _pin(cpu: int) -> Grant:
         os.sched_setaffinity(threading.get_native_id(), {cpu})
     except (OSError, ValueError, OverflowError) as error:
         remedy = f"choose one of {sorted(os.sched_getaffinity(0))}"
-        return Grant("thread_core", False, f"core {cpu}", str(error), remedy)
+        return Grant("thread_core", False, str(error), f"core {cpu}", remedy)
     return Grant("thread_core", True, f"core {cpu}", f"core {cpu}")
 
 
@@ -155,12 +156,14 @@ def _real_time_priority(priority: int) -> Grant:
         os.sched_setscheduler(threading.get_native_id(), policy, os.sched_param(priority))
     except OSError as error:
         remedy = f"LimitRTPRIO={priority} in the unit, or ulimit -r {priority}"
-        return Grant("thread_priority", False, wanted, error.strerror or "error", remedy)
+        return Grant("thread_priority", False, error.strerror or "error", wanted, remedy)
     return Grant("thread_priority", True, wanted, wanted)
 
 
-def _has_capability(number: int) -> bool:
-    for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
-        if line.startswith("CapEff:"):
-            return bool(int(line.split()[1], 16) >> number & 1)
+def has_capability(number: int, root: Path = Path("/")) -> bool:
+    """Whether this process has a capability, by the files below a root."""
+    with contextlib.suppress(OSError):
+        for line in (root / "proc/self/status").read_text(encoding="utf-8").splitlines():
+            if line.startswith("CapEff:"):
+                return bool(int(line.split()[1], 16) >> number & 1)
     return False

@@ -67,23 +67,27 @@ def usage_since_last(scratch: NDArray[np.int64]) -> None:
 
 @kernel(_nrt=False)
 def write_record(at: Loop, blamed: int, code: int) -> None:
-    """Put the tick that just ended into the ring of overruns and faults."""
+    """Put the tick that just ended into the ring, as an `exchange.OverrunRecord`."""
     law, ring, usage = at.law, at.ring, at.scratch[RUSAGE:PREVIOUS]
     row = ex.next_record(at.control, ring)
     if row < 0:
         return
-    ring[row, ex.R_TICK] = law[lw.TICK] - 1
-    ring[row, ex.R_KIND] = law[lw.KIND]
-    ring[row, ex.R_SLICE] = blamed
-    ring[row, ex.R_PLANNED] = law[lw.START] - law[lw.LATENCY]
-    ring[row, ex.R_LATENCY] = law[lw.LATENCY]
-    ring[row, ex.R_EXECUTION] = law[lw.EXECUTION]
-    ring[row, ex.R_CPU] = usage[_P_CPU]
-    ring[row, ex.R_MINOR_FAULTS] = usage[_P_MINOR]
-    ring[row, ex.R_MAJOR_FAULTS] = usage[_P_MAJOR]
-    ring[row, ex.R_PREEMPTED] = usage[_P_INVOLUNTARY]
-    ring[row, ex.R_MISSED] = law[lw.MISSED]
-    ring[row, ex.R_CODE] = code
+    record = (
+        law[lw.TICK] - 1,
+        law[lw.KIND],
+        blamed,
+        law[lw.START] - law[lw.LATENCY],
+        law[lw.LATENCY],
+        law[lw.EXECUTION],
+        usage[_P_CPU],
+        usage[_P_MINOR],
+        usage[_P_MAJOR],
+        usage[_P_INVOLUNTARY],
+        law[lw.MISSED],
+        code,
+    )
+    for index in range(len(record)):
+        ring[row, index] = record[index]
     store_release(at.control, ex.RECORDS_MADE, at.control[ex.RECORDS_MADE] + 1)
 
 

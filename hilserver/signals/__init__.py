@@ -11,7 +11,6 @@ from hilserver.signals.table import Direction, Signal, SignalTable, ValueType
 from hilserver.signals.vocabulary import (
     LIGHTS,
     MEASURED,
-    RANGE_FINDERS,
     RESERVED,
     SAMPLED,
     SOURCES,
@@ -22,7 +21,6 @@ from hilserver.signals.vocabulary import (
 __all__ = [
     "LIGHTS",
     "MEASURED",
-    "RANGE_FINDERS",
     "RESERVED",
     "SAMPLED",
     "SOURCES",

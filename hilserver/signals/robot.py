@@ -7,14 +7,20 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from hilserver.plant.layout import COMMAND_NORMAL, COMMAND_SAFE, COMMAND_ZERO, WHEEL_WORDS, WHEELS
+from hilserver.plant.layout import (
+    COMMAND_NORMAL,
+    COMMAND_SAFE,
+    COMMAND_ZERO,
+    CORNERS,
+    WHEEL_WORDS,
+    WHEELS,
+)
 from hilserver.signals.table import Direction, Signal, SignalTable, ValueType
 from hilserver.signals.vocabulary import (
     COLOURS,
     ESTIMATE_STATES,
     LIGHTS,
     MEASURED,
-    RANGE_FINDERS,
     SAMPLED,
     State,
 )
@@ -153,7 +159,7 @@ def _robot_outputs() -> list[tuple[str, str, float, float, str]]:
     ]
     rows += [
         (f"tof.{place}_m", "m", 0.0, 5.0, f"Range finder {place}; 5.0 and Uncertain: nothing seen")
-        for place in RANGE_FINDERS
+        for place in CORNERS
     ]
     rows += [
         ("nav.x_m", "m", -1e6, 1e6, "Navigation tag, position"),
@@ -169,7 +175,7 @@ def _add_lights(b: _Builder) -> None:
     out, byte = Direction.OUT, ValueType.BYTE
     text = "Light pattern that is shown"
     b.add("lights.state", "1", out, 0, len(LIGHTS) - 1, text, type_=byte, labels=LIGHTS)
-    for place in RANGE_FINDERS:
+    for place in CORNERS:
         for colour in COLOURS:
             text = f"Lamp {place} as it blinks, {colour}"
             b.add(f"lights.{place}.{colour}", "1", out, 0, 255, text, type_=byte)
@@ -190,7 +196,7 @@ def _body_outputs() -> list[tuple[str, str, float, float, str]]:
     ]
     rows += [
         (f"mech.tof.{place}_m", "m", 0.0, 5.0, f"Range finder {place} of the body")
-        for place in RANGE_FINDERS
+        for place in CORNERS
     ]
     rows += [
         (f"mech.imu.gyro_{axis}_rad_s", "rad/s", -500.0, 500.0, f"Gyroscope of the body, {axis}")

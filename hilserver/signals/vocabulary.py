@@ -8,8 +8,6 @@ RESERVED = frozenset(
 )
 """First parts of names that belong to the daemon itself; no block may have them."""
 
-RANGE_FINDERS = ("fl", "fr", "rl", "rr")  # range finders and lamps in EduArt's order
-
 LIGHTS = (
     "off",
     "dim",

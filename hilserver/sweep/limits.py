@@ -1,34 +1,18 @@
 """What a machine may take of its worker: time, memory, and no output."""
 
 import contextlib
+import os
 import resource
 import signal
 import threading
 from collections.abc import Iterator
-from typing import Any
+from pathlib import Path
 
 GRACE_S = 5.0  # so much later the kernel ends a worker whose code does not listen
 
 
 class OutOfTime(BaseException):
     """The machine's time is over; no 'except Exception' of a controller holds it up."""
-
-
-class _Silence:
-    """Takes what a controller prints and forgets it."""
-
-    encoding, errors = "utf-8", "replace"
-
-    def write(self, text: str) -> int:
-        """Forget."""
-        return len(text)
-
-    def flush(self) -> None:
-        """Do nothing."""
-
-    def isatty(self) -> bool:
-        """Say no."""
-        return False
 
 
 @contextlib.contextmanager
@@ -38,13 +22,16 @@ def limited(time_s: float) -> Iterator[None]:
     Python code is interrupted in the main thread of a process, where the signal arrives. Compiled
     code, and threads of a Dask worker, are ended with their process; whoever submitted finds out.
     """
-    output: Any = _Silence()
     in_main = threading.current_thread() is threading.main_thread()
     before = signal.signal(signal.SIGALRM, _over) if in_main else None
     signal.setitimer(signal.ITIMER_REAL, time_s + (0.0 if in_main else GRACE_S))
     signal.setitimer(signal.ITIMER_PROF, time_s + GRACE_S)
     try:
-        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
+        with (
+            Path(os.devnull).open("w", encoding="utf-8", errors="replace") as silence,
+            contextlib.redirect_stdout(silence),
+            contextlib.redirect_stderr(silence),
+        ):
             yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
@@ -60,8 +47,9 @@ def _over(_number: int, _frame: object) -> None:
 def limit_memory(megabytes: float) -> None:
     """Let this process have so much memory more than it has now."""
     has = 0
-    with contextlib.suppress(OSError), open("/proc/self/statm", encoding="ascii") as file:  # noqa: PTH123
-        has = int(file.read().split()[0]) * resource.getpagesize()
+    with contextlib.suppress(OSError):
+        words = Path("/proc/self/statm").read_text(encoding="ascii").split()
+        has = int(words[0]) * resource.getpagesize()
     most = has + int(megabytes * 1e6)
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     if has and (hard == resource.RLIM_INFINITY or most < hard):

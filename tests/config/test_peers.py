@@ -139,7 +139,7 @@ def test_signals_are_checked_against_the_table():
     )
     problems = {problem.location: problem.message for problem in check_signals(peer, TABLE)}
     assert problems == {
-        ("read", "ns=1;s=a"): "there is no signal 'wheel.fl.setpoint_rmp': did you mean"
+        ("read", "ns=1;s=a"): "there is no signal 'wheel.fl.setpoint_rmp'; did you mean"
         " 'wheel.fl.setpoint_rpm'?",
         ("read", "ns=1;s=b"): "'wheel.fl.speed_rpm' is an output, so no peer can set it",
         ("write", "wheel.fl.setpoint_rpm"): "'wheel.fl.setpoint_rpm' is an input: write sends"

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hilserver.core.events import EventBus, EventKind
 from hilserver.core.inputs import Refusal, check_value
 from hilserver.errors import ControlRefused
-from hilserver.image.status import GOOD, UNCERTAIN_LAST_USABLE_VALUE
 from hilserver.signals import robot_table
+from hilserver.status import GOOD, UNCERTAIN_LAST_USABLE_VALUE
 from tests.fakes import RANGES, ManualClock, latch_inputs, make_gate, make_image, make_table
 
 

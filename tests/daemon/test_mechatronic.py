@@ -14,12 +14,11 @@ from hilserver.daemon.builder import build
 from hilserver.daemon.outputs import Outputs
 from hilserver.errors import ConfigError
 from hilserver.image import Row
-from hilserver.image.status import GOOD
 from hilserver.logs import read_log
 from hilserver.logs.provenance import as_yaml
-from hilserver.plant.layout import BAD_OUT_OF_SERVICE
 from hilserver.replay.origin import assembly_of
 from hilserver.scheduler import faults
+from hilserver.status import BAD_OUT_OF_SERVICE, GOOD
 
 TORQUE = {"driven_by": "torque", "sensors": "body"}
 

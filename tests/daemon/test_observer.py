@@ -10,10 +10,10 @@ from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.builder import build
 from hilserver.errors import ConfigError
-from hilserver.image.status import BAD_WAITING_FOR_INITIAL_DATA, GOOD, UNCERTAIN
 from hilserver.logs import read_log
 from hilserver.observer.layout import N_HEAD, Shown
 from hilserver.observer.metrics import METRICS, SAMPLES, counted
+from hilserver.status import BAD_WAITING_FOR_INITIAL_DATA, GOOD, UNCERTAIN
 
 NAV = {"enabled": True, "latency_s": 0.12, "yaw_latency_s": 0.08}
 ESTIMATED = ("x_m", "y_m", "yaw_rad")

@@ -15,9 +15,9 @@ from hilserver.daemon.builder import build
 from hilserver.daemon.patches import Patches
 from hilserver.errors import ConfigError, ControlRefused
 from hilserver.image import Row
-from hilserver.image.status import UNCERTAIN
-from hilserver.io.recorder.recorder import Recorder, Settings
+from hilserver.io.recorder import Recorder, Settings
 from hilserver.logs import read_log
+from hilserver.status import UNCERTAIN
 from tests.replay.test_recordings import replay
 
 CONFIG = Config.model_validate({"scheduler": {"backend": "virtual"}})

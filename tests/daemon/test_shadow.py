@@ -14,8 +14,8 @@ from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.shadow import GapWatch, measured_pose
 from hilserver.errors import ConfigError
 from hilserver.image import Frame
-from hilserver.image.status import UNCERTAIN_LAST_USABLE_VALUE
 from hilserver.plant.layout import Parameters
+from hilserver.status import UNCERTAIN_LAST_USABLE_VALUE
 from tests.fakes import make_table
 
 TABLE = make_table()

@@ -4,7 +4,7 @@ import json
 
 from asyncua import ua
 
-from hilserver.image.status import GOOD_LOCAL_OVERRIDE
+from hilserver.status import GOOD_LOCAL_OVERRIDE
 from hilserver.testing.opening import open_hil
 from tests.io.opcua_server.rig import RobotClient
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hilserver.image.status import GOOD, GOOD_LOCAL_OVERRIDE, UNCERTAIN_NO_COMMUNICATION
 from hilserver.plant.layout import WHEELS
+from hilserver.status import GOOD, GOOD_LOCAL_OVERRIDE, UNCERTAIN_NO_COMMUNICATION
 from tests.faults.rig import Rig
 
 INPUT = "measured.battery.voltage_v"  # nothing in the plant reads it: what goes in comes out

@@ -6,7 +6,7 @@ import pytest
 import hilserver.fmu.layout as at
 from hilserver.daemon.builder import build
 from hilserver.image import Row
-from hilserver.io.recorder.recorder import Recorder, Settings
+from hilserver.io.recorder import Recorder, Settings
 from tests.fmu.conftest import BLOCK
 from tests.fmu.rig import configured
 from tests.replay.test_parameters import replayed

@@ -8,8 +8,8 @@ import pytest
 
 from hilserver.daemon.assembly import assemble
 from hilserver.daemon.builder import build
-from hilserver.image.status import BAD_SENSOR_FAILURE, GOOD
 from hilserver.scheduler.step import LATCH, PUBLISH
+from hilserver.status import BAD_SENSOR_FAILURE, GOOD
 
 BLOCKS = """
 from hilserver.plant.blocks import Output, block

@@ -9,8 +9,8 @@ from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.builder import build
 from hilserver.image import Row
-from hilserver.image.status import GOOD, UNCERTAIN
 from hilserver.scheduler.step import LATCH, PUBLISH
+from hilserver.status import GOOD, UNCERTAIN
 
 CONFIG = Config.model_validate({"sensors": {"nav": {"enabled": True}}})
 MADE = {"findings_sha256": "", "config_sha256": CONFIG.sha256, "version": "1"}

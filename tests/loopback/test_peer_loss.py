@@ -11,8 +11,8 @@ from hilserver.core.events import EventKind
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
 from hilserver.errors import ControlRefused
-from hilserver.image.status import UNCERTAIN_LAST_USABLE_VALUE
 from hilserver.signals import State
+from hilserver.status import UNCERTAIN_LAST_USABLE_VALUE
 from tests.loopback.rig import (
     Peer,
     call,

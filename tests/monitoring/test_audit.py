@@ -112,7 +112,7 @@ def test_an_empty_tree_is_no_error(tmp_path):
 
 
 def test_grants_of_the_scheduler_are_part_of_it(tmp_path):
-    refused = Grant("thread_priority", False, "SCHED_FIFO 80", "not permitted", "LimitRTPRIO=80")
+    refused = Grant("thread_priority", False, "not permitted", "SCHED_FIFO 80", "LimitRTPRIO=80")
     items = au.audit(Paced([refused]), tree(tmp_path, TUNED))
     assert items[-1] == au.AuditItem(
         "thread_priority", False, "not permitted", "SCHED_FIFO 80", "LimitRTPRIO=80"

@@ -4,13 +4,14 @@ import numpy as np
 
 from hilserver.plant.battery import battery_step
 from hilserver.plant.imu import imu_step
-from hilserver.plant.layout import BAD_WAITING_FOR_INITIAL_DATA, MODE_DUTY, Inputs, Outputs, Status
+from hilserver.plant.layout import MODE_DUTY, Inputs, Outputs, Status
 from hilserver.plant.nav import nav_step
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.robot import robot_step
 from hilserver.plant.shield import shield_step
 from hilserver.plant.tof import tof_step
+from hilserver.status import BAD_WAITING_FOR_INITIAL_DATA
 
 SENSOR_TICKS = 10
 VELOCITY = slice(Outputs.where("linear").start, Outputs.where("angular").stop)

@@ -5,13 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from hilserver.plant.layout import (
-    BAD_WAITING_FOR_INITIAL_DATA,
-    COMMAND_NORMAL,
-    COMMAND_SAFE,
-    COMMAND_ZERO,
-    Outputs,
-)
+from hilserver.plant.layout import COMMAND_NORMAL, COMMAND_SAFE, COMMAND_ZERO, Outputs
+from hilserver.status import BAD_WAITING_FOR_INITIAL_DATA
 from tests.plant.rig import Rig
 
 

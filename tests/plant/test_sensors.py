@@ -8,10 +8,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from hilserver.plant.battery import open_circuit_voltage
-from hilserver.plant.layout import BAD_OUT_OF_SERVICE, GOOD, UNCERTAIN
 from hilserver.plant.parameters import Imu, Navigation, RangeFinders
 from hilserver.plant.reference.cases import cases
 from hilserver.plant.tof import tof_step
+from hilserver.status import BAD_OUT_OF_SERVICE, GOOD, UNCERTAIN
 from tests.plant.rig import Rig
 
 QUIET = Navigation(enabled=True, white_noise_m=0.0, correlated_noise_m=0.0, yaw_noise_rad=0.0)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from hilserver.plant.layout import BAD_OUT_OF_SERVICE, GOOD
 from hilserver.plant.parameters import Battery
 from hilserver.plant.shield import BLINK_S, TURN_S, WARMING_S
 from hilserver.signals import LIGHTS
+from hilserver.status import BAD_OUT_OF_SERVICE, GOOD
 from tests.plant.rig import Rig
 
 

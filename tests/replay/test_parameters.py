@@ -10,7 +10,7 @@ from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.builder import build
 from hilserver.errors import LogError
 from hilserver.image import Row
-from hilserver.io.recorder.recorder import Recorder, Settings
+from hilserver.io.recorder import Recorder, Settings
 from hilserver.logs import open_writer, read_log
 from hilserver.logs.rewriting import rewrite, run_of
 from hilserver.parameters import PLANT

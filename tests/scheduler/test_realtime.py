@@ -81,7 +81,7 @@ def test_a_refused_priority_is_visible(monkeypatch):
 
 
 def test_memory_is_not_locked_under_a_finite_limit_without_the_capability(monkeypatch):
-    monkeypatch.setattr(realtime, "_has_capability", lambda number: False)
+    monkeypatch.setattr(realtime, "has_capability", lambda number: False)
     monkeypatch.setattr(resource, "getrlimit", lambda which: (65536, 65536))
     grants = ProcessGrants(RealtimeSettings(hold_latency_target=False))
     (lock,) = grants.request()

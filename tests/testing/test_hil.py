@@ -5,7 +5,7 @@ import asyncio
 import numpy as np
 import pytest
 
-from hilserver.image.status import GOOD_LOCAL_OVERRIDE
+from hilserver.status import GOOD_LOCAL_OVERRIDE
 from hilserver.testing.hil import HilError
 
 MODES = [

@@ -18,6 +18,7 @@ from hilserver.config.edge import EdgeConfig, EdgeGroup
 from hilserver.errors import ConfigError
 from hilserver.image import Frame
 from hilserver.signals import Signal, SignalTable, ValueType
+from hilserver.status import is_bad
 
 DATA_TYPES: Final = {
     ValueType.DOUBLE: "LReal",
@@ -150,7 +151,7 @@ def _value(signal: Signal, frame: Frame) -> float | str | bool:
 
 
 def _quality(code: int) -> int:
-    if code & 0x8000_0000:
+    if is_bad(code):
         return BAD
     return UNCERTAIN if code & 0x4000_0000 else GOOD
 

@@ -6,10 +6,10 @@ from typing import Any, Final
 from foxglove import messages as fg
 from numpy.typing import NDArray
 
+from hilserver.body.parameters import WHEEL_WIDTH_M
 from hilserver.ros.robot import Shape
 
 WALL_HEIGHT_M: Final = 0.3
-WHEEL_WIDTH_M: Final = 0.055
 _GREY = fg.Color(r=0.6, g=0.6, b=0.65, a=0.8)
 _BODY = fg.Color(r=0.1, g=0.4, b=0.8, a=0.9)
 _DARK = fg.Color(r=0.1, g=0.1, b=0.1, a=1.0)

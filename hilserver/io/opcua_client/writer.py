@@ -8,7 +8,6 @@ from asyncua import ua
 
 from hilserver.config.peers import PeerConfig
 from hilserver.faults.links import Lane, Line
-from hilserver.image.status import GOOD, is_bad
 from hilserver.io.link_status import FaultBook, PeerStatus
 from hilserver.io.opcua_client.outgoing import (
     Form,
@@ -21,6 +20,7 @@ from hilserver.io.opcua_client.session import Session
 from hilserver.io.peer_link.link import Output
 from hilserver.io.peer_link.samples import FaultKind, LinkLostError
 from hilserver.period import every
+from hilserver.status import GOOD, is_bad
 
 LOOK_AGAIN_S = 1.0
 

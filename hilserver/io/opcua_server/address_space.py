@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from asyncua import ua
 
@@ -27,6 +27,15 @@ _CLASSES = {
 }
 
 
+class Place(NamedTuple):
+    """Where a node is added, and by which reference."""
+
+    node_id: ua.NodeId
+    name: ua.QualifiedName
+    parent: ua.NodeId
+    reference: int
+
+
 class AddressSpaceBuilder:
     """Adds nodes of our namespace."""
 
@@ -45,26 +54,18 @@ class AddressSpaceBuilder:
         """Return a browse name in our namespace."""
         return ua.QualifiedName(text, self._index)
 
+    def _place(self, path: str, name: str, parent: str, reference: int) -> Place:
+        """Return the place of a node of ours below another one of ours."""
+        return Place(self.node_id(path), self.name(name), self.node_id(parent), reference)
+
     def roots(self) -> None:
         """Add DI's DeviceSet and the robot below it."""
-        kinds = ua.ObjectIds
-        self._object(
-            self.device_set,
-            ua.QualifiedName("DeviceSet", self._di_index),
-            OBJECTS,
-            kinds.Organizes,
-            kinds.BaseObjectType,
-            "Contains all instances of devices",
-        )
-        self._object(
-            self.robot,
-            self.name("Robot"),
-            self.device_set,
-            kinds.HasComponent,
-            kinds.BaseObjectType,
-            "The simulated robot",
-            event_notifier=ua.EventNotifier.SubscribeToEvents.mask,
-        )
+        kinds, name = ua.ObjectIds, ua.QualifiedName("DeviceSet", self._di_index)
+        device_set = Place(self.device_set, name, OBJECTS, kinds.Organizes)
+        self._object(device_set, kinds.BaseObjectType, "Contains all instances of devices")
+        robot = Place(self.robot, self.name("Robot"), self.device_set, kinds.HasComponent)
+        events = ua.EventNotifier.SubscribeToEvents.mask
+        self._object(robot, kinds.BaseObjectType, "The simulated robot", events)
         self.reference(SERVER, self.robot, kinds.HasNotifier, ua.NodeClass.Object)
 
     def namespaces(self) -> None:
@@ -77,8 +78,8 @@ class AddressSpaceBuilder:
         group = self.node_id(f"{model.ROBOT}.{GROUP}")
         kinds = ua.ObjectIds
         name = ua.QualifiedName(GROUP, self._di_index)
-        about = "Who made the robot, and which one it is"
-        self._object(group, name, self.robot, kinds.HasComponent, kinds.FolderType, about)
+        place = Place(group, name, self.robot, kinds.HasComponent)
+        self._object(place, kinds.FolderType, "Who made the robot, and which one it is")
         for name, value, kind in entries:
             shown = ua.LocalizedText(value) if kind == LOCALIZED_TEXT else value
             typed = ua.Variant(shown, ua.VariantType(kind))
@@ -89,9 +90,8 @@ class AddressSpaceBuilder:
         """Describe one of our namespaces where clients look (OPC 10000-5, 6.3.13)."""
         kinds, path = ua.ObjectIds, f"namespaces.{index}"
         parent, name = ua.NodeId(kinds.Server_Namespaces), ua.QualifiedName(uri, index)
-        self._object(
-            self.node_id(path), name, parent, kinds.HasComponent, kinds.NamespaceMetadataType, uri
-        )
+        place = Place(self.node_id(path), name, parent, kinds.HasComponent)
+        self._object(place, kinds.NamespaceMetadataType, uri)
         no_ranges = ua.Variant([], ua.VariantType.String, is_array=True)
         for entry, value, kind in (
             ("NamespaceUri", uri, kinds.String),
@@ -106,15 +106,9 @@ class AddressSpaceBuilder:
 
     def folders(self, folders: Iterable[model.Folder]) -> None:
         """Add folders; each after the one that holds it."""
-        for folder in folders:
-            self._object(
-                self.node_id(folder.path),
-                self.name(folder.name),
-                self.node_id(folder.parent),
-                ua.ObjectIds.Organizes,
-                ua.ObjectIds.FolderType,
-                folder.description,
-            )
+        for row in folders:
+            place = self._place(row.path, row.name, row.parent, ua.ObjectIds.Organizes)
+            self._object(place, ua.ObjectIds.FolderType, row.description)
 
     def variable(self, row: model.Variable) -> None:
         """Add a variable without a value yet (BadWaitingForInitialData) and its properties."""
@@ -127,16 +121,8 @@ class AddressSpaceBuilder:
         attributes.UserAccessLevel = attributes.AccessLevel
         # 0: every change is noticed, there is no sampling between plant and subscriber.
         attributes.MinimumSamplingInterval = 0.0
-        node_id = self.node_id(row.path)
-        self._add(
-            node_id,
-            self.name(row.name),
-            self.node_id(row.parent),
-            ua.ObjectIds.HasComponent,
-            attributes,
-            row.type_definition,
-        )
-        self.value_of(node_id).value = ua.DataValue(
+        place = self._place(row.path, row.name, row.parent, ua.ObjectIds.HasComponent)
+        self.value_of(self._add(place, attributes, row.type_definition)).value = ua.DataValue(
             ua.Variant(), _WAITING, ServerTimestamp=datetime.now(UTC)
         )
         self._properties(row)
@@ -165,27 +151,17 @@ class AddressSpaceBuilder:
         attributes.ValueRank = 1 if isinstance(value, list) else -1
         attributes.ArrayDimensions = [0] if isinstance(value, list) else None
         attributes.Value = value if isinstance(value, ua.Variant) else ua.Variant(value)
-        return self._add(
-            self.node_id(f"{owner}.{name}"),
-            ua.QualifiedName(name, namespace),
-            self.node_id(owner),
-            ua.ObjectIds.HasProperty,
-            attributes,
-            ua.ObjectIds.PropertyType,
-        )
+        node_id, browse_name = self.node_id(f"{owner}.{name}"), ua.QualifiedName(name, namespace)
+        place = Place(node_id, browse_name, self.node_id(owner), ua.ObjectIds.HasProperty)
+        return self._add(place, attributes, ua.ObjectIds.PropertyType)
 
     def method(self, method: Method) -> ua.NodeId:
         """Add a method with the description of its arguments."""
         attributes = ua.MethodAttributes()
         attributes.Description = ua.LocalizedText(method.description)
         attributes.Executable = attributes.UserExecutable = True
-        node_id = self._add(
-            self.node_id(method.node_id),
-            self.name(method.name),
-            self.node_id("methods"),
-            ua.ObjectIds.HasComponent,
-            attributes,
-        )
+        place = self._place(method.node_id, method.name, "methods", ua.ObjectIds.HasComponent)
+        node_id = self._add(place, attributes)
         if method.arguments:
             arguments = [
                 ua.Argument(
@@ -205,28 +181,14 @@ class AddressSpaceBuilder:
         """Add an event type; `properties` are rows of name, data type, initial value."""
         attributes = ua.ObjectTypeAttributes()
         attributes.IsAbstract = False
-        node_id = self._add(
-            self.node_id(path), self.name(name), base, ua.ObjectIds.HasSubtype, attributes
-        )
-        for property_name, data_type, value in properties:
-            self._type_property(path, property_name, data_type, value)
+        kinds, mandatory = ua.ObjectIds, ua.NodeId(ua.ObjectIds.ModellingRule_Mandatory)
+        place = Place(self.node_id(path), self.name(name), base, kinds.HasSubtype)
+        node_id = self._add(place, attributes)
+        for entry, data_type, value in properties:
+            typed = ua.Variant(value, ua.VariantType(data_type))
+            added = self.property(path, entry, typed, data_type, self._index)
+            self._reference(added, mandatory, kinds.HasModellingRule, ua.NodeClass.Object)
         return node_id
-
-    def _type_property(self, owner: str, name: str, data_type: int, value: Any) -> None:
-        attributes = ua.VariableAttributes()
-        attributes.DataType = ua.NodeId(data_type)
-        attributes.Value = ua.Variant(value, ua.VariantType(data_type))
-        node_id = self._add(
-            self.node_id(f"{owner}.{name}"),
-            self.name(name),
-            self.node_id(owner),
-            ua.ObjectIds.HasProperty,
-            attributes,
-            ua.ObjectIds.PropertyType,
-        )
-        mandatory = ua.NodeId(ua.ObjectIds.ModellingRule_Mandatory)
-        kinds = ua.ObjectIds
-        self._reference(node_id, mandatory, kinds.HasModellingRule, ua.NodeClass.Object)
 
     def value_of(self, node_id: ua.NodeId) -> Any:
         """Return the place where asyncua keeps a node's value and its subscribers."""
@@ -259,42 +221,25 @@ class AddressSpaceBuilder:
         item.TargetNodeClass = target_class
         self._service.add_references([item])[0].check()
 
-    def _object(
-        self,
-        node_id: ua.NodeId,
-        browse_name: ua.QualifiedName,
-        parent: ua.NodeId,
-        reference: int,
-        type_definition: int,
-        description: str,
-        event_notifier: int = 0,
-    ) -> None:
+    def _object(self, place: Place, type_definition: int, about: str, notifier: int = 0) -> None:
         attributes = ua.ObjectAttributes()
-        attributes.Description = ua.LocalizedText(description)
-        attributes.EventNotifier = event_notifier
-        self._add(node_id, browse_name, parent, reference, attributes, type_definition)
+        attributes.Description = ua.LocalizedText(about)
+        attributes.EventNotifier = notifier
+        self._add(place, attributes, type_definition)
 
-    def _add(
-        self,
-        node_id: ua.NodeId,
-        browse_name: ua.QualifiedName,
-        parent: ua.NodeId,
-        reference: int,
-        attributes: Any,
-        type_definition: int | None = None,
-    ) -> ua.NodeId:
-        attributes.DisplayName = ua.LocalizedText(browse_name.Name)
+    def _add(self, place: Place, attributes: Any, type_definition: int | None = None) -> ua.NodeId:
+        attributes.DisplayName = ua.LocalizedText(place.name.Name)
         item = ua.AddNodesItem()
-        item.RequestedNewNodeId = node_id
-        item.BrowseName = browse_name
-        item.ParentNodeId = parent
-        item.ReferenceTypeId = ua.NodeId(reference)
+        item.RequestedNewNodeId = place.node_id
+        item.BrowseName = place.name
+        item.ParentNodeId = place.parent
+        item.ReferenceTypeId = ua.NodeId(place.reference)
         item.NodeClass = _CLASSES[type(attributes)]
         if type_definition is not None:
             item.TypeDefinition = ua.NodeId(type_definition)
         item.NodeAttributes = attributes
         self._service.add_nodes([item])[0].StatusCode.check()
-        return node_id
+        return place.node_id
 
 
 def eu_information(unit: Unit) -> ua.EUInformation:

@@ -223,3 +223,4 @@ METHODS = (
         (_PATCH,),
     ),
 )
+METHOD_OF = {method.name: method for method in METHODS}

@@ -6,7 +6,7 @@ import time
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 
-from hilserver.io.opcua_server.method_table import METHODS, STRING
+from hilserver.io.opcua_server.method_table import METHOD_OF, STRING
 from hilserver.io.opcua_server.model import PARAMETERS
 from hilserver.io.page.browsers import Browser, Browsers
 from hilserver.io.page.driving import Driving
@@ -70,8 +70,6 @@ def _is_unicode(text: str) -> bool:
         return False
     return True
 
-
-_METHODS = {method.name: method for method in METHODS}
 
 _log = logging.getLogger(__name__)
 
@@ -147,8 +145,8 @@ class Calls:
         }
         if name in own:
             check(name, arguments, own[name][1], optional=name in ("take", "diagnose"))
-        elif name in _METHODS:
-            check(name, arguments, [a.type for a in _METHODS[name].arguments])
+        elif name in METHOD_OF:
+            check(name, arguments, [a.type for a in METHOD_OF[name].arguments])
         else:
             raise RefusedError(f"there is no method '{name:.40}'")
         is_stop = name == "Stop"

@@ -47,6 +47,8 @@ class Place(asyncio.Protocol):
         self._door, self._is_over = door, False
         self._transport: Any = None
         self._timer: asyncio.TimerHandle | None = None
+        for name in ("data_received", "eof_received", "pause_writing", "resume_writing"):
+            setattr(self, name, getattr(behind, name))
         self.uses(Use.WAITS, HEAD_S)
 
     def connection_made(self, transport: Any) -> None:
@@ -83,22 +85,6 @@ class Place(asyncio.Protocol):
             self._transport.abort()
         elif self.handshake is not None:
             self.handshake.cancel()
-
-    def data_received(self, data: bytes) -> None:
-        """Hand on."""
-        self.behind.data_received(data)
-
-    def eof_received(self) -> bool | None:
-        """Hand on."""
-        return self.behind.eof_received()  # type: ignore[no-any-return]
-
-    def pause_writing(self) -> None:
-        """Hand on."""
-        self.behind.pause_writing()
-
-    def resume_writing(self) -> None:
-        """Hand on."""
-        self.behind.resume_writing()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Hand on."""

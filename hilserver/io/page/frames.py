@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.image import Frame, ImageReader
+from hilserver.status import BAD
 
 VERSION = 1
 HEAD = struct.Struct("<BBHId")
@@ -46,7 +47,6 @@ class Selection:
 
 POINTS = 600
 MAX_PLOTTED = 24
-_BAD = 0x80000000
 _TIME = "sim.time_s"
 
 
@@ -67,7 +67,7 @@ def history(reader: ImageReader, slots: Mapping[str, int], names: Sequence[str])
         if times and now_s < times[-1]:
             times, rows = [], []
         if not times or now_s > times[-1]:
-            good = (frame.status[columns] < _BAD) & np.isfinite(frame.values[columns])
+            good = (frame.status[columns] < BAD) & np.isfinite(frame.values[columns])
             values = frame.values[columns].tolist()
             times.append(now_s)
             rows.append([v if ok else None for v, ok in zip(values, good.tolist(), strict=True)])

@@ -9,7 +9,7 @@ from typing import Any
 from asyncua import Client, ua
 from asyncua.ua.ua_binary import struct_from_binary
 
-from hilserver.io.opcua_server.method_table import METHODS, STRING, Method
+from hilserver.io.opcua_server.method_table import METHOD_OF, METHODS, STRING, Method
 from hilserver.io.opcua_server.model import CONTROL_SOURCE, NAMESPACE_URI
 from hilserver.io.page.setup import OpcUaAccess
 
@@ -25,7 +25,6 @@ _VARIANTS = {
     "Int64": (ua.VariantType.Int64, int),
     STRING: (ua.VariantType.String, str),
 }
-_METHODS = {method.name: method for method in METHODS}
 
 
 class RefusedError(Exception):
@@ -117,7 +116,7 @@ class Hand:
 
     async def call(self, name: str, arguments: Sequence[Any]) -> None:
         """Call one method; RefusedError if the daemon refuses, or the arguments do not fit."""
-        method = _METHODS[name]
+        method = METHOD_OF[name]
         request, item = ua.CallRequest(), ua.CallMethodRequest()
         item.ObjectId = ua.NodeId("methods", self._index)
         item.MethodId = ua.NodeId(method.node_id, self._index)

@@ -4,6 +4,7 @@ It never touches the plant: the image is mapped for reading, a slow disk fills a
 the recorder alone. `launch.running_recorder` starts one beside a daemon, before the first tick.
 """
 
-from hilserver.io.recorder.recorder import Recorder, Settings
+from hilserver.io.recorder.recorder import Recorder
+from hilserver.io.recorder.series import Settings
 
 __all__ = ["Recorder", "Settings"]

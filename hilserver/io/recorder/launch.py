@@ -10,8 +10,8 @@ import structlog
 
 from hilserver.config.recording import RecordingConfig
 from hilserver.errors import FailedError
-from hilserver.io.recorder.recorder import Recorder, Settings
-from hilserver.io.recorder.series import Limits
+from hilserver.io.recorder.recorder import Recorder
+from hilserver.io.recorder.series import Settings
 from hilserver.program import children
 from hilserver.program.guard import allow
 
@@ -71,7 +71,8 @@ def recorder_inside(
             signals=config.signals,
             rotate_bytes=None if config.rotate_mb is None else round(config.rotate_mb * 1e6),
             keep=config.keep,
-            limits=Limits(config.max_mb * 1e6, config.keep_free_mb * 1e6),
+            max_bytes=config.max_mb * 1e6,
+            keep_free_bytes=config.keep_free_mb * 1e6,
             buffer_bytes=round(config.buffer_mb * 1e6),
             waits=True,
         ),

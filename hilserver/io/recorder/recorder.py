@@ -5,15 +5,13 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from hilserver.errors import FailedError
-from hilserver.io.recorder.series import NO_LIMITS, FileSeries, Limits
+from hilserver.io.recorder.series import FileSeries, Settings
 from hilserver.io.recorder.source import Source
 from hilserver.io.recorder.thinning import Thinner
 from hilserver.io.recorder.write_behind import NextFile, WriteBehind
-from hilserver.logs.bag_writer import Storage
 from hilserver.logs.provenance import make_run
 from hilserver.logs.writer import Segmented
 from hilserver.logs.writing import check_suffix, reason
@@ -24,26 +22,6 @@ SUPERVISE_S = 0.25
 SAY_AGAIN_S = 5.0
 STATE_WITHIN_S = 2.0
 CLOSE_WITHIN_S = 30.0
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """What to record, and where to."""
-
-    path: Path
-    signals: Sequence[str] = ("*",)  # patterns; inputs (hidden ones too) are needed for a replay
-    # see `FileSeries`
-    rotate_bytes: int | None = None
-    keep: int | None = None
-    rotate_s: float | None = None  # begin a new file after so much time of the plant, too
-    # leave out frames in which nothing of what is recorded changes, see `thinning`
-    sparse: bool = False
-    limits: Limits = NO_LIMITS  # when it ends by itself
-    buffer_bytes: int = 64_000_000  # see `WriteBehind`
-    # True: the reader waits for a slow disk; False: frames are dropped and counted
-    waits: bool = False
-    # write a ROS 2 bag, a folder of this name
-    bag: Storage | None = None
 
 
 class Recorder:
@@ -61,14 +39,7 @@ class Recorder:
         self._run = make_run(self._source.description)
         self._slots = self._choose(settings.signals)
         self._utc_ns = time.time_ns() - time.monotonic_ns()
-        self._series = FileSeries(
-            settings.path,
-            rotate_bytes=settings.rotate_bytes,
-            timed=settings.rotate_s is not None,
-            keep=settings.keep,
-            bag=settings.bag,
-            limits=settings.limits,
-        )
+        self._series = FileSeries(settings)
         self._writing = WriteBehind(
             lambda: self._series.open(self._run, self._slots, self._utc_ns),
             self._series.is_full,

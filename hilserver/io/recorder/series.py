@@ -16,15 +16,25 @@ from hilserver.logs.csv_writer import changes_path, meta_path
 from hilserver.logs.writing import reason
 
 
-@dataclass(frozen=True)
-class Limits:
-    """When a recording ends by itself: its size with all files, and what has to stay free."""
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What to record, and where to."""
 
+    path: Path
+    signals: Sequence[str] = ("*",)  # patterns; inputs (hidden ones too) are needed for a replay
+    rotate_bytes: int | None = None
+    rotate_s: float | None = None  # begin a new file after so much time of the plant, too
+    keep: int | None = None  # the newest files of a rotation
+    # leave out frames in which nothing of what is recorded changes, see `thinning`
+    sparse: bool = False
+    # the recording ends by itself at this size of all files, or when so little is free
     max_bytes: float = math.inf
     keep_free_bytes: float = 0.0
-
-
-NO_LIMITS = Limits()
+    buffer_bytes: int = 64_000_000  # see `WriteBehind`
+    # True: the reader waits for a slow disk; False: frames are dropped and counted
+    waits: bool = False
+    # write a ROS 2 bag, a folder of this name
+    bag: Storage | None = None
 
 
 class FileSeries:
@@ -34,21 +44,12 @@ class FileSeries:
     ``name_0002.mcap`` ...; numbers go on after those that lie there already.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        *,
-        rotate_bytes: int | None = None,
-        timed: bool = False,
-        keep: int | None = None,
-        bag: Storage | None = None,
-        limits: Limits = NO_LIMITS,
-    ) -> None:
-        self._limits, self._opened = limits, 0
-        self._bag = bag
-        self._path, self._rotate_bytes, self._keep = path, rotate_bytes, keep
-        self._rotates = timed or rotate_bytes is not None
-        self.current = path
+    def __init__(self, settings: Settings) -> None:
+        self._settings, self._opened = settings, 0
+        self._path, self._keep = settings.path, settings.keep
+        self._rotate_bytes = settings.rotate_bytes
+        self._rotates = settings.rotate_s is not None or settings.rotate_bytes is not None
+        self.current = settings.path
 
     def open(
         self, run: Mapping[str, Any], slots: Sequence[int], utc_minus_monotonic_ns: int
@@ -67,7 +68,7 @@ class FileSeries:
                 raise FailedError(f"{self._path}: too many files of this name; choose another")
             self.current = self._file(number)
         self._check_room("cannot begin")
-        writer = open_writer(self.current, run, slots, utc_minus_monotonic_ns, self._bag)
+        writer = open_writer(self.current, run, slots, utc_minus_monotonic_ns, self._settings.bag)
         self._opened += 1
         self._remove_old()
         return writer
@@ -77,14 +78,14 @@ class FileSeries:
 
         FailedError if it is as large as it may be, or the disk is nearly full.
         """
-        limits, complete = self._limits, self._opened - 1
+        complete = self._opened - 1
         if self._keep is not None:
             complete = min(complete, self._keep - 1)
         if self._rotate_bytes is not None or not complete:
             n_bytes = complete * (self._rotate_bytes or 0) + writer.n_bytes
         else:
             n_bytes = sum(_size(self._file(n)) for n in self._numbers()[-complete - 1 :])
-        if n_bytes >= limits.max_bytes:
+        if n_bytes >= self._settings.max_bytes:
             raise FailedError(
                 f"{self.current}: the recording has ended at {n_bytes / 1e6:.0f} MB, its limit; see"
                 " recording.max_mb, --max-mb and --keep"
@@ -93,7 +94,7 @@ class FileSeries:
 
     def _check_room(self, what: str) -> None:
         free = shutil.disk_usage(self.current.parent).free
-        if free < self._limits.keep_free_bytes:
+        if free < self._settings.keep_free_bytes:
             raise FailedError(
                 f"{self.current}: the recording {what}, as {free / 1e6:.0f} MB are left on the"
                 " disk; remove some files, or see recording.keep_free_mb and --keep-free-mb"

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from typing import Final
 
 from hilserver.config.s7 import FORMS, Place, S7Server
-from hilserver.errors import ConfigError, meant
+from hilserver.errors import ConfigError, no_signal
 from hilserver.image import Frame
 from hilserver.io.s7.wire import Code, Item
 from hilserver.signals import Signal, SignalTable, ValueType
+from hilserver.status import is_bad
 
 _LARGEST_REAL: Final = struct.unpack(">f", b"\x7f\x7f\xff\xff")[0]
 _PACKERS: Final[Mapping[str, struct.Struct]] = {
@@ -90,9 +91,9 @@ class DataBlock:
         block = bytearray(self.size)
         for place, signal in self.fields:
             slot = signal.slots[0]
-            is_bad = bool(int(frame.status[slot]) & 0x8000_0000)
-            value = float("nan") if is_bad else float(frame.values[slot])
-            if place.type == "BOOL" and is_bad:
+            no_value = is_bad(int(frame.status[slot]))
+            value = float("nan") if no_value else float(frame.values[slot])
+            if place.type == "BOOL" and no_value:
                 value = 0.0
             put(block, place, packed(place, value, wraps=signal.type in COUNTING))
         return bytes(block)
@@ -144,8 +145,7 @@ def blocks_of(server: S7Server, table: SignalTable) -> dict[int, DataBlock]:
         for field in layout:
             signal = scalars.get(field.signal)
             if signal is None:
-                hint = meant(field.signal, scalars, "see 'hilserver signals'")
-                raise ConfigError(f"block {number}: there is no signal '{field.signal}': {hint}")
+                raise ConfigError(f"block {number}: {no_signal(field.signal, scalars)}")
             try:
                 check_type(signal, field.type)
             except ConfigError as error:

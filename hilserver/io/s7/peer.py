@@ -9,7 +9,6 @@ from hilserver.config.peers import PeerConfig
 from hilserver.config.s7 import Endpoint, Place
 from hilserver.config.s7_peer import Block
 from hilserver.faults.links import Lane
-from hilserver.image.status import is_bad
 from hilserver.io.peer_link.intake import FaultyIntake
 from hilserver.io.peer_link.link import Peer
 from hilserver.io.peer_link.samples import FaultKind, judge_value
@@ -18,6 +17,7 @@ from hilserver.io.s7.connection import AnswerError, Connection, Run
 from hilserver.io.s7.wire import Item
 from hilserver.period import every
 from hilserver.signals import SignalTable
+from hilserver.status import is_bad
 
 LOOK_AGAIN_S = 1.0  # how long a block is left alone that the controller refuses
 

@@ -7,8 +7,9 @@ from numba.core import types
 
 from hilserver.compiled import kernel
 from hilserver.io.shield.protocol import CHECKED_BYTES, crc8
+from hilserver.plant.layout import CORNERS
 from hilserver.plant.units import STANDARD_GRAVITY_M_S2
-from hilserver.signals import RANGE_FINDERS, SignalTable
+from hilserver.signals import SignalTable
 
 ABSENT: Final = -1  # slot of a quantity that a planar robot does not have
 
@@ -21,7 +22,7 @@ def places(table: SignalTable, wheels: tuple[str, ...], *, body: bool) -> list[i
     """Return the slots of what a response shows, in the order of its fields."""
     imu = "mech.imu" if body else "imu"
     names = [f"wheel.{wheel}.speed_rpm" for wheel in wheels]
-    names += [f"{'mech.' if body else ''}tof.{place}_m" for place in RANGE_FINDERS]
+    names += [f"{'mech.' if body else ''}tof.{place}_m" for place in CORNERS]
     names += [f"{imu}.gyro_{axis}_rad_s" for axis in "xyz"]
     names += [f"{imu}.accel_{axis}_m_s2" for axis in "xyz"]
     attitude = ("mech.roll_rad", "mech.pitch_rad", "mech.yaw_rad")

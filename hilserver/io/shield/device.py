@@ -10,9 +10,8 @@ from hilserver.config.shield import ShieldConfig
 from hilserver.io.shield.protocol import Command, Request
 from hilserver.io.shield.status import ShieldStatus
 from hilserver.io.source import Source
+from hilserver.plant.layout import MODE_DUTY, MODE_WHEELS
 from hilserver.signals import LIGHTS
-
-MODE_WHEELS, MODE_DUTY = 0, 2
 
 NUMBERS: Final = {
     Command.IMU_WEIGHT,

@@ -131,37 +131,3 @@ def request(command: int, payload: bytes = b"", variant: Variant = "iotbot") -> 
     """Return the 11 bytes of a request; a shorter payload is filled up with zeros."""
     body = bytes((START, command)) + payload.ljust(PAYLOAD_BYTES, b"\0")
     return body + bytes((END if variant == "iotbot" else crc8(body, 0, CHECKED_BYTES),))
-
-
-@dataclass(frozen=True, slots=True)
-class Response:
-    """What a response of the variant ``iotbot`` says, for hosts in tests and benches."""
-
-    command: int
-    speeds_rpm: tuple[float, ...]  # channels 0 to 3
-    # x, y, z; of a raw response
-    accel_g: tuple[float, ...]
-    gyro_deg_s: tuple[float, ...]
-    quaternion: tuple[float, ...]  # w, x, y, z; of a fused one
-    fused_degc: float
-    ranges_m: tuple[float, ...]  # fl, fr, rl, rr
-    voltage_v: float
-    current_a: float
-    temperature_degc: int
-
-
-def response(data: bytes) -> Response:
-    """Take a response apart; whether it is raw or fused only the host knows."""
-    az, ay, ax, gz, gx, gy = struct.unpack_from("<6h", data, 9)
-    return Response(
-        command=data[0],
-        speeds_rpm=tuple(v / 100 for v in struct.unpack_from("<4h", data, 1)),
-        accel_g=(ax / 1e4, -ay / 1e4, az / 1e4),
-        gyro_deg_s=(-gx / 100, gy / 100, gz / 100),
-        quaternion=tuple(v / 1e4 for v in struct.unpack_from("<4h", data, 9)),
-        fused_degc=struct.unpack_from("<h", data, 17)[0] / 100,
-        ranges_m=tuple(v / 1000 for v in struct.unpack_from("<4H", data, 21)),
-        voltage_v=struct.unpack_from("<H", data, 29)[0] / 100,
-        current_a=data[31] / 20,
-        temperature_degc=struct.unpack_from("<b", data, 31)[0],
-    )

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from hilserver.core.clock import UtcClock
 from hilserver.image import Frame
-from hilserver.image.status import BAD_OUT_OF_SERVICE, GOOD, UNCERTAIN
 from hilserver.io.opcua_server.values import SignalPlace, SignalVariables, worst
 from hilserver.opcua.encoding import FixedDataValue
+from hilserver.status import BAD_OUT_OF_SERVICE, GOOD, UNCERTAIN
 from tests.io.opcua_server.rig import TABLE, Rig, RobotClient
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")

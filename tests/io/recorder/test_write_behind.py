@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from hilserver.io.recorder.series import FileSeries
+from hilserver.io.recorder.series import FileSeries, Settings
 from hilserver.io.recorder.write_behind import WriteBehind
 from hilserver.logs import read_log
 from tests.logs.samples import NAMES, batch_of, ramp, run_of
@@ -79,7 +79,7 @@ def test_a_full_disk_ends_the_writing_and_closes_the_file():
 
 @pytest.mark.parametrize("suffix", ["csv", "mcap"])
 def test_rotation_begins_new_files_and_keeps_the_newest(tmp_path, suffix):
-    series = FileSeries(tmp_path / f"run.{suffix}", rotate_bytes=10_000, keep=3)
+    series = FileSeries(Settings(tmp_path / f"run.{suffix}", rotate_bytes=10_000, keep=3))
     new_files = []
     behind = WriteBehind(
         lambda: series.open(run_of(), range(len(NAMES)), 0),
@@ -98,6 +98,6 @@ def test_rotation_begins_new_files_and_keeps_the_newest(tmp_path, suffix):
     assert ticks == list(range(ticks[0], 4000))
     beside = sorted(path.name for path in tmp_path.glob("*.json"))
     assert beside == ([f"{path.name}.meta.json" for path in files] if suffix == "csv" else [])
-    following = FileSeries(tmp_path / f"run.{suffix}", rotate_bytes=10_000)
+    following = FileSeries(Settings(tmp_path / f"run.{suffix}", rotate_bytes=10_000))
     following.open(run_of(), range(len(NAMES)), 0).close()
     assert int(following.current.stem[-4:]) == int(files[-1].stem[-4:]) + 1

@@ -2,6 +2,7 @@
 
 import math
 import struct
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,6 @@ from hilserver.io.shield.protocol import (
     Request,
     crc8,
     request,
-    response,
 )
 from tests.fakes import make_table
 
@@ -34,6 +34,23 @@ def shown(variant="iotbot", raw=1, command=0x11, **values):
     length = answer(out, command, raw, variant == "crc", frame, slots)
     assert length == RESPONSE_BYTES[variant]
     return bytes(out[:length])
+
+
+def response(data):
+    """Take a response of the variant ``iotbot`` apart; raw or fused, only the host knows."""
+    az, ay, ax, gz, gx, gy = struct.unpack_from("<6h", data, 9)
+    return SimpleNamespace(
+        command=data[0],
+        speeds_rpm=tuple(v / 100 for v in struct.unpack_from("<4h", data, 1)),
+        accel_g=(ax / 1e4, -ay / 1e4, az / 1e4),
+        gyro_deg_s=(-gx / 100, gy / 100, gz / 100),
+        quaternion=tuple(v / 1e4 for v in struct.unpack_from("<4h", data, 9)),
+        fused_degc=struct.unpack_from("<h", data, 17)[0] / 100,
+        ranges_m=tuple(v / 1000 for v in struct.unpack_from("<4H", data, 21)),
+        voltage_v=struct.unpack_from("<H", data, 29)[0] / 100,
+        current_a=data[31] / 20,
+        temperature_degc=struct.unpack_from("<b", data, 31)[0],
+    )
 
 
 def test_a_request_as_the_drivers_write_it():
