@@ -27,6 +27,7 @@ from hilserver.measured.channels import POSITION
 
 T = TypeVar("T")
 _Kept = deque[tuple[tuple[object, ...], Any]]
+POINTS_KEPT: Final = 4  # that bases are remembered of: each is as large as three predictions
 PREDICTIONS_KEPT: Final = 14  # a step at a border, or one tried once more, asks for them again
 
 
@@ -66,7 +67,8 @@ class Problem:
         self._runs = list(self.stage.stack.runs())
         self._filter = (self.noise, np.zeros(0), Filter.empty(0))
         self._known, self._white, self._left = (_Kept(maxlen=2) for _ in range(3))
-        self._shown, self._bases = (_Kept(maxlen=PREDICTIONS_KEPT) for _ in range(2))
+        self._bases = _Kept(maxlen=POINTS_KEPT)
+        self._shown = _Kept(maxlen=PREDICTIONS_KEPT)
         self._poses = FreePoses.of(self.stage.stack.segment, len(self.stage.segments))
         limits = self.stage.log.limits
         self.readings = {
