@@ -15,7 +15,7 @@ All methods belong to the thread of the event loop on which `start` was called.
 """
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from hilserver.scheduler.causes import CauseFinder
 from hilserver.scheduler.communication import Communication, SliceCallback
 from hilserver.scheduler.gc_pauses import GcPauses
 from hilserver.scheduler.law import CONSECUTIVE_LIMIT, SINGLE_LIMIT
+from hilserver.scheduler.lockstep import wait_for_peer
 from hilserver.scheduler.machine import Machine
 from hilserver.scheduler.overruns import OverrunCallback, Overruns
 from hilserver.scheduler.pacing import Pacing, StopReason
@@ -254,6 +255,26 @@ class Scheduler:
         """Run exactly `n` ticks, in any back end, and return when they are done."""
         self.step(n)
         await self.wait_paused()
+
+    async def lockstep(
+        self,
+        exchange: Callable[[int], Awaitable[bool]],
+        *,
+        n_ticks: int,
+        peer: str,
+        timeout_s: float,
+    ) -> None:
+        """Alternate `n_ticks` of simulation with one `exchange(tick)` with an external controller.
+
+        Ends when `exchange` returns False or the scheduler ends. PeerSilentError if an exchange
+        takes longer than `timeout_s` [s].
+        """
+        while not self.finished.done():
+            await self.advance(n_ticks)
+            tick = self.tick
+            goes_on = wait_for_peer(exchange(tick), peer=peer, timeout_s=timeout_s, tick=tick)
+            if not await goes_on:
+                return
 
     def _rung(self) -> None:
         self._communication.dispatch()

@@ -1,4 +1,4 @@
-"""Virtual time: exact slices over a million ticks, batches that yield."""
+"""Virtual time: exact slices over a million ticks, batches that yield, lockstep."""
 
 import asyncio
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hilserver.scheduler import Slice
+from hilserver.scheduler.lockstep import PeerSilentError
 from tests.scheduler.kernels import (
     FAULTS,
     JUMP_TO,
@@ -75,6 +76,30 @@ async def test_inputs_are_latched_while_paused_and_a_restore_moves_the_tick():
         assert rig.words[1] == 4  # tick 500 is a multiple of 10: sensors ran
         assert rig.scheduler.tick == 501
         assert rig.scheduler.ticks_done == 31
+
+
+async def test_lockstep_alternates_and_ends_when_told():
+    seen = []
+
+    async def exchange(tick):
+        seen.append(tick)
+        return len(seen) < 5
+
+    async with running(counting_step, backend="virtual", paused=True) as rig:
+        await rig.scheduler.lockstep(exchange, n_ticks=20, peer="plc", timeout_s=5.0)
+        assert seen == [20, 40, 60, 80, 100]
+        assert rig.words[0] == 100
+
+
+async def test_lockstep_names_the_silent_peer():
+    async def exchange(tick):
+        if tick == 40:
+            await asyncio.Event().wait()
+        return True
+
+    async with running(counting_step, backend="virtual", paused=True) as rig:
+        with pytest.raises(PeerSilentError, match=r"plc has been silent for 0\.05 s, tick 40"):
+            await rig.scheduler.lockstep(exchange, n_ticks=20, peer="plc", timeout_s=0.05)
 
 
 async def test_a_slice_reports_a_fault_once_and_the_step_is_told():
