@@ -95,7 +95,8 @@ def twin_assembly(assembly: Assembly, endpoint: str) -> Assembly:
         update={"nav": config.sensors.nav.model_copy(update={"enabled": True})}
     )
     changed = config.model_copy(update={"recalibration": twin, "sensors": sensors})
-    return assemble_config(changed, assembly.folder, assembly.patch)
+    twin_of = assemble_config(changed, assembly.folder, assembly.patch)
+    return dataclasses.replace(twin_of, path=assembly.path, from_file=assembly.from_file)
 
 
 def _with_peer(assembly: Assembly, peer: PeerConfig) -> Assembly:

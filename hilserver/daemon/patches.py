@@ -47,7 +47,12 @@ class Patches:
     def notice(self) -> str | None:
         """What the page says beside the name: the patch may not fit this configuration."""
         patch = self._patch
-        return None if patch is None else patch.notice(self._core.assembly.config.sha256)
+        return None if patch is None else patch.notice(self.config_sha256)
+
+    @property
+    def config_sha256(self) -> str:
+        """Hash that patches of this robot carry: of the file, which a diagnosis is handed."""
+        return self._core.assembly.from_file.sha256
 
     async def load(self, name: str) -> None:
         """Lay a patch over the plant, in place of the one before.
@@ -59,8 +64,7 @@ class Patches:
         patch = await asyncio.to_thread(load_patch, path)
         tick = await self._lay(patch)
         self._tell(200, f"model patch '{path.name}' is loaded from tick {tick} on")
-        notice = patch.notice(self._core.assembly.config.sha256)
-        if notice is not None:
+        if (notice := patch.notice(self.config_sha256)) is not None:
             self._tell(400, notice)
 
     async def remove(self) -> None:
@@ -131,10 +135,7 @@ class Patches:
         text = yaml.safe_dump(
             {
                 "schema": SCHEMA_2,
-                "made_from": {
-                    "config_sha256": self._core.assembly.config.sha256,
-                    "version": __version__,
-                },
+                "made_from": {"config_sha256": self.config_sha256, "version": __version__},
                 "parameters": {
                     n: {"value": None if isnan(v) else v, "unit": parameters.table[n].unit}
                     for n, v in values.items()

@@ -177,7 +177,7 @@ class Recalibration(Part):
         _, others = patches.split(self._differing)
         self.loop.proposal = replace(proposal, report=report)
         try:
-            patches.write(self._patches, proposal, others, self._world.config.sha256)
+            patches.write(self._patches, proposal, others, self._world.files.patches.config_sha256)
         except FailedError as error:
             self._failed(str(error))
 
@@ -207,7 +207,7 @@ class Recalibration(Part):
                     " that: reject it, and the next look starts from what runs now"
                 )
             # What was shown acts, whatever became of its file, beside what is set by now.
-            patches.write(self._patches, decided, others, self._world.config.sha256)
+            patches.write(self._patches, decided, others, self._world.files.patches.config_sha256)
             self._history.append("decision", who=who, proposal=decided.as_json())
             try:
                 await self._world.files.patches.load(decided.patch)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
+from hilserver.commands.demo import demo_assembly
 from hilserver.config.root import Config
 from hilserver.core.snapshot import SnapshotStore, read_snapshot
 from hilserver.daemon.assembly import assemble, assemble_config
@@ -112,6 +113,21 @@ async def test_where_it_was_not_fitted_outputs_are_uncertain_and_the_user_is_tol
     assert status[run.core.table.slot("pose.x_m")] == UNCERTAIN
     assert "another configuration" in run.core.events.recent[-1].message
     run.recorder.close()
+
+
+async def test_what_an_option_adds_is_no_other_configuration(folder):
+    """`hilserver run --demo`: its own peer made each patch one for another robot."""
+    demo = demo_assembly(assemble_config(CONFIG, folder), "opc.tcp://127.0.0.1:1/x")
+    async with build(demo) as core:
+        run = Run(core, folder)
+        await run.patches.load("turn.yaml")
+        assert run.patches.notice is None
+        await run.patches.save("again")
+        await run.patches.load("again.yaml")
+        assert run.patches.notice is None
+        await run.patches.load("narrow.yaml")
+        assert "another configuration" in run.patches.notice
+        run.recorder.close()
 
 
 async def test_a_snapshot_brings_its_patch_and_a_reset_keeps_the_one_at_work(run, folder):

@@ -8,7 +8,7 @@ import pytest
 import structlog
 
 from hilserver.commands import running
-from hilserver.commands.demo import demo_assembly
+from hilserver.commands.demo import demo_assembly, twin_assembly
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import Assembly, assemble
 from hilserver.daemon.daemon import Daemon
@@ -105,8 +105,16 @@ def demonstrated(assembly: Assembly, _: Path) -> Assembly:
     return demo_assembly(assembly, "opc.tcp://127.0.0.1:1/x")
 
 
+def twinned(assembly: Assembly, _: Path) -> Assembly:
+    return twin_assembly(assembly, "opc.tcp://127.0.0.1:1/x")
+
+
+def test_a_twin_without_a_file_has_none_for_its_diagnoses_either() -> None:
+    assert twinned(assemble(None), Path()).path is None
+
+
 @pytest.mark.parametrize("name", ["config.yaml", "other.yaml"])
-@pytest.mark.parametrize("option", [recorded, demonstrated])
+@pytest.mark.parametrize("option", [recorded, demonstrated, twinned])
 async def test_what_options_replaced_is_no_change(tmp_path, option, name) -> None:
     path = write_config(tmp_path).rename(tmp_path / name)
     reloader = Reloader(Daemon(option(assemble(path), path)))

@@ -103,6 +103,7 @@ async def test_a_proposal_is_shown_accepted_and_measured(tmp_path, answers):
             assert again.StatusCode.name == "BadInvalidState"
         assert daemon.core.parameters.differing == {"terms.rotation_gain": 0.03}
         assert daemon.desk.patches.loaded == "recalibrated-0001.yaml"
+        assert daemon.desk.patches.notice is None
         decision = lines(tmp_path)[-1]
         assert (decision["kind"], decision["who"]) == ("decision", "anonymous engineer")
         assert decision["proposal"]["stage"] == "accepted"
