@@ -15,9 +15,8 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 
 from hilserver import commands
-from hilserver.commands import convert as command
 from hilserver.errors import LogError
-from hilserver.logs import open_writer, read_log
+from hilserver.logs import open_writer, read_log, writing
 from hilserver.measured.reading import read_measured
 from tests.logs.samples import NAMES, batch_of, ramp, run_of
 
@@ -260,7 +259,7 @@ def test_a_disk_that_fills_up_leaves_no_half(tmp_path, monkeypatch, capsys, out)
         writer.write(batch_of(ramp(len(log) // 2)))
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(command, "rewrite", half)
+    monkeypatch.setattr(writing, "rewrite", half)
     assert commands.main(["convert", "in.mcap", out]) == 1
     assert capsys.readouterr().err.endswith("no space is left for it; free some\n")
     assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
