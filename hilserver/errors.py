@@ -1,6 +1,7 @@
 """Errors that a user can fix: one sentence each, with the exit code of spec "Commands"."""
 
 import difflib
+import errno
 from collections.abc import Iterable
 
 EXIT_DONE = 0
@@ -34,6 +35,14 @@ class ConfigError(UserError):
     """A configuration or patch that cannot be used."""
 
     exit_code = EXIT_BAD_CONFIGURATION
+
+
+def reason(error: OSError) -> str:
+    """Return why a file cannot be written, in a few words."""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        return "no space is left for it; free some"
+    said = (error.strerror or str(error)).lower()
+    return f"{said}; name a file" if error.errno == errno.EISDIR else said
 
 
 _ALIKE, _SHORT = 0.7, 2

@@ -48,14 +48,14 @@ def machine() -> dict[str, Any]:
     }
 
 
-def write_json(path: Path, results: Iterable[Result]) -> None:
-    """Write the results with the machine they were measured on."""
+def as_json(results: Iterable[Result]) -> str:
+    """Return the results with the machine they were measured on."""
     document = {
         "schema": SCHEMA,
         "machine": machine(),
         "results": [asdict(result) for result in results],
     }
-    path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    return json.dumps(document, indent=1) + "\n"
 
 
 def as_table(results: Iterable[Result]) -> str:

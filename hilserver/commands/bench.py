@@ -7,9 +7,9 @@ import argparse
 import importlib
 from typing import Any
 
-from hilserver.bench.report import as_table, write_json
+from hilserver.bench.report import as_json, as_table
 from hilserver.commands.checkout import beside
-from hilserver.commands.options import out_file
+from hilserver.commands.options import out_file, write_text
 from hilserver.errors import EXIT_DONE, FailedError
 
 EXAMPLE = "hilserver bench plant --json plant.json"
@@ -61,5 +61,5 @@ def run(args: argparse.Namespace) -> int:
     results = args.measure(args)
     print(as_table(results))
     if args.json is not None:
-        write_json(args.json, results)
+        write_text(args.json, as_json(results))
     return EXIT_DONE

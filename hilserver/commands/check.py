@@ -4,7 +4,7 @@ import argparse
 import json
 
 from hilserver.commands.credentials import check_credentials
-from hilserver.commands.options import add_config, config_path, out_file
+from hilserver.commands.options import add_config, config_path, out_file, write_text
 from hilserver.config.blocks import BlockConfig
 from hilserver.config.peers import PeerConfig
 from hilserver.config.root import json_schema
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Check; every complaint is one line with file, line and key (exit code 78)."""
     if args.schema is not None:
-        args.schema.write_text(json.dumps(json_schema(), indent=1) + "\n", encoding="utf-8")
+        write_text(args.schema, json.dumps(json_schema(), indent=1) + "\n")
         return EXIT_DONE
     assembly = assemble(config_path(args))
     with assembly.at("blocks"):  # a name or a unit of theirs that OPC UA cannot show

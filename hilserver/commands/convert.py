@@ -9,11 +9,11 @@ import argparse
 from pathlib import Path
 
 from hilserver.commands.options import add_mapping, add_storage, warn
-from hilserver.errors import EXIT_DONE, FailedError, LogError
+from hilserver.errors import EXIT_DONE, FailedError, LogError, reason
 from hilserver.logs import Log
 from hilserver.logs.bag_writer import Storage
 from hilserver.logs.mf4 import write_mf4
-from hilserver.logs.writing import forget, reason, write_log
+from hilserver.logs.writing import forget, write_log
 from hilserver.measured.conversion import read_any, write_parquet
 from hilserver.measured.names import signal_unit
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.bench.report import PERCENTILES, Result, percentile_us, sparse, write_json
-from hilserver.commands.options import number, out_file
+from hilserver.bench.report import PERCENTILES, Result, as_json, percentile_us, sparse
+from hilserver.commands.options import number, out_file, write_text
 from hilserver.errors import EXIT_DONE
 from hilserver.monitoring.audit import AuditItem, as_lines, audit
 from hilserver.scheduler import OverrunPolicy, RealtimeSettings, Scheduler, Slice
@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
             "missed_ticks": missed,
             "audit": [asdict(item) for item in items],
         }
-        write_json(args.json, _results(counts, figures.latency_max_ns / 1000, raw))
+        write_text(args.json, as_json(_results(counts, figures.latency_max_ns / 1000, raw)))
     return EXIT_DONE
 
 

@@ -3,7 +3,7 @@
 import argparse
 
 from hilserver.body.export import robot_mjcf, robot_urdf
-from hilserver.commands.options import add_config, config_path, out_file
+from hilserver.commands.options import add_config, config_path, out_file, write_text
 from hilserver.daemon.assembly import assemble
 from hilserver.errors import EXIT_DONE
 
@@ -25,5 +25,5 @@ def run(args: argparse.Namespace) -> int:
     if args.out is None:
         print(text, end="")
     else:
-        args.out.write_text(text, encoding="utf-8")
+        write_text(args.out, text)
     return EXIT_DONE

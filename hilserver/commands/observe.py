@@ -15,9 +15,9 @@ from hilserver.commands.observing import STATE, Observed, path_picture, sentence
 from hilserver.commands.options import add_config, add_mapping, add_out, add_patch, warn
 from hilserver.commands.patching import assembled
 from hilserver.config.observer import constants_of, load_found
-from hilserver.errors import EXIT_DONE, ConfigError, FailedError
+from hilserver.errors import EXIT_DONE, ConfigError, FailedError, reason
 from hilserver.logs import Log
-from hilserver.logs.writing import check_suffix, reason, write_log
+from hilserver.logs.writing import check_suffix, write_log
 from hilserver.measured.frames import Sampling
 from hilserver.measured.observed import series_of
 from hilserver.measured.reading import read_measured

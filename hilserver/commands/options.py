@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from hilserver.errors import FailedError
+from hilserver.errors import FailedError, reason
 
 DEFAULT_CONFIG = Path("config.yaml")
 
@@ -77,9 +77,16 @@ def out_file(text: str) -> Path:
         if is_new:
             path.unlink()
     except OSError as error:
-        reason = (error.strerror or "refused").lower()
-        raise FailedError(f"cannot write {path}: {reason}") from None
+        raise FailedError(f"cannot write {path}: {reason(error)}") from None
     return path
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file that was asked for; FailedError names one that the disk does not take."""
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise FailedError(f"cannot write {path}: {reason(error)}") from None
 
 
 def number(

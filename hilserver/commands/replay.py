@@ -15,10 +15,18 @@ from hilserver.commands.options import add_config, add_mapping, add_out, add_pat
 from hilserver.commands.patching import assembled, patch_of
 from hilserver.core.snapshot import read_snapshot
 from hilserver.daemon.assembly import Assembly
-from hilserver.errors import EXIT_DONE, EXIT_FAILED, ConfigError, FailedError, LogError, UserError
+from hilserver.errors import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    ConfigError,
+    FailedError,
+    LogError,
+    UserError,
+    reason,
+)
 from hilserver.logs import Log, State, open_writer, read_log
 from hilserver.logs.provenance import make_run
-from hilserver.logs.writing import check_suffix, reason
+from hilserver.logs.writing import check_suffix
 from hilserver.program.progress import Progress
 from hilserver.replay import Comparison, Engine, Plan, assembly_of, plan_exact, plan_inputs
 from hilserver.replay.origin import mapped_inputs

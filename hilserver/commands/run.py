@@ -12,7 +12,7 @@ from pathlib import Path
 import yaml
 
 from hilserver.commands.announcing import Announcer
-from hilserver.commands.options import add_config, add_patch, config_path, number
+from hilserver.commands.options import add_config, add_patch, config_path, number, write_text
 from hilserver.errors import EXIT_DONE, FailedError
 from hilserver.program.ending import ENDING, hang_ups_wait
 from hilserver.program.guard import guarded
@@ -114,7 +114,7 @@ def _check_free(image: str, path: Path | None) -> None:
 def _write_schema(path: Path) -> int:
     from hilserver.faults.scenario import json_schema  # noqa: PLC0415
 
-    path.write_text(json.dumps(json_schema(), indent=1) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(json_schema(), indent=1) + "\n")
     return EXIT_DONE
 
 

@@ -9,7 +9,7 @@ import csv
 import io
 from collections.abc import Callable
 
-from hilserver.commands.options import add_config, config_path, out_file
+from hilserver.commands.options import add_config, config_path, out_file, write_text
 from hilserver.daemon.assembly import Assembly, assemble
 from hilserver.errors import EXIT_DONE, ConfigError
 from hilserver.io.opcua_server.nodeset import to_nodeset
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     if args.out is None:
         print(text, end="")
         return EXIT_DONE
-    args.out.write_text(text, encoding="utf-8")
+    write_text(args.out, text)
     return EXIT_DONE
 
 

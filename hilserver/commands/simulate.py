@@ -15,10 +15,10 @@ from hilserver.commands import replay
 from hilserver.commands.options import add_config, add_mapping, add_out, add_patch, number
 from hilserver.commands.patching import assembled
 from hilserver.daemon.assembly import Assembly
-from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError
+from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError, reason
 from hilserver.faults.scenario import Play, load_scenario
 from hilserver.logs import Segmented
-from hilserver.logs.writing import check_suffix, reason
+from hilserver.logs.writing import check_suffix
 from hilserver.monitoring.logging_setup import setup_logging
 from hilserver.program.progress import Progress
 from hilserver.replay.simulation import Simulation

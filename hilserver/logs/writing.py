@@ -1,14 +1,13 @@
 """Which writer a recording gets: its suffix decides."""
 
 import contextlib
-import errno
 import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from hilserver.errors import FailedError
+from hilserver.errors import FailedError, reason
 from hilserver.logs.bag_writer import BagWriter, Storage
 from hilserver.logs.csv_writer import CsvWriter, changes_path, meta_path
 from hilserver.logs.log import Log
@@ -77,10 +76,3 @@ def check_suffix(path: Path) -> None:
     """Refuse what is no format of ours."""
     if path.suffix not in SUFFIXES:
         raise FailedError(f"{path}: a log ends in {' or '.join(SUFFIXES)}; choose such a name")
-
-
-def reason(error: OSError) -> str:
-    """Return a system error in a few words."""
-    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-        return "no space is left for it; free some"
-    return (error.strerror or str(error)).lower()

@@ -18,8 +18,7 @@ from hilserver.config.patch import (
     PatchParameter,
     PatchTerm,
 )
-from hilserver.errors import FailedError
-from hilserver.logs.writing import reason
+from hilserver.errors import FailedError, reason
 from hilserver.parameters import PLANT
 from hilserver.parameters.table import TERM, Parameter
 from hilserver.recalibration.loop import present

@@ -210,7 +210,11 @@ def test_an_interrupt_within_python_run_from_c_is_no_end_by_signal(tmp_path):
     ("words", "complaint"),
     [
         (("check", "--schema", "absent/schema.json"), "absent/schema.json: no such file"),
-        (("latency-test", "--duration", "0.1", "--json", "."), ".: is a directory"),
+        (("latency-test", "--duration", "0.1", "--json", "."), ".: is a directory; name a file"),
+        (("check", "--schema", "/dev/full"), "/dev/full: no space is left for it; free some"),
+        (("signals", "-o", "/dev/full"), "/dev/full: no space is left for it; free some"),
+        (("model", "--format", "urdf", "-o", "/dev/full"), "/dev/full: no space is left"),
+        (("run", "--scenario-schema", "/dev/full"), "/dev/full: no space is left"),
     ],
 )
 def test_a_file_that_cannot_be_written_is_one_sentence(here, words, complaint):

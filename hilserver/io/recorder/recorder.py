@@ -7,14 +7,14 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from hilserver.errors import FailedError
+from hilserver.errors import FailedError, reason
 from hilserver.io.recorder.series import FileSeries, Settings
 from hilserver.io.recorder.source import Source
 from hilserver.io.recorder.thinning import Thinner
 from hilserver.io.recorder.write_behind import NextFile, WriteBehind
 from hilserver.logs.provenance import make_run
 from hilserver.logs.writer import Segmented
-from hilserver.logs.writing import check_suffix, reason
+from hilserver.logs.writing import check_suffix
 
 POLL_S = 0.02
 POLL_SIMULATED_S = 0.002

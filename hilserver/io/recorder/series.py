@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hilserver.errors import FailedError
+from hilserver.errors import FailedError, reason
 from hilserver.logs import LogWriter, open_writer
 from hilserver.logs.bag_writer import Storage
 from hilserver.logs.csv_writer import changes_path, meta_path
-from hilserver.logs.writing import reason
 
 
 @dataclass(frozen=True, slots=True)
