@@ -22,6 +22,7 @@ from hilserver.io.shield.status import ShieldStatus
 from hilserver.metrics import Source
 from hilserver.monitoring import audit
 from hilserver.observer import metrics as observer
+from hilserver.observer.layout import N_HEAD
 from hilserver.scheduler import metrics as scheduler
 from hilserver.scheduler.statistics import SliceFigures, Window
 from hilserver.signals import State
@@ -65,7 +66,7 @@ class FakeDaemon:
         self.audit: dict[str, bool] = {}
         self.faults: dict[str, int] = {}
         self.tasks = 8
-        self.observed = [observer.Counted({"rejected": 0}, 0, 0)]
+        self.observed = [observer.counted(np.zeros(N_HEAD))]
         self.recalibration: Figures | None = Figures()
         self.n_reads = 0
 

@@ -104,10 +104,8 @@ STIMULI = {
     "hil_model_gap_alarm": lambda d: d.gap_alarms.update({"pose.x_m": True}),
     "hil_output": lambda d: d.outputs.update({"pose.x_m": 1.0}),
     "hil_faults": lambda d: d.faults.update(injected=2),
-    "hil_observer_samples_total": lambda d: d.observed[0].samples.update(rejected=3),
-    "hil_observer_readmitted_total": lambda d: d.observed.__setitem__(
-        0, d.observed[0]._replace(readmitted=1)
-    ),
+    "hil_observer_samples_total": lambda d: setattr(d.observed[0], "rejected", 3),
+    "hil_observer_readmitted_total": lambda d: setattr(d.observed[0], "readmitted", 1),
     "hil_recalibration_looks_total": lambda d: d.recalibration.looks.update(named=1),
     "hil_recalibration_decisions_total": lambda d: d.recalibration.decisions.update(accepted=1),
     "hil_recalibration_failures_total": lambda d: setattr(d.recalibration, "failures", 1),
