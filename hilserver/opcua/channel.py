@@ -18,7 +18,7 @@ from asyncua.common.connection import SecureConnection, TransportLimits
 from asyncua.common.utils import Buffer
 from asyncua.crypto.security_policies import SecurityPolicyFactory, SecurityPolicyNone
 
-from hilserver.opcua.certificate import first_of_chain
+from hilserver.opcua.certificate import first_of_chain, parse_certificate, thumbprint
 from hilserver.opcua.frames import MAX_CHUNK_BYTES, TransportError
 from hilserver.opcua.logs import log
 from hilserver.opcua.trust_list import TrustList, Verdict
@@ -107,11 +107,16 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
         if verdict is Verdict.GOOD:
             return
         kept = None if self._trust is None else self._trust.keep_rejected(certificate)
+        remedy = None
+        if kept is not None and verdict is Verdict.UNTRUSTED:
+            name = thumbprint(parse_certificate(certificate))
+            remedy = f"compare it, then 'hilserver certs trust {name}'"
         log.warning(
             "opcua certificate refused",
             reason=verdict.value,
             address=self._peer,
             kept=None if kept is None else kept.name,
+            remedy=remedy,
         )
         code = verdict.value if verdict not in _CONCEALED else "BadSecurityChecksFailed"
         raise TransportError(getattr(_Codes, code), "certificate refused")

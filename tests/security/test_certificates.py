@@ -23,6 +23,7 @@ from hilserver.opcua.certificate import (
     key_to_pem,
     make_certificate,
     make_key,
+    thumbprint,
     to_der,
 )
 from hilserver.opcua.passwords import FailedAttempts, hash_password, is_password, keys_of
@@ -69,7 +70,11 @@ async def test_trusted_client_connects_with_every_policy(ours: Rig, pki: Pki, po
 async def test_untrusted_is_refused_kept_and_let_in_once_trusted(ours: Rig, pki: Pki) -> None:
     stranger = pki.identity("stranger")
     # OPC 10000-4, 6.1.3: who is not trusted learns no more than BadSecurityChecksFailed.
-    assert await refusal(ours, pki, stranger) == "BadSecurityChecksFailed"
+    with capture_logs() as logs:
+        assert await refusal(ours, pki, stranger) == "BadSecurityChecksFailed"
+    [line] = [entry for entry in logs if entry["event"] == "opcua certificate refused"]
+    name = thumbprint(stranger.certificate)
+    assert line["remedy"] == f"compare it, then 'hilserver certs trust {name}'"
     kept = pki.trust.folder / "rejected" / file_name(stranger.certificate)
     assert kept.read_bytes() == stranger.der
     kept.rename(pki.trust.folder / "trusted" / kept.name)
