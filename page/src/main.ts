@@ -104,6 +104,7 @@ function driver(): string {
   if (live.drives) return "you";
   if (!board.owner || board.owner === "nobody" || board.owner === "none") return "";
   if (board.owner === "page") return seat === null ? "" : NAMES["page"]!;
+  if (board.owner === "opcua" && !board.opcua_wrote) return ""; // it is whoever comes first
   return NAMES[board.owner] ?? board.owner;
 }
 

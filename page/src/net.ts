@@ -56,6 +56,7 @@ export interface Board {
   reason: string;
   speed: number;
   owner: string;
+  opcua_wrote: boolean;
   realtime_factor: number | null;
   bounds_us: number[];
   slices: Record<string, Slice>;

@@ -1,9 +1,13 @@
-"""What the board says of events: a flood of overruns hides nothing."""
+"""What the board says: of events, a flood of overruns hides nothing; of who drives."""
 
 from types import SimpleNamespace
 
 from hilserver.core.events import Event, EventBus, EventKind
+from hilserver.daemon.assembly import assemble
 from hilserver.daemon.bulletin import Surroundings
+from hilserver.daemon.daemon import Daemon
+from hilserver.image.board import BoardReader
+from tests.commands.test_cli import write_config
 
 
 def test_the_overruns_of_a_slice_are_one_line():
@@ -19,3 +23,17 @@ def test_the_overruns_of_a_slice_are_one_line():
         ("daemon", 1),
     ]
     assert shown[1]["text"] == "late wake 999"
+
+
+async def test_opcua_has_control_before_any_client_has_written(tmp_path):
+    async with Daemon(assemble(write_config(tmp_path))) as daemon:
+        board = BoardReader(daemon.image)
+
+        def shown():
+            daemon._notice._due_s = 0.0
+            daemon._notice.show()
+            return board.content["owner"], board.content["opcua_wrote"]
+
+        assert shown() == ("opcua", False)
+        assert daemon.gate.write("opcua", {"twist.linear_m_s": 0.1}) == {}
+        assert shown() == ("opcua", True)
