@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 GRACE_S = 5.0  # so much later the kernel ends a worker whose code does not listen
+_SILENCE = Path(os.devnull).open("w", encoding="utf-8", errors="replace")  # noqa: SIM115
+"""Never closed: controllers keep it, and threads that overlap put it back."""
 
 
 class OutOfTime(BaseException):
@@ -27,11 +29,7 @@ def limited(time_s: float) -> Iterator[None]:
     signal.setitimer(signal.ITIMER_REAL, time_s + (0.0 if in_main else GRACE_S))
     signal.setitimer(signal.ITIMER_PROF, time_s + GRACE_S)
     try:
-        with (
-            Path(os.devnull).open("w", encoding="utf-8", errors="replace") as silence,
-            contextlib.redirect_stdout(silence),
-            contextlib.redirect_stderr(silence),
-        ):
+        with contextlib.redirect_stdout(_SILENCE), contextlib.redirect_stderr(_SILENCE):
             yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
