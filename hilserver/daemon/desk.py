@@ -22,6 +22,7 @@ from hilserver.faults.scenario import Stage
 from hilserver.io.recorder.launch import running_recorder
 
 SUFFIXES = (".mcap", ".csv")
+NOT_RECORDED = (".mf4", ".parquet", ".db3")  # logs as well; `hilserver convert` makes them
 
 _log = structlog.get_logger(__name__)
 
@@ -101,7 +102,8 @@ class Recordings:
 
         ControlRefused if a recording runs, the suffix is none of ours, or the file exists.
         """
-        path = self._folder / (name if "." in name else name + SUFFIXES[0])
+        has_suffix = name.endswith(SUFFIXES + NOT_RECORDED)
+        path = self._folder / (name if has_suffix else name + SUFFIXES[0])
         if self._task is not None and not self._task.done():
             raise ControlRefused(f"{self._path.name} is being recorded: StopRecording ends it")
         if path.suffix not in SUFFIXES:

@@ -44,7 +44,9 @@ async def test_a_recording_that_has_ended_by_itself_is_over(run, tmp_path):
     core, _ = run
     recordings = Recordings(tmp_path, RecordingConfig(keep_free_mb=1e9), core.image.name)
     try:
-        for asked, name in (("first.csv", "first.csv"), ("second", "second.mcap")):
+        with pytest.raises(ControlRefused, match=r"'hall\.parquet' does not end in"):
+            recordings.start("hall.parquet")
+        for asked, name in (("first.csv", "first.csv"), ("hall.v2", "hall.v2.mcap")):
             recordings.start(asked)
             assert recordings.view()["name"] == name
             async with asyncio.timeout(120):
