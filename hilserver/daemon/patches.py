@@ -21,8 +21,10 @@ MOST_FILES: Final = 100  # patches in the folder: whoever may save one must not 
 
 
 def file_of(folder: Path, name: str, kind: str) -> Path:
-    """Return the file of a name, with or without its ``.yaml``; ControlRefused if there is none."""
-    for path in (folder / name, folder / f"{name}.yaml"):
+    """Return the file of a name, with or without its suffix; ControlRefused if there is none."""
+    suffixes = ("",) if name.endswith((".yaml", ".yml")) else (".yaml", ".yml", "")
+    for suffix in suffixes:
+        path = folder / (name + suffix)
         if path.is_file():
             return path
     raise ControlRefused(f"there is no {kind} '{name}' in {folder}")

@@ -13,7 +13,7 @@ from hilserver.config.root import Config
 from hilserver.core.snapshot import SnapshotStore, read_snapshot
 from hilserver.daemon.assembly import assemble, assemble_config
 from hilserver.daemon.builder import build
-from hilserver.daemon.patches import Patches
+from hilserver.daemon.patches import Patches, file_of
 from hilserver.errors import ConfigError, ControlRefused
 from hilserver.image import Row
 from hilserver.io.recorder import Recorder, Settings
@@ -195,6 +195,24 @@ async def test_what_was_tuned_is_saved_as_a_patch_that_brings_it_back(run, folde
     patched = assemble(None, folder / "tuned.yaml")
     assert {n: patched.composition.settings[n] for n in tuned} == tuned
     assert patched.identity == assemble(None).identity
+
+
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [
+        ("drive", "drive.yaml"),
+        ("drive.yml", "drive.yml"),
+        ("hall", "hall.yml"),
+        ("hall.v2", "hall.v2.yaml"),
+        ("bare", "bare"),
+    ],
+)
+def test_a_name_without_suffix_is_that_of_the_yaml_file(tmp_path, name, found):
+    for file in ("drive", "drive.yaml", "drive.yml", "hall", "hall.yml", "hall.v2.yaml", "bare"):
+        (tmp_path / file).touch()
+    assert file_of(tmp_path, name, "patch").name == found
+    with pytest.raises(ControlRefused, match=r"there is no patch 'bare\.yaml'"):
+        file_of(tmp_path, "bare.yaml", "patch")
 
 
 @pytest.mark.parametrize(
