@@ -93,6 +93,19 @@ async def test_another_origin_is_refused(visitor, origin):
     assert refusal.value.status == 403
 
 
+@pytest.mark.parametrize(
+    ("site", "code"),
+    [("cross-site", 403), ("same-site", 403), ("same-origin", 200), ("none", 200)],
+)
+async def test_a_page_of_others_embeds_nothing_that_is_read(visitor, site, code):
+    headers = {"Sec-Fetch-Site": site}  # an image names no origin
+    for path in ("api/history", "api/logs"):
+        async with visitor.session.get(f"{visitor.url}{path}", headers=headers) as response:
+            assert response.status == code
+    async with visitor.session.get(visitor.url, headers=headers) as response:
+        assert response.status == 200, "a link to the page itself is no harm"
+
+
 async def test_a_foreign_name_for_this_host_is_refused(visitor):
     headers = {"Host": "evil.example"}
     async with visitor.session.get(visitor.url, headers=headers) as response:
