@@ -4,9 +4,21 @@ import math
 
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
+from hilserver.daemon.builder import build
 from hilserver.daemon.daemon import Daemon
 from hilserver.daemon.figures import model_gap, slice_table
 from tests.io.opcua_client.conftest import wait_until
+
+
+async def test_before_its_first_run_a_slice_has_no_worst_tick() -> None:
+    config = Config.model_validate({"scheduler": {"backend": "virtual"}})
+    async with build(assemble_config(config)) as core:
+        plant = slice_table(core.scheduler)["plant"]
+        ticks = [value for name, value in plant.items() if name.endswith("_tick")]
+        assert ticks == [None] * 3
+        assert plant["margin_min_us"] is None
+        await core.scheduler.advance(1)
+        assert slice_table(core.scheduler)["plant"]["margin_min_tick"] == 0
 
 
 async def test_model_gap_is_measured_minus_simulated_of_what_is_measured() -> None:

@@ -96,7 +96,7 @@ class Diagnostics:
                 log.warning("too many figures for OPC UA", group=self._group, shown=_MAX_VARIABLES)
             self._is_full = True
             return False
-        kind = _kind_of(value)
+        kind = _kind_of(path, value)
         parent, name = model.split(path)
         if parent not in self._places and parent not in self._folders:
             grandparent, folder = model.split(parent)
@@ -112,12 +112,12 @@ class Diagnostics:
         return True
 
 
-def _kind_of(value: Figure) -> ua.VariantType:
-    """Return the type for a figure's variable; what has no value yet will be a number."""
+def _kind_of(path: str, value: Figure) -> ua.VariantType:
+    """Return the type for a figure's variable; what has no value yet will be a number or tick."""
     for python_type, kind in _TYPES.items():
         if isinstance(value, python_type):
             return kind
-    return ua.VariantType.Double
+    return ua.VariantType.Int64 if path.endswith("_tick") else ua.VariantType.Double
 
 
 def _converted(kind: ua.VariantType, value: Figure) -> object | None:

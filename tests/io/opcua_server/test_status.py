@@ -82,6 +82,7 @@ async def test_figures_appear_and_change(rig: Rig, client: RobotClient) -> None:
             "overruns": 3,
             "wake_p99_us": 12.5,
             "worst_at_s": None,
+            "margin_min_tick": None,
             "cause": "stolen",
             "late": True,
         }
@@ -92,12 +93,15 @@ async def test_figures_appear_and_change(rig: Rig, client: RobotClient) -> None:
     for figure, value in kinds.items():
         found = await client.read(f"{folder}.{figure}")
         assert (found, type(found)) == (value, type(value))
-    assert (
-        await client.data_value(f"{folder}.worst_at_s")
-    ).StatusCode.name == "BadWaitingForInitialData"
+    for figure in ("worst_at_s", "margin_min_tick"):
+        code = (await client.data_value(f"{folder}.{figure}")).StatusCode
+        assert code.name == "BadWaitingForInitialData"
     rig.tables["slices"]["plant"] |= {"overruns": 4, "worst_at_s": 1, "wake_p99_us": math.inf}
+    rig.tables["slices"]["plant"]["margin_min_tick"] = 7
     await until_slices_show(rig, client, 4)
     assert await client.read(f"{folder}.worst_at_s") == 1.0
+    tick = (await client.data_value(f"{folder}.margin_min_tick")).Value
+    assert (tick.Value, tick.VariantType) == (7, ua.VariantType.Int64)
     assert await client.read(f"{folder}.wake_p99_us") == math.inf
 
 
