@@ -93,14 +93,19 @@ class Patches:
                 if patch is not None and (entry := patch.entry_at(key)) is not None:
                     raise patch.refusal(entry, rest) from None
                 raise ControlRefused(str(error)) from None
-            self._patch = patch
+            self._put(patch)
             return await parameters.taken(number)
+
+    def _put(self, patch: Patch | None) -> None:
+        """Keep which patch is at work; snapshots and recordings begun from now on say it."""
+        self._patch = patch
+        self._core.image.tell(patch=None if patch is None else patch.provenance)
 
     def _follow(self) -> None:
         """Forget a patch that is not in the state that was restored."""
         patch, name = self._patch, self.loaded
         if patch is not None and not self._core.parameters.hold(self._checked(patch)):
-            self._patch = None
+            self._put(None)
             self._tell(300, f"the model patch '{name}' is not in the state that was loaded")
 
     def _checked(self, patch: Patch) -> dict[str, float]:
@@ -121,7 +126,7 @@ class Patches:
         async with self._lock:
             values = {n: parameters.configured[n] for n in parameters.differing}
             tick = await parameters.taken(parameters.apply(values, fitted=fitted_limits()))
-            self._patch = None
+            self._put(None)
         self._tell(200, f"all parameters are those of the configuration from tick {tick} on")
 
     async def save(self, name: str) -> None:

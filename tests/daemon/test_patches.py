@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 from hilserver.commands.demo import demo_assembly
+from hilserver.config.patch import load_patch
 from hilserver.config.root import Config
 from hilserver.core.snapshot import SnapshotStore, read_snapshot
 from hilserver.daemon.assembly import assemble, assemble_config
@@ -106,6 +107,25 @@ async def test_a_recording_goes_on_in_its_segment_and_comes_again_to_the_bit(run
     assert [c.tick for c in read_log(folder / "again.mcap").changes] == [500, 1000]
 
 
+async def test_a_recording_says_the_patch_it_began_with_and_comes_again_to_the_bit(run, folder):
+    await run.patches.load("turn.yaml")
+    await run.turn_rate()
+    later = Recorder(run.core.image.name, Settings(folder / "later.mcap", waits=True))
+    run.core.scheduler.after_batch.append(later.look)
+    await run.core.snapshots.capture()  # the state that it has asked for
+    await run.turn_rate()
+    await run.patches.remove()
+    await run.turn_rate()
+    for recorder, name, patch in ((run.recorder, "run", None), (later, "later", "turn.yaml")):
+        recorder._supervise(0.0)
+        recorder.close()
+        said = read_log(folder / f"{name}.mcap").run["patch"]
+        assert said == (patch and load_patch(folder / patch).provenance)
+    said = await asyncio.to_thread(replay, "later.mcap", "-o", "again.mcap", "--check", cwd=folder)
+    assert "ticks are equal, bit for bit" in said
+    assert [c.tick for c in read_log(folder / "again.mcap").changes] == [1000]
+
+
 async def test_where_it_was_not_fitted_outputs_are_uncertain_and_the_user_is_told(run):
     await run.patches.load("narrow.yaml")
     await run.turn_rate()
@@ -154,6 +174,12 @@ async def test_a_snapshot_brings_its_patch_and_a_reset_keeps_the_one_at_work(run
     assert run.patches.loaded == "turn.yaml"
     _, meta = read_snapshot(folder / "snapshots" / "after.npz")
     assert (meta["config_sha256"], meta["seed"]) == (CONFIG.sha256, 0)
+    assert meta["patch"] == load_patch(folder / "turn.yaml").provenance
+    for ends in (run.patches.remove, run.patches.reset):
+        await ends()
+        await store.save("without")
+        assert read_snapshot(folder / "snapshots" / "without.npz")[1]["patch"] is None
+        await run.patches.load("turn")
     run.recorder.close()
 
 

@@ -154,7 +154,8 @@ class Recorder:
 
     def _supervise(self, now_s: float) -> None:
         if self._source.refresh():
-            self._run = make_run(self._source.description)
+            began_with = {"patch": self._run.get("patch")}  # a later one is a change in the file
+            self._run = make_run(self._source.description) | began_with
             self._writing.put(self._run)
         if self._asked_s is not None and now_s - self._asked_s > STATE_WITHIN_S:
             self._asked_s = now_s
