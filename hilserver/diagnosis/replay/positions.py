@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from hilserver.diagnosis.catalogue.candidate import Region
-from hilserver.diagnosis.checks.support import along, subset
+from hilserver.diagnosis.checks.support import along, row_period_s, subset
 from hilserver.diagnosis.thresholds import HALF
 from hilserver.measured.channels import POSITION
 from hilserver.measured.data import MeasuredLog
@@ -43,7 +43,7 @@ def paired(log: MeasuredLog) -> MeasuredLog:
     """Return the log with only those positions that have both coordinates.
 
     Where they come in rows of their own, the second is taken between its samples when the first
-    came.
+    came; not where it was away for more than a row or two.
     """
     if not log.has(*POSITION):
         return log
@@ -51,13 +51,14 @@ def paired(log: MeasuredLog) -> MeasuredLog:
     x, y = (log[n] for n in POSITION)
     at, own = along(x, start_s), along(y, start_s)
     both = np.isin(at, own)
-    if both.sum() > HALF * min(len(x), len(y)):
+    if not len(y) or both.sum() > HALF * min(len(x), len(y)):
         return log.with_channels(
             {POSITION[0]: subset(x, both), POSITION[1]: subset(y, np.isin(own, at))}
         )
     after = np.clip(np.searchsorted(own, at), 1, len(own) - 1)
     between = (y.span[after] == x.span) & (y.span[after - 1] == x.span)
-    between &= (own[after - 1] <= at) & (at <= own[after])
+    for since_s in (at - own[after - 1], own[after] - at):
+        between &= (since_s >= 0.0) & (since_s < 2.0 * row_period_s(y))
     x = subset(x, between)
     return log.with_channels(
         {POSITION[0]: x, POSITION[1]: x.with_values(np.interp(at[between], own, y.values))}

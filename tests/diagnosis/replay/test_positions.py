@@ -39,3 +39,17 @@ def test_coordinates_in_rows_of_their_own_are_paired_between_samples_of_one_span
     assert np.array_equal(x.span, y.span)
     assert len(x) == N // 2 - 2, "before the first y of its span there is none"
     assert y.values - 10.0 * y.span == pytest.approx(2.0 * y.t_s)
+
+
+def test_no_coordinate_is_made_up_where_the_other_was_away():
+    even, odd = np.arange(0, N, 2), np.arange(1, N, 2)
+    away = (odd > 60) & (odd < 140)
+    both = paired(log(even, odd[~away], spans=1))
+    assert set(both["nav.x_m"].t_s) == set(0.05 * even[(even > 0) & ((even < 60) | (even > 140))])
+
+
+@pytest.mark.parametrize("missing", ["nav.x_m", "nav.y_m"])
+def test_without_one_coordinate_there_is_no_position(missing):
+    every, none = np.arange(N), np.zeros(0, dtype=int)
+    both = paired(log(*((none, every) if missing == "nav.x_m" else (every, none))))
+    assert len(both["nav.x_m"]) == len(both["nav.y_m"]) == 0
