@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hilserver.errors import FailedError
 from hilserver.recalibration import judging, loop
-from hilserver.recalibration.history import FILE, History, broken
+from hilserver.recalibration.history import FILE, History, broken, is_sound
 
 
 def lines_of(folder):
@@ -42,6 +42,13 @@ def test_what_was_changed_shows(tmp_path, change):
     else:
         lines[0], lines[1] = lines[1], lines[0]
     assert broken(lines) in (1, 2)
+
+
+def test_a_line_with_a_number_that_none_is_written_with_does_not_count(tmp_path):
+    (tmp_path / FILE).write_text('{"kind": "look", "p": 1e999, "hash": "x"}\n')
+    (line,) = History(tmp_path).lines
+    assert not is_sound(line)
+    assert broken([line]) == 1
 
 
 @hypothesis.given(cut=st.integers(1, 60))
