@@ -208,10 +208,11 @@ def _wheels_by_navigation(log: MeasuredLog, robot: RobotParameters) -> Found:
         w = side_mean(log, wheels, kinds[0], windows)
         fit = None if w is None else _two_weights(w * robot.wheel_radius_m, *found)
         if fit is None or abs(fit[0]) < 0.2 or abs(fit[1]) < 0.02:
-            return log, []
+            continue  # it does not follow: it stands still, or is not connected
         forward = 1.0 if wheels[0] in LEFT_WHEELS else -1.0
         signs[wheels] = forward * np.sign(fit[0]), robot.yaw_sign * np.sign(fit[1])
-    if set(signs.values()) == {(-1.0, 1.0)}:
+    both = len({wheels[0] in LEFT_WHEELS for wheels in signs}) == 2
+    if both and set(signs.values()) == {(-1.0, 1.0)}:
         text = "they roll backward where the tag, unless it is mounted so, goes forward"
         return _swapped(log, kinds, dict.fromkeys(kinds, 1.0), text)
     names = [f"wheel.{w}.{kind}" for wheels, sign in signs.items() if sign == (-1.0, -1.0)

@@ -189,6 +189,24 @@ def test_one_wheel_that_runs_backward_is_told_by_the_tag(table, wheel):
     assert log[SPEEDS[wheel]].values == pytest.approx(columns[SPEEDS[wheel]])
 
 
+def test_a_wheel_that_stands_still_does_not_hide_those_that_run_backward(table):
+    t, columns = table
+    spoilt = {n: v for n, v in scaled(columns, SPEEDS[:2], -1).items() if n not in SENT}
+    findings = check(log_of(t, scaled(spoilt, SPEEDS[3:], 0)), ROBOT).findings
+    flipped = [set(f.regressors) for f in findings if f.causes == ("sign_flip",)]
+    assert flipped == [set(SPEEDS[:2])]
+
+
+def test_sides_are_not_said_to_be_swapped_where_one_stands_still(table):
+    t, columns = table
+    spoilt = {n: v for n, v in columns.items() if n not in SENT} | {
+        "wheel.fl.speed_rpm": columns["wheel.fr.speed_rpm"],
+        "wheel.rl.speed_rpm": columns["wheel.rr.speed_rpm"],
+    }
+    findings = check(log_of(t, scaled(spoilt, SPEEDS[2:], 0)), ROBOT).findings
+    assert ("swapped_sides",) not in [f.causes for f in findings]
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_swapped_sides(table, sign):
     t, columns = table
