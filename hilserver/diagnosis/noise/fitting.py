@@ -43,8 +43,7 @@ def fit_noise(residuals: Iterable[tuple[Array, Array]]) -> NoiseModel:
     residuals = list(residuals)
     windows = Windows.cut(residuals)
     if windows.samples < 8:
-        values = np.concatenate([r for _, r in residuals] or [np.zeros(1)])
-        return NoiseModel(max(float(np.sqrt(np.nanmean(values**2))), _FALLBACK_SD))
+        return NoiseModel(_size([r for _, r in residuals]))
     if not windows.spread > _FALLBACK_SD:
         return NoiseModel(_FALLBACK_SD)
     windows.gate_level()
@@ -92,6 +91,13 @@ def short_noise(residuals: Sequence[Array]) -> tuple[NoiseModel, float]:
             break
         total += 2.0 * together
     return NoiseModel(sd * math.sqrt(total), tail_dof=SHORT_DOF), sd
+
+
+def _size(residuals: Sequence[Array]) -> float:
+    """Return the root of the mean square of what is finite, above 0."""
+    values = np.concatenate([np.zeros(0), *residuals])
+    values = values[np.isfinite(values)]
+    return max(float(np.linalg.norm(values)) / math.sqrt(max(len(values), 1)), _FALLBACK_SD)
 
 
 def robust_weights(samples: Array) -> Array:

@@ -173,8 +173,14 @@ def test_whitener_of_the_fit_leaves_independent_samples_after_outliers():
 
 @pytest.mark.parametrize(
     "spans",
-    [[], [(np.arange(3.0), np.zeros(3))], [(np.arange(500.0), np.zeros(500))]],
-    ids=["none", "short", "perfect"],
+    [
+        [],
+        [(np.zeros(0), np.zeros(0))],
+        [(np.arange(3.0), np.full(3, np.nan))],
+        [(np.arange(3.0), np.zeros(3))],
+        [(np.arange(500.0), np.zeros(500))],
+    ],
+    ids=["none", "empty", "unknown", "short", "perfect"],
 )
 def test_without_noise_the_floor_remains(spans):
     assert fit_noise(spans) == NoiseModel(1e-9)
