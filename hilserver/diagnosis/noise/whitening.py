@@ -76,7 +76,9 @@ class Filter:
         """Whiten columns, shape (n,) or (n, k): each passes the same linear operator."""
         table = np.ascontiguousarray(columns if columns.ndim > 1 else columns[:, None], float)
         if not self.gain.any():  # white as they are
-            return (table * self.scale[:, None]).reshape(np.shape(columns))
+            white = table * self.scale[:, None]
+            white[self.scale == 0.0] = 0.0  # whatever stands there, also no number
+            return white.reshape(np.shape(columns))
         out = np.empty_like(table)
         filter_columns(table, self.keep, self.gain, self.scale, out)
         return out.reshape(np.shape(columns))
@@ -119,6 +121,6 @@ def filter_columns(columns: Any, keeps: Any, gains: Any, scales: Any, out: Any) 
         keep, gain, scale = keeps[i], gains[i], scales[i]
         for j in range(width):
             before = keep * level[j]
-            surprise = columns[i, j] - before
-            out[i, j] = scale * surprise if scale > 0.0 else 0.0
+            surprise = columns[i, j] - before if scale > 0.0 else 0.0
+            out[i, j] = scale * surprise
             level[j] = before + gain * surprise

@@ -62,14 +62,15 @@ def test_operator_is_the_inverse_root_of_the_covariance(model):
     np.testing.assert_allclose(operator.T @ operator @ expected, np.eye(len(t_s)), atol=1e-7)
 
 
-def test_skipped_samples_leave_no_trace():
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("spoilt", [1e6, np.nan])
+def test_skipped_samples_leave_no_trace(model, spoilt):
     rng = np.random.default_rng(5)
     t_s = stamps(200, 0.05, rng)
     r, kept = rng.normal(size=len(t_s)), rng.random(len(t_s)) > 0.3
-    spoilt = np.where(kept, r, 1e6)
-    white = whitened(NAVIGATION, t_s, spoilt, kept.astype(float))
+    white = whitened(model, t_s, np.where(kept, r, spoilt), kept.astype(float))
     assert (white[~kept] == 0.0).all()
-    alone = whitened(NAVIGATION, t_s[kept], r[kept])
+    alone = whitened(model, t_s[kept], r[kept])
     np.testing.assert_allclose(white[kept], alone, rtol=1e-9)
 
 
