@@ -73,11 +73,12 @@ def short_noise(residuals: Sequence[Array]) -> tuple[NoiseModel, float]:
     -------
     NoiseModel
     float
-        Scale of a sample, for `robust_weights`.
+        Scale of a sample, for `robust_weights`; 0: they do not differ, and count alike.
     """
     square = np.square(np.concatenate(residuals)) if residuals else np.zeros(0)
     if len(square) < 8 or not square.max() > 0.0:
-        return NoiseModel(_FALLBACK_SD), _FALLBACK_SD
+        sd = _size(residuals)
+        return NoiseModel(sd), sd if sd > _FALLBACK_SD else 0.0
     scale = float(np.mean(square))
     for _ in range(20):
         scale = float(np.mean(square * (SHORT_DOF + 1.0) / (SHORT_DOF + square / scale)))

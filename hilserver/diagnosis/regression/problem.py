@@ -271,7 +271,7 @@ class Problem:
         for name in self.stack.channels:
             mine = [part for n, _, part in self._runs if n == name]
             noise[name], scale = short_noise([raw[part] for part in mine])
-            for part in mine:
+            for part in mine if scale else ():
                 weights[part] = robust_weights(raw[part] / scale)
         self.noise, self.weights = noise, weights
 

@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hilserver.diagnosis.noise.fitting import fit_noise, robust_weights
+from hilserver.diagnosis.noise.fitting import fit_noise, robust_weights, short_noise
 from hilserver.diagnosis.noise.whitening import Filter, NoiseModel
 from hilserver.diagnosis.thresholds import SHORT_DOF
+from tests.diagnosis import toy
 from tests.diagnosis.toy import whitened
 from tests.diagnosis.uwb_trolley import range_errors
 
@@ -193,6 +194,17 @@ def test_of_too_few_samples_all_may_be_noise(gap_s):
     r = np.array([0.3, -0.1, 0.2, 0.1, -0.4, 0.2, 0.1])
     found = fit_noise([(gap_s * np.arange(len(r)), r)])
     assert found == NoiseModel(pytest.approx(np.sqrt(np.mean(r**2))))
+    white, scale = short_noise([r[:3], r[3:]])
+    assert white == found
+    assert scale == found.sd
+
+
+@pytest.mark.parametrize("n", [0, 7, 200])
+def test_where_short_segments_differ_in_nothing_all_samples_count_alike(n):
+    assert short_noise([np.zeros(n)]) == (NoiseModel(1e-9), 0.0)
+    problem = toy.problem(np.zeros(200), {})
+    problem.estimate_noise(np.zeros(200))
+    assert (problem.weights == 1.0).all()
 
 
 def test_short_spans_do_not_become_a_random_walk():
