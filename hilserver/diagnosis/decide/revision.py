@@ -67,10 +67,12 @@ def revised(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     explained = max(p.base.deviance - weighed.deviance, 0.0) if weighed.model.fitted else 0.0
     point, unknown = _beside_structure(problem, weighed, explained, rng, rows)
     point, unknown, drift = _changing(p, point, unknown, rng, rows)
-    point, is_missed = _named_only(problem, point, ties, drift, rows)
+    fitted, (point, is_missed) = point, _named_only(problem, point, ties, drift, rows)
     drift = {cause: p for cause, p in drift.items() if cause in point.model.causes}
-    if is_missed:
-        unknown = _remaining(problem, point, rng, explained)
+    bare = point is not fitted and not point.model.fitted
+    # what they did not explain is no less gross without them
+    if is_missed or (bare and not unknown and fitted.deviance > GROSS * len(fitted.left)):
+        unknown = _remaining(problem, point, rng, 0.0 if bare else explained)
     if not drift and fails(p, point):
         rows += _left_out(problem, point, p.base, "dropped", "far more remains than it explains")
         point = problem.point(Model(), p.base.poses)

@@ -14,6 +14,16 @@ from tests.diagnosis import toy
 N = 4000
 
 
+def judged(monkeypatch, rng, values, column, structure, **how):
+    """What is made of a cause and of a family of one column."""
+    family = Family("turn", ("t_s",), structure[:, None])
+    monkeypatch.setattr("hilserver.diagnosis.decide.revision.families_of", lambda *_: [family])
+    problem = toy.problem(values, {"c": column})
+    library, base = toy.library(problem)
+    library.candidates[:] = [replace(library.candidates[0], **how)]
+    return revised(Prepared(problem, library, base), select(problem, library, base, rng), rng)
+
+
 @pytest.mark.parametrize(
     ("least", "changes", "causes", "is_unknown"),
     [
@@ -29,11 +39,39 @@ def test_a_cause_too_small_for_its_name_is_no_unknown_structure(
     column = 5.0 * toy.smooth(rng, N)
     size = 0.2 + np.linspace(-3.0, 3.0, N) if changes else 1.0
     values = size * column + rng.normal(size=N)
-    family = Family("turn", ("t_s",), (size * column)[:, None])
-    monkeypatch.setattr("hilserver.diagnosis.decide.revision.families_of", lambda *_: [family])
-    problem = toy.problem(values, {"c": column})
-    library, base = toy.library(problem)
-    library.candidates[:] = [replace(library.candidates[0], least=least)]
-    found = revised(Prepared(problem, library, base), select(problem, library, base, rng), rng)
+    found = judged(monkeypatch, rng, values, column, size * column, least=least)
     assert found.point.model.causes == causes
     assert bool(found.unknown) == is_unknown
+
+
+def test_structure_beside_a_cause_too_small_for_its_name_is_reported(monkeypatch):
+    rng = np.random.default_rng(4)
+    column, other = 5.0 * toy.smooth(rng, N), 5.0 * toy.smooth(rng, N)
+    found = judged(monkeypatch, rng, column + other + rng.normal(size=N), column, other, least=1.5)
+    assert found.point.model.causes == ()
+    assert [u.family.name for u in found.unknown] == ["turn"]
+
+
+@pytest.mark.parametrize(("size", "is_unknown"), [(10.0, True), (0.0, False)])
+def test_a_gross_misfit_beside_a_cause_too_small_for_its_name_is_reported(
+    monkeypatch, size, is_unknown
+):
+    """In so few blocks that no test finds it; one that the cause explains is none."""
+    monkeypatch.setattr(toy.LinearStage, "follows_setpoints", False)
+    rng = np.random.default_rng(5)
+    column, other = 5.0 * toy.smooth(rng, N), np.zeros(N)
+    other[1000:1100] = 1.0
+    values = column + size * other + rng.normal(size=N)
+    found = judged(monkeypatch, rng, values, column, other, least=1.5)
+    assert found.point.model.causes == ()
+    assert bool(found.unknown) == is_unknown
+
+
+def test_a_cause_that_is_none_excuses_no_structure_by_its_own_inexactness(monkeypatch):
+    """It is of a size that no machine has: nothing is left whose form could be inexact."""
+    rng = np.random.default_rng(6)
+    column = np.where(np.arange(N) < N // 2, 60.0, 2.5) * toy.smooth(rng, N)
+    faint = np.where(np.arange(N) < N // 2, 0.0, column)
+    found = judged(monkeypatch, rng, column + rng.normal(size=N), column, faint, prior=0.01)
+    assert found.point.model.causes == ()
+    assert [u.family.name for u in found.unknown] == ["turn"]
