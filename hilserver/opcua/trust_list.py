@@ -14,6 +14,7 @@ A change in a folder acts at the next connection, without a restart. While a fil
 cannot be read nobody is let in: it may revoke any certificate.
 """
 
+import errno
 import ipaddress
 import os
 import re
@@ -80,8 +81,8 @@ class _Folder:
 
     path: Path
     effect: str  # of a file that cannot be read
-    stamp: dict[Path, tuple[int, ...]] = field(default_factory=dict)
-    has_unread: bool = False
+    stamp: dict[Path, tuple[int, ...] | None] = field(default_factory=dict)
+    unread: dict[Path, str] = field(default_factory=dict)  # files that cannot be read, and why
     certificates: dict[str, x509.Certificate] = field(default_factory=dict)
     lists: list[x509.CertificateRevocationList] = field(default_factory=list)
 
@@ -92,24 +93,31 @@ class _Folder:
             stamp = {self.path: ()}  # it is no file that can be read, either
         if stamp != self.stamp:
             self._read(stamp)
-            self.stamp = stamp
         return self
 
-    def _read(self, paths: Iterable[Path]) -> None:
-        self.certificates, self.lists, self.has_unread = {}, [], False
-        for path in paths:
+    def _read(self, stamp: dict[Path, tuple[int, ...]]) -> None:
+        before, self.unread, self.stamp = self.unread, {}, {**stamp}
+        self.certificates, self.lists = {}, []
+        for path in stamp:
             try:
-                certificate = load_certificate(path)
-                self.certificates[thumbprint(certificate)] = certificate
-            except (ValueError, OSError):
-                self._read_list(path)
+                self._take(path)
+            except (ValueError, OSError) as error:
+                why = self.unread[path] = getattr(error, "strerror", None) or str(error)
+                if isinstance(error, OSError) and error.errno != errno.EFBIG:
+                    self.stamp[path] = None  # no file's: it may pass, so it is read again
+                if why != before.get(path):
+                    log.error(
+                        f"{self.effect}: replace or remove this file", file=str(path), reason=why
+                    )
 
-    def _read_list(self, path: Path) -> None:
+    def _take(self, path: Path) -> None:
+        data = read_small(path, MAX_LIST_BYTES)
         try:
-            self.lists.append(_load_list(path))
-        except (ValueError, OSError) as error:
-            self.has_unread, why = True, getattr(error, "strerror", None) or str(error)
-            log.error(f"{self.effect}: replace or remove this file", file=str(path), reason=why)
+            certificate = parse_certificate(data)
+        except ValueError:
+            self.lists.append(_parse_list(data))
+        else:
+            self.certificates[thumbprint(certificate)] = certificate
 
 
 def _stamp(path: Path) -> tuple[int, ...]:
@@ -127,8 +135,7 @@ def files_in(folder: Path) -> Iterator[Path]:
         yield from sorted(p for p in folder.iterdir() if p.suffix.lower() in _SUFFIXES)
 
 
-def _load_list(path: Path) -> x509.CertificateRevocationList:
-    data = read_small(path, MAX_LIST_BYTES)
+def _parse_list(data: bytes) -> x509.CertificateRevocationList:
     is_text = data[:1000].lstrip().startswith(b"-----BEGIN")
     return x509.load_pem_x509_crl(data) if is_text else x509.load_der_x509_crl(data)
 
@@ -199,7 +206,7 @@ class TrustList:
             return Verdict.USE
         if issuer and _is_on_a_list(certificate, issuer, revoked.lists):
             return Verdict.REVOKED
-        return Verdict.REVOCATION_UNKNOWN if revoked.has_unread else Verdict.GOOD
+        return Verdict.REVOCATION_UNKNOWN if revoked.unread else Verdict.GOOD
 
     def judge_server(
         self,

@@ -1,5 +1,6 @@
 """Certificates: who is refused, with which status code, and what is kept of it."""
 
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -261,6 +262,26 @@ async def test_while_a_file_in_revoked_cannot_be_read_nobody_is_let_in(
     assert error["reason"]
     assert "replace or remove" in error["event"]
     assert pki.trust.judge(issued.der) is Verdict.GOOD
+
+
+async def test_an_error_that_passes_locks_nobody_out_after_it(
+    pki: Pki, list_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While the process has no descriptor left, and after that, with the same files."""
+    write(list_path, long_list(pki.authority(), 99))
+
+    def fails(*_: object) -> None:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    with monkeypatch.context() as patch, capture_logs() as lines:
+        patch.setattr("os.open", fails)
+        trust = TrustList(pki.trust.folder)
+        trust.ours = pki.client.certificate
+        verdicts = [trust.judge(pki.client.der) for _ in range(3)]
+    assert verdicts == [Verdict.REVOCATION_UNKNOWN] * 3
+    revoked = [line for line in lines if line.get("file") == str(list_path)]
+    assert len(revoked) == 1, "it says so once"
+    assert trust.judge(pki.client.der) is Verdict.GOOD
 
 
 async def test_a_list_that_is_written_anew_in_its_place_counts(pki: Pki, list_path: Path) -> None:
