@@ -106,16 +106,19 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
         verdict = Verdict.INVALID if self._trust is None else self._trust.judge(certificate)
         if verdict is Verdict.GOOD:
             return
-        kept = None if self._trust is None else self._trust.keep_rejected(certificate)
-        remedy = None
-        if kept is not None and verdict is Verdict.UNTRUSTED:
-            name = thumbprint(parse_certificate(certificate))
-            remedy = f"compare it, then 'hilserver certs trust {name}'"
+        kept = remedy = None
+        if self._trust is not None:
+            path = self._trust.keep_rejected(certificate, self._peer)
+            is_crowded = path is None and self._trust.has_kept_many(self._peer)
+            kept = "no: too many others lately" if is_crowded else path and path.name
+            if path is not None and verdict is Verdict.UNTRUSTED:
+                name = thumbprint(parse_certificate(certificate))
+                remedy = f"compare it, then 'hilserver certs trust {name}'"
         log.warning(
             "opcua certificate refused",
             reason=verdict.value,
             address=self._peer,
-            kept=None if kept is None else kept.name,
+            kept=kept,
             remedy=remedy,
         )
         code = verdict.value if verdict not in _CONCEALED else "BadSecurityChecksFailed"

@@ -28,7 +28,7 @@ async def create_session(processor: Any, params: Any) -> ua.CreateSessionRespons
         if processor.session.is_activated:
             raise ServiceError(_Codes.BadTooManySessions)
         processor.session.close()
-    _check_client(iserver, policy, params)
+    _check_client(processor, params)
     asked = ua.GetEndpointsParameters(EndpointUrl=params.EndpointUrl)
     endpoints = await iserver.get_endpoints(asked, processor.sockname)
     processor.session = session = iserver.new_session(processor, policy, params.SessionName)
@@ -43,8 +43,9 @@ async def create_session(processor: Any, params: Any) -> ua.CreateSessionRespons
     return response
 
 
-def _check_client(iserver: Any, policy: Any, params: ua.CreateSessionParameters) -> None:
+def _check_client(processor: Any, params: ua.CreateSessionParameters) -> None:
     """Check that the session is asked for by the application that opened the channel."""
+    policy = processor.policy
     texts = (params.EndpointUrl, params.SessionName, params.ServerUri)
     if any(len(text or "") > _MAX_CLIENT_TEXT for text in texts):
         raise ServiceError(_Codes.BadInvalidArgument)
@@ -58,7 +59,7 @@ def _check_client(iserver: Any, policy: Any, params: ua.CreateSessionParameters)
     uri = params.ClientDescription.ApplicationUri
     if uri not in application_uris(parse_certificate(certificate)):
         log.warning("opcua certificate names another URI", announced=str(uri)[:200])
-        iserver.trust.keep_rejected(certificate)
+        processor.iserver.trust.keep_rejected(certificate, processor.address)
         raise ServiceError(_Codes.BadCertificateUriInvalid)
 
 

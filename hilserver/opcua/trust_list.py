@@ -19,7 +19,6 @@ import ipaddress
 import os
 import re
 import time
-from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -43,11 +42,12 @@ from hilserver.opcua.certificate import (
     to_der,
 )
 from hilserver.opcua.logs import log
+from hilserver.opcua.passwords import FailedAttempts
 from hilserver.small_file import read_small
 
 MAX_REJECTED = 100
 KEPT_AT_ONCE, KEPT_WITHIN_S = 10, 60.0
-"""New rejected certificates that are kept in so long: each is a file to be written to the disk."""
+"""New rejected certificates of an address that are kept in so long: each is written to the disk."""
 MAX_LIST_BYTES = 64_000_000
 FOLDERS = ("own", "trusted", "rejected", "revoked")
 _SHA2 = {
@@ -149,7 +149,7 @@ class TrustList:
         self.ours: x509.Certificate | None = None
         self._trusted = _Folder(folder / "trusted", "nobody is trusted by it")
         self._revoked = _Folder(folder / "revoked", "nobody is let in")
-        self._kept_s: deque[float] = deque(maxlen=KEPT_AT_ONCE)
+        self._kept = FailedAttempts(KEPT_AT_ONCE, KEPT_WITHIN_S)
 
     def make_folders(self) -> None:
         """Make the folders, readable by their owner only; FailedError if that fails."""
@@ -228,10 +228,19 @@ class TrustList:
             return Verdict.URI
         return Verdict.GOOD
 
-    def keep_rejected(self, data: bytes) -> Path | None:
+    def has_kept_many(self, address: str) -> bool:
+        """Whether `KEPT_AT_ONCE` certificates of an address have been kept lately."""
+        return self._kept.is_blocked(address, time.monotonic())
+
+    def keep_rejected(self, data: bytes, address: str = "") -> Path | None:
         """Put a refused certificate into ``rejected``; the oldest make room.
 
-        None if that fails, or strangers have shown `KEPT_AT_ONCE` others lately.
+        None if that fails, or others of this address fill its share: see `has_kept_many`.
+
+        Parameters
+        ----------
+        address : str
+            Where a client comes from; empty for a server that we connect to, whatever it shows.
         """
         try:
             certificate = parse_certificate(data)
@@ -240,10 +249,10 @@ class TrustList:
             path = folder / file_name(certificate)
             if path.exists():
                 return path
-            now_s = time.monotonic()
-            if len(self._kept_s) == KEPT_AT_ONCE and now_s - self._kept_s[0] < KEPT_WITHIN_S:
-                return None
-            self._kept_s.append(now_s)
+            if address:
+                if self.has_kept_many(address):
+                    return None
+                self._kept.failed(address, time.monotonic())
             kept = sorted(files_in(folder), key=lambda p: p.stat().st_mtime_ns)
             for old in kept[: max(0, len(kept) - MAX_REJECTED + 1)]:
                 old.unlink(missing_ok=True)

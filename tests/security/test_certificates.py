@@ -27,6 +27,8 @@ from hilserver.opcua.certificate import (
     thumbprint,
     to_der,
 )
+from hilserver.opcua.channel import GuardedConnection
+from hilserver.opcua.frames import TransportError
 from hilserver.opcua.passwords import FailedAttempts, hash_password, is_password, keys_of
 from hilserver.opcua.trust_list import (
     KEPT_AT_ONCE,
@@ -335,12 +337,27 @@ async def test_strangers_with_ever_new_certificates_keep_no_disk_busy(
     now_s = 1000.0
     monkeypatch.setattr("hilserver.opcua.trust_list.time.monotonic", lambda: now_s)
     trust = TrustList(tmp_path)
-    strangers = [pki.identity(f"stranger-{i}") for i in range(KEPT_AT_ONCE + 2)]
-    kept = [trust.keep_rejected(stranger.der) for stranger in strangers]
+    stranger, honest = "192.0.2.66", "192.0.2.7"
+    ders = [pki.identity(f"stranger-{i}").der for i in range(KEPT_AT_ONCE + 4)]
+    kept = [trust.keep_rejected(der, stranger) for der in ders[:-2]]
     assert [path is not None for path in kept] == [True] * KEPT_AT_ONCE + [False] * 2
-    assert trust.keep_rejected(strangers[0].der) == kept[0], "it is there"
+    assert trust.keep_rejected(ders[0], stranger) == kept[0], "it is there"
+    assert trust.keep_rejected(ders[-1], honest) is not None, "strangers keep nobody else out"
+    assert trust.keep_rejected(ders[-2]) is not None, "a server that we connect to"
     now_s += KEPT_WITHIN_S
-    assert trust.keep_rejected(strangers[-1].der) is not None
+    assert trust.keep_rejected(ders[-3], stranger) is not None
+
+
+async def test_the_log_says_why_a_certificate_is_not_kept(pki: Pki, tmp_path: Path) -> None:
+    trust = TrustList(tmp_path)
+    connection = GuardedConnection([], trust, "192.0.2.66")
+    with capture_logs() as lines:
+        for i in range(KEPT_AT_ONCE + 1):
+            with pytest.raises(TransportError):
+                connection._judge(pki.identity(f"stranger-{i}").der)
+    *kept, last = (line["kept"] for line in lines)
+    assert sorted(kept) == [path.name for path in files_in(tmp_path / "rejected")]
+    assert last == "no: too many others lately"
 
 
 async def test_key_that_others_can_read_is_refused(pki: Pki, tmp_path: Path) -> None:
