@@ -97,6 +97,7 @@ class ShieldLink(Part):
         words[w.BYTE] = BYTE_NS if config.pace else 0
         words[w.DELAY] = round(config.reply_delay_ms * 1e6)
         words[w.PAUSE], words[w.IS_PTY] = PAUSE_NS, config.device is None
+        words[w.LIMIT] = self.device.limit_ns
 
     @property
     def thread_id(self) -> int:
@@ -226,7 +227,7 @@ class ShieldLink(Part):
         status.connected = bool(status.words[w.CONNECTED]) and self._line is not None
         status.state = LinkState.CONNECTED if status.connected else LinkState.CONNECTING
         self._note_counters(now_ns)
-        self._source.staleness.limit_ns = self.device.limit_ns
+        self._source.staleness.limit_ns = status.words[w.LIMIT] = self.device.limit_ns
         if self._source.watch(now_ns) is Transition.LOST:
             status.enabled = False
 

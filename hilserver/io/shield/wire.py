@@ -29,7 +29,7 @@ libc_read: Any = ExternalFunction("read", int64(int32, voidptr, uint64))
 libc_ppoll: Any = ExternalFunction("ppoll", int32(voidptr, uint64, voidptr, voidptr))
 
 LONGEST_WAIT_NS: Final = 50_000_000  # the thread looks at its words at least this often
-STOOD_NS: Final = 3 * LONGEST_WAIT_NS  # who has not looked at the line for so long has stood
+STOOD_NS: Final = 3 * LONGEST_WAIT_NS // 2  # who looks at the line in time is never later
 ABSENT_WAIT_NS: Final = 5_000_000  # how often it looks for a host that opens the line
 POLL_IN, POLL_BROKEN = 0x1, 0x8 | 0x10 | 0x20
 IMU_RAW: Final = int(Command.IMU_RAW)
@@ -151,16 +151,17 @@ def _listen(
     file: int, until_ns: int, now_ns: int, chunk: Any, state: Any, poll: Any, timespec: Any
 ) -> bool:
     """Wait for bytes and read no more than a request lacks; return whether the line is lost."""
+    if not _wait(file, 0, 0, poll, timespec) & POLL_IN:
+        state[w.EMPTY] = now_ns
     seen = _wait(file, until_ns, now_ns, poll, timespec)
     state[w.CONNECTED] = (seen & POLL_BROKEN) == 0
-    if not seen & POLL_IN:
-        state[w.EMPTY] = now_ns
-    else:
+    if seen & POLL_IN:
         now_ns = monotonic_ns(timespec)
         missing = REQUEST_BYTES - state[w.FILL] % REQUEST_BYTES
         count = libc_read(file, chunk.ctypes, missing)
         if count > 0:
-            has_stood = 0 < state[w.EMPTY] < now_ns - STOOD_NS  # its sender may be gone since
+            # its sender may be gone since
+            has_stood = 0 < state[w.EMPTY] < now_ns - max(state[w.LIMIT], STOOD_NS)
             begins_ns = max(state[w.EMPTY] if has_stood else now_ns, state[w.RX_LAST])
             if state[w.MORE]:  # however late they are read, they have come behind the last ones
                 begins_ns = state[w.RX_LAST]

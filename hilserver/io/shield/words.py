@@ -16,6 +16,7 @@ ALONE: Final = 1  # flag of a request that stood alone and did not end as it sho
     BYTE,  # [ns] that one byte lasts
     DELAY,  # [ns] from a request to its response
     PAUSE,  # [ns] of silence that end a burst
+    LIMIT,  # [ns] of silence that end a command
     IS_PTY,
     RAW,  # 1: the IMU's raw values, 0: quaternion
     # framing
@@ -48,7 +49,7 @@ ALONE: Final = 1  # flag of a request that stood alone and did not end as it sho
     LATE_SUM,  # [ns]
     LATE_MAX,  # [ns]
     LATE_COUNTS,
-) = range(34)
+) = range(35)
 PENDING_ROWS: Final = LATE_COUNTS + N_BUCKETS  # PENDING x (command, due)
 RING_ROWS: Final = PENDING_ROWS + 2 * PENDING  # WAITING_MOST x (command, flags, payload, time)
 STAMP_ROWS: Final = RING_ROWS + 4 * WAITING_MOST  # STAMPS x (due, written)

@@ -51,6 +51,8 @@ async def test_silence_withdraws_enable_and_a_command_brings_it_back(robot):
     await robot.forget()
     await robot.host(timeout_s=0.3, count=20)
     assert robot.device.limit_ns == pytest.approx(300_000_000, rel=1e-6)
+    limit_ns = robot.device.limit_ns
+    await robot.until(lambda: robot.status.words[w.LIMIT] == limit_ns, "the line's thread has it")
     await robot.until(lambda: robot.read("drive.enable") == 0.0, "enable is withdrawn")
     await robot.until(lambda: robot.status.stale, "the host is silent")
     assert not robot.status.enabled

@@ -1,6 +1,7 @@
 """What the thread of the line makes of bytes, however late it is."""
 
 import os
+import threading
 import time
 
 import numpy as np
@@ -11,7 +12,7 @@ from hilserver.io.shield.framing import stands_alone
 from hilserver.io.shield.protocol import BYTE_NS, REQUEST_BYTES, Command, request
 from hilserver.io.shield.wire import STOOD_NS, _listen, _receive
 
-HOUR_NS = 3600 * 10**9
+HOUR_NS, PATIENCE_NS = 3600 * 10**9, 60 * 10**9
 
 
 class Line:
@@ -24,10 +25,12 @@ class Line:
         self.chunk, self.frame = np.zeros((2, REQUEST_BYTES), dtype=np.uint8)
         self.poll, self.scratch = np.zeros(2, dtype=np.int32), np.zeros(3, dtype=np.int64)
 
-    def read(self):
+    def read(self, patience_ns=0):
         """Read once; whatever this thread reads later, it reads after a pause of its own."""
         now_ns = time.monotonic_ns()
-        _listen(self.far, 0, now_ns, self.chunk, self.state, self.poll, self.scratch)
+        _listen(
+            self.far, now_ns + patience_ns, now_ns, self.chunk, self.state, self.poll, self.scratch
+        )
         _receive(self.chunk, self.frame, self.state, -1, self.scratch[2:])
 
 
@@ -63,9 +66,12 @@ def test_bytes_that_came_later_have_come_after_a_pause(line):
     assert line.state[w.SKIPPED] == 6
 
 
-def test_what_has_waited_while_the_thread_stood_is_as_old_as_that(line):
+@pytest.mark.parametrize("limit_ms", [1, 100, 1000])
+def test_what_has_waited_while_the_thread_stood_is_as_old_as_that(line, limit_ms):
     line.read()
-    empty_ns = line.state[w.EMPTY] = line.state[w.EMPTY] - STOOD_NS
+    line.state[w.LIMIT] = limit_ms * 1_000_000
+    stood_ns = max(STOOD_NS, line.state[w.LIMIT])
+    empty_ns = line.state[w.EMPTY] = line.state[w.EMPTY] - stood_ns
     os.write(line.near, 3 * request(Command.ENABLE))
     for _ in range(3):
         line.read()
@@ -79,10 +85,26 @@ def test_what_has_waited_while_the_thread_stood_is_as_old_as_that(line):
     assert came_ns[3] >= stood_ns
 
 
-def test_whoever_looks_in_time_has_not_stood(line):
+def test_a_command_survives_a_standstill_that_is_shorter_than_the_limit(line):
     line.read()
-    line.state[w.EMPTY] -= STOOD_NS // 3
+    line.state[w.LIMIT] = HOUR_NS
+    line.state[w.EMPTY] -= HOUR_NS // 2
     os.write(line.near, request(Command.ENABLE))
     before_ns = time.monotonic_ns()
     line.read()
     assert line.state[w.RX_LAST] >= before_ns
+
+
+def test_whoever_waits_for_bytes_has_just_seen_that_there_are_none(line):
+    """A wait behind another one is no standstill, whatever comes at its end."""
+    line.read()
+    line.state[w.EMPTY] -= HOUR_NS
+    before_ns = line.state[w.RX_LAST] = time.monotonic_ns()
+    waiting = threading.Thread(target=line.read, args=(PATIENCE_NS,))
+    waiting.start()
+    while line.state[w.EMPTY] < before_ns and waiting.is_alive():
+        time.sleep(0.001)
+    os.write(line.near, request(Command.ENABLE))
+    waiting.join()
+    assert line.state[w.REQUESTS] == 1
+    assert line.state[w.RX_LAST] > before_ns + REQUEST_BYTES * BYTE_NS
