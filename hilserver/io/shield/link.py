@@ -184,6 +184,7 @@ class ShieldLink(Part):
         self._line = None
         line.close()
         self._tell(f"the line {line.path} is lost")
+        self.status.words[[w.FILL, w.RX_LAST, w.EMPTY, w.MORE]] = 0  # of that line alone
         while not self._stopping.wait(REOPEN_S):
             with contextlib.suppress(FailedError):
                 self._line = self._opened()

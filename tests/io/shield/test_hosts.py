@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import os
+import time
 
 import numpy as np
 import pytest
@@ -141,6 +142,39 @@ async def test_a_real_line_is_answered_and_its_loss_survived(tmp_path, host_prog
 
         await robot.until(is_named, "the loss is an event")
         await robot.until(lambda: not robot.status.connected, "the line is lost")
+
+
+async def test_what_comes_when_a_line_is_back_belongs_to_nothing_before(
+    tmp_path, host_program, monkeypatch
+):
+    """A request is half there when the line is lost; the next one waits when it is back."""
+    device = tmp_path / "line"
+    near, far = os.openpty()
+    device.symlink_to(os.ttyname(far))
+    limits = {"device": str(device), "stale_after_ms": 100}
+    async with running_robot(tmp_path, host_program, **limits) as robot:
+        os.close(far)
+        words, opened, back_ns = robot.status.words, robot.shield._opened, []
+        os.write(near, request(Command.ENABLE) + request(Command.ENABLE)[:5])
+        await robot.until(lambda: words[w.FILL] == 5, "half a request is there")
+
+        def opened_and_sent():
+            line = opened()
+            back_ns.append(time.monotonic_ns())
+            os.write(near, request(Command.ENABLE))
+            return line
+
+        monkeypatch.setattr(robot.shield, "_opened", opened_and_sent)
+        device.unlink()
+        os.close(near)
+        await robot.until(lambda: robot.shield.address == "", "the line is lost")
+        near, far = os.openpty()
+        device.symlink_to(os.ttyname(far))
+        await robot.until(lambda: back_ns and words[w.RING_TAIL] == 2, "the request is taken")
+        assert robot.shield._received_ns >= back_ns[0]
+        assert words[w.SKIPPED] == 0
+    os.close(near)
+    os.close(far)
 
 
 async def test_a_mistyped_device_ends_the_start_with_a_sentence(tmp_path, host_program):
