@@ -33,11 +33,11 @@ class Arrivals:
     """Dates what is read where nobody says when it came, which is now but behind a standstill.
 
     Then it may be as old as that, and whoever has sent it gone. `limit_ns`: a standstill that a
-    command does not survive.
+    command does not survive. `left_over_ns`: how long it takes at least until all is read.
     """
 
-    def __init__(self, limit_ns: int) -> None:
-        self._limit_ns = limit_ns
+    def __init__(self, limit_ns: int, left_over_ns: int = LEFT_OVER_NS) -> None:
+        self._limit_ns, self._least_ns = limit_ns, left_over_ns
         self._looked_ns = self._stood_since_ns = self._left_over_until_ns = 0  # 0: not yet
 
     def came_ns(self, now_ns: int) -> int:
@@ -54,6 +54,6 @@ class Arrivals:
         stood_ns = now_ns - self._looked_ns
         if not self._looked_ns or stood_ns <= WATCH_NS + self._limit_ns:
             return
-        draining_ns = max(LEFT_OVER_NS, stood_ns // LEFT_OVER_SHARE)
+        draining_ns = max(self._least_ns, stood_ns // LEFT_OVER_SHARE)
         self._stood_since_ns, self._left_over_until_ns = self._looked_ns, now_ns + draining_ns
         self._looked_ns = now_ns

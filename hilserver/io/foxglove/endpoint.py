@@ -37,6 +37,7 @@ SET: Final = "/hilserver/set"
 SCENE_EVERY_S: Final = 5.0
 MOST_WAITING: Final = 100
 TAKE_EVERY_S: Final = 0.005
+HANDED_OVER_NS: Final = 1_000_000_000  # after a standstill, what came is in the inbox by then
 _SIGNALS: Final = TypeAdapter(dict[str, Any])
 
 
@@ -74,7 +75,7 @@ class Endpoint(Part):
         self._transforms = FrameTransformChannel("/transforms", context=self._context)
         self._scene = SceneUpdateChannel("/scene", context=self._context)
         self._door = Door(config.origins)
-        self._arrivals = Arrivals(round(world.config.page.deadman_ms * 1e6))
+        self._arrivals = Arrivals(round(world.config.page.deadman_ms * 1e6), HANDED_OVER_NS)
         self._server: Any = None
         self._tasks: list[asyncio.Task[None]] = []
 

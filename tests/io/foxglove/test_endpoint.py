@@ -3,6 +3,7 @@
 import asyncio
 import json
 import struct
+import time
 from contextlib import asynccontextmanager
 
 import aiohttp
@@ -12,7 +13,9 @@ from mcap_ros2._dynamic import generate_dynamic
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
 from hilserver.errors import FailedError
+from hilserver.io.arrival import WATCH_NS
 from hilserver.io.foxglove.door import LARGEST_MESSAGE, Door
+from hilserver.io.foxglove.endpoint import HANDED_OVER_NS
 from hilserver.ros.types import known_types
 from tests.io.ros2.rig import value
 from tests.loopback.rig import configuration, wait_until
@@ -95,6 +98,19 @@ async def test_signals_transforms_and_hall():
         assert viewer.channels["/transforms"]["schemaName"] == "foxglove.FrameTransform"
         assert b"base_link" in (await viewer.subscribe("/transforms", 2))[0]
         assert b"hall" in (await viewer.subscribe("/scene", 3))[0]
+
+
+async def test_what_the_sdk_hands_over_late_after_a_standstill_is_as_old_as_that():
+    async with robot() as daemon:
+        arrivals = daemon.part("foxglove")._arrivals
+        stood = time.monotonic_ns()
+        back = stood + 2_000_000_000
+        until = back + HANDED_OVER_NS
+        arrivals.look(stood)
+        for at in range(back, until, WATCH_NS):
+            assert arrivals.came_ns(at) == stood
+            arrivals.look(at)
+        assert arrivals.came_ns(until) == until
 
 
 async def test_what_is_published_obeys_control_and_the_dead_man(caplog):
