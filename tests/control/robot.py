@@ -241,3 +241,8 @@ class History:
         rpm = np.where(mode == 2, self["wheel.fl.duty_command_pct"], rpm)
         rpm = np.where(self["drive.enable"] == 0, 0.0, rpm)
         return np.where(self["internal.command"] == COMMANDING, rpm, np.nan)
+
+    @property
+    def stands(self):
+        """Whether the front left wheel is to stand; in the safe state whatever is commanded."""
+        return (np.abs(self.wheel_rpm) < STANDING_RPM) | (self["internal.command"] > COMMANDING)

@@ -292,8 +292,11 @@ class Stage:
         limit_ms = (LEASE_MS[source] or COMMUNICATION_MS) + SLACK_MS
         end_s = (at_ns + limit_ms * 1e6) / 1e9 + WATCH_S
         time.sleep(max(end_s - time.monotonic(), 0.0))
+        ends_ns = at_ns + limit_ms * 1e6
+        is_over = lambda: self.eye.since(head).times_ns.max(initial=0) >= ends_ns  # noqa: E731
+        assert self.wait(is_over, SOON_S), f"no tick after {limit_ms} ms"
         seen = self.eye.since(head)
-        turns_ns = seen.times_ns[np.abs(seen.wheel_rpm) > STANDING_RPM]
+        turns_ns = seen.times_ns[~seen.stands]
         late_ms = (turns_ns.max(initial=at_ns) - at_ns) / 1e6
         assert late_ms <= limit_ms, (
             f"{self._says()}: it turns for {late_ms:.0f} ms, {limit_ms} are allowed"
