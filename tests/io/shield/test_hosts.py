@@ -156,7 +156,9 @@ async def test_what_comes_when_a_line_is_back_belongs_to_nothing_before(
         os.close(far)
         words, opened, back_ns = robot.status.words, robot.shield._opened, []
         os.write(near, request(Command.ENABLE) + request(Command.ENABLE)[:5])
-        await robot.until(lambda: words[w.FILL] == 5, "half a request is there")
+        await robot.until(
+            lambda: words[w.RING_TAIL] == 1 and words[w.FILL] == 5, "a request and a half are there"
+        )
 
         def opened_and_sent():
             line = opened()
