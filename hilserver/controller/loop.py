@@ -56,6 +56,8 @@ class Controller:
     sequence: int = 0  # counts cycles, modulo 2**32
     # ``eight``: the figure. ``wheels``: each wheel alone, from the first pose on
     pattern: str = "eight"
+    # asked before anybody can know that we listen, and end
+    parent: int = field(default_factory=os.getppid)
     _s: float = 0.0
     _watch: PoseWatch = field(default_factory=PoseWatch)
     _driving: bool = False
@@ -83,9 +85,9 @@ class Controller:
 
     async def run(self) -> None:
         """Cycle until cancelled, or until the process that started us is gone."""
-        loop, parent = asyncio.get_running_loop(), os.getppid()
+        loop = asyncio.get_running_loop()
         deadline_s = loop.time()
-        while self.sequence % PARENT_CHECK_CYCLES or os.getppid() == parent:
+        while self.sequence % PARENT_CHECK_CYCLES or os.getppid() == self.parent:
             await self.cycle()
             # A late cycle is not made up for: the next one keeps its place on the grid.
             missed = max(0, int((loop.time() - deadline_s) / PERIOD_S))

@@ -1,6 +1,7 @@
 """The controller as a process: serves, drives on a living pose, stops without one, ends cleanly."""
 
 import asyncio
+import os
 import re
 import signal
 import sys
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 from asyncua import Client, ua
 
-from hilserver.controller.loop import PoseWatch
+from hilserver.controller.loop import Controller, PoseWatch
 from hilserver.controller.nodes import NAMESPACE, SENSORS, SEQUENCE, SETPOINTS, demo_peer
 from hilserver.controller.path import Pose
 from tests.io.opcua_client.conftest import make_harness, wait_until
@@ -119,6 +120,14 @@ async def test_ends_with_its_parent():
             return True
 
     await wait_until(gone, LIMIT_S)
+
+
+async def test_a_parent_that_ends_before_the_first_cycle_is_missed(monkeypatch):
+    """It knows that the controller listens, and so may end, before the controller drives."""
+    controller = Controller(server=None)
+    monkeypatch.setattr(os, "getppid", lambda: 1)
+    async with asyncio.timeout(LIMIT_S):
+        await controller.run()
 
 
 async def test_it_ends_without_a_word_when_its_starter_is_gone():
