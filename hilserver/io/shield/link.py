@@ -125,14 +125,15 @@ class ShieldLink(Part):
 
     async def stop(self) -> None:
         """Close the line; limited to `END_WITHIN_S`."""
-        if self._line is None:
+        if self._thread.ident is None:
             return
         self._watching.cancel()
         await asyncio.to_thread(self._end_thread)
         atexit.unregister(self._end_thread)
         self._loop.remove_reader(self._doorbell)
         os.close(self._doorbell)
-        self._line.close()
+        if self._line is not None:  # else it was lost
+            self._line.close()
         self.status.connected, self.status.state = False, LinkState.STOPPED
 
     def _opened(self) -> Line:
