@@ -142,6 +142,8 @@ async def test_a_real_line_is_answered_and_its_loss_survived(tmp_path, host_prog
 
         await robot.until(is_named, "the loss is an event")
         await robot.until(lambda: not robot.status.connected, "the line is lost")
+    thread = robot.shield._thread
+    assert not thread.is_alive(), "it would open the line again and take what the next one is sent"
 
 
 async def test_what_comes_when_a_line_is_back_belongs_to_nothing_before(
