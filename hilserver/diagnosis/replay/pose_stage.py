@@ -19,8 +19,9 @@ from hilserver.diagnosis.catalogue.traits import Need
 from hilserver.diagnosis.catalogue.vocabulary import LATENCIES
 from hilserver.diagnosis.checks.support import row_period_s
 from hilserver.diagnosis.replay.encoders import Driven, driven
-from hilserver.diagnosis.replay.kernels import run_pose, sample, sample_tag
+from hilserver.diagnosis.replay.kernels import sample
 from hilserver.diagnosis.replay.model import robot_with
+from hilserver.diagnosis.replay.pose_kernels import run_pose, sample_tag
 from hilserver.diagnosis.replay.positions import begins_anew, driven_place, paired
 from hilserver.diagnosis.replay.stack import Stack, make_stack
 from hilserver.diagnosis.replay.stage import Stage

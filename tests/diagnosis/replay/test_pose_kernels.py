@@ -5,8 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from hilserver.diagnosis.replay.kernels import _run_segment, run_pose
 from hilserver.diagnosis.replay.model import robot_with
+from hilserver.diagnosis.replay.pose_kernels import _run_segment, run_pose
 from hilserver.plant.kinematics import speeds_suffice
 from hilserver.plant.layout import Outputs
 from hilserver.plant.packing import initial_state, pack
