@@ -30,6 +30,7 @@ from hilserver.program.progress import Progress
 from hilserver.program.workers import in_processes
 
 EXAMPLE = "hilserver diagnose run1.csv run2.csv -c config.yaml -o diagnosis"
+STOPPED = "stopped before the diagnosis was finished: no report was written"
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,40}")
 _ERRORS = {2: LogError, 78: ConfigError}
 
@@ -98,15 +99,8 @@ def run(args: argparse.Namespace) -> int:
         jobs=args.jobs,
         groups=tuple(args.group or ()),
     )
-    with Progress() as progress:
-        try:
-            outcome = diagnose(task, progress)
-        except SystemExit:
-            progress.say(
-                "hilserver: stopped before the diagnosis was finished: no report was written",
-                sys.stderr,
-            )
-            raise
+    with Progress(lambda: STOPPED) as progress:
+        outcome = diagnose(task, progress)
     if outcome.error:
         raise _ERRORS.get(outcome.exit_code, FailedError)(outcome.error + _aid(args, outcome))
     write(args.out, outcome.files)
@@ -164,21 +158,20 @@ def _each(args: argparse.Namespace) -> int:
     tasks = [Task((log.absolute(),), config, mapping, seed=args.seed) for log in args.logs]
     folders = _folders(args.logs)
     code, done = EXIT_DONE, 0
-    with Progress() as progress, closing(_outcomes(args, tasks)) as outcomes:
-        try:
-            for index, outcome in outcomes:
-                done += 1
-                progress(f"{done} of {len(tasks)} logs", done / len(tasks))
-                if outcome.error:
-                    code = max(code, outcome.exit_code)
-                    progress.say(f"hilserver: {outcome.error}", sys.stderr)
-                    continue
-                write(args.out / folders[index], outcome.files)
-                progress.say(f"{folders[index]}: {outcome.line}", sys.stdout)
-        except SystemExit:
-            text = f"hilserver: stopped after {done} of {len(tasks)} logs; their reports are kept"
-            progress.say(text, sys.stderr)
-            raise
+
+    def stopped() -> str:
+        return f"stopped after {done} of {len(tasks)} logs; their reports are kept"
+
+    with Progress(stopped) as progress, closing(_outcomes(args, tasks)) as outcomes:
+        for index, outcome in outcomes:
+            done += 1
+            progress(f"{done} of {len(tasks)} logs", done / len(tasks))
+            if outcome.error:
+                code = max(code, outcome.exit_code)
+                progress.say(f"hilserver: {outcome.error}", sys.stderr)
+                continue
+            write(args.out / folders[index], outcome.files)
+            progress.say(f"{folders[index]}: {outcome.line}", sys.stdout)
     return code
 
 

@@ -6,8 +6,8 @@ population (how machines scatter), or both. Results do not depend on the number 
 
 import argparse
 import os
-import sys
 import time
+from contextlib import closing
 from pathlib import Path
 
 from hilserver.commands.options import PROCESSES, add_config
@@ -103,17 +103,8 @@ def _only(prepared: Prepared, index: int, out: Path) -> int:
 def _sweep(prepared: Prepared, args: argparse.Namespace) -> Table:
     indices = range(prepared.sweep.machines)
     journal = Journal(args.out, prepared.job.key, resume=args.resume)
-    try:
+    with closing(journal):
         _drive(prepared, journal, args)
-    except SystemExit:
-        n = len(journal.done)
-        print(
-            f"hilserver: stopped after {n} of {len(indices)} machines; go on with --resume",
-            file=sys.stderr,
-        )
-        raise
-    finally:
-        journal.close()
     table = table_of(prepared, journal, indices)
     write_table(args.out, table)
     write_report(args.out, table)
@@ -128,10 +119,14 @@ def _drive(prepared: Prepared, journal: Journal, args: argparse.Namespace) -> No
     began_s, before = time.monotonic(), len(journal.done)
     if before >= n:
         return
+
+    def stopped() -> str:
+        return f"stopped after {len(journal.done)} of {n} machines; go on with --resume"
+
     workers = (
         DaskWorkers(args.dask) if args.dask else LocalWorkers(args.workers, job.limits.memory_mb)
     )
-    with workers, Progress() as progress:
+    with Progress(stopped) as progress, workers:
         found = outcomes(job, prepared.machines(left), workers, mixed=args.mixed)
         for computer, batch in found:
             journal.add(batch, computer)

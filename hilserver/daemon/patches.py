@@ -36,6 +36,8 @@ class Patches:
     def __init__(self, folder: Path, core: Core) -> None:
         self._folder, self._core = folder, core
         self._patch = core.assembly.patch
+        # the file's values that are in force; a reload brings others
+        self.from_file = core.assembly.from_file
         self._lock = asyncio.Lock()
         core.snapshots.restored.append(self._follow)
 
@@ -54,7 +56,7 @@ class Patches:
     @property
     def config_sha256(self) -> str:
         """Hash that patches of this robot carry: of the file, which a diagnosis is handed."""
-        return self._core.assembly.from_file.sha256
+        return self.from_file.sha256
 
     async def load(self, name: str) -> None:
         """Lay a patch over the plant, in place of the one before.

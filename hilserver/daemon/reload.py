@@ -74,9 +74,7 @@ class Reloader:
 
     def __init__(self, daemon: Daemon, out: Stream | None = None) -> None:
         self._daemon, self._out = daemon, out
-        # the file's values that are in force: what options of the command line replaced is no
-        # change
-        self.from_file = daemon.assembly.from_file
+        self._patches = daemon.desk.patches  # what options replaced in its file is no change
         self._lock = asyncio.Lock()
 
     async def reload(self) -> bool:
@@ -98,7 +96,7 @@ class Reloader:
             return True
 
     def _apply(self, new: Config) -> None:
-        found = changes(self.from_file, new)
+        found = changes(self._patches.from_file, new)
         uses: set[str] = set()
         for change in found:
             begin = next((key for key in RELOADABLE if change.key.startswith(key)), None)
@@ -118,7 +116,7 @@ class Reloader:
                 notice("reload: changed", key=change.key, before=change.before, now=change.after)
         if not found:
             notice("reload: the configuration has not changed")
-        self.from_file = _reloaded(self.from_file, new)
+        self._patches.from_file = _reloaded(self._patches.from_file, new)
         self._daemon.config = _reloaded(self._daemon.config, new)
 
 

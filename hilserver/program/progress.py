@@ -2,7 +2,10 @@
 
 import sys
 import time
+from collections.abc import Callable
 from typing import Self, TextIO
+
+from hilserver.program.ending import end_was_asked
 
 PROGRESS_AFTER_S = 2.0
 LINE_EVERY_S = 5.0
@@ -11,10 +14,12 @@ LINE_EVERY_S = 5.0
 class Progress:
     """What is being done and how much of it is done, once it takes longer than two seconds.
 
-    A context manager; at its end the bar is gone.
+    A context manager; at its end the bar is gone. Where a signal is its end, `stopped` says what
+    there is then: the exit code is that of a program that did as it was bidden.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, stopped: Callable[[], str] | None = None) -> None:
+        self._stopped = stopped
         self._start_s = time.monotonic()
         self._shown, self._line = 0, ""
         self._next_line_s = self._start_s + PROGRESS_AFTER_S
@@ -47,8 +52,11 @@ class Progress:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, error: object, *_: object) -> None:
         self.end()
+        # Not SystemExit alone: a compiler that is interrupted fails in a way of its own.
+        if error is not None and self._stopped is not None and end_was_asked():
+            self.say(f"hilserver: {self._stopped()}", sys.stderr)
 
     def end(self) -> None:
         """Wipe the bar."""

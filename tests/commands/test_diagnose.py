@@ -1,5 +1,6 @@
 """`hilserver diagnose`: its options, files and exit codes. The engine is tested in its own room."""
 
+import contextlib
 import os
 import signal
 
@@ -72,6 +73,20 @@ def test_a_signal_ends_it_at_once_with_a_sentence_and_no_file(
     (line,) = capsys.readouterr().err.splitlines()
     assert line == "hilserver: stopped before the diagnosis was finished: no report was written"
     assert not (tmp_path / "out").exists()
+
+
+def test_a_signal_that_a_compiler_turns_into_an_error_of_its_own_is_a_sentence_too(
+    stages, tmp_path, monkeypatch, capsys
+):
+    def broken(*_, **__):
+        with contextlib.suppress(SystemExit):
+            os.kill(os.getpid(), signal.SIGTERM)
+        raise RuntimeError("no compiled object yet")
+
+    monkeypatch.setattr(pipeline, "diagnose", broken)
+    assert main(["diagnose", "a.csv", "-o", "out"]) == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == "hilserver: stopped before the diagnosis was finished: no report was written"
 
 
 def test_a_signal_among_many_logs_keeps_the_reports_so_far(stages, tmp_path, monkeypatch, capsys):

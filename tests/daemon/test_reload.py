@@ -9,7 +9,8 @@ import structlog
 
 from hilserver.commands import running
 from hilserver.commands.demo import demo_assembly, twin_assembly
-from hilserver.config.root import Config
+from hilserver.config.patch import SCHEMA_2, ModelPatch, Patch
+from hilserver.config.root import Config, load_config
 from hilserver.daemon.assembly import Assembly, assemble
 from hilserver.daemon.daemon import Daemon
 from hilserver.daemon.reload import RELOADABLE, Reloader, changes
@@ -67,7 +68,7 @@ async def test_a_running_daemon_takes_what_it_can(tmp_path: Path, monkeypatch) -
             assert not await reloader.reload()
         [line] = about_reload(said)
         assert "config.yaml:5: unknown key 'plant.max_rmp'" in line["reason"]
-        assert reloader.from_file == daemon.config
+        assert daemon.desk.patches.from_file == daemon.config
 
         path.write_text(
             good
@@ -126,6 +127,20 @@ async def test_what_options_replaced_is_no_change(tmp_path, option, name) -> Non
     with structlog.testing.capture_logs() as said:
         assert await reloader.reload()
     assert [line["key"] for line in said] == ["recording.buffer_mb"]
+
+
+async def test_a_patch_of_the_file_that_was_read_again_is_of_this_configuration(tmp_path) -> None:
+    """The hash was that of the start: each patch that was fitted after a reload warned."""
+    path = write_config(tmp_path)
+    daemon = Daemon(assemble(path))
+    before = daemon.desk.patches.config_sha256
+    path.write_text(f"{path.read_text(encoding='utf-8')}control: {{opcua_stale_after_ms: 250.0}}\n")
+    assert await Reloader(daemon).reload()
+    fitted = {"schema": SCHEMA_2, "made_from": {"config_sha256": "", "version": "1"}}
+    for sha256, is_other in ((load_config(path).sha256, False), (before, True)):
+        fitted["made_from"]["config_sha256"] = sha256
+        patch = Patch(ModelPatch.model_validate(fitted))
+        assert bool(patch.notice(daemon.desk.patches.config_sha256)) is is_other
 
 
 def test_only_limits_of_its_own_stop_a_demonstration(tmp_path) -> None:
