@@ -11,10 +11,10 @@ from typing import Final
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.decide.identifiability import MOST_SWAPS
-from hilserver.diagnosis.decide.promise import Step
+from hilserver.diagnosis.decide.promise import left_out
 from hilserver.diagnosis.decide.trial import holds, possible
 from hilserver.diagnosis.regression.columns import Library
-from hilserver.diagnosis.regression.fitting import fit
+from hilserver.diagnosis.regression.fitting import fit, fit_without
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.decisions import Action, Decision
@@ -35,8 +35,7 @@ def with_other_delays(library: Library, point: Point, rows: list[Decision]) -> P
             action, other, why = "dropped", _without_one(problem, point), SUPERFLUOUS
         if other is None:
             break
-        (gone,) = (c for c in point.model.causes if c not in other.model.causes)
-        rows.append(Decision(gone, action, Step(problem, point, other).gain, why))
+        rows += left_out(problem, point, other, action, why)
         point = other
     return point
 
@@ -78,7 +77,7 @@ def _without_one(problem: Problem, point: Point) -> Point | None:
     if len(places) < 2:
         return None
     for index in places:
-        less = fit(problem, point.model.without(index), point, iterations=3)
+        less = fit_without(problem, point, index)
         if not holds(problem, less, point):
             return less
     return None

@@ -11,12 +11,11 @@ from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.decide.promise import Step
 from hilserver.diagnosis.decide.trial import Trial, cost, possible
 from hilserver.diagnosis.regression.columns import Library
-from hilserver.diagnosis.regression.fitting import fit
+from hilserver.diagnosis.regression.fitting import fit, fit_without
 from hilserver.diagnosis.regression.linear import basis, cosine, orthogonal
 from hilserver.diagnosis.regression.problem import Point, Problem, apart
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.thresholds import (
-    GROSS,
     GROUP_COSINE,
     LEAST_GAIN,
     RIVAL_CLEAR_Z,
@@ -126,7 +125,7 @@ def rivals(library: Library, point: Point, index: int, near: Sequence[Trial] = (
     tried = (_in_its_place(problem, point, index, saved, *start) for start in starts)
     found = [rival for rival in tried if rival is not None]
     if any(r.close and r.cosine <= GROUP_COSINE for r in found):
-        without = fit(problem, point.model.without(index), point, iterations=3)
+        without = fit_without(problem, point, index)
         found = [_compared(r, without, point) for r in found]
     return sorted((r for r in found if r.ties or r.candidate.cause in best), key=lambda r: r.worse)
 
@@ -146,8 +145,8 @@ def _in_its_place(
         return None
     difference = trial.loss - point.loss
     penalty = cost(c, saved) - cost(point.model.fitted[index].candidate, saved)
-    worse, gross = float(difference.sum()) + penalty, point.deviance > GROSS * len(point.left)
-    return Rival(c, trial, alike, worse, deviations(difference, penalty), gross)
+    worse = float(difference.sum()) + penalty
+    return Rival(c, trial, alike, worse, deviations(difference, penalty), point.is_gross)
 
 
 def _compared(rival: Rival, without: Point, point: Point) -> Rival:
@@ -208,10 +207,7 @@ def with_best_rivals(
 def prune(problem: Problem, point: Point) -> Point:
     """Drop causes that the others have made superfluous, the weakest first."""
     while point.model.fitted:
-        less = [
-            fit(problem, point.model.without(index), point, iterations=3)
-            for index in range(len(point.model.fitted))
-        ]
+        less = [fit_without(problem, point, index) for index in range(len(point.model.fitted))]
         weakest = min(less, key=lambda other: float((other.loss - point.loss).sum()))
         saved = weakest.loss - point.loss
         if float(saved.sum()) > LEAST_GAIN and deviations(saved) > 2.0:

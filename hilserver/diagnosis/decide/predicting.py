@@ -16,7 +16,7 @@ from hilserver.diagnosis.regression.by_ends import fit_by_ends
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.schema.decisions import Decision
-from hilserver.diagnosis.thresholds import GROSS, LEAST_GAIN, SELECTION_MOST_CAUSES
+from hilserver.diagnosis.thresholds import LEAST_GAIN, SELECTION_MOST_CAUSES
 
 STAYS: Final = "no name, but held-out errors would grow without its column, which stays"
 COMES: Final = "too few blocks show it for a name; held-out blocks confirm its column"
@@ -76,9 +76,8 @@ def halfway(problem: Problem, by_all: Point) -> Point:
 def _further(p: Prepared, whole: Point) -> Point | None:
     """Return the model with the column that explains most of those that are confirmed."""
     problem, library = p.problem, p.library
-    gross = whole.deviance > GROSS * len(whole.left)
     starts = best_starts(library.scores(whole), library, frozenset(whole.model.causes))
-    fitted = partial(attempt, problem, whole, library, p=1.0, gross=gross)
+    fitted = partial(attempt, problem, whole, library, p=1.0, gross=whole.is_gross)
     trials = [trial for index, _ in starts[:MOST_FITTED] if (trial := fitted(index)) is not None]
     for trial in sorted(trials, key=lambda trial: -trial.gain):
         point = trial.point

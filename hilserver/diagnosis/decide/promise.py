@@ -6,6 +6,7 @@ import numpy as np
 
 from hilserver.diagnosis.regression.gain import Pair, crossed, errors, held_out
 from hilserver.diagnosis.regression.problem import Point, Problem
+from hilserver.diagnosis.schema.decisions import Action, Decision
 from hilserver.diagnosis.thresholds import NEGLIGIBLE
 
 HORIZON_S: Final = 5.0
@@ -39,6 +40,15 @@ class Step:
     def harms(self) -> bool:
         """Whether an error that is reported grows clearly."""
         return any(map(_grows, self._pairs.values()))
+
+
+def left_out(
+    problem: Problem, before: Point, after: Point, action: Action, reason: str
+) -> list[Decision]:
+    """Return a row for each cause that one model has and the next has not, with what that gains."""
+    gone = [c for c in before.model.causes if c not in after.model.causes]
+    gain = Step(problem, before, after).gain if gone else None
+    return [Decision(cause, action, gain, reason) for cause in gone]
 
 
 def _grows(pair: Pair) -> bool:

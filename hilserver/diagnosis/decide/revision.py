@@ -12,7 +12,7 @@ from hilserver.diagnosis.decide.anchors import Anchor, anchor_off, scale_or_anch
 from hilserver.diagnosis.decide.drift import changing_alike, with_drift
 from hilserver.diagnosis.decide.identifiability import Rival, prune, with_best_rivals
 from hilserver.diagnosis.decide.predicting import before_settling, halfway, with_nameless
-from hilserver.diagnosis.decide.promise import Step
+from hilserver.diagnosis.decide.promise import Step, left_out
 from hilserver.diagnosis.decide.scrubbing import bent_turn, late_turn, scrubs
 from hilserver.diagnosis.decide.selection import Selected, with_noise_anew
 from hilserver.diagnosis.decide.structure import (
@@ -24,12 +24,12 @@ from hilserver.diagnosis.decide.structure import (
 )
 from hilserver.diagnosis.decide.trial import at_bound, implausible, worth_a_name
 from hilserver.diagnosis.decide.unknown import families_of
-from hilserver.diagnosis.regression.fitting import fit
+from hilserver.diagnosis.regression.fitting import fit_without
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.screen import Scores
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.replay.model import Fitted, Model
-from hilserver.diagnosis.schema.decisions import Action, Decision
+from hilserver.diagnosis.schema.decisions import Decision
 from hilserver.diagnosis.thresholds import GROSS, LEAST_GAIN, LEFT_SHARE, TIE
 
 BY_STRUCTURE: Final = "unknown structure explains as much"
@@ -71,10 +71,10 @@ def revised(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     drift = {cause: p for cause, p in drift.items() if cause in point.model.causes}
     bare = point is not fitted and not point.model.fitted
     # what they did not explain is no less gross without them
-    if is_missed or (bare and not unknown and fitted.deviance > GROSS * len(fitted.left)):
+    if is_missed or (bare and not unknown and fitted.is_gross):
         unknown = _remaining(problem, point, rng, 0.0 if bare else explained)
     if not drift and fails(p, point):
-        rows += _left_out(problem, point, p.base, "dropped", "far more remains than it explains")
+        rows += left_out(problem, point, p.base, "dropped", "far more remains than it explains")
         point = problem.point(Model(), p.base.poses)
         unknown = _remaining(problem, point, rng, 0.0)
     scrubbed = scrubs(problem, point, unknown)
@@ -147,7 +147,7 @@ def _changing(
     clear = not p.problem.stage.memoryless or left < GROSS * len(point.left)
     if changing.p and clear and changing.gain > max((u.gain for u in unknown), default=0.0):
         why = "another cause changes along the log"
-        rows += _left_out(p.problem, point, changing.point, "dropped", why)
+        rows += left_out(p.problem, point, changing.point, "dropped", why)
         return changing.point, [], changing.p
     return point, unknown, {}
 
@@ -198,7 +198,7 @@ def _harmless(problem: Problem, point: Point, doubtful: Iterable[int]) -> set[in
     """
     found = set()
     for index in doubtful:
-        less = fit(problem, point.model.without(index), point, iterations=3)
+        less = fit_without(problem, point, index)
         if not Step(problem, point, less).harms:
             found.add(index)
     return found
@@ -208,8 +208,8 @@ def _dropped(
     problem: Problem, point: Point, index: int, rows: list[Decision], reason: str
 ) -> Point:
     """Return a model without one of its causes."""
-    less = fit(problem, point.model.without(index), point, iterations=3)
-    rows += _left_out(problem, point, less, "dropped", reason)
+    less = fit_without(problem, point, index)
+    rows += left_out(problem, point, less, "dropped", reason)
     return less
 
 
@@ -219,13 +219,13 @@ def _weighed(p: Prepared, selected: Selected) -> tuple[Point, dict[str, list[Riv
     if not point.model.fitted:
         return point, {}
     exchanged, ties = with_best_rivals(p.library, point, selected.near)
-    rows += _left_out(problem, point, exchanged, "swapped", "a rival explains the data better")
+    rows += left_out(problem, point, exchanged, "swapped", "a rival explains the data better")
     point = prune(problem, exchanged)
-    rows += _left_out(problem, exchanged, point, "dropped", "the others have made it superfluous")
+    rows += left_out(problem, exchanged, point, "dropped", "the others have made it superfluous")
     simpler = with_fewer(problem, point, ties)
     if simpler is None:
         return point, ties
-    rows += _left_out(problem, point, simpler, "swapped", "a rival needs no other cause beside it")
+    rows += left_out(problem, point, simpler, "swapped", "a rival needs no other cause beside it")
     return with_best_rivals(p.library, with_noise_anew(problem, p.library, simpler), selected.near)
 
 
@@ -265,15 +265,6 @@ def fails(p: Prepared, point: Point) -> bool:
 
     What is left then is no noise, and whatever makes it may well make the rest, too.
     """
-    if not point.model.fitted or point.deviance <= GROSS * len(point.left):
+    if not point.model.fitted or not point.is_gross:
         return False
     return point.deviance > LEFT_SHARE * p.problem.point(Model(), p.base.poses).deviance
-
-
-def _left_out(
-    problem: Problem, before: Point, after: Point, action: Action, reason: str
-) -> list[Decision]:
-    """Return a row for each cause that one model has and the next has not, with what that gains."""
-    gone = [c for c in before.model.causes if c not in after.model.causes]
-    gain = Step(problem, before, after).gain if gone else None
-    return [Decision(cause, action, gain, reason) for cause in gone]

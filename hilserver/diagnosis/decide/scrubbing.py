@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.decide.structure import Unknown
-from hilserver.diagnosis.regression.fitting import fit
+from hilserver.diagnosis.regression.fitting import fit_without
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.findings import Parameter
@@ -56,7 +56,7 @@ def bent_turn(problem: Problem, point: Point, explained: float) -> int | None:
     """
     for index, cause in enumerate(point.model.causes):
         if traits_of(cause).bends_turn:
-            less = fit(problem, point.model.without(index), point, iterations=3)
+            less = fit_without(problem, point, index)
             if less.deviance - point.deviance < INEXACT * explained:
                 return index
     return None

@@ -35,7 +35,6 @@ from hilserver.diagnosis.regression.stages import clean
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.schema.decisions import Decision
 from hilserver.diagnosis.thresholds import (
-    GROSS,
     GROUP_COSINE,
     LEAST_GAIN,
     SCREEN_LEVEL,
@@ -240,14 +239,13 @@ def _forward(
         scores = library.scores(point)
         maxima = null_maxima([scores, *other], rng)
         limit = critical(maxima)
-        gross = point.deviance > GROSS * len(point.left)
-        if np.abs(scores.t).max(initial=0.0) < limit and not gross:
+        if np.abs(scores.t).max(initial=0.0) < limit and not point.is_gross:
             break
-        starts = best_starts(scores, library, barred, gross=gross)
+        starts = best_starts(scores, library, barred, gross=point.is_gross)
         ts = [float(np.abs(scores.t[library.owner == index]).max()) for index, _ in starts]
         ps = adjusted(np.array(ts), maxima).tolist()
         tried = pool.map(
-            partial(attempt, problem, point, library, gross=gross),
+            partial(attempt, problem, point, library, gross=point.is_gross),
             [index for index, _ in starts],
             ps,
         )
@@ -334,8 +332,8 @@ def _accepted(
         causes.add(trial.candidate.cause)
         if len(causes) > MOST_FITTED:
             break
-        gross = trial.point.deviance > GROSS * len(point.left)
-        fitted = fit(problem, trial.point.model, trial.point, iterations=12 if gross else 4)
+        iterations = 12 if trial.point.is_gross else 4
+        fitted = fit(problem, trial.point.model, trial.point, iterations=iterations)
         z = wald(problem, fitted, len(fitted.model.fitted) - 1)
         saved = f"saves {trial.gain:.0f} of a deviance of {point.deviance:.0f}"
         cause, why = trial.candidate.cause, None

@@ -8,7 +8,7 @@ import numpy as np
 from hilserver.arrays import Array
 from hilserver.diagnosis.decide.unknown import Family
 from hilserver.diagnosis.regression.columns import RIDGE
-from hilserver.diagnosis.regression.fitting import fit
+from hilserver.diagnosis.regression.fitting import fit_without
 from hilserver.diagnosis.regression.linear import orthogonal, saved, scaled
 from hilserver.diagnosis.regression.problem import Point, Problem, apart
 from hilserver.diagnosis.regression.screen import (
@@ -198,7 +198,7 @@ def without_unknown(problem: Problem, point: Point, unknown: Sequence[Unknown]) 
     doubtful = []
     strength = max(u.gain for u in unknown)
     for index in range(len(point.model.fitted)):
-        reduced = fit(problem, point.model.without(index), point, iterations=3)
+        reduced = fit_without(problem, point, index)
         rest = reduced.left - base @ (base.T @ reduced.left)
         full = point.left - base @ (base.T @ point.left)
         own = float((rest**2).sum() - (full**2).sum())

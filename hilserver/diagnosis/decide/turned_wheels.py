@@ -11,7 +11,7 @@ from hilserver.diagnosis.progress import Report
 from hilserver.diagnosis.regression.screen import critical, null_maxima
 from hilserver.diagnosis.regression.stages import Prepared, prepare, stages_of
 from hilserver.diagnosis.replay.stage import Stage
-from hilserver.diagnosis.thresholds import GROSS, LEAST_GAIN, RIVAL_CLEAR_Z
+from hilserver.diagnosis.thresholds import LEAST_GAIN, RIVAL_CLEAR_Z
 from hilserver.measured.data import MeasuredLog
 
 
@@ -60,6 +60,5 @@ def _moved(
 
 def _sound(p: Prepared, rng: np.random.Generator) -> bool:
     scores = p.library.scores(p.base)
-    gross = p.base.deviance > GROSS * len(p.base.left)
     largest = float(np.abs(scores.t).max(initial=0.0))
-    return not gross and largest < critical(null_maxima([scores], rng))
+    return not p.base.is_gross and largest < critical(null_maxima([scores], rng))

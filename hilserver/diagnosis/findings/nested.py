@@ -15,7 +15,7 @@ from hilserver.diagnosis.decide.selection import select
 from hilserver.diagnosis.findings.estimate import estimate_of
 from hilserver.diagnosis.findings.outcome import named_findings
 from hilserver.diagnosis.findings.worth import Answer, Explained, Part, Predictions
-from hilserver.diagnosis.regression.fitting import fit
+from hilserver.diagnosis.regression.fitting import fit_without
 from hilserver.diagnosis.regression.gain import of_halves
 from hilserver.diagnosis.regression.stages import without
 from hilserver.diagnosis.replay.model import Model
@@ -114,5 +114,5 @@ def _model(half: Judged, barred: set[str], named: bool) -> Model:
     gone = [i for i, cause in enumerate(point.model.causes) if cause in barred]
     if not gone:
         return point.model
-    problem, less = half.prepared.problem, point.model.without(*gone)
-    return halfway(problem, fit(problem, less, point, iterations=3)).model
+    problem = half.prepared.problem
+    return halfway(problem, fit_without(problem, point, *gone)).model

@@ -49,6 +49,11 @@ def fit(
     return point
 
 
+def fit_without(problem: Problem, point: Point, *causes: int) -> Point:
+    """Return a model without some of its causes, by their places, the others fitted again."""
+    return fit(problem, point.model.without(*causes), point, iterations=3)
+
+
 def _columns_near(problem: Problem, point: Point, start: Point) -> Array:
     """Return whitened sensitivities: of causes that are alike at the start those that it has."""
     model, theirs = point.model, start.model

@@ -22,7 +22,7 @@ from hilserver.diagnosis.regression.free_poses import Bases, FreePoses
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.stack import Stack
 from hilserver.diagnosis.replay.stage import Stage
-from hilserver.diagnosis.thresholds import NEGLIGIBLE, NOISE_TAU_MAX_S
+from hilserver.diagnosis.thresholds import GROSS, NEGLIGIBLE, NOISE_TAU_MAX_S
 from hilserver.measured.channels import POSITION
 
 T = TypeVar("T")
@@ -47,6 +47,11 @@ class Point:
     def deviance(self) -> float:
         """Sum over all blocks."""
         return float(self.loss.sum())
+
+    @property
+    def is_gross(self) -> bool:
+        """Whether it leaves far more than noise."""
+        return self.deviance > GROSS * len(self.left)
 
 
 @dataclass

@@ -19,7 +19,7 @@ from hilserver.diagnosis.replay.judgeable import judged_candidates, splits
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.replay.stage import Stage
-from hilserver.diagnosis.thresholds import BLOCK_S, GROSS, HALF, SAME
+from hilserver.diagnosis.thresholds import BLOCK_S, HALF, SAME
 from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
@@ -159,7 +159,7 @@ def _coarse(problem: Problem, base: Point) -> float | None:
     long: the measured values themselves show the step, and the ripple counts as noise.
     """
     names = [n for n in SPEEDS if n in problem.stack.edges]
-    if not names or base.deviance < GROSS * len(base.left):
+    if not names or not base.is_gross:
         return None
     parts = [problem.stack.edges[n] for n in names]
     values = problem.stack.values
