@@ -2,8 +2,8 @@
 
 One principle for all channels: blocks of some seconds, each with the logarithm of the gap's mean
 square, and a two-sample test of the newest blocks against those before. The logarithm turns a
-larger gap of either sign into a shift, whatever the channel's unit; the scatter of the blocks
-before says what is usual, and their autocorrelation how much they say.
+larger gap of either sign into a shift, whatever the channel's unit. The scatter of the earlier
+blocks defines what is usual, their autocorrelation how much evidence they are.
 """
 
 import math
@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 from scipy.special import stdtr
 
 GAP_BLOCK_S: Final = 10.0
-STRIDE_S: Final = 1.0  # integrals (position, heading) are compared by what they gain in so long
-NEWEST: Final = (3, 6, 12, 24)  # how many blocks the change may be old
+STRIDE_S: Final = 1.0  # over which the change of an integral (position, heading) is compared
+NEWEST: Final = (3, 6, 12, 24)  # ages of the change that are tested [blocks]
 FEWEST_USUAL: Final = 12
 MOST_BLOCKS: Final = 720
-ALARM_EVERY_S: Final = 30 * 86400.0  # mean time between two changes that are none
+ALARM_EVERY_S: Final = 30 * 86400.0  # mean time between false alarms
 LEAST_MOVED: Final = 0.5
-"""Share of a block in which the robot has to move: at rest every model is right."""
+"""Share of a block in which the robot must move: at rest every model is right."""
 LEAST_SQUARE: Final = 1e-12
 LARGEST_GAP: Final = 1e9
-"""Beyond what any sensor of a robot shows, in any unit; the square of more may not be a number."""
+"""Larger than any sensor of a robot shows, in any unit; keeps the square finite."""
 HEADINGS: Final = ("pose.yaw_rad", "nav.yaw_rad", "imu.yaw_rad")
 POSITIONS: Final = (("pose.x_m", "pose.y_m"), ("nav.x_m", "nav.y_m"))
 _INTEGRALS: Final = {*HEADINGS, *(name for pair in POSITIONS for name in pair)}
@@ -34,7 +34,7 @@ Values = Mapping[str, float]
 
 
 class Residuals:
-    """Blocks of the gap, one number for every channel."""
+    """Sums up the gap in blocks, one number per channel."""
 
     def __init__(self, block_s: float = GAP_BLOCK_S) -> None:
         self._block_s = block_s
@@ -44,12 +44,12 @@ class Residuals:
         self._moved = self._seen = 0
 
     def take(self, t_s: float, measured: Values, simulated: Values, *, moves: bool) -> Values:
-        """Take what was measured and simulated at one instant.
+        """Take the measured and simulated values of one instant.
 
         Returns
         -------
         mapping of str to float
-            By channel, once a block is complete; empty else.
+            By channel when a block is complete, else empty.
         """
         if t_s < self._begun_s:
             self._restart(t_s)
@@ -97,7 +97,7 @@ def _square(gap: float) -> float:
 
 
 class ChangeDetector:
-    """Compares the newest blocks with those before; starts anew when the model changes."""
+    """Compares the newest blocks with earlier ones of the same model."""
 
     def __init__(self, block_s: float = GAP_BLOCK_S) -> None:
         self._level = block_s / ALARM_EVERY_S
@@ -108,7 +108,7 @@ class ChangeDetector:
         self._blocks.clear()
 
     def take(self, block: Values) -> str | None:
-        """Take a block; return the channel whose gap has grown, None while all are as usual."""
+        """Take a block; return the channel whose gap has grown, None if all are as usual."""
         if not block:
             return None
         self._blocks.append(block)
@@ -123,10 +123,10 @@ class ChangeDetector:
 
 
 def grown(rows: NDArray[np.float64], newest: int) -> NDArray[np.float64]:
-    """Return for each column the p of its last `newest` rows being no larger than those before.
+    """Return p values, one per column, for its last `newest` rows being no larger than the others.
 
-    Student's test of two samples. Rows that follow each other are alike: a sample of n counts as
-    n (1 - r) / (1 + r) with r the first autocorrelation of the rows before.
+    Student's test of two samples. Successive rows are correlated: a sample of n counts as
+    n (1 - r) / (1 + r), with r the first autocorrelation of the earlier rows.
 
     Parameters
     ----------

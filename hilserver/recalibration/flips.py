@@ -1,9 +1,9 @@
-"""Does one model explain a window better than another? Signs of whole blocks are flipped.
+"""Does one model explain a window better than another? A test by flipping signs of blocks.
 
-Both models are fixed before the window is seen. If the one at work is right, the other misses by
-some d, and a block's difference of deviances is 2 <noise, d> - <d, d>: symmetric about a value
-that is not above zero. A sum that only a share `p` of all flips reaches therefore has a chance of
-at most `p`, whatever the noise within a block is like.
+Both models are fixed before the window is seen. If the running one is right, the other is off by
+some d, and the difference of a block's deviances is 2 <noise, d> - <d, d>: symmetric about a value
+not above zero. A sum that only a share `p` of all flips reaches therefore has a probability of at
+most `p`, whatever the noise within a block is like.
 """
 
 import math
@@ -15,23 +15,23 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Of this sum of squares the right model gains 43 +- 13: beyond the level 0.05 in 95 of 100 windows.
+# With this sum of squares the right model gains 43 +- 13: significant at 0.05 in 95 % of windows.
 ENOUGH_SHOWN: Final = 43.0
-QUIET_SHARE: Final = 0.1  # of the mean of all blocks: of what is less, signs say nothing
+QUIET_SHARE: Final = 0.1  # of the mean of all blocks; signs of smaller differences are noise
 MOST_FLIPS: Final = 200_000
 _AT_ONCE: Final = 4096
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What flipping says."""
+    """Result of the test."""
 
     p: float
     resolution: float  # the smallest p that so many blocks and flips can show
     blocks: int
 
     def resolves(self, level: float) -> bool:
-        """Whether it is a test at this level at all."""
+        """Whether so few blocks can be significant at this level at all."""
         return self.resolution <= level
 
     def holds(self, level: float) -> bool:
@@ -40,14 +40,14 @@ class Answer:
 
 
 def seen(differences: Array, shown: Array) -> Array:
-    """Return differences as `gains` takes them, 0 in blocks in which nothing was to be seen.
+    """Return differences for `gains`, with 0 in blocks where the models hardly differ.
 
-    Two models of a robot that stands differ by next to nothing, and noise decides which is better.
+    While the robot stands still they differ by next to nothing, and noise would decide.
 
     Parameters
     ----------
     shown : ndarray, shape (blocks,)
-        Sum of the squares (whitened) by which the two models differ.
+        Sum of squares of the whitened difference of the two models.
     """
     counted = shown >= QUIET_SHARE * np.nansum(shown) / max(len(shown), 1)
     is_enough = float(shown[counted].sum()) >= ENOUGH_SHOWN
@@ -66,7 +66,7 @@ def gains(differences: Array, rng: np.random.Generator) -> Answer:
     n = len(counted)
     if n == 0:
         return Answer(1.0, 1.0, 0)
-    # other orders of the same signs add up to the same but for rounding
+    # the same signs in another order differ by rounding
     least = float(counted.sum()) - 1e-12 * float(np.abs(counted).sum())
     if 2**n <= MOST_FLIPS:
         signs = 1.0 - 2.0 * ((np.arange(2**n)[:, None] >> np.arange(n)) & 1)

@@ -1,7 +1,7 @@
-"""`recalibration.jsonl`: a line for every look, proposal and decision; none is ever changed.
+"""`recalibration.jsonl`: one line per look, proposal and decision, never changed.
 
-Each line carries the hash of the one before, so that a line that was changed or removed shows. A
-daemon that is killed may leave half a line; it is cut off at the next start, and the chain goes on.
+Each line carries the hash of the one before it, which exposes a line that was changed or removed.
+Half a line, left by a daemon that was killed, is cut off at the next start.
 """
 
 import hashlib
@@ -20,19 +20,19 @@ _FIRST: Final = "0" * 64
 
 
 class History:
-    """The file; appends are on disk when they return.
+    """The file; a line is on disk when `append` returns.
 
     Raises
     ------
     FailedError
-        If it cannot be read or is none.
+        If it cannot be read, or is not such a file.
     """
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / FILE
         self._size, self._last, self.number = 0, _FIRST, 0
         self.lines: list[dict[str, Any]] = []
-        """Those of earlier runs, for whoever restores what they left."""
+        """Lines of earlier runs, from which their state is restored."""
         try:
             content = self.path.read_bytes() if self.path.exists() else b""
         except OSError as error:
@@ -45,18 +45,18 @@ class History:
                     " the line and all that follow"
                 )
             if line is None:
-                break  # the last one: half of it was written when somebody pulled the plug
+                break  # half a line at the end: the daemon was killed while writing it
             self.lines.append(line)
             self._size += len(text)
             self._last, self.number = str(line.get("hash", _FIRST)), self.number + 1
 
     def append(self, kind: str, **fields: Any) -> dict[str, Any]:
-        """Append a line; whole or not at all.
+        """Append a line, whole or not at all.
 
         Raises
         ------
         FailedError
-            If the disk does not take it, or a number in it is not finite.
+            If it cannot be written, or a number in it is not finite.
         """
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
         line = {"number": self.number + 1, "time": now, "kind": kind, **fields}
@@ -78,7 +78,7 @@ class History:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             fd = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o640)
             try:
-                os.ftruncate(fd, self._size)  # half a line of before
+                os.ftruncate(fd, self._size)  # cuts off half a line
                 os.lseek(fd, self._size, os.SEEK_SET)
                 if os.write(fd, data) < len(data):
                     os.ftruncate(fd, self._size)
@@ -94,7 +94,7 @@ class History:
 
 def _parsed(text: bytes) -> dict[str, Any] | None:
     try:
-        # there is no integer of NaN and the like, which `_hash` does not take
+        # `int` raises ValueError on NaN and Infinity, which `_hash` does not accept
         line = json.loads(text, parse_constant=int)
     except (ValueError, RecursionError):
         return None
@@ -107,15 +107,15 @@ def _hash(line: Mapping[str, Any]) -> str:
 
 
 def is_sound(line: Mapping[str, Any]) -> bool:
-    """Return whether a line says what it said when it was written."""
+    """Return whether a line is as it was written."""
     try:
         return bool(line.get("hash") == _hash(line))
-    except (ValueError, RecursionError):  # none of these was ever written
+    except (ValueError, RecursionError):  # not a line of ours
         return False
 
 
 def broken(lines: Iterable[Mapping[str, Any]]) -> int | None:
-    """Return the number of the first line that does not fit the one before; None if all do."""
+    """Return the number of the first line that breaks the chain; None if none does."""
     last = _FIRST
     for count, line in enumerate(lines, 1):
         if line.get("before") != last or not is_sound(line):

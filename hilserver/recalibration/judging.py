@@ -1,9 +1,9 @@
-"""A look: what is named on one window, and how two models explain another.
+"""A look: which causes one window shows, and which of two models explains another better.
 
-The base is the configuration with what differs from it besides terms. The search starts at the
-terms that run, and estimates totals: a proposal is a change of what runs. A term that a window does
-not show stays; one that it speaks against goes. What data can resolve is no measure of what anybody
-wants to know: a change counts once its interval is further from what runs than the least change.
+The base model is the running one without its terms. The search starts from the running terms and
+estimates total values; a proposal is the change. A running term of which the window shows nothing
+is kept; one that the window contradicts is dropped. Data may resolve more than matters: a change
+counts only if its interval is further than the least change from the running value.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -38,9 +38,9 @@ from hilserver.recalibration.orders import Compared, Looked, Order, Result, Valu
 from hilserver.recalibration.proposals import Quantity, Term
 from hilserver.recalibration.spending import NAMED_LEVEL
 
-REFINED: Final = 3  # the same for both models: what is left to refine must not make a difference
+REFINED: Final = 3  # the same for both models, or the difference would be that of refinement
 HARMLESS: Final = frozenset({"dropouts", "limited_channel", "missed_ticks"})
-"""Faults of the data that leave what is there true: they are said, and bar nothing."""
+"""Data faults that leave the remaining samples true: reported, but no reason to stop."""
 PROPOSABLE: Final = (Verdict.NAMED, Verdict.NAMED_GROUP)
 
 
@@ -60,11 +60,11 @@ class Judge:
 
     @cached_property
     def log(self) -> MeasuredLog:
-        """The window; LogError if it is damaged, or holds nothing to judge."""
+        """The window; LogError if it is damaged or has nothing to judge."""
         return read_measured([Path(self._order.path)], None, self._sampling)
 
     def result(self) -> Result:
-        """Return what came of the order; what is wrong with a window is a sentence."""
+        """Carry out the order; anything wrong with the window becomes the error sentence."""
         todo, measure, confirm, look = self._todo, None, None, None
         try:
             if todo.measure is not None:
@@ -123,7 +123,7 @@ class Judge:
         )
 
     def _unchanged(self, others: Sequence[Finding], small: Sequence[Finding] = ()) -> Looked:
-        """Return that nothing is proposed; `others` have no term, `small` ones are too small."""
+        """Return the verdict if nothing is proposed: findings without a term, or too small."""
         if others:
             return Looked("unexplained", sentence_of(others))
         if small:
@@ -132,12 +132,12 @@ class Judge:
         return Looked("as_running" if self._todo.loaded else "nothing")
 
     def _with_running(self, found: dict[str, Term]) -> dict[str, Term]:
-        """Return terms, and those that run beside them; a cause goes that makes this window worse.
+        """Add the running terms that were not found; drop a cause that makes this window worse.
 
         Parameters
         ----------
         found : dict of Term
-            What the diagnosis has a value for.
+            Terms for which the diagnosis has a value.
         """
         loaded = self._todo.loaded
         unseen = {n: Term(v, unit_of(n), None, v) for n, v in loaded.items() if n not in found}
@@ -153,7 +153,7 @@ class Judge:
         return terms
 
     def _shows(self, own: Mapping[str, Term]) -> bool:
-        """Whether a cause that runs would be missed: a size of it is no smaller than a change."""
+        """Whether a running cause is large enough that its absence would be seen."""
         return any(
             is_changed(name, term, part_of(name).null, self._least_change)
             for name, term in own.items()
@@ -161,24 +161,24 @@ class Judge:
         )
 
     def _level(self, terms: Mapping[str, Term]) -> float:
-        """Return the level of one comparison of a look, which may have one for each term."""
+        """Return the level of each comparison of a look, of which there may be one per term."""
         return NAMED_LEVEL / (2 * max(len({*terms, *self._todo.loaded}), 1))
 
 
 def sentence_of(findings: Sequence[Finding]) -> str:
-    """Return what findings say."""
+    """Join the explanations of findings."""
     return " ".join(f.explanation for f in findings)
 
 
 def steady(diagnosis: Diagnosis) -> list[FittedTerm]:
-    """Return the terms that a diagnosis has a value for: what changes along the window has none."""
+    """Return the terms with one value for the whole window: those that drift have none."""
     found = diagnosis.findings.findings
     drifting = {name for f in found if f.verdict is Verdict.DRIFT for name in f.parameters}
     return [fitted for fitted in diagnosis.evidence.extension if fitted.name not in drifting]
 
 
 def proposed(found: Iterable[FittedTerm], loaded: Values, least_change: float) -> dict[str, Term]:
-    """Return the terms that were found; what changes too little keeps its present value.
+    """Return the terms that were found; one that changes too little keeps its present value.
 
     A cause that is off stays off unless one of its sizes has changed.
     """
@@ -200,12 +200,12 @@ def proposed(found: Iterable[FittedTerm], loaded: Values, least_change: float) -
 
 
 def now_of(name: str, term: Term) -> float | None:
-    """Return what a term is now; None if it is off and no number says that."""
+    """Return the present value of a term; None if it is off and has no neutral value."""
     return part_of(name).null if term.present is None else term.present
 
 
 def is_changed(name: str, term: Term, now: float | None, least_change: float) -> bool:
-    """Return whether the interval of a term is further from a value than the least change.
+    """Return whether the interval of a term is further than the least change from a value.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The recalibration as a part of the daemon, where the configuration has it."""
+"""Recalibration as a part of the daemon, if the configuration enables it."""
 
 from collections.abc import Iterator
 
@@ -6,7 +6,7 @@ from hilserver.io.world import Part, World
 
 
 def parts(world: World) -> Iterator[Part]:
-    """Yield the part; a daemon without it imports nothing of it."""
+    """Yield the part; without it, none of its modules is imported."""
     if world.config.recalibration.enabled:
         from hilserver.recalibration.part import Recalibration  # noqa: PLC0415
 

@@ -1,7 +1,7 @@
-"""Which window is looked at, and what follows from what was seen: no clock, no file, no process.
+"""Which window is judged, and what follows from the result: no clock, no file, no process.
 
-A cause is named on one window. The next one, which took no part, is compared under both models:
-only if the new one gains there, at the level that the budget has for it, there is a proposal.
+A cause is named on one window. On the next one, which took no part in that, both models are
+compared; only if the new one is better there, at the level that the budget allows, is it proposed.
 """
 
 from collections import deque
@@ -16,13 +16,13 @@ from hilserver.recalibration.proposals import Proposal, Quantity, Stage, Step, T
 from hilserver.recalibration.spending import Spending
 
 EFFECT_LEVEL: Final = 0.05
-"""Of the gain after a decision: it is reported, and offers the former model back."""
-REMEMBERED: Final = 50  # rejected proposals that are not made again
+"""Level of the test whether an accepted proposal has helped; if not, the way back is proposed."""
+REMEMBERED: Final = 50  # rejected proposals, which are not repeated
 
 
 @dataclass(frozen=True)
 class Note:
-    """A line for the history; with a sentence it is an event, too."""
+    """A line for the history; one with a sentence is an event as well."""
 
     kind: str
     fields: Mapping[str, Any]
@@ -32,7 +32,7 @@ class Note:
 
 @dataclass(frozen=True)
 class Candidate:
-    """What was named on a window and waits for the next."""
+    """What one window shows, waiting for the next to confirm it."""
 
     window: int
     loaded: Values
@@ -51,7 +51,7 @@ class Loop:
     Parameters
     ----------
     every_s : float or None
-        Look at least so often.
+        Longest time between two looks.
     now_s : float
         Start of the first window.
     """
@@ -69,7 +69,7 @@ class Loop:
     # --- windows ----------------------------------------------------------------------------------
 
     def overtaken(self, loaded: Values) -> list[Note]:
-        """Close a proposal that was accepted and no longer runs: there is nothing to compare."""
+        """Close an accepted proposal that no longer runs: its effect cannot be measured."""
         if not self._is_undone(loaded):
             return []
         assert self.proposal is not None
@@ -78,13 +78,13 @@ class Loop:
         return [Note("decision", {"who": "", "proposal": self.proposal.as_json()}, text)]
 
     def _is_undone(self, loaded: Values) -> bool:
-        """Whether something else runs than the proposal that was accepted."""
+        """Whether the running model is no longer that of the accepted proposal."""
         if self.proposal is None or self.proposal.stage is not Stage.ACCEPTED:
             return False
         return {name: term.value for name, term in self.proposal.terms.items()} != loaded
 
     def todo(self, window: int, loaded: Values, now_s: float) -> Todo | None:
-        """Return what to do with a window that is complete; None if nothing is."""
+        """Return what to do with a complete window; None if nothing."""
         candidate, proposal = self._candidate, self.proposal
         if candidate is not None and candidate.loaded != loaded:
             candidate = self._candidate = None
@@ -104,7 +104,7 @@ class Loop:
         return found if found.look or candidate is not None or measure is not None else None
 
     def take(self, todo: Todo, result: Result, now_s: float) -> list[Note]:
-        """Take what came of a window; return what has to be written down and said."""
+        """Take the result of a window; return what is to be recorded and announced."""
         notes: list[Note] = []
         if result.error:
             self._candidate = None
@@ -178,7 +178,7 @@ class Loop:
         if before is None or before.stage is not Stage.ACCEPTED:
             return []
         fields: dict[str, Any] = {"window": todo.window, "p": compared.p}
-        if not compared.resolves(EFFECT_LEVEL):  # the robot stood: the next window says it
+        if not compared.resolves(EFFECT_LEVEL):  # the robot stood still: the next window decides
             why = too_little(todo.window, compared, EFFECT_LEVEL)
             return [Note("effect", {**fields, "verdict": "too_short", "sentence": why})]
         self._accepted_in = None
@@ -191,19 +191,19 @@ class Loop:
             return [Note("effect", {**fields, "verdict": "better"}, text)]
         text = f"proposal {before.number} has not made the gap smaller"
         note = Note("effect", {**fields, "verdict": "not_better"}, text, 500)
-        if not before.gain:  # it took one back: neither of the two models is better
+        if not before.gain:  # it was itself a way back: neither model is better
             return [note]
         return [note, *self._propose(back(before, self.count + 1, todo.window))]
 
     # --- decisions --------------------------------------------------------------------------------
 
     def decided(self, step: Step, number: int) -> Proposal:
-        """Return the proposal as a decision leaves it; nothing has changed until `adopt`.
+        """Return the proposal after a decision; nothing changes until `adopt`.
 
         Raises
         ------
         ControlRefused
-            If there is none of that number, or it is decided.
+            If no proposal has that number, or it is already decided.
         """
         if self.proposal is None or self.proposal.number != number:
             newest = "there is none" if self.proposal is None else f"it is {self.proposal.number}"
@@ -211,12 +211,12 @@ class Loop:
         return self.proposal.after(step)
 
     def adopt(self, decided: Proposal, recording: int) -> None:
-        """Go on from a decision.
+        """Continue after a decision.
 
         Parameters
         ----------
         recording : int
-            Window that is being written: it holds the gap of both models.
+            Window that is being written, which contains both models.
         """
         self.proposal, self._candidate = decided, None
         if decided.stage is Stage.REJECTED:
@@ -225,17 +225,17 @@ class Loop:
             self._accepted_in, self.changed = recording, None
 
     def restore(self, lines: Iterable[Mapping[str, Any]], loaded: Values, window: int) -> None:
-        """Take over what an earlier run has left: the newest proposal, and those rejected.
+        """Restore the state of an earlier run: the newest proposal, and those rejected.
 
-        One that was accepted is open again unless the daemon starts with its patch: the gap is
-        measured on what follows `window`.
+        An accepted proposal is open again unless the daemon starts with its patch; its effect is
+        then measured on the windows after `window`.
         """
         for line in lines:
             try:
                 found = Proposal.from_json(line["proposal"])
                 self.count = max(self.count, found.number)
             except (TypeError, ValueError, KeyError, AttributeError):
-                continue  # of another kind, or of another version
+                continue  # a line of another kind or version
             self.proposal = found
             if found.stage is Stage.REJECTED:
                 self._rejected.append(found)
@@ -246,7 +246,7 @@ class Loop:
 
 
 def too_little(window: int, answer: Answer, level: float) -> str:
-    """Return why a window cannot say which of two models is better."""
+    """Explain why a window cannot tell which of two models is better."""
     return (
         f"In {answer.blocks} stretches of window {window} the robot moved so that the two models"
         f" differ; it takes {fewest_blocks(level)} to say which is better."
@@ -265,7 +265,7 @@ def present(proposal: Proposal) -> dict[str, float]:
 
 
 def back(proposal: Proposal, number: int, window: int) -> Proposal:
-    """Return the proposal that takes one back that was accepted."""
+    """Return the proposal that undoes an accepted one."""
     now = {name: term.value for name, term in proposal.terms.items()}
     before = present(proposal)
     units = {name: term.unit for name, term in proposal.terms.items()}

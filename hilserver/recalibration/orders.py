@@ -1,4 +1,4 @@
-"""What a look is asked, and what it answers: plain data between two processes."""
+"""The order for a look and its result: plain data between two processes."""
 
 import json
 from collections.abc import Mapping
@@ -8,7 +8,7 @@ from typing import Any, Self
 from hilserver.recalibration.flips import Answer
 from hilserver.recalibration.proposals import Quantity, Term, quantities_of, terms_of
 
-Values = Mapping[str, float]  # terms of the plant by name; those that are off are left out
+Values = Mapping[str, float]  # terms of the plant by name; absent: off
 
 
 @dataclass(frozen=True)
@@ -17,33 +17,33 @@ class Todo:
 
     window: int
     loaded: Values  # the terms of the model that runs
-    measure: Values | None = None  # terms of the model before: is the one that runs better?
-    # terms that were named on the window before: are they better than the one that runs?
+    measure: Values | None = None  # terms of the model before: is the running one better?
+    # terms named on the window before: are they better than the running model?
     confirm: Values | None = None
     level: float = 0.0  # of the confirmation
-    look: bool = False  # diagnose the window; not after a confirmation that holds
+    look: bool = False  # diagnose the window, unless a confirmation holds
 
 
 @dataclass(frozen=True)
 class Share:
-    """What a diagnosis may take of this computer, and with whom it ends."""
+    """The share of this computer that a look may use, and the process with which it ends."""
 
     nice: int = 0
-    cpus: tuple[int, ...] = ()  # cores that it may run on; none: all
+    cpus: tuple[int, ...] = ()  # cores it may run on; empty: all
     memory_bytes: int = 0
     parent: int = 0
 
 
 @dataclass(frozen=True)
 class Order:
-    """A `Todo` with all that a process needs for it."""
+    """A `Todo` with everything the process needs."""
 
     todo: Todo
     path: str
     # the configuration, without passwords; relative paths in it start from `folder`
     config: Mapping[str, Any]
     folder: str
-    parameters: Values  # what differs from it besides terms, by full name; NaN is null
+    parameters: Values  # other values that differ from it, by full name; NaN is null
     report: str  # folder for the report of a diagnosis
     share: Share = Share()
 
@@ -61,22 +61,22 @@ class Order:
 
 @dataclass(frozen=True)
 class Compared(Answer):
-    """How two models explain a window."""
+    """Which of two models explains a window better."""
 
     gain: Mapping[str, Quantity] = field(default_factory=dict)  # by quantity
 
 
 @dataclass(frozen=True)
 class Looked:
-    """What a diagnosis of a window has found."""
+    """The findings of a window."""
 
     # as in docs/reference/recalibration.md
     verdict: str
     sentence: str = ""
     causes: tuple[str, ...] = ()
-    # all of the model that would be proposed
+    # of the model that would be proposed, all of them
     terms: Mapping[str, Term] = field(default_factory=dict)
-    gone: Values = field(default_factory=dict)  # terms that run now and are not among them
+    gone: Values = field(default_factory=dict)  # running terms that would be switched off
     # where the terms were fitted, as in a patch
     fitted: Mapping[str, Any] = field(default_factory=dict)
     faults: tuple[str, ...] = ()  # a sentence for each fault of the data
@@ -85,7 +85,7 @@ class Looked:
 
 @dataclass(frozen=True)
 class Result:
-    """What came of an order; what was not asked for is None."""
+    """The result of an order; parts that were not ordered are None."""
 
     measure: Compared | None = None
     confirm: Compared | None = None
@@ -98,7 +98,7 @@ class Result:
 
     @classmethod
     def of(cls, text: str) -> Self:
-        """Return the result of a text; TypeError or ValueError or KeyError if it is none."""
+        """Parse a result; TypeError, ValueError or KeyError if the text is not one."""
         data = json.loads(text)
         compared = {key: _compared(data[key]) for key in ("measure", "confirm")}
         return cls(**compared, look=_looked(data["look"]), error=str(data["error"]))

@@ -1,4 +1,4 @@
-"""The daemon's side: watches the gap, has windows looked at, and does what an engineer decides."""
+"""The daemon's side: watches the gap, starts looks, and carries out the engineer's decisions."""
 
 import asyncio
 import contextlib
@@ -29,22 +29,22 @@ from hilserver.signals import MEASURED
 from hilserver.status import GOOD
 
 LOOK_FOR_WINDOWS_S: Final = 1.0
-RECORD_AGAIN_S: Final = 60.0  # after a recorder has ended; a full disk does not get emptier at once
+RECORD_AGAIN_S: Final = 60.0  # after the recorder has ended: a full disk is not freed at once
 DRIVEN_RPM: Final = 1.0
 AUTOMATIC: Final = "automatic"
 KEPT_REPORTS: Final = 20
 MOST_TEXT: Final = 500
-REPEATED_S: Final = 10.0  # a refusal that comes again within that is counted alone
-MOST_REFUSALS: Final = 20  # different ones that are said in that time
+REPEATED_S: Final = 10.0  # a refusal repeated sooner is only counted
+MOST_REFUSALS: Final = 20  # different ones announced in that time
 
 _log = structlog.get_logger(__name__)
 
 
 class Recalibration(Part):
-    """Keeps the model up with its robot.
+    """Keeps the model in step with its robot.
 
-    Everything but `start`, `stop` and the decisions is synchronous and belongs to the event loop's
-    thread; windows, looks and their files are other processes' work.
+    All but `start`, `stop` and the decisions is synchronous, in the thread of the event loop;
+    recording windows and judging them is the work of other processes.
     """
 
     section = label = "recalibration"
@@ -65,16 +65,16 @@ class Recalibration(Part):
 
     @property
     def address(self) -> str:
-        """Where the windows and the history are."""
+        """Folder of the windows and the history."""
         return str(self._folder)
 
     async def start(self) -> None:
-        """Read the history, record, and look.
+        """Read the history; start recording and judging.
 
         Raises
         ------
         FailedError
-            If the history is damaged, or the folder cannot be made.
+            If the history is damaged, or the folder cannot be created.
         """
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
@@ -101,7 +101,7 @@ class Recalibration(Part):
         ]
 
     async def stop(self) -> None:
-        """End the recorder and a look that runs."""
+        """End the recorder and a running look."""
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
@@ -129,7 +129,7 @@ class Recalibration(Part):
             await self._next(window)
 
     async def _next(self, window: Window) -> None:
-        """Do what is to be done with a window that is complete."""
+        """Judge a complete window if one is due."""
         now_s = window.number * self._config.window_s
         async with self._turn:
             loaded, _ = patches.split(self._differing)
@@ -173,7 +173,7 @@ class Recalibration(Part):
         )
 
     def _offer(self, proposal: Proposal, report: str) -> None:
-        """Write the files of a proposal; without them nobody can accept it."""
+        """Write the files of a proposal, without which it cannot be accepted."""
         _, others = patches.split(self._differing)
         self.loop.proposal = replace(proposal, report=report)
         try:
@@ -191,12 +191,12 @@ class Recalibration(Part):
     # --- decisions --------------------------------------------------------------------------------
 
     async def accept(self, number: int, who: str) -> None:
-        """Lay the patch of a proposal over the plant, in place of the one at work.
+        """Load the patch of a proposal in place of the running one.
 
         Raises
         ------
         UserError
-            If it is not open, the model has changed since, or it cannot be written down.
+            If it is not open, the model has changed since, or it cannot be recorded.
         """
         async with self._turn:
             decided = self.loop.decided(Step.ACCEPT, number)
@@ -206,14 +206,14 @@ class Recalibration(Part):
                     f"the parameters have changed since proposal {number} was made; it would undo"
                     " that: reject it, and the next look starts from what runs now"
                 )
-            # What was shown acts, whatever became of its file, beside what is set by now.
+            # Written again: what was shown is accepted, whatever has become of the file since.
             patches.write(self._patches, decided, others, self._world.files.patches.config_sha256)
             self._history.append("decision", who=who, proposal=decided.as_json())
             try:
                 await self._world.files.patches.load(decided.patch)
             except BaseException as error:
                 if self._world.files.patches.loaded == decided.patch:
-                    self._accepted(decided, who)  # it acts, though nobody waits for it any more
+                    self._accepted(decided, who)  # loaded all the same
                 else:
                     self._undone(str(error) or type(error).__name__)
                 raise
@@ -231,7 +231,7 @@ class Recalibration(Part):
         self._say(sentence)
 
     def refused(self, sentence: str) -> None:
-        """Count a decision that was refused, and say it unless it has just been said."""
+        """Count a refused decision; announce it unless the same was announced just before."""
         self.figures.decisions["refused"] += 1
         now_s = time.monotonic()
         self._refusals = {t: s for t, s in self._refusals.items() if now_s - s < REPEATED_S}
@@ -240,7 +240,7 @@ class Recalibration(Part):
             self._say(sentence, 400)
 
     def _undone(self, why: str) -> None:
-        """Write down that a decision came to nothing."""
+        """Record that a decision had no effect."""
         self.figures.decisions["undone"] += 1
         left = self.loop.proposal
         assert left is not None
@@ -248,7 +248,7 @@ class Recalibration(Part):
             self._history.append("undone", why=why[:MOST_TEXT], proposal=left.as_json())
 
     async def reject(self, number: int, who: str) -> None:
-        """Go on without a proposal, and do not make it again; UserError as for `accept`."""
+        """Reject a proposal, which is then not repeated; UserError as for `accept`."""
         await self._decide(Step.REJECT, number, who)
 
     async def postpone(self, number: int, who: str) -> None:
@@ -274,7 +274,7 @@ class Recalibration(Part):
         self._frame = frame
 
     def supervise(self) -> None:
-        """Compare what is measured with what is simulated."""
+        """Compare measured with simulated values."""
         frame, table, gate = self._frame, self._world.table, self._world.gate
         if frame is None or not self._tasks:
             return
@@ -282,7 +282,7 @@ class Recalibration(Part):
         simulated: dict[str, float] = {}
         for name in gate.measured:
             if table[name].writable:
-                continue  # a set-point that it follows: no answer of a model
+                continue  # a set-point is an input of the model
             there, here = table.slot(f"{MEASURED}{name}"), table.slot(name)
             if frame.status[there] == GOOD and frame.status[here] == GOOD:
                 measured[name] = float(frame.values[there])
@@ -298,7 +298,7 @@ class Recalibration(Part):
     # --- what doors show --------------------------------------------------------------------------
 
     def _note(self, note: Note, **more: Any) -> None:
-        """Write a line of the history, count it, and say it."""
+        """Write a line of the history, count it, and announce it."""
         verdict = str(note.fields.get("verdict", ""))
         if note.kind == "look":
             self.figures.looks[verdict] += 1

@@ -1,4 +1,4 @@
-"""The patch files of a proposal: what it proposes, and what was there before."""
+"""The patch files of a proposal: the proposed model, and the one before it."""
 
 import contextlib
 import math
@@ -28,23 +28,23 @@ Values = Mapping[str, float]
 
 
 def split(values: Values) -> tuple[dict[str, float], dict[str, float]]:
-    """Return the terms of a set of parameters, by their own names, and the others."""
+    """Split parameters into terms, by their own names, and all others."""
     terms = {n.removeprefix(TERM): v for n, v in values.items() if n.startswith(TERM)}
     return terms, {n: v for n, v in values.items() if not n.startswith(TERM)}
 
 
 def write(folder: Path, proposal: Proposal, others: Values, config_sha256: str) -> None:
-    """Write the two patches of a proposal: forth, and back to what was there before.
+    """Write the two patches of a proposal: the change, and the way back.
 
     Parameters
     ----------
     others : mapping of float
-        Parameters besides terms that differ from the configuration: they stay.
+        Parameters other than terms that differ from the configuration; both patches keep them.
 
     Raises
     ------
     FailedError
-        If the disk does not take them.
+        If they cannot be written.
     """
     before = {n: Term(v, _of(n).unit) for n, v in present(proposal).items()}
     made_from = MadeFrom(config_sha256=config_sha256, version=__version__)
@@ -67,7 +67,7 @@ def _of(term: str) -> Parameter:
 
 
 def _of_terms(made_from: MadeFrom, terms: Mapping[str, Term], fitted: Any) -> ModelPatch:
-    """Return a patch that says where its terms were fitted."""
+    """Return a patch of terms that states where they were fitted."""
     where = FittedIn.model_validate({**fitted, "conditions": "recalibration"})
     found = {
         n: PatchTerm(value=t.value, unit=t.unit, ci95=t.ci95, fitted_in=where)
@@ -77,7 +77,7 @@ def _of_terms(made_from: MadeFrom, terms: Mapping[str, Term], fitted: Any) -> Mo
 
 
 def _of_parameters(made_from: MadeFrom, values: Values) -> ModelPatch:
-    """Return a patch that sets parameters of any kind, and terms back to null."""
+    """Return a patch of any parameters, which can also switch terms off."""
     found = {
         n: PatchParameter(value=None if math.isnan(v) else v, unit=PLANT[n].unit)
         for n, v in values.items()

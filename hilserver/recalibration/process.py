@@ -1,4 +1,4 @@
-"""Starts what records the windows and what looks at one; each a process that ends with ours."""
+"""The processes that record windows and judge one; both end with the daemon."""
 
 import asyncio
 import contextlib
@@ -14,16 +14,16 @@ from hilserver.recalibration.orders import Order, Result
 from hilserver.recalibration.windows import KEPT, SIGNALS, first_file
 
 ORDER: Final = "order.json"
-MOST_SAID: Final = 300  # characters of a last line that a message repeats
+MOST_SAID: Final = 300  # characters of the last line quoted in a message
 RECORDER_STOP_S: Final = 5.0
 _PROCESSOR: Final = 36  # field of /proc/*/stat, behind the name
 
 
 async def looked(order: Order, folder: Path, limit_s: float) -> Result:
-    """Run a look; whatever becomes of its process, there is a result.
+    """Run a look; there is a result however its process ends.
 
-    Its order stays in the folder while it runs: who finds one there comes after a daemon that was
-    killed meanwhile, see `cut_short`.
+    The order stays in the folder while the look runs. One that is found there at the start was left
+    by a daemon that was killed, see `cut_short`.
     """
     path = folder / ORDER
     try:
@@ -59,9 +59,9 @@ async def _run(path: Path, limit_s: float) -> Result:
 
 
 def cut_short(folder: Path) -> int | None:
-    """Return the window whose look ended with an earlier daemon, and forget it; else None.
+    """Return, once, the window whose look was cut short when an earlier daemon was killed.
 
-    0 where its order was only half written.
+    None if there is no such window; 0 if its order was only half written.
     """
     path = folder / ORDER
     try:
@@ -94,12 +94,12 @@ def recorder(image: str, folder: Path, window_s: float, max_mb: float) -> list[s
 
 
 async def recorded(command: list[str]) -> str:
-    """Record until cancelled; return why it has ended by itself.
+    """Record until cancelled; return the reason if the recorder ends by itself.
 
     Raises
     ------
     FailedError
-        If it cannot be started.
+        If the recorder cannot be started.
     """
     try:
         async with children.started(
@@ -121,9 +121,9 @@ async def recorded(command: list[str]) -> str:
 
 
 def other_cores(pacing_thread: int, wanted: int | None) -> tuple[int, ...]:
-    """Return the cores of a look: the one that is wanted, or all but that of the pacing thread.
+    """Return the cores of a look: the wanted one, or all except that of the pacing thread.
 
-    A thread that is bound to no core stays on its last one while no other is as urgent.
+    An unbound pacing thread mostly stays on the core on which it ran last.
     """
     if wanted is not None:
         return (wanted,)

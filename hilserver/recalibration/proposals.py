@@ -1,4 +1,4 @@
-"""A proposal and its way from open to measured, as a table."""
+"""A proposal, and a table of its stages from open to measured."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -23,7 +23,7 @@ class Stage(StrEnum):
 
 
 class Step(StrEnum):
-    """What moves it: methods first, then what the loop does by itself."""
+    """What changes the stage: methods of OPC UA first, then steps of the loop itself."""
 
     ACCEPT = "AcceptProposal"
     REJECT = "RejectProposal"
@@ -44,17 +44,17 @@ FOLLOWING: Final[Mapping[Step, tuple[tuple[Stage, ...], Stage]]] = {
     Step.GAINED: ((Stage.ACCEPTED,), Stage.BETTER),
     Step.LOST: ((Stage.ACCEPTED,), Stage.NOT_BETTER),
 }
-"""In which stages a step is possible, and which follows."""
+"""For each step: the stages in which it is possible, and the one that follows."""
 
 
 @dataclass(frozen=True)
 class Term:
     """One value of a proposal."""
 
-    value: float  # total: what the term has once it is accepted
+    value: float  # of the term after acceptance
     unit: str
     ci95: Interval | None = None
-    present: float | None = None  # what it has now; None: it is off
+    present: float | None = None  # present value; None: off
 
     @property
     def interval(self) -> Interval:
@@ -108,16 +108,16 @@ class Proposal:
         return replace(self, stage=following)
 
     def within(self, ranges: Mapping[str, Interval]) -> bool:
-        """Whether all that changes lies within ranges, and nothing changes that has none."""
+        """Whether every change has a range and stays within it."""
         changed = {n: t.value for n, t in self.terms.items() if t.value != t.present}
         if not {*changed, *self.gone} <= ranges.keys():
             return False
         return all(ranges[n][0] <= value <= ranges[n][1] for n, value in changed.items())
 
     def resembles(self, other: "Proposal") -> bool:
-        """Whether it says nothing that another has not said: same terms, values in intervals.
+        """Whether it repeats another: the same terms, with intervals that overlap.
 
-        Of the same model, that is: what changes another is another proposal.
+        A change of another running model is another proposal.
         """
         if self.terms.keys() != other.terms.keys() or self.gone != other.gone:
             return False
@@ -136,7 +136,7 @@ class Proposal:
         Raises
         ------
         TypeError, ValueError, KeyError
-            If it is something else.
+            If the data are not a proposal.
         """
         own: dict[str, Any] = {key: quantities_of(data[key]) for key in ("gain", "effect")}
         own |= {key: tuple(data[key]) for key in ("causes", "windows")}

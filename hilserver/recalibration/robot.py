@@ -1,8 +1,7 @@
 """The "real robot" of ``hilserver run --twin``: another program's machine behind an OPC UA server.
 
-It drives as the model says until a cause appears that the daemon does not know. What it measures
-has the noise of real sensors; the set-points that it follows are served beside it, all with the
-time at which they were its own.
+It drives like the model until a cause appears that the daemon does not know. Its measured values
+have the noise of real sensors; they and the set-points it follows carry their own timestamps.
 """
 
 import argparse
@@ -40,12 +39,12 @@ MEASURES: Final = (
     "imu.gyro_z_rad_s",
     "battery.voltage_v",
 )
-# A set-point that jumps would show how late a row arrives rather than how the robot turns.
+# Set-points that jump would show the delay of a row rather than how the robot turns.
 RAMPS: Final = Recipe(manoeuvre="ramps", sensors={"duty_pct": Sensor(limit=100.0)})
-PUBLISHING_MS: Final = 5.0  # a quarter of a row: values get the stamp of their arrival
-STALE_MS: Final = 10_000.0  # on a busy computer it may pause without being lost
+PUBLISHING_MS: Final = 5.0  # a quarter of a row
+STALE_MS: Final = 10_000.0  # it may pause on a busy computer
 AHEAD: Final = 50  # rows that are taken at once
-LATE_S: Final = 0.02  # age at which a row is over: the next one is due
+LATE_S: Final = 0.02  # age from which a row is skipped, as the next one is due
 Pose = NDArray[np.float64]
 
 
@@ -100,7 +99,7 @@ def rows(seed: int) -> Iterator[tuple[float, dict[str, float]]]:
 def _pieces(seed: int) -> Iterator[Piece]:
     """Yield one drive after the other.
 
-    The next is made meanwhile, by a process of its own: here it would stop the server for seconds.
+    The next one is made in a process of its own; in this one it would block the server for seconds.
     """
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, context, end_with_parent, (os.getpid(),)) as pool:
@@ -127,17 +126,17 @@ def _moved(
 
 
 async def drive(server: ControllerServer, seed: int) -> None:
-    """Serve rows as they come.
+    """Serve rows at their time.
 
-    A robot does not catch up: where this process was late, the rows that are over are left out, and
-    what they alone have goes with the next one.
+    A robot does not catch up: rows that are overdue are skipped, and values that only they have are
+    served with the next one.
     """
     loop = asyncio.get_running_loop()
     nodes = {signal: node for node, signal in SETPOINTS.items()} | {n: n for n in MEASURES}
     source = rows(seed)
     begin_s, begun, sequence = math.nan, datetime.now(UTC), 0
     offered: dict[str, object] = {}
-    # The first row compiles the injector.
+    # in a thread: the first row compiles the injector
     while ahead := await asyncio.to_thread(lambda: list(itertools.islice(source, AHEAD))):
         for t_s, values in ahead:
             if math.isnan(begin_s):

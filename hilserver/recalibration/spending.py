@@ -1,19 +1,18 @@
-"""How much error a look may spend: so much a year, however often somebody looks.
+"""The error that a look may spend: a fixed rate of false proposals a year, however many looks.
 
-A false proposal needs two errors: a cause is named that is none, and its patch gains on the next
-window by chance. The first has the level of the diagnosis. The second gets what is left of the
-budget that has come in since the last look, at a constant rate; so many looks in a row get little
-each, and a rare one gets more.
+A false proposal takes two errors: a cause is named wrongly, and its patch is better on the next
+window by chance. The first has the level of the diagnosis. The level of the second follows from the
+budget, which accrues at a constant rate: frequent looks get little each, rare ones more.
 """
 
 from dataclasses import dataclass
 from typing import Final
 
 NAMED_LEVEL: Final = 0.01
-"""Of a diagnosis as a whole: any finding in a log without an effect (specification)."""
+"""Probability that a diagnosis names anything in a log without an effect (specification)."""
 YEAR_S: Final = 365.25 * 86400.0
-LONGEST_S: Final = 86400.0  # a pause of months saves nothing up
-WEAKEST: Final = 0.01  # however much has come in, no confirmation is weaker
+LONGEST_S: Final = 86400.0  # a long pause saves up no more than this
+WEAKEST: Final = 0.01  # no confirmation is weaker, whatever the budget
 
 
 @dataclass(frozen=True)
@@ -23,7 +22,7 @@ class Spending:
     false_per_year: float = 1.0
 
     def joint(self, since_s: float) -> float:
-        """Return the probability that named and confirmed are both wrong, for one look.
+        """Return the probability that one look names wrongly and is confirmed by chance.
 
         Parameters
         ----------

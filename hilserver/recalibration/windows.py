@@ -1,4 +1,4 @@
-"""The rolling window on disk: which files are complete, which are damaged, which may go."""
+"""The rolling windows on disk: which files are complete."""
 
 import hashlib
 import re
@@ -9,7 +9,7 @@ from typing import Final
 
 STEM: Final = "window"
 SUFFIX: Final = ".mcap"
-KEPT: Final = 3  # two to compare, and the one that is being written
+KEPT: Final = 3  # two to compare, and the one being written
 SIGNALS: Final = (
     "wheel.*.setpoint_rpm",
     "wheel.*.duty_command_pct",
@@ -43,12 +43,12 @@ class Window:
 
 
 def first_file(folder: Path) -> Path:
-    """Return the name that the recorder is given; it adds numbers."""
+    """Return the name passed to the recorder, which adds numbers."""
     return folder / f"{STEM}{SUFFIX}"
 
 
 def complete(folder: Path) -> Sequence[Window]:
-    """Return the complete windows, the oldest first: the newest file is still being written."""
+    """Return the complete windows, oldest first; the newest file is still being written."""
     return _all(folder)[:-1]
 
 
@@ -62,17 +62,15 @@ def _all(folder: Path) -> list[Window]:
 
 
 class News:
-    """Says of every window once that it is complete."""
+    """Reports each window once when it is complete."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        # the newest that is complete; the next one is being written
-        self.last = max(
-            (one.number for one in _all(folder)), default=0
-        )  # of a run before: not ours
+        # all files found at the start were left by an earlier run
+        self.last = max((one.number for one in _all(folder)), default=0)
 
     def next(self) -> Window | None:
-        """Return the newest window that has become complete; those before it are too late."""
+        """Return the newest window that has become complete; older ones are skipped."""
         found = complete(self._folder)
         if not found or found[-1].number <= self.last:
             return None

@@ -1,6 +1,6 @@
 """The process of one look: ``python -m hilserver.recalibration.worker ORDER``.
 
-Low priority, its own cores, bounded memory; it ends with the daemon, however that ends.
+It has low priority, its own cores and bounded memory, and ends with the daemon in any case.
 """
 
 import contextlib
@@ -14,10 +14,10 @@ from hilserver.recalibration.orders import Order, Result, Share
 
 
 def take(share: Share) -> None:
-    """Take no more than a share of this computer."""
+    """Limit this process to its share of the computer."""
     lower(share.nice)
     if share.cpus:
-        with contextlib.suppress(OSError):  # a core that this computer does not have
+        with contextlib.suppress(OSError):  # the computer may not have that core
             os.sched_setaffinity(0, share.cpus)
     if share.memory_bytes:
         resource.setrlimit(resource.RLIMIT_DATA, (share.memory_bytes, share.memory_bytes))
@@ -25,7 +25,7 @@ def take(share: Share) -> None:
 
 
 def main() -> int:
-    """Do what an order asks for; print its result as the only line."""
+    """Carry out an order; print its result as the only line."""
     order = Order.of(Path(sys.argv[1]).read_text(encoding="utf-8"))
     if order.share.parent:
         end_with_parent(order.share.parent)
