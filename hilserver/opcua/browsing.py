@@ -9,6 +9,7 @@ from collections.abc import Generator, Iterable
 from typing import Any
 
 from asyncua import ua
+from asyncua.common.utils import ServiceError
 
 from hilserver.opcua.rotation import Portions
 
@@ -60,7 +61,11 @@ MAX_POINTS = 20
 MAX_PATH_ELEMENTS = 50
 MAX_TARGETS = 1000
 _GIVE_WAY_EVERY = 50
-_ALL_FIELDS = 63
+_Mask = ua.BrowseResultMask
+_FIELDS = (
+    _Mask.ReferenceTypeId, _Mask.IsForward, _Mask.NodeClass, _Mask.BrowseName,
+    _Mask.DisplayName, _Mask.TypeDefinition,
+)  # fmt: skip
 _TO_THE_END = ua.Index(2**32 - 1)
 _DIRECTIONS = (ua.BrowseDirection.Forward, ua.BrowseDirection.Inverse, ua.BrowseDirection.Both)
 _Codes = ua.StatusCodes
@@ -78,7 +83,7 @@ class ContinuationPoints:
         """Return the next page of a point, or nothing more if it is released."""
         rest = self._points.pop(bytes(point or b""), None)
         if rest is None:
-            return _refused(_Codes.BadContinuationPointInvalid)
+            raise ServiceError(_Codes.BadContinuationPointInvalid)
         return ua.BrowseResult() if is_release else self._page(*rest, room)
 
     def first_page(self, asked: ua.BrowseDescription, most: int, room: int) -> Portions:
@@ -93,14 +98,14 @@ class ContinuationPoints:
         """
         node = self._address_space.get(asked.NodeId)
         if node is None:
-            return _refused(_Codes.BadNodeIdUnknown)
+            raise ServiceError(_Codes.BadNodeIdUnknown)
         if asked.BrowseDirection not in _DIRECTIONS:
-            return _refused(_Codes.BadBrowseDirectionInvalid)
+            raise ServiceError(_Codes.BadBrowseDirectionInvalid)
         kind = asked.ReferenceTypeId
         types: Types = None
         if kind is not None and not kind.is_null():
             if not self._is_reference_type(kind):
-                return _refused(_Codes.BadReferenceTypeIdInvalid)
+                raise ServiceError(_Codes.BadReferenceTypeIdInvalid)
             types = self._types.closure(kind) if asked.IncludeSubtypes else frozenset((kind,))
         found = []
         for number, reference in enumerate(node.references):
@@ -121,7 +126,7 @@ class ContinuationPoints:
         result, now = ua.BrowseResult(), min(size, room)
         if len(references) > now:
             if len(self._points) >= MAX_POINTS:
-                return _refused(_Codes.BadNoContinuationPoints)
+                raise ServiceError(_Codes.BadNoContinuationPoints)
             result.ContinuationPoint = secrets.token_bytes(16)
             self._points[result.ContinuationPoint] = (references[now:], size)
         result.References = references[:now]
@@ -131,30 +136,24 @@ class ContinuationPoints:
 def translate(address_space: Any, types: TypeTree, path: ua.BrowsePath) -> Portions:
     """Return the targets of a browse path; a node that is reached twice is gone on from once."""
     elements = path.RelativePath.Elements or []
-    code = _judge(path, elements, address_space)
+    if path.StartingNode not in address_space:
+        raise ServiceError(_Codes.BadNodeIdUnknown)
+    if not elements:
+        raise ServiceError(_Codes.BadNothingToDo)
+    if len(elements) > MAX_PATH_ELEMENTS:
+        raise ServiceError(_Codes.BadTooManyMatches)
+    if not elements[-1].TargetName:
+        raise ServiceError(_Codes.BadBrowseNameInvalid)
     current: Iterable[ua.NodeId] = (path.StartingNode,)
-    for element in elements if code is None else ():
+    for element in elements:
         found: dict[ua.NodeId, None] = {}
         for node_id in current:
             yield from _step(address_space, types, node_id, element, found)
         current = found
         if not found or len(found) > MAX_TARGETS:
-            code = _Codes.BadTooManyMatches if found else _Codes.BadNoMatch
-            break
-    if code is not None:
-        return ua.BrowsePathResult(StatusCode=ua.StatusCode(code))
+            raise ServiceError(_Codes.BadTooManyMatches if found else _Codes.BadNoMatch)
     targets = [ua.BrowsePathTarget(node_id, _TO_THE_END) for node_id in current]
     return ua.BrowsePathResult(Targets=targets)
-
-
-def _judge(path: Any, elements: list[Any], address_space: Any) -> int | None:
-    if path.StartingNode not in address_space:
-        return int(_Codes.BadNodeIdUnknown)
-    if not elements:
-        return int(_Codes.BadNothingToDo)
-    if len(elements) > MAX_PATH_ELEMENTS:
-        return int(_Codes.BadTooManyMatches)
-    return None if elements[-1].TargetName else int(_Codes.BadBrowseNameInvalid)
 
 
 def _step(
@@ -186,23 +185,10 @@ def _is_wanted(asked: ua.BrowseDescription, types: Types, reference: Any) -> boo
 
 def _masked(reference: ua.ReferenceDescription, mask: int) -> ua.ReferenceDescription:
     """Return a reference with the fields that are asked for (OPC 10000-4, 5.9.2)."""
-    if mask & _ALL_FIELDS == _ALL_FIELDS:
+    if mask & _Mask.All == _Mask.All:
         return reference
-    bits = ua.BrowseResultMask
-    kept = ua.ReferenceDescription(NodeId=reference.NodeId)
-    if mask & bits.ReferenceTypeId:
-        kept.ReferenceTypeId = reference.ReferenceTypeId
-    kept.IsForward = bool(mask & bits.IsForward and reference.IsForward)
-    if mask & bits.NodeClass:
-        kept.NodeClass = reference.NodeClass
-    if mask & bits.BrowseName:
-        kept.BrowseName = reference.BrowseName
-    if mask & bits.DisplayName:
-        kept.DisplayName = reference.DisplayName
-    if mask & bits.TypeDefinition:
-        kept.TypeDefinition = reference.TypeDefinition
+    kept = ua.ReferenceDescription(NodeId=reference.NodeId, IsForward=False)
+    for field in _FIELDS:
+        if mask & field:
+            setattr(kept, field.name, getattr(reference, field.name))
     return kept
-
-
-def _refused(code: int) -> ua.BrowseResult:
-    return ua.BrowseResult(StatusCode=ua.StatusCode(code))

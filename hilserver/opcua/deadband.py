@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from asyncua import ua
+from asyncua.common.utils import ServiceError
 from asyncua.ua import uaprotocol_auto
 
 from hilserver.opcua.encoding import FixedDataValue
-from hilserver.opcua.reading import RefusedError
 
 _Trigger, _Deadband, _Codes = ua.DataChangeTrigger, ua.DeadbandType, ua.StatusCodes
 _STATUS_VALUE = _Trigger.StatusValue
@@ -71,27 +71,27 @@ def change_filter(
 ) -> ChangeFilter:
     """Return the filter that a client asks for.
 
-    RefusedError: BadFilterNotAllowed or BadDeadbandFilterInvalid.
+    ServiceError: BadFilterNotAllowed or BadDeadbandFilterInvalid.
     """
     if asked is None or _is_empty(asked):
         return ChangeFilter()
     if not isinstance(asked, uaprotocol_auto.DataChangeFilter):  # asyncua decodes this one
-        raise RefusedError(_Codes.BadFilterNotAllowed)
+        raise ServiceError(_Codes.BadFilterNotAllowed)
     if not isinstance(asked.Trigger, _Trigger):
-        raise RefusedError(_Codes.BadMonitoredItemFilterInvalid)
+        raise ServiceError(_Codes.BadMonitoredItemFilterInvalid)
     if asked.DeadbandType == _Deadband.None_:
         return ChangeFilter(asked.Trigger)
     if attribute != ua.AttributeIds.Value or kind not in _NUMBERS:
-        raise RefusedError(_Codes.BadFilterNotAllowed)
+        raise ServiceError(_Codes.BadFilterNotAllowed)
     size = asked.DeadbandValue
     if not math.isfinite(size) or size < 0:
-        raise RefusedError(_Codes.BadDeadbandFilterInvalid)
+        raise ServiceError(_Codes.BadDeadbandFilterInvalid)
     if asked.DeadbandType == _Deadband.Absolute:
         return ChangeFilter(asked.Trigger, size)
     if asked.DeadbandType != _Deadband.Percent or size > 100:
-        raise RefusedError(_Codes.BadDeadbandFilterInvalid)
+        raise ServiceError(_Codes.BadDeadbandFilterInvalid)
     if eu_range is None:
-        raise RefusedError(_Codes.BadFilterNotAllowed)
+        raise ServiceError(_Codes.BadFilterNotAllowed)
     return ChangeFilter(asked.Trigger, size / 100 * (eu_range.High - eu_range.Low))
 
 

@@ -5,16 +5,18 @@ With a sampling interval of 0 it looks after every publish slice, with a longer 
 passed, and in any case not without a turn.
 """
 
+import functools
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 from asyncua import ua
+from asyncua.common.utils import ServiceError
 
 from hilserver.opcua.browsing import TypeTree
 from hilserver.opcua.deadband import ChangeFilter, change_filter
 from hilserver.opcua.items import HANDLE, EventItem, FixedEvent, Item, Room, ValueItem
-from hilserver.opcua.reading import RefusedError, find, place_for_items, value_at
+from hilserver.opcua.reading import find, place_for_items, value_at
 from hilserver.opcua.rotation import Portions
 from hilserver.opcua.where import compile_where
 
@@ -48,8 +50,6 @@ class MonitoredItems:
         self._number = 0
         self._values: dict[int, ValueItem] = {}
         self._events: dict[int, EventItem] = {}
-        self._each_frame: list[ValueItem] = []
-        self._all: list[ValueItem] = []
         self._has_links = False
         self.ready: dict[int, Item] = {}  # items with something to send
 
@@ -79,22 +79,19 @@ class MonitoredItems:
         self, request: ua.MonitoredItemCreateRequest, stamps: int, room: Room
     ) -> ua.MonitoredItemCreateResult:
         """Create an item, if there is room."""
-        result = ua.MonitoredItemCreateResult()
-        try:
-            if room.items <= 0:
-                raise RefusedError(_Codes.BadTooManyMonitoredItems)
-            if not isinstance(request.MonitoringMode, _Modes):
-                raise RefusedError(_Codes.BadMonitoringModeInvalid)
-            make: Callable[[Any, Any, Room], Item] = self._make_value
-            if request.ItemToMonitor.AttributeId == _Attributes.EventNotifier:
-                make = self._make_events
-            self._number += 1
-            item = make(request, stamps, room)
-        except RefusedError as error:
-            result.StatusCode = ua.StatusCode(error.code)
-            return result
-        result.MonitoredItemId, result.RevisedQueueSize = item.item_id, item.size
-        result.RevisedSamplingInterval = 0.0
+        if room.items <= 0:
+            raise ServiceError(_Codes.BadTooManyMonitoredItems)
+        if not isinstance(request.MonitoringMode, _Modes):
+            raise ServiceError(_Codes.BadMonitoringModeInvalid)
+        make: Callable[[Any, Any, Room], Item] = self._make_value
+        if request.ItemToMonitor.AttributeId == _Attributes.EventNotifier:
+            make = self._make_events
+        self._number += 1
+        item = make(request, stamps, room)
+        self._rearrange()
+        result = ua.MonitoredItemCreateResult(
+            MonitoredItemId=item.item_id, RevisedQueueSize=item.size, RevisedSamplingInterval=0.0
+        )
         if isinstance(item, ValueItem):
             result.RevisedSamplingInterval = item.interval_s * 1e3
             if item.mode != _Modes.Disabled:
@@ -124,7 +121,7 @@ class MonitoredItems:
         place = find(self._address_space, read.NodeId, read.AttributeId)
         notifier = value_at(place, read.NodeId, read.AttributeId).Value
         if notifier is None or not (notifier.Value or 0) & ua.EventNotifier.SubscribeToEvents.mask:
-            raise RefusedError(_Codes.BadAttributeIdInvalid)
+            raise ServiceError(_Codes.BadAttributeIdInvalid)
         wanted = check_event_filter(asked.Filter)
         where = compile_where(wanted.WhereClause, self._types)
         self._events[self._number] = item = EventItem(
@@ -143,68 +140,55 @@ class MonitoredItems:
         self, request: ua.MonitoredItemModifyRequest, stamps: int, room: Room
     ) -> ua.MonitoredItemModifyResult:
         """Change an item."""
+        item, asked = self._known(request.MonitoredItemId), request.RequestedParameters
         result = ua.MonitoredItemModifyResult()
-        item, asked = self.get(request.MonitoredItemId), request.RequestedParameters
-        try:
-            if item is None:
-                raise RefusedError(_Codes.BadMonitoredItemIdInvalid)
-            if isinstance(item, ValueItem):
-                item.change = self._change_filter(item.read, asked.Filter)
-                item.interval_s = self._revise_sampling(asked.SamplingInterval) / 1e3
-                item.due_s, item.stamps = 0.0, stamps
-                result.RevisedSamplingInterval = item.interval_s * 1e3
-            else:
-                wanted = check_event_filter(asked.Filter)
-                item.where = compile_where(wanted.WhereClause, self._types)
-                item.filter = wanted
-        except RefusedError as error:
-            result.StatusCode = ua.StatusCode(error.code)
-            return result
+        if isinstance(item, ValueItem):
+            item.change = self._change_filter(item.read, asked.Filter)
+            item.interval_s = self._revise_sampling(asked.SamplingInterval) / 1e3
+            item.due_s, item.stamps = 0.0, stamps
+            result.RevisedSamplingInterval = item.interval_s * 1e3
+        else:
+            wanted = check_event_filter(asked.Filter)
+            item.where = compile_where(wanted.WhereClause, self._types)
+            item.filter = wanted
         item.handle = HANDLE.pack(asked.ClientHandle)
         item.discard_oldest = asked.DiscardOldest
         room.items += 1
         room.queued_values += item.size - 1
         item.size = result.RevisedQueueSize = room.take(asked.QueueSize, self._longest_queue)
         item.shorten()
+        self._rearrange()
         return result
 
-    def delete(self, item_id: int) -> int:
-        """Delete an item; return a status code."""
-        item = self.get(item_id)
-        if item is None:
-            return int(_Codes.BadMonitoredItemIdInvalid)
+    def delete(self, item_id: int) -> None:
+        """Delete an item."""
+        self._known(item_id)
         self._values.pop(item_id, None)
         self._events.pop(item_id, None)
         self.ready.pop(item_id, None)
         if self._has_links:
             for other in self._items():
                 other.triggers.pop(item_id, None)
-        return int(_Codes.Good)
+        self._rearrange()
 
-    def set_mode(self, item_id: int, mode: ua.MonitoringMode) -> int:
-        """Switch an item on or off; return a status code."""
-        item = self.get(item_id)
-        if item is None:
-            return int(_Codes.BadMonitoredItemIdInvalid)
+    def set_mode(self, item_id: int, mode: ua.MonitoringMode) -> None:
+        """Switch an item on or off."""
+        item = self._known(item_id)
         was, item.mode = item.mode, mode
         self.ready.pop(item_id, None)
+        self._rearrange()
         if mode == _Modes.Disabled:
             item.forget()
-        elif isinstance(item, EventItem):
-            self._note(item)
-        elif was == _Modes.Disabled:
+        elif isinstance(item, ValueItem) and was == _Modes.Disabled:
             self._look_at([item], time.monotonic())
         else:
             self._note(item)
-        return int(_Codes.Good)
 
     def trigger(
         self, item_id: int, add: list[int], remove: list[int]
     ) -> tuple[list[int], list[int]]:
         """Link items to one whose notifications let theirs through (SetTriggering)."""
-        item = self.get(item_id)
-        if item is None:
-            raise RefusedError(_Codes.BadMonitoredItemIdInvalid)
+        item = self._known(item_id)
         removed = [
             int(_Codes.Good if item.triggers.pop(number, 0) is None else _unknown)
             for number in remove
@@ -221,6 +205,12 @@ class MonitoredItems:
                 self._has_links = True
                 added.append(int(_Codes.Good))
         return added, removed
+
+    def _known(self, item_id: int) -> Item:
+        item = self.get(item_id)
+        if item is None:
+            raise ServiceError(_unknown)
+        return item
 
     # --- sampling ---------------------------------------------------------------------------------
 
@@ -285,10 +275,18 @@ class MonitoredItems:
         if item.mode is _REPORTING:
             self.ready[item.item_id] = item
 
-    def arrange(self) -> None:
-        """Note which items are to be looked at when; after every change of items."""
-        self._all = [item for item in self._values.values() if item.mode != _Modes.Disabled]
-        self._each_frame = [item for item in self._all if item.size > 1]
+    @functools.cached_property
+    def _all(self) -> list[ValueItem]:
+        return [item for item in self._values.values() if item.mode != _Modes.Disabled]
+
+    @functools.cached_property
+    def _each_frame(self) -> list[ValueItem]:
+        return [item for item in self._all if item.size > 1]
+
+    def _rearrange(self) -> None:
+        """Have both lists made anew when they are used next: a request may change 1000 items."""
+        for name in ("_all", "_each_frame"):
+            vars(self).pop(name, None)
 
     # --- what is asked for, revised ---------------------------------------------------------------
 
@@ -319,11 +317,11 @@ _unknown = int(_Codes.BadMonitoredItemIdInvalid)
 
 
 def check_event_filter(asked: Any) -> ua.EventFilter:
-    """Return the filter of an event item; RefusedError if it selects nothing."""
+    """Return the filter of an event item; ServiceError if it selects nothing."""
     if not isinstance(asked, ua.EventFilter) or not asked.SelectClauses:
-        raise RefusedError(_Codes.BadEventFilterInvalid)
+        raise ServiceError(_Codes.BadEventFilterInvalid)
     if len(asked.SelectClauses) > MAX_SELECTED:
-        raise RefusedError(_Codes.BadEventFilterInvalid)
+        raise ServiceError(_Codes.BadEventFilterInvalid)
     return asked
 
 

@@ -1,11 +1,14 @@
 """Services on nodes: Read, Write, Call, and the views."""
 
+from typing import Any
+
 from asyncua import ua
 from asyncua.common.utils import ServiceError
 
 from hilserver.opcua import encoding
+from hilserver.opcua.application import refused
 from hilserver.opcua.browsing import MAX_REFERENCES_IN_ALL, translate
-from hilserver.opcua.portions import check_stamps, limited, status_codes
+from hilserver.opcua.portions import check_stamps, each, limited, status_codes
 from hilserver.opcua.rotation import Portions
 from hilserver.opcua.sessions import Session
 
@@ -48,48 +51,32 @@ def write(session: Session, params: ua.WriteParameters) -> Portions:
 
 def call(session: Session, params: ua.CallParameters) -> Portions:
     """Answer Call; a method may wait."""
-    results: list[ua.CallMethodResult] = []
-    texts: list[str] = []
     application = session.server.application
-    for request in limited(session, params.MethodsToCall):
-        text = ""
-        if session.is_out_of_time:
-            result = ua.CallMethodResult(StatusCode=ua.StatusCode(_Codes.BadTimeout))
-        elif application.is_method(request.MethodId):
-            result, text = yield application.call(request, session)
-        elif request.MethodId == _GET_MONITORED_ITEMS and request.ObjectId == _SERVER:
-            result = _monitored_items(session, request.InputArguments or [])
-        else:
-            is_known = request.MethodId in session.server.aspace
-            code = _Codes.BadNotImplemented if is_known else _Codes.BadMethodInvalid
-            result = ua.CallMethodResult(StatusCode=ua.StatusCode(code))
-        results.append(result)
-        texts.append(text)
-        yield
-    session.texts = texts
-    return ua.CallResponse(Results=results)
+    session.texts = texts = []
+
+    def act(request: ua.CallMethodRequest) -> Portions:
+        texts.append("")
+        if application.is_method(request.MethodId):
+            result, texts[-1] = yield application.call(request, session)
+            return result
+        if request.MethodId == _GET_MONITORED_ITEMS and request.ObjectId == _SERVER:
+            return _monitored_items(session, request.InputArguments or [])
+        is_known = request.MethodId in session.server.aspace
+        raise ServiceError(_Codes.BadNotImplemented if is_known else _Codes.BadMethodInvalid)
+
+    return each(session, params.MethodsToCall, act, ua.CallResponse(), ua.CallMethodResult)
 
 
 def _monitored_items(session: Session, arguments: list[ua.Variant]) -> ua.CallMethodResult:
-    result = ua.CallMethodResult()
     if len(arguments) != 1:
-        code = _Codes.BadTooManyArguments if arguments else _Codes.BadArgumentsMissing
-    elif arguments[0].VariantType != ua.VariantType.UInt32:
-        code = _Codes.BadInvalidArgument
-        result.InputArgumentResults = status_codes([_Codes.BadTypeMismatch])
-    else:
-        try:
-            handles = session.own(arguments[0].Value).items.handles()
-        except ServiceError as error:
-            code = error.code
-        else:
-            code = _Codes.Good
-            kind = ua.VariantType.UInt32
-            result.OutputArguments = [
-                ua.Variant([pair[i] for pair in handles], kind, None, True) for i in (0, 1)
-            ]
-    result.StatusCode = ua.StatusCode(code)
-    return result
+        raise ServiceError(_Codes.BadTooManyArguments if arguments else _Codes.BadArgumentsMissing)
+    if arguments[0].VariantType != ua.VariantType.UInt32:
+        wrong = status_codes([_Codes.BadTypeMismatch])
+        return refused(_Codes.BadInvalidArgument, results=wrong).result
+    handles = session.own(arguments[0].Value).items.handles()
+    kind = ua.VariantType.UInt32
+    columns = [ua.Variant([pair[i] for pair in handles], kind, None, True) for i in (0, 1)]
+    return ua.CallMethodResult(StatusCode=ua.StatusCode(_Codes.Good), OutputArguments=columns)
 
 
 # --- views ----------------------------------------------------------------------------------------
@@ -100,45 +87,41 @@ def browse(session: Session, params: ua.BrowseParameters) -> Portions:
     limited(session, params.NodesToBrowse)
     if not params.View.ViewId.is_null():
         raise ServiceError(_Codes.BadViewIdUnknown)
-    results, room = [], MAX_REFERENCES_IN_ALL
-    for asked in params.NodesToBrowse:
-        if session.is_out_of_time:
-            result = ua.BrowseResult(StatusCode=ua.StatusCode(_Codes.BadTimeout))
-        else:
-            most = params.RequestedMaxReferencesPerNode
-            result = yield from session.pages.first_page(asked, most, room)
-        results.append(result)
-        room -= len(result.References or ())
-        yield
-    return ua.BrowseResponse(Results=results)
+    most, room = params.RequestedMaxReferencesPerNode, MAX_REFERENCES_IN_ALL
+
+    def page(asked: ua.BrowseDescription) -> Portions:
+        nonlocal room
+        result = yield from session.pages.first_page(asked, most, room)
+        room -= len(result.References)
+        return result
+
+    return each(session, params.NodesToBrowse, page, ua.BrowseResponse(), ua.BrowseResult)
 
 
 def browse_next(session: Session, params: ua.BrowseNextParameters) -> Portions:
     """Answer BrowseNext."""
-    results, room = [], MAX_REFERENCES_IN_ALL
-    for point in limited(session, params.ContinuationPoints):
-        results.append(session.pages.next_page(point, room, params.ReleaseContinuationPoints))
-        room -= len(results[-1].References or ())
-        yield
+    room = MAX_REFERENCES_IN_ALL
+
+    def page(point: Any) -> ua.BrowseResult:
+        nonlocal room
+        result = session.pages.next_page(point, room, params.ReleaseContinuationPoints)
+        room -= len(result.References)
+        return result
+
     response = ua.BrowseNextResponse()
-    response.Parameters.Results = results
-    return response
+    return each(session, params.ContinuationPoints, page, response, ua.BrowseResult)
 
 
 def translate_paths(
     session: Session, params: ua.TranslateBrowsePathsToNodeIdsParameters
 ) -> Portions:
     """Answer TranslateBrowsePathsToNodeIds."""
-    results: list[ua.BrowsePathResult] = []
-    server = session.server
-    for path in limited(session, params.BrowsePaths):
-        if session.is_out_of_time:
-            result = ua.BrowsePathResult(StatusCode=ua.StatusCode(_Codes.BadTimeout))
-        else:
-            result = yield from translate(server.aspace, server.types, path)
-        results.append(result)
-        yield
-    return ua.TranslateBrowsePathsToNodeIdsResponse(Results=results)
+    server, response = session.server, ua.TranslateBrowsePathsToNodeIdsResponse()
+
+    def follow(path: ua.BrowsePath) -> Portions:
+        return translate(server.aspace, server.types, path)
+
+    return each(session, params.BrowsePaths, follow, response, ua.BrowsePathResult)
 
 
 def register_nodes(

@@ -6,9 +6,10 @@ operations are answered BadTimeout.
 """
 
 import functools
+import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import fields
-from typing import Any, TypeVar, get_args, get_origin
+from typing import Any, get_args, get_origin
 
 from asyncua import ua
 from asyncua.common.utils import Buffer, ServiceError
@@ -17,7 +18,6 @@ from asyncua.ua.ua_binary import create_type_serializer, from_binary, get_safe_t
 from hilserver.opcua.decoding import within_bounds
 from hilserver.opcua.rotation import Portions
 
-T = TypeVar("T")
 _Codes = ua.StatusCodes
 _COUNT_BYTES = 4
 
@@ -54,16 +54,38 @@ def _layout(kind: Any) -> list[tuple[str, Any]]:
 
 def each(
     session: Any,
-    operations: Sequence[Any],
-    answer: Callable[[Any], T],
-    refused: Callable[[int], T] = ua.StatusCode,
+    operations: Sequence[Any] | None,
+    act: Callable[[Any], Any],
+    response: Any,
+    kind: type = ua.StatusCode,
 ) -> Portions:
-    """Return the answers to all operations, BadTimeout once the request has used up its time."""
-    answers: list[T] = []
-    for operation in operations:
-        answers.append(refused(_Codes.BadTimeout) if session.is_out_of_time else answer(operation))
+    """Return the response with the results of all operations.
+
+    Parameters
+    ----------
+    act : callable
+        Does one operation, maybe in portions, and returns its result, or nothing where it is a
+        status code; what it raises as ServiceError is the result of this operation alone.
+    response : UA structure
+        Gets the results.
+    kind : type
+        Of a result.
+    """
+    results: list[Any] = []
+    for operation in limited(session, operations):
+        try:
+            if session.is_out_of_time:
+                raise ServiceError(_Codes.BadTimeout)
+            result = act(operation)
+            if inspect.isgenerator(result):
+                result = yield from result
+            results.append(ua.StatusCode(_Codes.Good) if result is None else result)
+        except ServiceError as error:
+            code = ua.StatusCode(error.code)
+            results.append(code if kind is ua.StatusCode else kind(StatusCode=code))
         yield
-    return answers
+    getattr(response, "Parameters", response).Results = results
+    return response
 
 
 def encoded(message: Any) -> Portions:

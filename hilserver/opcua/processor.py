@@ -7,6 +7,7 @@ needs a session needs its authentication token too, on the channel that the sess
 import inspect
 import struct
 from collections.abc import Sequence
+from itertools import zip_longest
 from typing import Any
 
 from asyncua import ua
@@ -333,7 +334,7 @@ def explain(response: Any, texts: Sequence[str], wanted: int) -> None:
     if not any(texts) or not wanted & (_OPERATION_TEXT | _OPERATION_ADDITIONAL_INFO):
         return
     table: list[str] = []
-    for text in texts:
+    for _, text in zip_longest(response.Results, texts, fillvalue=""):
         info = ua.DiagnosticInfo()
         if text and wanted & _OPERATION_ADDITIONAL_INFO:
             info.AdditionalInfo = text

@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from asyncua import ua
+from asyncua.common.utils import ServiceError
 from asyncua.server.address_space import AttributeValue
 
 from hilserver.opcua.encoding import FixedDataValue
@@ -24,25 +25,17 @@ _NO_VALUE = ua.StatusCode(_Codes.BadWaitingForInitialData)
 _BY_USER = {_Attributes.UserAccessLevel, _Attributes.UserExecutable}
 
 
-class RefusedError(Exception):
-    """A node, attribute, range or filter that cannot be had."""
-
-    def __init__(self, code: int) -> None:
-        super().__init__(code)
-        self.code = code
-
-
 def find(address_space: Any, node_id: Any, attribute: int) -> Any:
     """Return the place where an attribute stands.
 
-    RefusedError: BadNodeIdUnknown or BadAttributeIdInvalid.
+    ServiceError: BadNodeIdUnknown or BadAttributeIdInvalid.
     """
     node = address_space.get(node_id)
     if node is None:
-        raise RefusedError(_Codes.BadNodeIdUnknown)
+        raise ServiceError(_Codes.BadNodeIdUnknown)
     place = node.attributes.get(attribute)
     if place is None:
-        raise RefusedError(_Codes.BadAttributeIdInvalid)
+        raise ServiceError(_Codes.BadAttributeIdInvalid)
     return place
 
 
@@ -51,21 +44,21 @@ def value_at(place: Any, node_id: Any, attribute: int) -> ua.DataValue:
     if place.value_callback:
         return place.value_callback(node_id, attribute)
     if place.value is None:
-        raise RefusedError(_Codes.BadAttributeIdInvalid)
+        raise ServiceError(_Codes.BadAttributeIdInvalid)
     return place.value
 
 
 def check_encoding(encoding: ua.QualifiedName | None, attribute: int, value: ua.DataValue) -> None:
-    """Raise RefusedError unless the value can be had in this encoding."""
+    """Raise ServiceError unless the value can be had in this encoding."""
     name = None if encoding is None else encoding.Name
     if not name:
         return
     variant = value.Value
     is_structure = variant is not None and variant.VariantType is ua.VariantType.ExtensionObject
     if attribute != _Attributes.Value or not is_structure:
-        raise RefusedError(_Codes.BadDataEncodingInvalid)
+        raise ServiceError(_Codes.BadDataEncodingInvalid)
     if name != _BINARY:
-        raise RefusedError(_Codes.BadDataEncodingUnsupported)
+        raise ServiceError(_Codes.BadDataEncodingUnsupported)
 
 
 def parse_range(text: str | None) -> slice | None:
@@ -76,10 +69,10 @@ def parse_range(text: str | None) -> slice | None:
     for part in text.split(","):
         found = _RANGE.fullmatch(part)
         if found is None or (found[2] and int(found[1]) >= int(found[2])):
-            raise RefusedError(_Codes.BadIndexRangeInvalid)
+            raise ServiceError(_Codes.BadIndexRangeInvalid)
         bounds.append((int(found[1]), int(found[2] or found[1])))
     if len(bounds) > 1:
-        raise RefusedError(_Codes.BadIndexRangeNoData)  # nothing here has two dimensions
+        raise ServiceError(_Codes.BadIndexRangeNoData)  # nothing here has two dimensions
     low, high = bounds[0]
     return slice(low, high + 1)
 
@@ -91,10 +84,10 @@ def cut(value: ua.DataValue, part: slice) -> FixedDataValue:
     if whole is None:
         return FixedDataValue.of(value)
     if not isinstance(whole, list | str | bytes):
-        raise RefusedError(_Codes.BadIndexRangeInvalid)
+        raise ServiceError(_Codes.BadIndexRangeInvalid)
     found = whole[part]
     if not found:
-        raise RefusedError(_Codes.BadIndexRangeNoData)
+        raise ServiceError(_Codes.BadIndexRangeNoData)
     piece = ua.Variant(found, variant.VariantType, None, isinstance(whole, list))
     return FixedDataValue(piece, value.StatusCode, value.SourceTimestamp, value.ServerTimestamp)
 
@@ -115,7 +108,7 @@ class RangePlace(AttributeValue):  # type: ignore[misc]
         if whole is not self._cut_of:
             try:
                 self._cut = cut(whole, self._part)
-            except RefusedError as error:
+            except ServiceError as error:
                 code = ua.StatusCode(error.code)
                 self._cut = FixedDataValue(None, code, whole.SourceTimestamp, whole.ServerTimestamp)
             self._cut_of = whole
@@ -150,7 +143,7 @@ class Reader:
         """Return one attribute; what cannot be had is a value with a bad status."""
         try:
             return self._read(item, user)
-        except RefusedError as error:
+        except ServiceError as error:
             return self.refused(error.code)
 
     @staticmethod
@@ -186,7 +179,7 @@ class Reader:
 
 
 def place_for_items(address_space: Any, item: ua.ReadValueId) -> Any:
-    """Return the place that a monitored item watches; RefusedError as Read would answer."""
+    """Return the place that a monitored item watches; ServiceError as Read would answer."""
     place = find(address_space, item.NodeId, item.AttributeId)
     part = parse_range(item.IndexRange)
     value = value_at(place, item.NodeId, item.AttributeId)
@@ -195,5 +188,5 @@ def place_for_items(address_space: Any, item: ua.ReadValueId) -> Any:
         return place
     whole = value.Value
     if whole is not None and not isinstance(whole.Value, list | str | bytes | None):
-        raise RefusedError(_Codes.BadIndexRangeInvalid)
+        raise ServiceError(_Codes.BadIndexRangeInvalid)
     return RangePlace(place, part)

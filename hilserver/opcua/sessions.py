@@ -9,7 +9,6 @@ import math
 import secrets
 import time
 from collections import deque
-from collections.abc import Sequence
 from enum import Enum
 from typing import Any, NamedTuple
 
@@ -60,7 +59,7 @@ class Session:
         self.token_bytes = bytes(nodeid_to_binary(self.auth_token))
         self.nonce = create_nonce(32)
         # why the operations of the last Write or Call were refused, empty where they were not
-        self.texts: Sequence[str] = ()
+        self.texts: list[str] = []
         self.processor: Any = None  # the connection that the session is bound to
         # what the client that created it is to the application, and where it is
         self.visitor, self.address = visitor, processor.address

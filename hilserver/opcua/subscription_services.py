@@ -3,9 +3,7 @@
 from asyncua import ua
 from asyncua.common.utils import ServiceError
 
-from hilserver.opcua.items import Room
 from hilserver.opcua.portions import check_stamps, each, limited, status_codes
-from hilserver.opcua.reading import RefusedError
 from hilserver.opcua.rotation import Portions
 from hilserver.opcua.sessions import Session
 
@@ -32,31 +30,19 @@ def modify_subscription(
 def delete_subscriptions(session: Session, params: ua.DeleteSubscriptionsParameters) -> Portions:
     """Answer DeleteSubscriptions; those of others do not exist for this session."""
 
-    def delete(number: int) -> int:
-        try:
-            session.server.subscription_service.remove(session.own(number))
-        except ServiceError as error:
-            return int(error.code)
-        return int(_Codes.Good)
+    def delete(number: int) -> None:
+        session.server.subscription_service.remove(session.own(number))
 
-    codes = yield from each(session, limited(session, params.SubscriptionIds), delete, int)
-    return ua.DeleteSubscriptionsResponse(Results=status_codes(codes))
+    return each(session, params.SubscriptionIds, delete, ua.DeleteSubscriptionsResponse())
 
 
 def set_publishing_mode(session: Session, params: ua.SetPublishingModeParameters) -> Portions:
     """Answer SetPublishingMode."""
 
-    def switch(number: int) -> int:
-        try:
-            session.own(number).is_enabled = params.PublishingEnabled
-        except ServiceError as error:
-            return int(error.code)
-        return int(_Codes.Good)
+    def switch(number: int) -> None:
+        session.own(number).is_enabled = params.PublishingEnabled
 
-    response = ua.SetPublishingModeResponse()
-    codes = yield from each(session, limited(session, params.SubscriptionIds), switch, int)
-    response.Parameters.Results = status_codes(codes)
-    return response
+    return each(session, params.SubscriptionIds, switch, ua.SetPublishingModeResponse())
 
 
 def republish(session: Session, params: ua.RepublishParameters) -> bytes:
@@ -71,75 +57,57 @@ def transfer_subscriptions(
     session: Session, params: ua.TransferSubscriptionsParameters
 ) -> Portions:
     """Answer TransferSubscriptions: to the same user of the same program."""
-    service = session.server.subscription_service
-    results: list[ua.TransferResult] = []
-    for number in limited(session, params.SubscriptionIds):
-        found = service.subscriptions.get(number)
-        result = ua.TransferResult()
+    subscriptions = session.server.subscription_service.subscriptions
+
+    def transfer(number: int) -> ua.TransferResult:
+        found = subscriptions.get(number)
         if found is None:
-            code = _Codes.BadSubscriptionIdInvalid
-        elif found.owner != session.owner or not session.is_known:
-            code = _Codes.BadUserAccessDenied
-        elif found.session is session:
-            code = _Codes.BadNothingToDo
-        else:
-            code = _Codes.Good
-            found.session.forget(found, _Codes.GoodSubscriptionTransferred)
-            if params.SendInitialValues:
-                found.items.repeat_values()
-            found.serve(session)
-            result.AvailableSequenceNumbers = list(found.retained)
-        result.StatusCode = ua.StatusCode(code)
-        results.append(result)
-        yield
+            raise ServiceError(_Codes.BadSubscriptionIdInvalid)
+        if found.owner != session.owner or not session.is_known:
+            raise ServiceError(_Codes.BadUserAccessDenied)
+        if found.session is session:
+            raise ServiceError(_Codes.BadNothingToDo)
+        found.session.forget(found, _Codes.GoodSubscriptionTransferred)
+        if params.SendInitialValues:
+            found.items.repeat_values()
+        found.serve(session)
+        return ua.TransferResult(AvailableSequenceNumbers=list(found.retained))
+
     response = ua.TransferSubscriptionsResponse()
-    response.Parameters.Results = results
-    return response
+    return each(session, params.SubscriptionIds, transfer, response, ua.TransferResult)
 
 
 # --- monitored items ------------------------------------------------------------------------------
 
 
-def _room(session: Session) -> Room:
-    return session.server.subscription_service.room(session)  # type: ignore[no-any-return]
-
-
 def create_monitored_items(session: Session, params: ua.CreateMonitoredItemsParameters) -> Portions:
     """Answer CreateMonitoredItems."""
-    items = session.own(params.SubscriptionId).items
-    stamps, room = check_stamps(params.TimestampsToReturn), _room(session)
-    requests = limited(session, params.ItemsToCreate)
-    results = yield from each(
-        session,
-        requests,
-        lambda request: items.create(request, stamps, room),
-        lambda code: ua.MonitoredItemCreateResult(StatusCode=ua.StatusCode(code)),
-    )
-    items.arrange()
-    return ua.CreateMonitoredItemsResponse(Results=results)
+    items, response = session.own(params.SubscriptionId).items, ua.CreateMonitoredItemsResponse()
+    stamps = check_stamps(params.TimestampsToReturn)
+    room = session.server.subscription_service.room(session)
+
+    def create(request: ua.MonitoredItemCreateRequest) -> ua.MonitoredItemCreateResult:
+        return items.create(request, stamps, room)
+
+    return each(session, params.ItemsToCreate, create, response, ua.MonitoredItemCreateResult)
 
 
 def modify_monitored_items(session: Session, params: ua.ModifyMonitoredItemsParameters) -> Portions:
     """Answer ModifyMonitoredItems."""
-    items = session.own(params.SubscriptionId).items
-    stamps, room = check_stamps(params.TimestampsToReturn), _room(session)
-    requests = limited(session, params.ItemsToModify)
-    results = yield from each(
-        session,
-        requests,
-        lambda request: items.modify(request, stamps, room),
-        lambda code: ua.MonitoredItemModifyResult(StatusCode=ua.StatusCode(code)),
-    )
-    items.arrange()
-    return ua.ModifyMonitoredItemsResponse(Results=results)
+    items, response = session.own(params.SubscriptionId).items, ua.ModifyMonitoredItemsResponse()
+    stamps = check_stamps(params.TimestampsToReturn)
+    room = session.server.subscription_service.room(session)
+
+    def modify(request: ua.MonitoredItemModifyRequest) -> ua.MonitoredItemModifyResult:
+        return items.modify(request, stamps, room)
+
+    return each(session, params.ItemsToModify, modify, response, ua.MonitoredItemModifyResult)
 
 
 def delete_monitored_items(session: Session, params: ua.DeleteMonitoredItemsParameters) -> Portions:
     """Answer DeleteMonitoredItems."""
     items = session.own(params.SubscriptionId).items
-    codes = yield from each(session, limited(session, params.MonitoredItemIds), items.delete, int)
-    items.arrange()
-    return ua.DeleteMonitoredItemsResponse(Results=status_codes(codes))
+    return each(session, params.MonitoredItemIds, items.delete, ua.DeleteMonitoredItemsResponse())
 
 
 def set_monitoring_mode(session: Session, params: ua.SetMonitoringModeParameters) -> Portions:
@@ -147,16 +115,11 @@ def set_monitoring_mode(session: Session, params: ua.SetMonitoringModeParameters
     items, mode = session.own(params.SubscriptionId).items, params.MonitoringMode
     if not isinstance(mode, ua.MonitoringMode):
         raise ServiceError(_Codes.BadMonitoringModeInvalid)
-    response = ua.SetMonitoringModeResponse()
-    codes = yield from each(
-        session,
-        limited(session, params.MonitoredItemIds),
-        lambda number: items.set_mode(number, mode),
-        int,
-    )
-    response.Parameters.Results = status_codes(codes)
-    items.arrange()
-    return response
+
+    def switch(number: int) -> None:
+        items.set_mode(number, mode)
+
+    return each(session, params.MonitoredItemIds, switch, ua.SetMonitoringModeResponse())
 
 
 def set_triggering(
@@ -166,10 +129,7 @@ def set_triggering(
     items = session.own(params.SubscriptionId).items
     add, remove = list(params.LinksToAdd or ()), list(params.LinksToRemove or ())
     limited(session, add + remove)
-    try:
-        added, removed = items.trigger(params.TriggeringItemId, add, remove)
-    except RefusedError as error:
-        raise ServiceError(error.code) from None
+    added, removed = items.trigger(params.TriggeringItemId, add, remove)
     response = ua.SetTriggeringResponse()
     response.Parameters.AddResults = status_codes(added)
     response.Parameters.RemoveResults = status_codes(removed)

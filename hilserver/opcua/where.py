@@ -10,9 +10,9 @@ from collections.abc import Callable
 from typing import Any
 
 from asyncua import ua
+from asyncua.common.utils import ServiceError
 
 from hilserver.opcua.browsing import TypeTree
-from hilserver.opcua.reading import RefusedError
 
 MAX_ELEMENTS = 100
 MAX_OPERANDS = 500  # of all elements together: InList may have many
@@ -36,7 +36,7 @@ _LEAST_OPERANDS = {
 def compile_where(clause: ua.ContentFilter, types: TypeTree) -> Evaluate:
     """Return a function that tells whether an event passes.
 
-    RefusedError: BadEventFilterInvalid for what is no tree or too long,
+    ServiceError: BadEventFilterInvalid for what is no tree or too long,
     BadFilterOperatorUnsupported, BadFilterOperandCountMismatch and BadFilterOperandInvalid for
     single elements.
     """
@@ -45,7 +45,7 @@ def compile_where(clause: ua.ContentFilter, types: TypeTree) -> Evaluate:
         return lambda _: True
     n_operands = sum(len(element.FilterOperands or ()) for element in elements)
     if len(elements) > MAX_ELEMENTS or n_operands > MAX_OPERANDS:
-        raise RefusedError(_Codes.BadEventFilterInvalid)
+        raise ServiceError(_Codes.BadEventFilterInvalid)
     evaluate = _Compiler(elements, types).element(0, 0)
 
     def passes(event: Any) -> bool:
@@ -67,18 +67,18 @@ class _Compiler:
         kind, operands = element.FilterOperator, element.FilterOperands or []
         least = _LEAST_OPERANDS.get(kind)
         if least is None:
-            raise RefusedError(_Codes.BadFilterOperatorUnsupported)
+            raise ServiceError(_Codes.BadFilterOperatorUnsupported)
         if len(operands) < least:
-            raise RefusedError(_Codes.BadFilterOperandCountMismatch)
+            raise ServiceError(_Codes.BadFilterOperandCountMismatch)
         if depth > MAX_DEPTH:
-            raise RefusedError(_Codes.BadEventFilterInvalid)
+            raise ServiceError(_Codes.BadEventFilterInvalid)
         return self._operation(kind, [self._operand(o, index, depth) for o in operands])
 
     def _operand(self, operand: Any, index: int, depth: int) -> Evaluate:
         if isinstance(operand, ua.ElementOperand):
             # Only forwards, and each once: no circle, and no element is evaluated twice.
             if not index < operand.Index < len(self._elements) or operand.Index in self._named:
-                raise RefusedError(_Codes.BadEventFilterInvalid)
+                raise ServiceError(_Codes.BadEventFilterInvalid)
             self._named.add(operand.Index)
             return self.element(operand.Index, depth + 1)
         if isinstance(operand, ua.LiteralOperand):
@@ -89,7 +89,7 @@ class _Compiler:
         elif isinstance(operand, ua.AttributeOperand):
             names = [part.TargetName for part in operand.BrowsePath.Elements or ()]
         else:
-            raise RefusedError(_Codes.BadFilterOperandInvalid)
+            raise ServiceError(_Codes.BadFilterOperandInvalid)
         name = "/".join(part.Name or "" for part in names)
         return lambda event: event.field(name)
 

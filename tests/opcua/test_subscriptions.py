@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 from asyncua import ua
+from asyncua.common.utils import ServiceError
 from asyncua.server.address_space import AttributeValue
 from asyncua.ua.ua_binary import struct_from_binary
 from hypothesis import given
@@ -13,7 +14,6 @@ from hypothesis import strategies as st
 from hilserver.opcua.deadband import ChangeFilter, change_filter
 from hilserver.opcua.encoding import FixedDataValue
 from hilserver.opcua.items import ValueItem
-from hilserver.opcua.reading import RefusedError
 from tests.io.opcua_server.rig import Rig, RobotClient
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -334,7 +334,7 @@ async def test_an_item_looks_at_most_once_per_interval_and_the_last_value_gets_t
 
 
 async def test_percent_needs_a_range() -> None:
-    with pytest.raises(RefusedError):
+    with pytest.raises(ServiceError):
         change_filter(band(2, 1.0), 13, ua.VariantType.Double, None)
     found = change_filter(band(2, 1.0), 13, ua.VariantType.Double, ua.Range(-90, 90))
     assert found.band == pytest.approx(1.8)
