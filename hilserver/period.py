@@ -76,18 +76,18 @@ class Period:
 
 async def every(
     period_s: float,
-    cycle: Callable[[], Awaitable[None]],
+    cycle: Callable[[], Awaitable[float | None]],
     skipped: Callable[[int], None] = lambda _count: None,
 ) -> None:
     """Run `cycle` on absolute deadlines, one at a time; those that passed meanwhile are skipped.
 
-    `skipped` takes the number of deadlines left out.
+    A cycle may return the time [s] from its deadline to the next one. `skipped` takes the number of deadlines left out.
     """
     loop = asyncio.get_running_loop()
     deadline = loop.time()
     while True:
-        await cycle()
-        deadline += period_s
+        sooner_s = await cycle()
+        deadline += period_s if sooner_s is None else sooner_s
         late = int((loop.time() - deadline) / period_s)
         if late > 0:
             deadline += late * period_s

@@ -20,6 +20,27 @@ from hilserver.signals import SignalTable
 from hilserver.status import is_bad
 
 LOOK_AGAIN_S = 1.0  # how long a block is left alone that the controller refuses
+SOONER = 8  # parts of a period: so much sooner a block is read again whose counter stands
+
+
+class Pace:
+    """When a block is read next: soon while its counter stands, so that reads follow the writes.
+
+    Two cycles of one length keep whatever lag they began with. Who reads a little early, and again
+    and again until the counter has moved, lags by the eighth part of a period at most. One that
+    stands for a whole period is read once a period.
+    """
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s, self._seen, self._stood = period_s, object(), 0
+
+    def after(self, counter: object) -> float:
+        """Return how long [s] after a read with this number the next one is due; None: torn."""
+        if counter is not None and counter != self._seen:
+            self._seen, self._stood = counter, 0
+            return self._period_s * (SOONER - 1) / SOONER
+        self._stood += 1
+        return self._period_s / (SOONER if self._stood <= SOONER else 1)
 
 
 class S7Peer(Peer):
@@ -54,30 +75,32 @@ class S7Peer(Peer):
     # --- in ---------------------------------------------------------------------------------------
 
     async def _read_on(self, connection: Connection, intake: FaultyIntake) -> None:
-        block, status = self._coming, self.status
+        block, status, period_s = self._coming, self.status, self.config.poll_ms / 1000
         if block is None:
             return
+        pace = Pace(period_s)
 
-        async def cycle() -> None:
+        async def cycle() -> float | None:
             sent_ns = time.monotonic_ns()
             try:
                 data = await connection.read(block.number, block.start, block.end - block.start)
             except AnswerError as error:
                 await self._refused(FaultKind.MISSING_NODE, block, error)
-                return
+                return None
             now_ns = time.monotonic_ns()
             status.round_trip.observe(now_ns - sent_ns)
             values = {text: unpacked(p, data, block.start) for text, p in block.places.items()}
             if len({values[end] for end in block.heartbeat}) > 1:
                 sentence = f"DB{block.number} was read while it was written: dropped"
                 self._faults.report(FaultKind.TORN_READ, f"DB{block.number}", sentence, now_ns)
-                return
+                return pace.after(None)
             intake.receive(((text, judge_value(v)) for text, v in values.items()), now_ns)
+            return pace.after(values[block.heartbeat[0]]) if block.heartbeat else None
 
         def skipped(count: int) -> None:
             status.polls_skipped += count
 
-        await every(self.config.poll_ms / 1000, cycle, skipped)
+        await every(period_s, cycle, skipped)
 
     async def _refused(self, kind: FaultKind, block: Block, error: AnswerError) -> None:
         self._faults.report(kind, f"DB{block.number}", str(error), time.monotonic_ns())

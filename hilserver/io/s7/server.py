@@ -3,6 +3,7 @@
 import asyncio
 import socket
 import struct
+import time
 from collections.abc import Callable, Mapping
 from typing import Final
 
@@ -47,6 +48,7 @@ def _answer(message: Job, data: bytes, error: int) -> bytes:
 
 HANDSHAKE_S = MESSAGE_S = 5.0
 """How long a client may take to say who it is, to send a message to its end, to read an answer."""
+IDLE_S = 5.0  # who has asked for nothing so long gives its place to a newcomer that needs it
 JOBS = 8  # jobs under way that are agreed on; they are answered in their order
 NO_FUNCTION, NO_ROOM = 0x8104, 0x8500
 """Errors of a whole job: a function that is not there, an answer that would be too long."""
@@ -143,7 +145,7 @@ class Server:
     def __init__(self, config: S7Server, answers: Callable[[], Answers], report: Report) -> None:
         self._config, self._answers, self._report = config, answers, report
         self._server: asyncio.Server | None = None
-        self.clients: set[asyncio.Task[None]] = set()  # connected now
+        self.clients: dict[asyncio.Task[None], float] = {}  # connected now; when each asked last
 
     @property
     def port(self) -> int:
@@ -169,15 +171,15 @@ class Server:
     async def _take(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task, most = asyncio.current_task(), self._config.max_clients
         host = str((writer.get_extra_info("peername") or ["a client"])[0])
-        if task is None or len(self.clients) >= most:
+        if task is None or not self._has_room():
             sentence = f"{host} is one too many: s7.server.max_clients is {most}"
             self._report(FaultKind.NO_ROOM, host, sentence)
             writer.transport.abort()
             return
-        self.clients.add(task)
+        self.clients[task] = time.monotonic()
         try:
             _stay_alive(writer.get_extra_info("socket"))
-            await self._converse(reader, writer)
+            await self._converse(task, reader, writer)
         except WireError as error:
             self._report(FaultKind.NO_S7, host, f"{host}: what it sends {error}")
         except TimeoutError:
@@ -187,15 +189,31 @@ class Server:
         except asyncio.CancelledError:
             pass  # we are
         finally:
-            self.clients.discard(task)
+            self.clients.pop(task, None)
             writer.transport.abort()
 
-    async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    def _has_room(self) -> bool:
+        """Whether there is a place, if need be that of the client that has been idle longest."""
+        if len(self.clients) < self._config.max_clients:
+            return True
+        idle, asked_s = min(self.clients.items(), key=lambda each: each[1])
+        if time.monotonic() - asked_s < IDLE_S:
+            return False
+        del self.clients[idle]
+        return idle.cancel()
+
+    async def _converse(
+        self,
+        task: asyncio.Task[None],
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
+    ) -> None:
         answers = self._answers()
         async with asyncio.timeout(HANDSHAKE_S):
             writer.write(wire.confirmed(await wire.receive(reader)))
         while True:
             message = wire.taken_apart(await wire.receive(reader, MESSAGE_S))
+            self.clients[task] = time.monotonic()
             writer.write(answers.to(message))
             async with asyncio.timeout(MESSAGE_S):
                 await writer.drain()

@@ -8,6 +8,7 @@ from snap7.type import SrvArea
 from hilserver.config.s7 import Endpoint
 from hilserver.io.link_status import LinkState
 from hilserver.io.s7.connection import AnswerError, Connection, Run
+from hilserver.io.s7.peer import SOONER, Pace
 from hilserver.io.s7.wire import Item
 from tests.io.s7.rig import Link, controller, free_port
 from tests.loopback.rig import wait_until
@@ -66,6 +67,30 @@ async def test_a_counter_that_stands_still_is_silence_though_the_server_answers(
             await wait_until(lambda: not link.status.stale)
             await wait_until(lambda: link.status.stale and link.gate.stale)
             assert link.status.connected
+
+
+@pytest.mark.parametrize("cycle_s", [0.0099, 0.01, 0.0101])
+@pytest.mark.parametrize("phase", [0.0, 0.3, 0.999])
+def test_reads_follow_the_writes_of_a_controller_of_the_same_cycle(cycle_s, phase):
+    period_s, now_s = 0.01, phase * cycle_s
+    pace, lags_s, reads, seen = Pace(period_s), [], 0, -1
+    while now_s < 10.0:
+        number = int(now_s / cycle_s)
+        if number != seen:
+            lags_s.append(now_s - number * cycle_s)
+        seen, reads = number, reads + 1
+        now_s += pace.after(number)
+    step_s = period_s / SOONER
+    assert max(lags_s[SOONER:]) < step_s + 1e-9
+    assert len(lags_s) >= 10.0 / cycle_s - SOONER  # none is missed
+    assert reads < 2.3 * 10.0 / period_s
+
+
+def test_a_counter_that_stands_and_one_that_is_torn_are_read_once_a_period_in_the_end():
+    pace = Pace(0.01)
+    waits = [pace.after(number) for number in (1, *(None, 1) * SOONER)]
+    assert waits[: SOONER + 1] == [0.01 * (SOONER - 1) / SOONER, *(0.01 / SOONER,) * SOONER]
+    assert set(waits[SOONER + 1 :]) == {0.01}
 
 
 async def test_a_counter_of_two_bytes_begins_anew_without_a_jump():

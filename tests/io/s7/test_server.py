@@ -6,7 +6,7 @@ import struct
 
 import pytest
 import snap7
-from snap7.error import S7ProtocolError
+from snap7.error import S7Error, S7ProtocolError
 
 from hilserver.daemon.daemon import Daemon
 from hilserver.errors import ConfigError, FailedError
@@ -178,6 +178,22 @@ async def test_there_is_a_place_for_so_many_clients_and_it_comes_back():
         await wait_until(lambda: len(daemon.part("s7")._server.clients) == 1)
         clients[0] = await asyncio.to_thread(connected, port)
         for client in clients:
+            await asyncio.to_thread(client.disconnect)
+
+
+async def test_a_newcomer_takes_the_place_of_who_has_been_idle_longest(monkeypatch):
+    async with daemon_with({1: DRIVE}, max_clients=2) as (daemon, port):
+        idle, busy = [await asyncio.to_thread(connected, port) for _ in range(2)]
+        await asyncio.to_thread(busy.db_read, 1, 0, 25)
+        monkeypatch.setattr(server, "IDLE_S", 0.0)
+        newcomer = await asyncio.to_thread(connected, port)
+        for client in (newcomer, busy):
+            assert len(await asyncio.to_thread(client.db_read, 1, 0, 25)) == 25
+        with pytest.raises((OSError, S7Error)):
+            await asyncio.to_thread(idle.db_read, 1, 0, 25)
+        assert len(daemon.part("s7")._server.clients) == 2
+        assert not daemon.part("s7").status.fault_counts
+        for client in (idle, busy, newcomer):
             await asyncio.to_thread(client.disconnect)
 
 
