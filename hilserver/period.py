@@ -81,7 +81,8 @@ async def every(
 ) -> None:
     """Run `cycle` on absolute deadlines, one at a time; those that passed meanwhile are skipped.
 
-    A cycle may return the time [s] from its deadline to the next one. `skipped` takes the number of deadlines left out.
+    A cycle may return the time [s] from its deadline to the next one. `skipped` takes the number of
+    deadlines left out.
     """
     loop = asyncio.get_running_loop()
     deadline = loop.time()

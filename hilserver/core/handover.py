@@ -91,6 +91,8 @@ class HandOver:
         Kind of source that has control, or ``nobody``.
     may_fall_back : bool
         Set to False by what ended a command; taking control sets it anew.
+    present : set
+        Clients of our OPC UA server that have commanded and are still there.
     """
 
     def __init__(
@@ -104,6 +106,7 @@ class HandOver:
     ) -> None:
         self.owner, self.leases, self.priority = owner, leases, tuple(priority)
         self.may_fall_back = True
+        self.present: set[object] = set()
         leases.begin(owner)
         self._image, self._events = image, events
         self._fallback, self._before, self._speaker = fallback, NOBODY, ""
@@ -163,9 +166,10 @@ class HandOver:
         is_above = kind in order and (owner not in order or order.index(kind) <= order.index(owner))
         return Standing.ABOVE if is_above else Standing.BELOW
 
-    def gone(self, holder: object) -> None:
-        """Let control go on: who held it is no longer there."""
-        if holder is not None and holder is self._holder:
+    def gone(self, client: object) -> None:
+        """Let control go on if the client that is no longer there held it."""
+        self.present.discard(client)
+        if client is not None and client is self._holder:
             self._fall_back("is gone")
 
     def _fall_back(self, why: str) -> None:

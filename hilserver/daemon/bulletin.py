@@ -45,7 +45,7 @@ class Surroundings:
             "reason": self.control.reason,
             "speed": self.control.speed,
             "owner": core.gate.owner,
-            "opcua_wrote": core.gate.age_s("opcua") is not None,  # some client has, since the start
+            "opcua_wrote": bool(core.gate.present),  # some client has, and is still there
             "realtime_factor": _number(core.scheduler.statistics.tick.real_time_factor),
             "bounds_us": (BOUNDS_NS / 1000).tolist(),
             "slices": self._slices(),

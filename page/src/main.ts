@@ -104,8 +104,12 @@ function driver(): string {
   if (live.drives) return "you";
   if (!board.owner || board.owner === "nobody" || board.owner === "none") return "";
   if (board.owner === "page") return seat === null ? "" : NAMES["page"]!;
-  if (board.owner === "opcua" && !board.opcua_wrote) return ""; // it is whoever comes first
+  if (board.owner === "opcua" && !board.opcua_wrote) return isCommanded() ? "an OPC UA client that has left" : ""; // it is whoever comes first
   return NAMES[board.owner] ?? board.owner;
+}
+
+function isCommanded(): boolean {
+  return (SETPOINTS[live.value("control.mode")] ?? []).some((name) => live.value(name));
 }
 
 /** Whether somebody loses something when we take control: another browser, a controller, a moving robot. */
@@ -113,7 +117,7 @@ function isBusy(): boolean {
   const { board, driver: seat } = live.slow;
   if (board.owner === "page") return seat !== null;
   if (board.owner === "peer" && Object.values(board.peers ?? {}).some((peer) => peer["connected"])) return true;
-  return (SETPOINTS[live.value("control.mode")] ?? []).some((name) => live.value(name));
+  return isCommanded();
 }
 
 async function take(): Promise<void> {

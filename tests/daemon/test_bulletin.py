@@ -2,12 +2,15 @@
 
 from types import SimpleNamespace
 
+from asyncua import Client, ua
+
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.daemon.assembly import assemble
 from hilserver.daemon.bulletin import Surroundings
 from hilserver.daemon.daemon import Daemon
 from hilserver.image.board import BoardReader
 from tests.commands.test_cli import write_config
+from tests.loopback.rig import wait_until
 
 
 def test_the_overruns_of_a_slice_are_one_line():
@@ -25,7 +28,7 @@ def test_the_overruns_of_a_slice_are_one_line():
     assert shown[1]["text"] == "late wake 999"
 
 
-async def test_opcua_has_control_before_any_client_has_written(tmp_path):
+async def test_an_opcua_client_drives_from_its_first_command_until_it_leaves(tmp_path):
     async with Daemon(assemble(write_config(tmp_path))) as daemon:
         board = BoardReader(daemon.image)
 
@@ -35,5 +38,11 @@ async def test_opcua_has_control_before_any_client_has_written(tmp_path):
             return board.content["owner"], board.content["opcua_wrote"]
 
         assert shown() == ("opcua", False)
-        assert daemon.gate.write("opcua", {"twist.linear_m_s": 0.1}) == {}
-        assert shown() == ("opcua", True)
+        async with Client(daemon.part("opcua").address) as client:
+            namespace = await client.get_namespace_index("urn:hilserver:robot")
+            node = client.get_node(f"ns={namespace};s=twist.linear_m_s")
+            await node.read_value()
+            assert shown() == ("opcua", False)
+            await node.write_value(0.1, ua.VariantType.Double)
+            assert shown() == ("opcua", True)
+        await wait_until(lambda: shown() == ("opcua", False))

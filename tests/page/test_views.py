@@ -148,6 +148,23 @@ def test_a_view_fits_a_phone(browser, url):
         assert browser.do("run", script=wide) <= 0, name
 
 
+@pytest.mark.parametrize("width", [360, 390])
+def test_the_bar_of_a_phone_has_two_rows(browser, url, width):
+    browser.do("fresh", width=width, height=740)
+    browser.do("open", url=url)
+    browser.do("wait", selector=".owner", text="drives")
+    longest = "An OPC UA client that has left drives"
+    shown = f"""(() => {{
+        document.querySelector(".control button[hidden]").hidden = false;
+        document.querySelector(".owner").textContent = "{longest}";
+        const middles = [...document.querySelectorAll(".bar *")]
+            .filter((e) => e.matches("button, .chip, .owner") && e.checkVisibility())
+            .map((e) => e.getBoundingClientRect()).map((b) => (b.top + b.bottom) / 2);
+        return new Set(middles.map((m) => Math.round(m / 10))).size;
+    }})()"""
+    assert browser.do("run", script=shown) == 2
+
+
 def text_of(path):
     return path.read_text(encoding="utf-8") if path.exists() else ""
 

@@ -138,7 +138,7 @@ class RobotApplication(Application):
 
         Gives way while the items are judged, and between groups that are latched apart.
         """
-        source, received_ns = session.visitor.source, came_ns(session.processor.socket)
+        received_ns = came_ns(session.processor.socket)
         answers: list[Answer] = []
         group: dict[str, tuple[int, object]] = {}
         changes: dict[str, tuple[int, ua.Variant]] = {}
@@ -155,14 +155,14 @@ class RobotApplication(Application):
             if name == CONTROL_SOURCE or name in group:
                 # The order of a request holds: taking control acts on the writes behind it, and
                 # of two writes to one signal the later wins.
-                self._hand_over(group, answers, source, received_ns)
+                self._hand_over(group, answers, session, received_ns)
                 group = {}
             if name == CONTROL_SOURCE:
                 answers[position] = self._take_control(item.Value.Value, session)
             else:
                 group[name] = (position, _plain(self._table[name], item.Value.Value))
-        self._hand_over(group, answers, source, received_ns)
-        self._change(changes, answers, source)
+        self._hand_over(group, answers, session, received_ns)
+        self._change(changes, answers, session.visitor.source)
         return answers
 
     def _change(
@@ -177,11 +177,12 @@ class RobotApplication(Application):
         self,
         group: dict[str, tuple[int, object]],
         answers: list[Answer],
-        source: str,
+        session: Any,
         received_ns: int,
     ) -> None:
         if not group:
             return
+        source = session.visitor.source
         values = {name: value for name, (_, value) in group.items()}
         turned_down = self._gate.write(source, values, received_ns=received_ns)
         for name, reason in turned_down.items():
@@ -189,6 +190,8 @@ class RobotApplication(Application):
             answers[group[name][0]] = Answer(STATUS_OF[reason], why)
         accepted = {name: self._gate.accepted_value(name) for name in values.keys() - turned_down}
         if accepted:
+            if kind_of(source) == SOURCE and session.processor is not None:
+                self._gate.present.add(session)
             self._variables.show_written(accepted, self._image.pushed_rows)
 
     def _take_control(self, variant: ua.Variant, session: Any) -> Answer:
