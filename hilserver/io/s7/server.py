@@ -48,7 +48,7 @@ def _answer(message: Job, data: bytes, error: int) -> bytes:
 
 HANDSHAKE_S = MESSAGE_S = 5.0
 """How long a client may take to say who it is, to send a message to its end, to read an answer."""
-IDLE_S = 5.0  # who has asked for nothing so long gives its place to a newcomer that needs it
+SPARED_S = 5.0  # who has asked for nothing so long gives its place to a newcomer that needs it
 JOBS = 8  # jobs under way that are agreed on; they are answered in their order
 NO_FUNCTION, NO_ROOM = 0x8104, 0x8500
 """Errors of a whole job: a function that is not there, an answer that would be too long."""
@@ -197,7 +197,7 @@ class Server:
         if len(self.clients) < self._config.max_clients:
             return True
         idle, asked_s = min(self.clients.items(), key=lambda each: each[1])
-        if time.monotonic() - asked_s < IDLE_S:
+        if time.monotonic() - asked_s < SPARED_S:
             return False
         del self.clients[idle]
         return idle.cancel()

@@ -185,7 +185,7 @@ async def test_a_newcomer_takes_the_place_of_who_has_been_idle_longest(monkeypat
     async with daemon_with({1: DRIVE}, max_clients=2) as (daemon, port):
         idle, busy = [await asyncio.to_thread(connected, port) for _ in range(2)]
         await asyncio.to_thread(busy.db_read, 1, 0, 25)
-        monkeypatch.setattr(server, "IDLE_S", 0.0)
+        monkeypatch.setattr(server, "SPARED_S", 0.0)
         newcomer = await asyncio.to_thread(connected, port)
         for client in (newcomer, busy):
             assert len(await asyncio.to_thread(client.db_read, 1, 0, 25)) == 25
