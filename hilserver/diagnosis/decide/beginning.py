@@ -9,7 +9,7 @@ from hilserver.diagnosis.catalogue.candidate import Candidate, Theta
 from hilserver.diagnosis.decide.identifiability import prune
 from hilserver.diagnosis.decide.trial import at_bound
 from hilserver.diagnosis.regression.columns import Library
-from hilserver.diagnosis.regression.fitting import fit
+from hilserver.diagnosis.regression.fitting import fit, fit_without
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted, Model
 
@@ -37,9 +37,8 @@ def begun(
     if not model.fitted:
         return base
     point = fit(problem, model, base, iterations=12)
-    while any(map(at_bound, point.model.fitted)):
-        inside = tuple(f for f in point.model.fitted if not at_bound(f))
-        point = fit(problem, Model(inside), point, iterations=3)
+    while gone := [i for i, f in enumerate(point.model.fitted) if at_bound(f)]:
+        point = fit_without(problem, point, *gone)
     return prune(problem, point)
 
 

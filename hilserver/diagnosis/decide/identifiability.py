@@ -1,7 +1,7 @@
 """What the data cannot tell apart: accepted causes against rivals that could imitate them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -26,7 +26,7 @@ from hilserver.diagnosis.thresholds import (
 MOST_SWAPS: Final = 4  # exchanges in a row
 
 
-@dataclass(frozen=True)
+@dataclass
 class Rival:
     """A cause in the place of another."""
 
@@ -124,9 +124,10 @@ def rivals(library: Library, point: Point, index: int, near: Sequence[Trial] = (
     starts = (*best.values(), *more)
     tried = (_in_its_place(problem, point, index, saved, *start) for start in starts)
     found = [rival for rival in tried if rival is not None]
-    if any(r.close and r.cosine <= GROUP_COSINE for r in found):
-        without = fit_without(problem, point, index)
-        found = [_compared(r, without, point) for r in found]
+    unlike = [r for r in found if r.close and r.cosine <= GROUP_COSINE]
+    without = fit_without(problem, point, index) if unlike else point
+    for rival in unlike:  # their effects may be more alike than their slopes
+        rival.cosine = max(rival.cosine, likeness(without, point, rival.point))
     return sorted((r for r in found if r.ties or r.candidate.cause in best), key=lambda r: r.worse)
 
 
@@ -147,13 +148,6 @@ def _in_its_place(
     penalty = cost(c, saved) - cost(point.model.fitted[index].candidate, saved)
     worse = float(difference.sum()) + penalty
     return Rival(c, trial, alike, worse, deviations(difference, penalty), point.is_gross)
-
-
-def _compared(rival: Rival, without: Point, point: Point) -> Rival:
-    """Return a rival with the likeness of the effects where that of the slopes is less."""
-    if not rival.close or rival.cosine > GROUP_COSINE:
-        return rival
-    return replace(rival, cosine=max(rival.cosine, likeness(without, point, rival.point)))
 
 
 def likeness(without: Point, one: Point, other: Point) -> float:

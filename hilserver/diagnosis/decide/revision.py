@@ -1,8 +1,7 @@
 """From selected causes to findings: rivals, superfluous causes, unknown structure, drift."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -33,6 +32,9 @@ from hilserver.diagnosis.schema.decisions import Decision
 from hilserver.diagnosis.thresholds import GROSS, LEAST_GAIN, LEFT_SHARE, TIE
 
 BY_STRUCTURE: Final = "unknown structure explains as much"
+TOO_SMALL: Final = "too small to be worth a name"
+Doubt = tuple[int, str] | None
+"""The place of a cause that should go, and why; None if there is none."""
 
 
 @dataclass
@@ -123,12 +125,13 @@ def _beside_structure(
     doubtful |= {contest.index} if contest is not None and contest.more > TIE else set()
     for index in sorted(doubtful, reverse=True):
         point = _dropped(problem, point, index, rows, BY_STRUCTURE)
-    found = look.index
-    if point is not weighed:
-        found = imitated(problem, point, families_of(problem, point))
-    while found is not None:
-        point = _dropped(problem, point, found, rows, BY_STRUCTURE)
-        found = imitated(problem, point, families_of(problem, point))
+
+    def substitute(point: Point) -> Doubt:
+        known = point is weighed
+        index = look.index if known else imitated(problem, point, families_of(problem, point))
+        return None if index is None else (index, BY_STRUCTURE)
+
+    point = _without_doubtful(problem, point, rows, substitute)
     if point is not weighed or (unknown and explained > 0.0):
         unknown = _remaining(problem, point, rng, 0.0) or unknown
     return point, unknown
@@ -164,15 +167,14 @@ def _named_only(
     What is too small for a name is none: what it explained is not unknown, and of no use. The mean
     of one that changes does not say how large it is.
     """
-    is_missed = False
-    while True:
-        reasons = [no_name(problem, f, ties) for f in point.model.fitted]
-        index = next((i for i, reason in enumerate(reasons) if reason is not None), None)
-        if index is None:
-            return point, is_missed
-        gone = point.model.fitted[index]
-        is_missed = is_missed or worth_a_name(gone) or gone.candidate.cause in drift
-        point = _dropped(problem, point, index, rows, reasons[index] or "")
+
+    def nameless(point: Point) -> Doubt:
+        reasons = (no_name(problem, f, ties) for f in point.model.fitted)
+        return next(((i, reason) for i, reason in enumerate(reasons) if reason is not None), None)
+
+    known = len(rows)
+    named = _without_doubtful(problem, point, rows, nameless)
+    return named, any(row.reason != TOO_SMALL or row.cause in drift for row in rows[known:])
 
 
 def no_name(problem: Problem, f: Fitted, ties: Mapping[str, Sequence[Rival]]) -> str | None:
@@ -181,7 +183,7 @@ def no_name(problem: Problem, f: Fitted, ties: Mapping[str, Sequence[Rival]]) ->
     Of a size that no machine has it may stand in a group behind a cause that is plausible.
     """
     if not worth_a_name(f):
-        return "too small to be worth a name"
+        return TOO_SMALL
     if at_bound(f):
         return "at the bound of its range"
     cause = f.candidate.cause
@@ -213,6 +215,15 @@ def _dropped(
     return less
 
 
+def _without_doubtful(
+    problem: Problem, point: Point, rows: list[Decision], doubt: Callable[[Point], Doubt]
+) -> Point:
+    """Return a model without causes that should go, dropped one at a time."""
+    while (found := doubt(point)) is not None:
+        point = _dropped(problem, point, found[0], rows, found[1])
+    return point
+
+
 def _weighed(p: Prepared, selected: Selected) -> tuple[Point, dict[str, list[Rival]]]:
     """Return the selected causes or better ones in their place, and the rivals that tie."""
     problem, point, rows = p.problem, selected.point, selected.rows
@@ -233,13 +244,15 @@ def _without_what_tyres_do(
     problem: Problem, point: Point, explained: float, rows: list[Decision]
 ) -> Point:
     """Return a model without causes that imitate the scrubbing of tyres."""
-    for found, does in (
-        (late_turn, "make the turn late as well"),
-        (partial(bent_turn, problem, explained=explained), "bend the turn as well"),
-    ):
-        while (index := found(point)) is not None:
-            point = _dropped(problem, point, index, rows, f"tyres that scrub {does}")
-    return point
+
+    def imitates(point: Point) -> Doubt:
+        if (index := late_turn(point)) is not None:
+            return index, "tyres that scrub make the turn late as well"
+        if (index := bent_turn(problem, point, explained)) is not None:
+            return index, "tyres that scrub bend the turn as well"
+        return None
+
+    return _without_doubtful(problem, point, rows, imitates)
 
 
 def with_fewer(problem: Problem, point: Point, ties: Mapping[str, list[Rival]]) -> Point | None:

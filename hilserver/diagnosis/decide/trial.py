@@ -47,13 +47,8 @@ def possible(point: Point) -> bool:
 
 def at_bound(f: Fitted) -> bool:
     """Return whether a parameter of a cause rests on the edge of its range: it explains nothing."""
-    c = f.candidate
-    for value, low, high in zip(f.theta, c.low, c.high, strict=True):
-        width = high - low
-        margin = 1e-6 * width if np.isfinite(width) else 0.0
-        if value <= low + margin or value >= high - margin:
-            return True
-    return False
+    ranges = zip(f.theta, f.candidate.low, f.candidate.high, strict=True)
+    return any(not low < value < high for value, low, high in ranges)
 
 
 def implausible(f: Fitted) -> bool:
