@@ -41,6 +41,11 @@ class Step:
         """Whether an error that is reported grows clearly."""
         return any(map(_grows, self._pairs.values()))
 
+    @property
+    def helps(self) -> bool:
+        """Whether an error that is reported falls clearly."""
+        return any(_grows(Pair(p.after, p.before, p.horizon_s)) for p in self._pairs.values())
+
 
 def left_out(
     problem: Problem, before: Point, after: Point, action: Action, reason: str

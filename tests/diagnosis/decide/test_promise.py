@@ -67,6 +67,24 @@ def test_no_cause_goes_for_unknown_structure_where_held_out_errors_would_grow():
     assert step.gain < 0.95
 
 
+@pytest.mark.parametrize(
+    ("yaw", "position", "goes"),
+    [(0.1, 0.0, False), (0.1, -0.1, True), (0.0, 0.0, True)],
+    ids=["the yaw needs it", "it spoils the position", "nothing needs it"],
+)
+def test_no_cause_stays_beside_unknown_structure_that_makes_a_prediction_worse(
+    yaw, position, goes, monkeypatch
+):
+    """What goes without it, in a model that one quantity needs and another suffers from."""
+    rng = np.random.default_rng(4)
+    column = toy.smooth(rng, 2000)
+    problem = toy.problem(3.0 * column + rng.normal(size=2000), {"c": column})
+    point = fit(problem, toy.model("c"), toy.library(problem)[1])
+    found = {"yaw_rad": pair(yaw, 0.05), "position_m": pair(position, 0.05)}
+    monkeypatch.setattr("hilserver.diagnosis.decide.promise.errors", lambda *_: found)
+    assert _harmless(problem, point, [0]) == ({0} if goes else set())
+
+
 @pytest.mark.parametrize("harms", [True, False])
 def test_a_rival_with_larger_errors_on_held_out_blocks_takes_no_place(harms, monkeypatch):
     """It leaves less all the same; whether errors grow is decided by blocks, see above."""
