@@ -81,9 +81,9 @@ def _further(p: Prepared, whole: Point) -> Point | None:
     trials = [trial for index, _ in starts[:MOST_FITTED] if (trial := fitted(index)) is not None]
     for trial in sorted(trials, key=lambda trial: -trial.gain):
         point = trial.point
-        new = point.model.fitted[-1]
-        if trial.gain <= LEAST_GAIN or implausible(new):
+        if trial.gain <= LEAST_GAIN or implausible(point.model.fitted[-1]):
             continue
-        if holds(problem, whole, point) and not Step(problem, whole, point).harms:
+        step = Step(problem, whole, point)
+        if step.helps and not step.harms and holds(problem, whole, point):
             return point
     return None
