@@ -34,6 +34,10 @@ class Refusal(StrEnum):
     OUT_OF_RANGE = "out_of_range"
     NOT_IN_CONTROL = "not_in_control"
     QUEUE_FULL = "queue_full"
+    OUTDATED = "outdated"
+
+
+_GRAIN_NS = 20_000_000  # when a command came in is known to within so much
 
 
 def check_value(signal: Signal, value: object) -> tuple[float, ...] | Refusal:
@@ -87,6 +91,7 @@ class InputGate(HandOver):
         super().__init__(image, events, leases, owner, priority, fallback)
         self.rejected: Counter[tuple[str, str]] = Counter()
         self._table, self._now_ns = table, monotonic_ns
+        self._ended_ns = 0
         self._last_ns: dict[str, int] = {}
         self._newest: dict[int, tuple[str, float]] = {}
         self._change: tuple[int, int] | None = None
@@ -131,7 +136,7 @@ class InputGate(HandOver):
         """
         now_ns = self._now_ns() if received_ns is None else received_ns
         came_ns = now_ns if commanded_ns is None else commanded_ns
-        rows, offered, refused = self._sort(source, values)
+        rows, offered, refused = self._sort(source, values, came_ns < self._ended_ns)
         group = offered + [row for found in rows.values() for row in found]
         speaker, placed = self._speaker, self._passed_on(source, group)
         placed += self._placed(source, group, came_ns if renews else None)
@@ -146,7 +151,7 @@ class InputGate(HandOver):
         return refused
 
     def _sort(
-        self, source: str, values: Mapping[str, object]
+        self, source: str, values: Mapping[str, object], is_outdated: bool
     ) -> tuple[dict[str, list[Row]], list[Row], dict[str, Refusal]]:
         """Return what is accepted, what is kept as an offer, and what is refused."""
         rows: dict[str, list[Row]] = {}
@@ -159,11 +164,11 @@ class InputGate(HandOver):
                 continue
             signal = self._table[name]
             found = [Row(s, v) for s, v in zip(signal.slots, checked, strict=True)]
-            if signal.is_measured or kind == self.owner:
+            if signal.is_measured or (kind == self.owner and not is_outdated):
                 rows[name] = found
                 continue
-            refused[name] = Refusal.NOT_IN_CONTROL
-            if kind in OFFERING:
+            refused[name] = Refusal.OUTDATED if is_outdated else Refusal.NOT_IN_CONTROL
+            if kind in OFFERING and not is_outdated:
                 offered += [row for row in found if row.slot < N_COMMANDS]
         return rows, offered, refused
 
@@ -234,6 +239,8 @@ class InputGate(HandOver):
         if reason is Refusal.NOT_IN_CONTROL:
             kind = kind_of(source)
             return f"'{self.owner}' has control; writing '{kind}' to control.source takes it"
+        if reason is Refusal.OUTDATED:
+            return "it came in before Reset, Pause or LoadSnapshot ended what was commanded"
         if reason is Refusal.OUT_OF_RANGE:
             return f"outside {self._table[name].range_text}"
         if reason is Refusal.TYPE_MISMATCH:
@@ -258,7 +265,11 @@ class InputGate(HandOver):
         self._image.push(self._placed(source, rows))
 
     def end(self) -> None:
-        """End every lease: nothing is commanded until a source does so anew."""
+        """End every lease: nothing is commanded until a source does so anew.
+
+        What has come in by now and waits to be read is none of that.
+        """
+        self._ended_ns = self._now_ns() - _GRAIN_NS
         self._image.push([self.leases.end()])
         for slot in range(N_SETPOINTS):
             self._newest.pop(slot, None)

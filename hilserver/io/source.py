@@ -12,7 +12,7 @@ from hilserver.core.staleness import Staleness, Transition
 from hilserver.io.arrival import WATCH_S, Arrivals
 from hilserver.io.link_status import FaultBook, PeerStatus
 
-OFFERED_AGAIN: Final = frozenset({Refusal.NOT_IN_CONTROL, Refusal.QUEUE_FULL})
+OFFERED_AGAIN: Final = frozenset({Refusal.NOT_IN_CONTROL, Refusal.QUEUE_FULL, Refusal.OUTDATED})
 """Reasons that are not the value's: the next group may be accepted as it is."""
 
 

@@ -64,6 +64,25 @@ def test_a_source_without_control_is_reported_once_per_change(world):
     assert "'page' has control" in events.recent[-1].message
 
 
+@pytest.mark.parametrize("source", ["peer:a", "opcua"])
+@pytest.mark.parametrize("driver", ["peer", "opcua"])
+def test_a_command_that_came_in_before_every_lease_ended_is_none(world, driver, source):
+    gate, image, _, clock = world
+    gate.take(driver)
+    before_ns = clock()
+    clock.pass_s(1.0)
+    gate.end()
+    command = {"wheel.fl.setpoint_rpm": 12.5}
+    assert gate.write(source, command, received_ns=before_ns) == {
+        "wheel.fl.setpoint_rpm": "outdated"
+    }
+    gate.take(source.partition(":")[0])
+    assert latched(image, "wheel.fl.setpoint_rpm") == 0.0
+    assert gate.write(source, {"measured.pose.x_m": 1.0}, received_ns=before_ns) == {}
+    assert gate.write(source, command) == {}
+    assert latched(image, "wheel.fl.setpoint_rpm") == 12.5
+
+
 @pytest.mark.parametrize(
     ("name", "value", "wanted"),
     [

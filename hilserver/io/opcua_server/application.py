@@ -8,6 +8,7 @@ BadTypeMismatch         another data type, wrong length (no widening: an Int64 i
 BadOutOfRange           outside EURange, NaN, infinity
 BadUserAccessDenied     another source has control; the diagnostic text and an event say who
 BadResourceUnavailable  the queue of the plant is full
+BadInvalidState         it came in before Reset, Pause or LoadSnapshot ended what was commanded
 BadInvalidArgument      of a method, also: a value out of range
 BadInvalidState         a method that is not possible now; the diagnostic text says why
 BadNotImplemented       Force, Unforce, InjectFault, ClearFaults of a server without faults
@@ -50,6 +51,7 @@ STATUS_OF: dict[Refusal, int] = {
     Refusal.OUT_OF_RANGE: _Codes.BadOutOfRange,
     Refusal.NOT_IN_CONTROL: _Codes.BadUserAccessDenied,
     Refusal.QUEUE_FULL: _Codes.BadResourceUnavailable,
+    Refusal.OUTDATED: _Codes.BadInvalidState,
 }
 
 
