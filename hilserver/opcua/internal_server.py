@@ -4,7 +4,6 @@ import asyncio
 from typing import Any
 
 from asyncua import ua
-from asyncua.common.utils import ServiceError
 
 from hilserver.opcua.access import Access
 from hilserver.opcua.application import Application
@@ -33,7 +32,10 @@ class InnerServer(QuickInternalServer):
         self.settings, self.trust = settings, trust
         self.access = access = Access(settings)
         self.application = Application(self, access)  # may be replaced before the first client
-        self._places = Places(settings.max_sessions, self._has_reserve)
+        self._places = Places(
+            settings.max_sessions,
+            lambda user: self.application.has_reserve(user),  # noqa: PLW0108 - it may be replaced
+        )
         self.allow_remote_admin = False
         self.max_connections = settings.max_connections
         # A client that vanished is served until its session ends.
@@ -49,9 +51,6 @@ class InnerServer(QuickInternalServer):
             tokens.append(ua.UserNameIdentityToken)
         self.supported_tokens = tuple(tokens)
 
-    def _has_reserve(self, user: Any) -> bool:
-        return self.application.has_reserve(user)
-
     def new_session(self, processor: Any, policy: Any, name: str | None) -> Session:
         """Return a new session of that name; BadTooManySessions where there is no place for it."""
         visitor = self.application.visitor(name or "", processor.address)
@@ -65,24 +64,12 @@ class InnerServer(QuickInternalServer):
         """Raise BadTooManySessions where there is no place for a session of that user."""
         self._places.activate(tuple(self.sessions.values()), session, user)
 
-    def session_of(self, token: ua.NodeId) -> Session | None:
-        """Return the session that an authentication token names."""
-        return self.sessions.get(token)
-
-    def forget_session(self, session: Session) -> None:
-        """Strike a session that has ended off the list."""
-        self.sessions.pop(session.auth_token, None)
-
     def end_idle_sessions(self, now_s: float) -> None:
         """End sessions whose clients were silent for longer than agreed."""
         for session in tuple(self.sessions.values()):
-            if session.is_over(now_s):
+            if now_s - session.last_active_s > session.timeout_s:
                 log.info("opcua session ended: idle", timeout_s=session.timeout_s)
                 session.close()
-
-    def register_server(self, server: Any, conf: Any = None) -> None:  # noqa: ARG002
-        """Refuse: this is no discovery server."""
-        raise ServiceError(ua.StatusCodes.BadServiceUnsupported)
 
     async def stop(self) -> None:
         """Stop at once: end sessions that outlived their connection, and the clock."""

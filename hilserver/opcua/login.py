@@ -66,7 +66,7 @@ def _check_client(processor: Any, params: ua.CreateSessionParameters) -> None:
 async def activate_session(processor: Any, token: Any, params: Any) -> ua.ActivateSessionResponse:
     """Answer ActivateSession: who proves to be the session's client and a known user gets in."""
     iserver, policy = processor.iserver, processor.policy
-    session = iserver.session_of(token)
+    session = iserver.sessions.get(token)
     if session is None or (processor.session is not None and session is not processor.session):
         raise ServiceError(_Codes.BadSessionIdInvalid)
     session.touch()
@@ -103,7 +103,6 @@ def _move(session: Session, processor: Any) -> None:
     """Bind the session of another connection, which has proved to be the same client's."""
     if session.processor is not None and session.processor.session is session:
         session.processor.session = None
-    session.drop_requests()
     session.bind(processor, processor.policy)
     processor.session = session
 
@@ -114,5 +113,3 @@ def release_session(processor: Any) -> None:
     if session is None or session.processor is not processor:
         return
     session.lose_connection()
-    if not session.is_activated or not session.subscriptions:
-        session.close()

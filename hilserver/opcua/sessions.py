@@ -9,7 +9,6 @@ import math
 import secrets
 import time
 from collections import deque
-from enum import Enum
 from typing import Any, NamedTuple
 
 from asyncua import ua
@@ -24,18 +23,10 @@ from hilserver.opcua.subscriptions import Subscription
 
 _TOKEN_BYTES = 32
 _LEAST_RESPONSE_BYTES = 8192
-_MAX_FAREWELLS = 10
+_MAX_STATUS_CHANGES = 10
 _SPARE_PUBLISH_REQUESTS = 10  # beside two for each subscription, which python-opcua sends at once
 _Codes = ua.StatusCodes
 _numbers = iter(range(1000, 2**31))
-
-
-class SessionState(Enum):
-    """How far a session has got."""
-
-    CREATED = "created"
-    ACTIVATED = "activated"
-    CLOSED = "closed"
 
 
 class PublishRequest(NamedTuple):
@@ -53,7 +44,8 @@ class Session:
     def __init__(self, server: Any, processor: Any, policy: Any, visitor: Visitor) -> None:
         self.server = server
         self.user: Any = User(role=UserRole.User)
-        self.state = SessionState.CREATED
+        # whether somebody has logged in, and whether it has not ended
+        self.is_activated, self.is_open = False, True
         self.session_id = ua.NodeId(next(_numbers))
         self.auth_token = ua.NodeId(secrets.token_bytes(_TOKEN_BYTES), 0, ua.NodeIdType.ByteString)
         self.token_bytes = bytes(nodeid_to_binary(self.auth_token))
@@ -69,25 +61,27 @@ class Session:
         self.pages = ContinuationPoints(server.aspace, server.types)
         self._requests: deque[PublishRequest] = deque()
         self._late: dict[Subscription, None] = {}
-        self._farewells: deque[tuple[int, int]] = deque(maxlen=_MAX_FAREWELLS)
+        self._status_changes: deque[tuple[int, int]] = deque(maxlen=_MAX_STATUS_CHANGES)
         self.bind(processor, policy)
 
     # --- life -------------------------------------------------------------------------------------
 
     def bind(self, processor: Any, policy: Any) -> None:
-        """Bind the session to a connection and the certificate that opened its channel."""
+        """Bind the session to a connection and the certificate that opened its channel.
+
+        What came in over another connection is forgotten.
+        """
         self.processor = processor
+        self._requests.clear()
         self._certificate, self._policy_uri = policy.peer_certificate, policy.URI
 
     def lose_connection(self) -> None:
         """Go on without a connection: another may take the session over, but not its control."""
         self.processor = None
-        self.drop_requests()
-        self.server.application.left(self)
-
-    def drop_requests(self) -> None:
-        """Forget what came in over a connection that is no longer ours."""
         self._requests.clear()
+        self.server.application.left(self)
+        if not self.is_activated or not self.subscriptions:
+            self.close()
 
     def is_of(self, policy: Any) -> bool:
         """Whether the channel was opened by the client that this session belongs to."""
@@ -96,19 +90,7 @@ class Session:
     def is_named_by(self, token: ua.NodeId) -> bool:
         """Whether `token` is our authentication token."""
         given = token.Identifier if isinstance(token.Identifier, bytes) else b""
-        return secrets.compare_digest(given, self.auth_token.Identifier) and (
-            self.state is not SessionState.CLOSED
-        )
-
-    @property
-    def is_activated(self) -> bool:
-        """Whether somebody has logged in."""
-        return self.state is SessionState.ACTIVATED
-
-    @property
-    def is_open(self) -> bool:
-        """Whether it has not ended."""
-        return self.state is not SessionState.CLOSED
+        return self.is_open and secrets.compare_digest(given, self.auth_token.Identifier)
 
     @property
     def holder(self) -> tuple[Any, ...]:
@@ -143,7 +125,7 @@ class Session:
 
     def activate(self, user: Any) -> ua.ActivateSessionResult:
         """Let a user in whose identity has been checked."""
-        self.user, self.state = user, SessionState.ACTIVATED
+        self.user, self.is_activated = user, True
         self.nonce = create_nonce(32)
         self.touch()
         return ua.ActivateSessionResult(ServerNonce=self.nonce)
@@ -157,16 +139,12 @@ class Session:
         """Note a sign of life."""
         self.last_active_s = time.monotonic()
 
-    def is_over(self, now_s: float) -> bool:
-        """Whether the client was silent for longer than agreed."""
-        return now_s - self.last_active_s > self.timeout_s
-
     def close(self, delete_subscriptions: bool = True) -> None:
         """End the session."""
-        if self.state is SessionState.CLOSED:
+        if not self.is_open:
             return
-        self.state = SessionState.CLOSED
-        self.server.forget_session(self)
+        self.is_open = self.is_activated = False
+        del self.server.sessions[self.auth_token]
         self.server.application.left(self)
         while self._requests:
             self._refuse(self._requests.popleft(), _Codes.BadSessionClosed)
@@ -194,7 +172,7 @@ class Session:
     def publish(self, head: encoding.Head, request_id: int, body: Buffer) -> None:
         """Take a Publish request: acknowledge what was received, and keep it for later."""
         n_own = len(self.subscriptions)
-        if not n_own and not self._farewells:
+        if not n_own and not self._status_changes:
             raise ServiceError(_Codes.BadNoSubscription)
         received = encoding.acknowledgements(body)
         if len(received) > self.server.settings.max_operations:
@@ -207,12 +185,10 @@ class Session:
             is_late = oldest.expires_s < now_s
             self._refuse(oldest, _Codes.BadTimeout if is_late else _Codes.BadTooManyPublishRequests)
         self._requests.append(PublishRequest(head.handle, request_id, expires_s, results))
-        if self._farewells:
-            self._send_farewell()
-        elif self._late:
-            first = next(iter(self._late))
-            del self._late[first]
-            self.server.subscription_service.rotation.add(first)
+        if self._status_changes:
+            self._send_status_change()
+        else:
+            self._serve_late(1)
 
     def _acknowledge(self, subscription_id: int, sequence: int) -> int:
         try:
@@ -236,12 +212,13 @@ class Session:
 
     def resume(self) -> None:
         """Go on sending after the client has read what was sent before."""
-        while self._late and self._requests:
-            first = next(iter(self._late))
-            del self._late[first]
-            self.server.subscription_service.rotation.add(first)
-            if len(self._late) >= len(self._requests):
-                break
+        self._serve_late(len(self._requests))
+
+    def _serve_late(self, most: int) -> None:
+        """Give turns to the subscriptions that have waited longest for a request."""
+        for subscription in tuple(self._late)[:most]:
+            del self._late[subscription]
+            self.server.subscription_service.rotation.add(subscription)
 
     def answer_publish(
         self, request: PublishRequest, number: int, available: list[int], more: bool, message: bytes
@@ -257,12 +234,12 @@ class Session:
         """Let go of a subscription; tell the client with `reason` if it did not ask for it."""
         self._late.pop(subscription, None)
         if reason:
-            self._farewells.append((subscription.number, reason))
+            self._status_changes.append((subscription.number, reason))
             if self._requests:
-                self._send_farewell()
+                self._send_status_change()
 
-    def _send_farewell(self) -> None:
-        number, reason = self._farewells.popleft()
+    def _send_status_change(self) -> None:
+        number, reason = self._status_changes.popleft()
         request = self._requests.popleft()
         change = encoding.extension(encoding.STATUS_CHANGE, reason.to_bytes(4, "little"), b"\0")
         message = encoding.notification_message(1, [change])

@@ -2,7 +2,7 @@
 
 A connection that does not get on is closed: no Hello, no channel or an incomplete message after
 `READ_DEADLINE_S`, no session after `LOGIN_DEADLINE_S`, answers that nobody reads after
-`DEAF_DEADLINE_S`. When all places are taken, the one that has waited longest without a session
+`UNREAD_DEADLINE_S`. When all places are taken, the one that has waited longest without a session
 makes room.
 """
 
@@ -25,7 +25,7 @@ from hilserver.opcua.rotation import Portions, advance
 
 READ_DEADLINE_S = 2.0
 LOGIN_DEADLINE_S = 10.0
-DEAF_DEADLINE_S = 10.0
+UNREAD_DEADLINE_S = 10.0
 _SWEEP_S = 0.2
 _LONG_S, _LONG_REST_S = 0.002, 0.002
 """A request that has taken so long rests after each portion: it gets a fifth of the loop."""
@@ -45,36 +45,34 @@ class Connection(asyncio.Protocol):
         self._queued_bytes = 0
         self._is_reading = True
         self._stage = Stage.NEW
-        self._stage_since_s = self._parts_since_s = self._deaf_since_s = 0.0
+        self._stage_since_s = self._parts_since_s = self._unread_since_s = 0.0
         self._work: Portions | None = None
         self._waiting: asyncio.Task[None] | None = None
         self._refused = TransportError(_Codes.BadTcpMessageTypeInvalid, "")
-        self._transport: Any = None
-        self.processor: Processor | None = None
+        self.transport: Any = None
+        self.processor: Processor
         self.used_s = self.began_s = self._closing_since_s = 0.0
         self.address = ""
 
     def connection_made(self, transport: Any) -> None:
         """Begin to serve a client, if there is room."""
         self.began_s = self._stage_since_s = time.monotonic()
-        self._transport = transport
-        name = transport.get_extra_info("peername")
-        self.address = str(name[0]) if name else ""
+        self.transport = transport
+        self.processor = Processor(self._server.iserver, transport, self._server.policies)
+        self.address = self.processor.address
         if not self._server.make_room(self.address):
             log.warning("opcua connection refused: too many")
             transport.abort()
             return
         transport.set_write_buffer_limits(high=_MAX_UNREAD_BYTES)
-        self.processor = Processor(self._server.iserver, transport, self._server.policies)
         self._server.clients.append(self)
         self._server.iserver.asyncio_transports.append(transport)
 
     def connection_lost(self, error: BaseException | None) -> None:  # noqa: ARG002
         """Let go of everything."""
-        if self.processor is None:
-            return
-        self._server.iserver.asyncio_transports.remove(self._transport)
-        with contextlib.suppress(ValueError):  # who was evicted is off the list already
+        # Who was refused is on neither list, who was evicted on one of them.
+        with contextlib.suppress(ValueError):
+            self._server.iserver.asyncio_transports.remove(self.transport)
             self._server.clients.remove(self)
         self._rotation.drop(self)
         self._frames.clear()
@@ -85,7 +83,7 @@ class Connection(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         """Cut frames out of the stream and queue them."""
-        if self.processor is None or self._transport.is_closing():
+        if self.transport.is_closing():
             return
         try:
             for kind, frame in self._reader.feed(data, time.monotonic()):
@@ -96,7 +94,7 @@ class Connection(asyncio.Protocol):
             self._frames.append((b"", b""))
         if self._queued_bytes > _MAX_QUEUED_BYTES and self._is_reading:
             self._is_reading = False
-            self._transport.pause_reading()
+            self.transport.pause_reading()
         self._ask_for_turns()
 
     def _ask_for_turns(self) -> None:
@@ -105,14 +103,12 @@ class Connection(asyncio.Protocol):
 
     @property
     def _is_free(self) -> bool:
-        assert self.processor is not None
         return self._waiting is None and not self.processor.is_congested
 
     def turn(self) -> bool:
         """Do a portion of a frame; whether there is more to do."""
-        assert self.processor is not None
         if self._work is None:
-            if not self._frames or not self._is_free or self._transport.is_closing():
+            if not self._frames or not self._is_free or self.transport.is_closing():
                 return False
             kind, frame = self._frames.popleft()
             if not kind:
@@ -128,7 +124,6 @@ class Connection(asyncio.Protocol):
         return self._advance(None)
 
     def _advance(self, answer: Any) -> bool:
-        assert self.processor is not None
         assert self._work is not None
         began_s = time.monotonic()
         try:
@@ -147,7 +142,6 @@ class Connection(asyncio.Protocol):
         return False
 
     async def _wait(self, wanted: Coroutine[Any, Any, Any]) -> None:
-        assert self.processor is not None
         began_s = time.monotonic()
         try:
             answer = await wanted
@@ -160,29 +154,25 @@ class Connection(asyncio.Protocol):
 
     def _go_on(self, goes_on: bool) -> None:
         if not goes_on:
-            self._transport.close()
+            self.transport.close()
             return
         self._note_progress()
         if not self._is_reading and self._queued_bytes <= _MAX_QUEUED_BYTES // 2:
             self._is_reading = True
-            self._transport.resume_reading()
+            self.transport.resume_reading()
 
     def pause_writing(self) -> None:
         """Ask nothing more of a client that does not read."""
-        if self.processor is not None:
-            self.processor.is_congested, self._deaf_since_s = True, time.monotonic()
+        self.processor.is_congested, self._unread_since_s = True, time.monotonic()
 
     def resume_writing(self) -> None:
         """Go on: it has read."""
-        if self.processor is None:
-            return
-        self.processor.is_congested, self._deaf_since_s = False, 0.0
+        self.processor.is_congested, self._unread_since_s = False, 0.0
         if self.processor.session is not None:
             self.processor.session.resume()
         self._ask_for_turns()
 
     def _note_progress(self) -> None:
-        assert self.processor is not None
         now_s = time.monotonic()
         if self.processor.stage is not self._stage:
             self._stage, self._stage_since_s = self.processor.stage, now_s
@@ -194,25 +184,19 @@ class Connection(asyncio.Protocol):
     @property
     def is_active(self) -> bool:
         """Whether a session is activated on this connection, and it goes on."""
-        return (
-            self.processor is not None
-            and self.processor.stage is Stage.ACTIVE
-            and not self._transport.is_closing()
-        )
+        return self.processor.stage is Stage.ACTIVE and not self.transport.is_closing()
 
     def check_deadlines(self, now_s: float) -> None:
         """Close the connection if it keeps us waiting."""
-        if self.processor is None:
-            return
-        if self._transport.is_closing():
+        if self.transport.is_closing():
             # It ends when the client has read the rest: not without a limit either.
             self._closing_since_s = self._closing_since_s or now_s
             if now_s - self._closing_since_s > READ_DEADLINE_S:
-                self._transport.abort()
+                self.transport.abort()
             return
-        if self._deaf_since_s and now_s - self._deaf_since_s > DEAF_DEADLINE_S:
+        if self._unread_since_s and now_s - self._unread_since_s > UNREAD_DEADLINE_S:
             log.warning("opcua client does not read its answers: closed", address=self.address)
-            self._transport.abort()
+            self.transport.abort()
             return
         limit_s = READ_DEADLINE_S - 2 * _SWEEP_S
         since_s = [s for s in (self._reader.since_s, self._parts_since_s) if s and self._is_reading]
@@ -223,10 +207,6 @@ class Connection(asyncio.Protocol):
             is_late = is_late or now_s - self._stage_since_s > LOGIN_DEADLINE_S
         if is_late:
             self.processor.refuse(_Codes.BadTimeout, "the rest did not come in time")
-
-    def evict(self) -> None:
-        """Close at once: another client needs the place."""
-        self._transport.abort()
 
 
 class Listener(BinaryServer):  # type: ignore[misc]
@@ -263,7 +243,7 @@ class Listener(BinaryServer):  # type: ignore[misc]
         if oldest is None:
             return False
         self.clients.remove(oldest)
-        oldest.evict()
+        oldest.transport.abort()
         return True
 
     async def start(self) -> None:

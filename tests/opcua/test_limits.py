@@ -79,7 +79,7 @@ async def test_client_that_does_not_read_is_closed(
     rig: Rig, client: RobotClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It asks for a megabyte again and again and leaves the answers in the socket."""
-    monkeypatch.setattr(transport, "DEAF_DEADLINE_S", 0.5)
+    monkeypatch.setattr(transport, "UNREAD_DEADLINE_S", 0.5)
     deaf = RobotClient(rig.server.url)
     await deaf.connect()
     deaf.uaclient.protocol.transport.pause_reading()

@@ -141,8 +141,8 @@ async def test_a_connection_that_is_closing_ends_although_its_client_does_not_re
         (protocol,) = server.clients[before:]
         assert isinstance(protocol, Connection)
         wire._writer.transport.pause_reading()
-        protocol._transport.write(bytes(64 << 20))
-        protocol._transport.close()
+        protocol.transport.write(bytes(64 << 20))
+        protocol.transport.close()
         assert not protocol.is_active
         async with asyncio.timeout(60):
             while len(server.clients) > before:  # noqa: ASYNC110
