@@ -2,6 +2,7 @@
 
 import difflib
 import errno
+import os
 from collections.abc import Iterable
 
 EXIT_DONE = 0
@@ -43,6 +44,21 @@ def reason(error: OSError) -> str:
         return "no space is left for it; free some"
     said = (error.strerror or str(error)).lower()
     return f"{said}; name a file" if error.errno == errno.EISDIR else said
+
+
+_ADDRESSES = {
+    errno.EADDRINUSE: "end the program that uses it, or choose another port",
+    errno.EADDRNOTAVAIL: "name an address of this computer",
+    errno.EACCES: "a port below 1024 needs CAP_NET_BIND_SERVICE; choose another one",
+}
+
+
+def address_refused(what: str, error: OSError) -> FailedError:
+    """Return why an address cannot be used, with the remedy; `what` names section and address."""
+    number = error.errno or getattr(error.__context__, "errno", None) or 0
+    why = os.strerror(number) if number > 0 else str(error)
+    remedy = _ADDRESSES.get(number, "check the address")
+    return FailedError(f"{what} ({why.lower()}); {remedy}")
 
 
 _ALIKE, _SHORT = 0.7, 2

@@ -2,11 +2,11 @@
 
 import argparse
 import json
+from collections.abc import Iterator
 
 from hilserver.commands.credentials import check_credentials
 from hilserver.commands.options import add_config, config_path, out_file, write_text
 from hilserver.config.blocks import BlockConfig
-from hilserver.config.peers import PeerConfig
 from hilserver.config.root import json_schema
 from hilserver.daemon.assembly import Assembly, assemble
 from hilserver.errors import EXIT_DONE
@@ -62,17 +62,7 @@ def describe(assembly: Assembly) -> list[str]:
     terms = {name: value for name, value in config.plant.terms.items() if value is not None}
     lines.append(f"terms: {', '.join(f'{n} = {v:g}' for n, v in terms.items()) or 'none'}")
     lines += [_block(block) for block in config.blocks]
-    lines += [
-        f"peer {peer.name}: {peer.endpoint}, reads {len(peer.read)} and writes {len(peer.write)}"
-        f" nodes, stale after {peer.stale_after_ms:g} ms: {peer.on_stale}, {_protection(peer)}"
-        for peer in config.peers
-    ]
-    if config.ros2.enabled:
-        ros2 = config.ros2
-        lines.append(
-            f"ROS 2: {ros2.flavour} on {ros2.interface}, services as {ros2.rmw} has them, stale"
-            f" after {ros2.stale_after_ms:g} ms: {ros2.on_stale}"
-        )
+    lines += _links(assembly)
     lines.append(
         f"control: '{config.first_source}' has control at start; sources, highest first:"
         f" {', '.join(config.sources)}"
@@ -81,26 +71,21 @@ def describe(assembly: Assembly) -> list[str]:
     metrics = config.metrics
     address = f"http://{metrics.host}:{metrics.port}/metrics" if metrics.enabled else "off"
     lines.append(f"metrics: {address}")
-    lines += _links(assembly)
+    page, foxglove = config.page, config.foxglove
+    scheme = "https" if page.tls else "http"
+    lines.append(f"page: {f'{scheme}://{page.host}:{page.port}/' if page.enabled else 'off'}")
+    if foxglove.enabled:
+        lines.append(f"foxglove: ws://{foxglove.host}:{foxglove.port}")
     return lines + [f"warning: {text}" for text in warnings(assembly)]
 
 
-def _links(assembly: Assembly) -> list[str]:
-    config = assembly.config
-    page, foxglove, shield, edge = config.page, config.foxglove, config.shield, config.edge
-    scheme = "https" if page.tls else "http"
-    lines = [f"page: {f'{scheme}://{page.host}:{page.port}/' if page.enabled else 'off'}"]
-    if foxglove.enabled:
-        lines.append(f"foxglove: ws://{foxglove.host}:{foxglove.port}")
-    if edge.enabled:
-        lines.append(f"databus: mqtt://{edge.host}:{edge.port}")
-    if config.s7.server is not None:
-        server = config.s7.server
-        numbers = ", ".join(f"DB{number}" for number in sorted(server.blocks))
-        lines.append(f"S7: s7://{server.host}:{server.port}, {numbers}")
-    if shield.enabled:
-        lines.append(f"shield: {shield.device or assembly.folder / shield.link}")
-    return lines
+def _links(assembly: Assembly) -> Iterator[str]:
+    for link in assembly.config.links:
+        driver, about = link.driver, link.about(assembly.folder)
+        if driver.is_enabled:
+            about += f", stale after {driver.limit_ms:g} ms: {driver.on_stale}"
+        if about:
+            yield f"link {driver.name}: {about}"
 
 
 def _block(block: BlockConfig) -> str:
@@ -119,7 +104,8 @@ def warnings(assembly: Assembly) -> list[str]:
 
 def _idle_peers(assembly: Assembly) -> list[str]:
     config, table = assembly.config, assembly.table
-    if config.first_source != "peer":
+    driving = [link for link in config.links if link.drives and link.driver.kind == "peer"]
+    if config.first_source != "peer" or driving != [*config.peers]:
         return []
     read = {name for peer in config.peers for name in peer.inputs}
     if not read.isdisjoint(TWIST):
@@ -138,11 +124,3 @@ def _idle_peers(assembly: Assembly) -> list[str]:
         " still; one node may feed several inputs, as in 'ns=1;s=left':"
         " [wheel.fl.setpoint_rpm, wheel.rl.setpoint_rpm]"
     ]
-
-
-def _protection(peer: PeerConfig) -> str:
-    if peer.is_s7:
-        return "unprotected: S7 knows neither users nor encryption"
-    security = peer.security
-    how = f"{security.policy} {security.effective_mode}" if security.is_secure else "policy None"
-    return how if security.user is None else f"{how}, as user '{security.user}'"

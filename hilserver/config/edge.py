@@ -85,3 +85,7 @@ class EdgeConfig(LinkSection):
         """Whoever writes on the databus."""
         who = ("edge", "peer:edge", "the databus")
         return Driver(*who, self.stale_after_ms, self.on_stale, self.drives, has_faults=False)
+
+    def about(self, _folder: Path) -> str:
+        """Return the broker."""
+        return f"mqtt://{self.host}:{self.port}" if self.enabled else ""

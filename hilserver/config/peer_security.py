@@ -71,6 +71,12 @@ class PeerSecurity(Section):
         """Mode of a secure link."""
         return self.mode or "sign_and_encrypt"
 
+    @property
+    def about(self) -> str:
+        """What protects the link, and as whom we log in."""
+        how = f"{self.policy} {self.effective_mode}" if self.is_secure else "policy None"
+        return how if self.user is None else f"{how}, as user '{self.user}'"
+
     @model_validator(mode="after")
     def _only_what_acts(self) -> "PeerSecurity":
         if not self.is_secure:

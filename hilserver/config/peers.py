@@ -10,6 +10,7 @@ import re
 import uuid
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Literal
 from urllib.parse import urlsplit
 
@@ -223,6 +224,13 @@ class PeerConfig(LinkSection):
         """The peer."""
         who = (self.name, f"peer:{self.name}", f"peer '{self.name}'")
         return Driver(*who, self.stale_after_ms, self.on_stale)
+
+    def about(self, _folder: Path) -> str:
+        """Return what it reads and writes, and how it is protected."""
+        open_s7 = "unprotected: S7 knows neither users nor encryption"
+        how = open_s7 if self.is_s7 else self.security.about
+        nodes = f"reads {len(self.read)} and writes {len(self.write)} nodes"
+        return f"{self.endpoint}, {nodes}, {how}"
 
     @property
     def host(self) -> str:

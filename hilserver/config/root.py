@@ -41,10 +41,10 @@ class Config(Section):
     image: ImageConfig = Field(default_factory=ImageConfig)
     opcua: OpcUaConfig = Field(default_factory=OpcUaConfig)
     peers: tuple[PeerConfig, ...] = ()
-    shield: ShieldConfig = Field(default_factory=ShieldConfig)
-    ros2: Ros2Config = Field(default_factory=Ros2Config)
     edge: EdgeConfig = Field(default_factory=EdgeConfig)
     s7: S7Config = Field(default_factory=S7Config)
+    shield: ShieldConfig = Field(default_factory=ShieldConfig)
+    ros2: Ros2Config = Field(default_factory=Ros2Config)
     blocks: tuple[BlockConfig, ...] = ()
     observer: ObserverConfig = Field(default_factory=ObserverConfig)
     shadow: ShadowConfig = Field(default_factory=ShadowConfig)
@@ -72,9 +72,14 @@ class Config(Section):
     @property
     def drivers(self) -> list[Driver]:
         """Who may drive over a link, whether or not it is enabled."""
+        return [link.driver for link in self.links]
+
+    @property
+    def links(self) -> list[LinkSection]:
+        """What lets somebody drive over a link, enabled or not."""
         values = (value if isinstance(value, tuple) else (value,) for _, value in self)
         sections = (section for found in values for section in found)
-        return [section.driver for section in sections if isinstance(section, LinkSection)]
+        return [section for section in sections if isinstance(section, LinkSection)]
 
     @property
     def sources(self) -> tuple[Source, ...]:
@@ -82,23 +87,18 @@ class Config(Section):
 
         One with a section of its own exists where that is enabled.
         """
-        optional = {
+        optional = {driver.kind: driver.is_enabled for driver in self.drivers} | {
             "page": self.page.enabled or self.foxglove.enabled,
-            "ros2": self.ros2.enabled,
-            "shield": self.shield.enabled,
+            "peer": True,
         }
         return tuple(source for source in self.control.priority if optional.get(source, True))
 
     @property
     def first_source(self) -> Source:
-        """Kind of source that has control at the start."""
+        """Kind of source that has control at the start; of several that drive the first link's."""
         if self.control.source is not None:
             return self.control.source
-        if self.peers or self.edge.drives or self.s7.drives:
-            return "peer"
-        if self.shield.enabled:
-            return "shield"
-        return "ros2" if self.ros2.enabled else "opcua"
+        return next((link.driver.kind for link in self.links if link.drives), "opcua")
 
     @property
     def sha256(self) -> str:

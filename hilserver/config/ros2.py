@@ -2,6 +2,7 @@
 
 import re
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
@@ -117,6 +118,11 @@ class Ros2Config(LinkSection):
         """The host."""
         limit_ms = self.stale_after_ms
         return Driver("ros2", "ros2", "the ROS 2 host", limit_ms, self.on_stale, self.enabled)
+
+    def about(self, _folder: Path) -> str:
+        """Return the robot program, the interface and the middleware."""
+        how = f"{self.flavour} on {self.interface}, services as {self.rmw} has them"
+        return how if self.enabled else ""
 
     @property
     def may_set_parameters(self) -> bool:

@@ -9,6 +9,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import Annotated, Final, Literal, NamedTuple, Self
 
 from pydantic import AfterValidator, Field, model_validator
@@ -233,6 +234,14 @@ class S7Config(LinkSection):
         )  # fmt: skip
         who = ("s7", "peer:s7", "the S7 client")
         return Driver(*who, limit_ms, on_stale, server is not None, has_faults=False)
+
+    def about(self, _folder: Path) -> str:
+        """Return where it listens, and its blocks."""
+        server = self.server
+        if server is None:
+            return ""
+        numbers = ", ".join(f"DB{number}" for number in sorted(server.blocks))
+        return f"s7://{server.host}:{server.port}, {numbers}"
 
     @property
     def drives(self) -> bool:

@@ -1,9 +1,12 @@
 """What all sections of the configuration have in common."""
 
 from dataclasses import fields
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple, cast
 
 from pydantic import BaseModel, ConfigDict, Field
+
+from hilserver.signals import Source
 
 
 class Section(BaseModel):
@@ -23,6 +26,11 @@ class Driver(NamedTuple):
     is_enabled: bool = True
     has_faults: bool = True  # whether faults can be injected
 
+    @property
+    def kind(self) -> Source:
+        """What it is called where sources are ranked: ``peer``."""
+        return cast("Source", self.source.partition(":")[0])
+
 
 class LinkSection(Section):
     """A section that lets somebody drive; leases, messages and faults follow from its `driver`."""
@@ -31,6 +39,15 @@ class LinkSection(Section):
     def driver(self) -> Driver:
         """Who drives over it."""
         raise NotImplementedError
+
+    @property
+    def drives(self) -> bool:
+        """Whether it can command, so that its kind has control at the start."""
+        return self.driver.is_enabled
+
+    def about(self, _folder: Path) -> str:
+        """Return what `hilserver check` says of it; empty: off. Paths start from the folder."""
+        return "on" if self.driver.is_enabled else ""
 
 
 def of(part: type, name: str) -> Any:

@@ -63,6 +63,10 @@ class ShieldConfig(LinkSection):
         who = ("shield", "shield", "the shield's host")
         return Driver(*who, self.stale_after_ms, self.on_stale, self.enabled, has_faults=False)
 
+    def about(self, folder: Path) -> str:
+        """Return the serial line."""
+        return str(self.device or folder / self.link) if self.enabled else ""
+
     @property
     def wheels(self) -> tuple[str, ...]:
         """Wheel on each motor channel."""

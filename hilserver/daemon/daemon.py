@@ -31,7 +31,7 @@ from hilserver.daemon.connections import (
 from hilserver.daemon.outputs import Outputs
 from hilserver.daemon.shadow import GapWatch
 from hilserver.daemon.supervision import Supervision
-from hilserver.errors import EXIT_DONE, EXIT_FAILED, EXIT_SAFETY_LIMIT
+from hilserver.errors import EXIT_DONE, EXIT_FAILED, EXIT_SAFETY_LIMIT, address_refused
 from hilserver.faults import Play
 from hilserver.io.link_status import PeerStatus
 from hilserver.io.recorder.launch import recorder_inside, running_recorder
@@ -173,7 +173,10 @@ class Daemon:
             if part.is_early == early:
                 self._begun.append(part)
                 with self.assembly.at(part.section):
-                    await part.start()
+                    try:
+                        await part.start()
+                    except OSError as error:
+                        raise address_refused(f"{part.section}: cannot start", error) from None
 
     def bring_to_rest(self) -> None:
         """Ramp the set-points to zero, from any thread, when the event loop cannot."""

@@ -8,9 +8,7 @@ of the next `RENDER_EVERY_S`).
 """
 
 import asyncio
-import errno
 import json
-import os
 import socket
 import time
 from collections.abc import Callable, Collection
@@ -19,7 +17,7 @@ from http import HTTPStatus
 
 import structlog
 
-from hilserver.errors import FailedError
+from hilserver.errors import address_refused
 from hilserver.monitoring.health_request import RefusedRequestError, Request, parse_request
 from hilserver.program import event_loop
 from hilserver.signals import State
@@ -79,12 +77,6 @@ CONNECTIONS_MAX = 128
 TIMEOUT_S = 2.0
 LINGER_S = 0.2
 RENDER_EVERY_S = 0.05
-
-_REMEDIES = {
-    errno.EADDRINUSE: "end the program that uses it or set metrics.port to another one",
-    errno.EADDRNOTAVAIL: "set metrics.host to an address of this computer",
-    errno.EACCES: "set metrics.port to 1024 or more",
-}
 
 _log = structlog.get_logger(__name__)
 
@@ -166,11 +158,8 @@ class HttpServer:
                 self._accept, self.host, self.port, limit=REQUEST_BYTES_MAX
             )
         except OSError as error:
-            what = os.strerror(error.errno) if error.errno else str(error)
-            raise FailedError(
-                f"metrics: cannot listen on {self.host} port {self.port} ({what.lower()}); "
-                f"{_REMEDIES.get(error.errno or 0, 'check metrics.host and metrics.port')}"
-            ) from None
+            where = f"{self.host} port {self.port}"
+            raise address_refused(f"metrics: cannot listen on {where}", error) from None
         self.port = self._server.sockets[0].getsockname()[1]
 
     async def stop(self) -> None:

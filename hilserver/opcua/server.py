@@ -9,8 +9,6 @@
         ...                         # values
 """
 
-import errno
-import os
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -24,7 +22,7 @@ from asyncua.server.address_space import AttributeValue
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import rsa
 
-from hilserver.errors import ConfigError, FailedError
+from hilserver.errors import ConfigError, address_refused
 from hilserver.opcua import standard_values
 from hilserver.opcua.application import Application
 from hilserver.opcua.certificate import application_uris
@@ -108,7 +106,8 @@ class HardenedServer(Server):  # type: ignore[misc]
             await self.bserver.start()
         except OSError as error:
             await self.iserver.stop()
-            raise FailedError(self._why_not(error)) from None
+            where = f"{self.settings.host} port {self.settings.port}"
+            raise address_refused(f"opcua: cannot listen on {where}", error) from None
 
     def sample(self) -> None:
         """Show subscriptions what was written since the last time.
@@ -136,14 +135,6 @@ class HardenedServer(Server):  # type: ignore[misc]
             )
         self.iserver.certificate, self.iserver.private_key = certificate, private_key
         trust.ours = certificate
-
-    def _why_not(self, error: OSError) -> str:
-        what = f"OPC UA cannot listen on {self.settings.host}:{self.settings.port}"
-        if error.errno == errno.EADDRINUSE:
-            return f"{what}: the port is in use; end the other program or change opcua.endpoint"
-        if error.errno == errno.EACCES:
-            return f"{what}: ports below 1024 need rights; change opcua.endpoint"
-        return f"{what}: {error.strerror or os.strerror(error.errno or 0)}; change opcua.endpoint"
 
 
 class _LiveTime(AttributeValue):  # type: ignore[misc]

@@ -10,15 +10,18 @@ import json
 import socket
 import time
 
+import pytest
 from pydantic import Field
 
 from hilserver.commands.announcing import Announcer
+from hilserver.commands.check import describe
 from hilserver.config.root import Config
 from hilserver.config.section import Driver, LinkSection
 from hilserver.core.events import EventKind
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.connections import LINKS
 from hilserver.daemon.daemon import Daemon
+from hilserver.errors import FailedError
 from hilserver.io.link_status import PeerStatus
 from hilserver.io.source import Source, keep_watch
 from hilserver.io.world import Part
@@ -50,7 +53,7 @@ class UdpLink(Part, asyncio.DatagramProtocol):
     def __init__(self, world):
         config = world.config.udp
         self.status = PeerStatus("udp", f"port {config.port}")
-        self._port, publish = config.port, world.events.publish
+        self._port, publish, self._task = config.port, world.events.publish, None
         fresh = lambda: "UDP: datagrams come in"  # noqa: E731
         self._source = Source(config.driver, "UDP", self.status, world.gate, publish, fresh=fresh)
 
@@ -65,11 +68,13 @@ class UdpLink(Part, asyncio.DatagramProtocol):
         self._task = asyncio.create_task(keep_watch(self._look))
 
     async def stop(self):
-        self._task.cancel()
-        self._transport.close()
+        if self._task is not None:
+            self._task.cancel()
+            self._transport.close()
 
     def _look(self):
         self._source.watch(time.monotonic_ns())
+        self.status.connected = not self.status.stale
 
     def datagram_received(self, data, _address):
         now_ns = time.monotonic_ns()
@@ -100,7 +105,7 @@ class Notes:
 
 
 async def test_a_link_of_its_own_drives_is_shown_and_lapses():
-    base = configuration(control={"source": "peer"}, opcua={"enabled": False})
+    base = configuration(opcua={"enabled": False})
     config = UdpConfiguration.model_validate(base.model_dump() | {"udp": {"enabled": True}})
     async with Daemon(assemble_config(config), links=(*LINKS, parts)) as daemon:
         link, notes = daemon.part("udp"), Notes()
@@ -114,7 +119,7 @@ async def test_a_link_of_its_own_drives_is_shown_and_lapses():
                 for values in ({"wheel.fl.setpoint_rpm": 30.0}, {"wheel.fl.setpoint_rpm": "fast"}):
                     sender.sendto(json.dumps(values).encode(), ("127.0.0.1", port))
                 sender.sendto(b"no JSON", ("127.0.0.1", port))
-                return daemon.image.frame_values[speed] > 20.0
+                return daemon.image.frame_values[speed] > 20.0 and link.status.connected
 
             await wait_until(drives)
         assert link.status.fault_counts == {"refused_value": link.status.fault_counts.total()}
@@ -125,3 +130,22 @@ async def test_a_link_of_its_own_drives_is_shown_and_lapses():
         assert daemon.control.reason == "the UDP sender is silent"
         lost = [e.message for e in daemon.events.recent if e.kind is EventKind.PEER_LOST]
         assert lost == [f"UDP: nothing new for more than {LIMIT_MS:g} ms; on_stale is ramp"]
+
+
+async def test_a_port_in_use_is_one_sentence_with_a_remedy():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        base = configuration(opcua={"enabled": False}).model_dump()
+        section = {"enabled": True, "port": taken.getsockname()[1]}
+        config = UdpConfiguration.model_validate(base | {"udp": section})
+        with pytest.raises(FailedError, match=r"^udp: cannot start \(.*in use\); end the program"):
+            async with Daemon(assemble_config(config), links=(*LINKS, parts)):
+                pass
+
+
+def test_the_check_of_a_configuration_names_it():
+    assembly = assemble_config(UdpConfiguration(udp=UdpConfig(enabled=True)))
+    lines = describe(assembly)
+    assert "link udp: on, stale after 2000 ms: ramp" in lines
+    assert any(line.startswith("control: 'peer' has control at start") for line in lines)
+    assert not any(line.startswith("warning") for line in lines)

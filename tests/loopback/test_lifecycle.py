@@ -161,6 +161,6 @@ async def test_a_start_that_fails_gives_everything_back():
         port = taken.getsockname()[1]
         endpoint = f"opc.tcp://127.0.0.1:{port}/hilserver"
         before = await resources()
-        with pytest.raises(FailedError, match=f":{port}: the port is in use"):
+        with pytest.raises(FailedError, match=rf"port {port} \(address already in use\); end the"):
             await Daemon(assemble_config(configuration(opcua={"endpoint": endpoint}))).__aenter__()
         assert await resources() == before

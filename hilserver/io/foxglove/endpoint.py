@@ -18,7 +18,7 @@ from foxglove.websocket import Capability
 from pydantic import BaseModel, TypeAdapter
 
 from hilserver.config.foxglove import FoxgloveConfig
-from hilserver.errors import FailedError
+from hilserver.errors import address_refused
 from hilserver.image import Frame
 from hilserver.io.arrival import Arrivals
 from hilserver.io.foxglove.door import Door, hidden_host
@@ -116,10 +116,9 @@ class Endpoint(Part):
             await self._door.open(self._config.host, self._config.port, (host, self._server.port))
         except (RuntimeError, OSError, foxglove_error()) as error:
             await self.stop()
-            raise FailedError(
-                f"foxglove: cannot listen on {self._config.host}:{self._config.port} ({error});"
-                " choose another port"
-            ) from None
+            why = error if isinstance(error, OSError) else OSError(str(error))
+            where = f"{self._config.host} port {self._config.port}"
+            raise address_refused(f"foxglove: cannot listen on {where}", why) from None
         self._tasks = [
             asyncio.create_task(self._show_for_ever(), name="foxglove"),
             asyncio.create_task(keep_watch(self._look), name="foxglove-watch"),

@@ -1,12 +1,11 @@
 """The socket that the page listens on, and its encryption."""
 
 import errno
-import os
 import socket
 import ssl
 from pathlib import Path
 
-from hilserver.errors import ConfigError, FailedError
+from hilserver.errors import ConfigError, FailedError, address_refused
 
 _TRIES = 20
 _BACKLOG = 128
@@ -21,7 +20,7 @@ def listen(host: str, port: int) -> socket.socket:
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except OSError as error:
-        raise _failure(host, port, error) from None
+        raise address_refused(f"page: cannot listen on {host} port {port}", error) from None
     for candidate in ports:
         listener = socket.socket(family, socket.SOCK_STREAM)
         try:
@@ -31,7 +30,8 @@ def listen(host: str, port: int) -> socket.socket:
         except OSError as error:
             listener.close()
             if error.errno != errno.EADDRINUSE or candidate == ports[-1]:
-                raise _failure(host, candidate, error) from None
+                where = f"{host} port {candidate}"
+                raise address_refused(f"page: cannot listen on {where}", error) from None
         else:
             return listener
     raise FailedError(f"page: no port for {host}")
@@ -78,10 +78,3 @@ def url_of(listener: socket.socket, host: str, *, is_encrypted: bool) -> str:
     port = listener.getsockname()[1]
     shown = f"[{host}]" if ":" in host else host
     return f"{'https' if is_encrypted else 'http'}://{shown}:{port}/"
-
-
-def _failure(host: str, port: int, error: OSError) -> FailedError:
-    reason = os.strerror(error.errno).lower() if error.errno else str(error)
-    return FailedError(
-        f"page: cannot listen on {host} port {port} ({reason}); change page.host or page.port"
-    )

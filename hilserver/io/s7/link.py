@@ -1,14 +1,13 @@
 """The server as a part of the daemon: frames out, groups through the gate."""
 
 import asyncio
-import errno
 import time
 from collections.abc import Mapping
 from typing import Final
 
 from hilserver.config.s7 import S7Server
 from hilserver.core.inputs import Refusal
-from hilserver.errors import FailedError
+from hilserver.errors import address_refused
 from hilserver.image import Frame
 from hilserver.io.link_status import LinkState, PeerStatus
 from hilserver.io.peer_link.samples import FaultKind
@@ -58,11 +57,8 @@ class S7Link(Part):
         try:
             await self._server.start()
         except OSError as error:
-            why = error.strerror or str(error)
-            if error.errno == errno.EACCES:
-                why += "; a port below 1024 needs CAP_NET_BIND_SERVICE: see docs/how-to/s7.md"
-            place = f"s7.server: {self._config.host}, port {self._config.port}"
-            raise FailedError(f"{place}: {why}") from None
+            where = f"{self._config.host} port {self._config.port}"
+            raise address_refused(f"s7.server: cannot listen on {where}", error) from None
         self.status.endpoint, self.status.state = self.address, LinkState.CONNECTING
         self._watching = asyncio.create_task(keep_watch(self._look), name="s7-watch")
 
