@@ -32,10 +32,10 @@ from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.thresholds import (
     INEXACT,
     INSTEAD_LEAST_GAIN,
+    LEAST_GAIN,
     LEAST_USEFUL,
     REST_LEVEL,
     SCREEN_LEVEL,
-    SELECTION_LEAST_SAVED,
     TIE,
 )
 from hilserver.measured.channels import POSITION
@@ -125,32 +125,29 @@ def anchor_off(
     if gain - TIE < max(_rival(library, point), *others, 0.0):
         return None
     p = float(adjusted(np.array([t]), null_maxima([scores], rng))[0])
-    if p >= ANCHOR_LEVEL or not holds_out(
-        problem, white[:, [best]], point.left, SELECTION_LEAST_SAVED
-    ):
+    if p >= ANCHOR_LEVEL or not holds_out(problem, white[:, [best]], point.left, LEAST_GAIN):
         return None
     half_m = 1.96 * float(scores.deviation[best] / scores.information[best])
     found = _anchor(moved[best], best, float(scores.size[best]), half_m)
     return found, p * SCREEN_LEVEL / ANCHOR_LEVEL
 
 
-@dataclass(frozen=True)
-class Contest:
-    """A scale of the navigation among the accepted causes against misplaced anchors.
+def scale_or_anchor(problem: Problem, point: Point) -> tuple[int, float, Anchor] | None:
+    """Hold an accepted scale of the navigation against misplaced anchors; None without one.
 
     A scale is the simplest of the fields of error that one misplaced anchor makes, and the first to
     be found.
+
+    Returns
+    -------
+    int
+        Place of the scale among the accepted causes.
+    float
+        Deviance that one anchor, or all four less one for each, saves more than the scale: beyond
+        `TIE` the scale is none, within it the data do not decide.
+    Anchor
+        The one that explains most in its place.
     """
-
-    index: int  # of the scale among the accepted causes
-    # deviance that one anchor, or all four less one for each, saves more than the scale: beyond
-    # `TIE` the scale is none, within it the data do not decide
-    more: float
-    anchor: Anchor  # the one that explains most in its place
-
-
-def scale_or_anchor(problem: Problem, point: Point) -> Contest | None:
-    """Hold an accepted scale of the navigation against misplaced anchors; None without one."""
     accepted = problem.accepted(point)
     index = next((i for i, c in enumerate(point.model.causes) if traits_of(c).field), None)
     if accepted is None or index is None:
@@ -166,7 +163,7 @@ def scale_or_anchor(problem: Problem, point: Point) -> Contest | None:
     best = int(np.argmax(along**2 / squares))
     most = max(float(along[best] ** 2 / squares[best]), joint_gain(white, target))
     error_m, half_m = float(along[best] / squares[best]), 1.96 / float(np.sqrt(squares[best]))
-    return Contest(index, most - explained, _anchor(moved[best], best, error_m, half_m))
+    return index, most - explained, _anchor(moved[best], best, error_m, half_m)
 
 
 def _rival(library: Library, point: Point) -> float:

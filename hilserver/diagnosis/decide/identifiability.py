@@ -8,7 +8,7 @@ import numpy as np
 
 from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.candidate import Candidate
-from hilserver.diagnosis.decide.promise import Step
+from hilserver.diagnosis.decide.promise import CLEARLY_SE, Step
 from hilserver.diagnosis.decide.trial import Trial, cost, possible
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.fitting import fit, fit_without
@@ -204,7 +204,7 @@ def prune(problem: Problem, point: Point) -> Point:
         less = [fit_without(problem, point, index) for index in range(len(point.model.fitted))]
         weakest = min(less, key=lambda other: float((other.loss - point.loss).sum()))
         saved = weakest.loss - point.loss
-        if float(saved.sum()) > LEAST_GAIN and deviations(saved) > 2.0:
+        if float(saved.sum()) > LEAST_GAIN and deviations(saved) > CLEARLY_SE:
             break
         point = weakest
     return point

@@ -38,14 +38,11 @@ from hilserver.diagnosis.thresholds import (
     GROUP_COSINE,
     LEAST_GAIN,
     SCREEN_LEVEL,
-    SELECTION_LEAST_SAVED,
     SELECTION_MOST_CAUSES,
     TIE,
 )
 
 TRIALS: Final = 8  # candidates of a round that are fitted: those with the largest linear gains
-NEARLY_ENOUGH: Final = 0.9 * LEAST_GAIN
-"""Deviance that a cause must save linearly to be fitted: the fit may save a little more."""
 MOST_FITTED: Final = 3  # causes of a round that are fitted in full, each with all its shapes
 MOST_SHAPES: Final = 4  # shapes of a cause that are fitted where much is left to explain
 ROUNDS: Final = 3  # each takes away more than half of what the weights confirm of earlier fits
@@ -75,7 +72,7 @@ def best_starts(
     shapes: dict[int, float] = {}
     for j, owner in enumerate(library.owner):
         c, gain = library.candidates[owner], float(scores.gain[j])
-        weak = gain < NEARLY_ENOUGH or (not c.linear and scores.size[j] < 0.15)
+        weak = gain < LEAST_GAIN or (not c.linear and scores.size[j] < 0.15)
         if c.cause in barred or weak:
             continue
         if gross and c.moved is not None:
@@ -128,18 +125,15 @@ def both_at_once(problem: Problem, point: Point, library: Library) -> Point:
     missing = [c for c in library.candidates if c.cause in both and c.cause not in causes]
     if not missing:
         return point
-    in_its_place = [beginning_for(point.model.fitted[index], c) for c in missing]
-    beginnings = [(point.model.without(index), in_its_place, len(missing) - 1)]
-    beginnings.append((point.model, [c.beginning for c in missing], len(missing) + 1))
-    for beside, begin, added in beginnings:
-        model = beside
-        for c, theta in zip(missing, begin, strict=True):
-            model = model.plus(c, theta)
-        trial = fit(problem, model, point, iterations=12)
-        if not physical(trial):
-            continue
-        least = SELECTION_LEAST_SAVED + TIE * added
-        if point.deviance - trial.deviance > least and holds(problem, point, trial):
+    in_its_place = Model(
+        tuple(Fitted(c, beginning_for(point.model.fitted[index], c)) for c in missing)
+    )
+    beside = Model(tuple(Fitted(c, c.beginning) for c in missing))
+    for others, new in ((point.model.without(index), in_its_place), (point.model, beside)):
+        trial = fit(problem, Model((*others.fitted, *new.fitted)), point, iterations=12)
+        least = LEAST_GAIN + TIE * (len(trial.model.fitted) - len(causes))
+        saved = point.deviance - trial.deviance
+        if saved > least and physical(trial) and holds(problem, point, trial):
             return trial
     return point
 
