@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.faults.links import Line
-from hilserver.faults.mail import Acting, Command, Mailbox, rings_of
+from hilserver.faults.mail import Command, Mailbox, rings_of
 from hilserver.faults.model import Fault, parse_fault
-from hilserver.faults.plan import Entry, Planner, check_range
+from hilserver.faults.plan import Planner, check_range
 from hilserver.kernel import modifier_layout as lay
-from hilserver.kernel.modifier_layout import Kind
+from hilserver.kernel.modifier_layout import Entry, Kind
 from hilserver.signals import SignalTable
 
 Figure = float | str | bool | int | None
@@ -104,7 +104,7 @@ class Faults:
         ValueError if there is no fault of that name.
         """
         if name is None:
-            going = [entry for entry in self._acting() if entry.kind is not Kind.FORCE]
+            going = [entry for entry in self._acting() if entry.kind != Kind.FORCE]
             self._mailbox.send([Command(lay.OP_CLEAR)])
             self._leave(entry.number for entry in going)
             self._forget(lambda note: note.fault.fault != FORCE)
@@ -195,7 +195,7 @@ class Faults:
 
     # --- inside -----------------------------------------------------------------------------------
 
-    def _acting(self) -> list[Acting]:
+    def _acting(self) -> list[Entry]:
         """Return the modifiers in the arena that no command on its way will end."""
         taken = self._mailbox.tail
         self._leaving = {n: mail for n, mail in self._leaving.items() if mail > taken}
@@ -242,24 +242,26 @@ class Faults:
     def _forget(self, goes: Callable[[_Note], bool]) -> None:
         self._notes = {n: note for n, note in self._notes.items() if not goes(note)}
 
-    def _view(self, fault: Fault, entry: Acting | None, tick: int) -> ActiveFault:
-        place = fault.signal or ""
-        if entry is None:
-            return ActiveFault(fault.title, fault.fault, place, None, None, is_acting=False)
-        until = None if entry.until_tick >= lay.FOREVER else entry.until_tick
-        acts = entry.from_tick < tick or entry.has_begun
-        return ActiveFault(fault.title, fault.fault, place, entry.from_tick, until, acts)
+    def _view(self, fault: Fault, entry: Entry | None, tick: int) -> ActiveFault:
+        return _shown(fault.title, fault.fault, fault.signal or "", entry, tick)
 
-    def _unknown(self, entry: Acting, tick: int) -> ActiveFault:
+    def _unknown(self, entry: Entry, tick: int) -> ActiveFault:
         """Name a modifier that came with a snapshot."""
-        kind = entry.kind.name.lower()
-        place = "" if entry.kind is Kind.DEAD_TIMEOUT else self._table.by_slot(entry.slot).name
-        until = None if entry.until_tick >= lay.FOREVER else entry.until_tick
-        acts = entry.from_tick < tick or entry.has_begun
-        return ActiveFault(f"{kind}:{place}", kind, place, entry.from_tick, until, acts)
+        kind = Kind(entry.kind)
+        place = "" if kind is Kind.DEAD_TIMEOUT else self._table.by_slot(entry.slot).name
+        name = kind.name.lower()
+        return _shown(f"{name}:{place}", name, place, entry, tick)
 
     def _tell(self, text: str, severity: int) -> None:
         self._events.publish(Event(EventKind.STATE, severity, "faults", text))
+
+
+def _shown(name: str, fault: str, place: str, entry: Entry | None, tick: int) -> ActiveFault:
+    if entry is None:
+        return ActiveFault(name, fault, place, None, None, is_acting=False)
+    until = None if entry.until_tick >= lay.FOREVER else int(entry.until_tick)
+    acts = bool(entry.from_tick < tick or entry.start >= 0)
+    return ActiveFault(name, fault, place, int(entry.from_tick), until, acts)
 
 
 def describe(fault: Fault) -> str:

@@ -1,25 +1,12 @@
 """The way of commands into the compiled step, and the look at what acts there."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
-from hilserver.faults.plan import Entry
 from hilserver.image import ProcessImage
 from hilserver.kernel import modifier_layout as lay
-from hilserver.kernel.modifier_layout import Kind, Mail, Modifiers
+from hilserver.kernel.modifier_layout import Entry, Kind, Mail, Modifiers
 from hilserver.kernel.modifier_mail import show_mail
-
-
-@dataclass(frozen=True, slots=True)
-class Acting:
-    """One modifier as the arena holds it; `has_begun` once it has acted."""
-
-    number: int
-    kind: Kind
-    slot: int
-    from_tick: int
-    until_tick: int
-    has_begun: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,26 +60,14 @@ class Mailbox:
 
     def _write(self, place: int, command: Command) -> None:
         mail = Mail.of(self._mail, place)
-        mail.operation = command.operation
-        mail.entry.number = command.number
-        for name, value in {} if command.entry is None else asdict(command.entry).items():
-            mail.entry[name] = value
+        if command.entry is not None:
+            mail.entry = command.entry
+        mail.operation, mail.entry.number = command.operation, command.number
 
-    def acting(self) -> list[Acting]:
-        """Return the modifiers in the arena; between two ticks it is exact."""
+    def acting(self) -> list[Entry]:
+        """Return a copy of the modifiers in the arena; between two ticks it is exact."""
         table = self._table.copy()
-        return [
-            Acting(
-                int(entry.number),
-                Kind(entry.kind),
-                int(entry.slot),
-                int(entry.from_tick),
-                int(entry.until_tick),
-                bool(entry.start >= 0),
-            )
-            for entry in table.entries[: table.count]
-            if entry.kind in set(Kind)
-        ]
+        return [entry for entry in table.entries[: table.count] if entry.kind in set(Kind)]
 
     @property
     def timeouts(self) -> int:

@@ -2,39 +2,27 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from hilserver.errors import no_signal
 from hilserver.faults.model import Fault
 from hilserver.kernel import modifier_layout as lay
-from hilserver.kernel.modifier_layout import Kind
+from hilserver.kernel.modifier_layout import Entry, Kind
 from hilserver.plant.units import RPM_PER_RAD_S, STANDARD_GRAVITY_M_S2
 from hilserver.signals import Direction, Signal, SignalTable, ValueType
 
 DEGREES_PER_RAD = 180.0 / math.pi
 
 
-@dataclass(frozen=True, slots=True)
-class Entry:
-    """One modifier; the fields are those of `modifier_layout`."""
+_DEFAULTS = {"side": lay.NEITHER, "from_tick": lay.NOW, "until_tick": lay.FOREVER, "every": 1}
 
-    kind: Kind
-    slot: int = 0
-    other: int = 0
-    side: int = lay.NEITHER
-    from_tick: int = lay.NOW
-    until_tick: int = lay.FOREVER
-    seed: int = 0
-    every: int = 1
-    ticks: int = 0
-    spread: int = 0
-    a: float = 0.0
-    b: float = 0.0
-    c: float = 0.0
-    is_integer: bool = False
-    low: float = 0.0
-    high: float = 0.0
-    channel: int = 0
+
+def _entry(kind: Kind, **given: float) -> Entry:
+    """Return a modifier; what is not given is 0, or as in `_DEFAULTS`."""
+    entry = Entry.zeros()
+    for name, value in ({"kind": kind} | _DEFAULTS | given).items():
+        entry[name] = value
+    return entry
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +43,7 @@ class Planner:
         self._shield = shield
         self._defects: Mapping[str, Callable[[Fault], list[Entry]]] = {
             "shield.yaw_rate_without_60_2pi": self._yaw_rate,
-            "shield.dead_command_timeout": lambda _: [Entry(Kind.DEAD_TIMEOUT)],
+            "shield.dead_command_timeout": lambda _: [_entry(Kind.DEAD_TIMEOUT)],
             "shield.last_wheel_scaling": self._last_wheel,
             "shield.front_wheels_swapped": self._front_wheels,
             "shield.rpm_unsigned": self._unsigned,
@@ -72,8 +60,9 @@ class Planner:
             found = self._defects[fault.fault](fault)
         else:
             found = self._on_signal(fault, self._signal(fault.signal))
-        from_tick, until_tick = self._span(fault, start_tick)
-        return [replace(entry, from_tick=from_tick, until_tick=until_tick) for entry in found]
+        for entry in found:
+            entry.from_tick, entry.until_tick = self._span(fault, start_tick)
+        return found
 
     def _span(self, fault: Fault, start_tick: int | None) -> tuple[int, int]:
         begin = round(fault.from_s / self._period_s)
@@ -105,28 +94,28 @@ class Planner:
             limit_s = lay.MAX_DELAY_TICKS * self._period_s
             raise ValueError(f"{fault.fault} reaches back {limit_s:g} s at most")
         numbers = (fault.value, fault.sd, fault.offset, fault.factor, fault.step, fault.size)
-        entry = Entry(
-            kind,
-            side=self._side(signal),
-            seed=fault.seed or 0,
-            every=max(1, self._ticks(fault.every_s)),
-            ticks=ticks,
-            spread=spread,
-            a=next((number for number in numbers if number is not None), 0.0),
-            b=float(fault.value is not None) if kind is Kind.STUCK else fault.probability or 0.0,
-            is_integer=signal.type is not ValueType.DOUBLE,
-            low=signal.low,
-            high=signal.high,
-        )
+        fields = {
+            "side": self._side(signal),
+            "seed": fault.seed or 0,
+            "every": max(1, self._ticks(fault.every_s)),
+            "ticks": ticks,
+            "spread": spread,
+            "a": next((number for number in numbers if number is not None), 0.0),
+            "b": fault.value is not None if kind is Kind.STUCK else fault.probability or 0.0,
+            "is_integer": signal.type is not ValueType.DOUBLE,
+            "low": signal.low,
+            "high": signal.high,
+        }
         return [
-            replace(entry, slot=slot, channel=slot * len(Kind) + int(kind)) for slot in signal.slots
+            _entry(kind, slot=slot, channel=slot * len(Kind) + int(kind), **fields)
+            for slot in signal.slots
         ]
 
     # --- the robot stack's own defects ------------------------------------------------------------
 
     def _scaled(self, name: str, factor: float) -> Entry:
         signal = self._table[name]
-        return Entry(Kind.SCALE, slot=signal.slots[0], side=self._side(signal), a=factor)
+        return _entry(Kind.SCALE, slot=signal.slots[0], side=self._side(signal), a=factor)
 
     def _yaw_rate(self, _: Fault) -> list[Entry]:
         return [self._scaled("twist.angular_rad_s", 1.0 / RPM_PER_RAD_S)]
@@ -136,7 +125,7 @@ class Planner:
         if limit is not None and limit <= 0:
             raise ValueError(f"value is a speed above 0 rpm, not {limit:g}")
         return [
-            Entry(
+            _entry(
                 Kind.LAST_WHEEL,
                 slot=slot("twist.linear_m_s"),
                 other=slot("twist.angular_rad_s"),
@@ -149,11 +138,11 @@ class Planner:
 
     def _front_wheels(self, _: Fault) -> list[Entry]:
         left, right = (self._table.slot(f"wheel.{wheel}.speed_rpm") for wheel in ("fl", "fr"))
-        return [Entry(Kind.SWAP, slot=left, other=right, side=lay.OUTPUT)]
+        return [_entry(Kind.SWAP, slot=left, other=right, side=lay.OUTPUT)]
 
     def _unsigned(self, _: Fault) -> list[Entry]:
         slots = self._table["wheels.speeds_rpm"].slots
-        return [Entry(Kind.UNSIGNED, slot=slot, side=lay.OUTPUT) for slot in slots]
+        return [_entry(Kind.UNSIGNED, slot=slot, side=lay.OUTPUT) for slot in slots]
 
     def _raw_units(self, _: Fault) -> list[Entry]:
         return [
