@@ -7,9 +7,8 @@ import tempfile
 from collections.abc import Iterator
 from typing import Any, Final
 
-from hilserver.bench.own_daemon import free_port
 from hilserver.errors import FailedError
-from hilserver.program.children import piped, python
+from hilserver.program.children import free_port, piped, python
 
 START_WITHIN_S: Final = 120.0
 

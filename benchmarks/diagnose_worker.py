@@ -19,8 +19,8 @@ from hilserver.diagnosis.schema.evidence import Diagnosis
 from hilserver.diagnosis.schema.findings import Findings
 from hilserver.measured.data import Channel, MeasuredLog, Source, Span
 from hilserver.measured.reading import read_measured
-from hilserver.scenarios import judge, scenario
-from hilserver.scenarios.expectation import causes_of
+from hilserver.scenarios import scenario
+from reference.scenarios.judging import causes_of, judge
 
 
 class Diagnose(Protocol):

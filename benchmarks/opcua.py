@@ -22,9 +22,8 @@ from asyncua import ua
 from benchmarks.opcua_clients import Clients, Delivered, build
 from benchmarks.target import running_daemon
 from benchmarks.wire import Wire
-from hilserver.bench.own_daemon import free_port
 from hilserver.bench.report import Result
-from hilserver.program.children import piped, python
+from hilserver.program.children import free_port, piped, python
 
 _RATE_HZ = 50.0
 _QUEUE_SIZE = 10

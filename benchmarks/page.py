@@ -24,11 +24,10 @@ from numpy.typing import NDArray
 from benchmarks import page_browser
 from benchmarks.target import running_daemon
 from hilserver.bench.jitter_subjects import Subject
-from hilserver.bench.own_daemon import free_port
 from hilserver.bench.report import Result, median_of_blocks_us, percentile_us, ratio_interval
 from hilserver.errors import FailedError
 from hilserver.image import ImageReader
-from hilserver.program.children import piped, python
+from hilserver.program.children import free_port, piped, python
 from hilserver.scheduler import Statistics
 
 RATE_HZ = 30.0

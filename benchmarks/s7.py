@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from benchmarks.s7_controller import BYTES, COMING, GOING
-from hilserver.bench.own_daemon import free_port
 from hilserver.bench.report import Result
 from hilserver.compiled.histogram import BOUNDS_NS, Histogram125
 from hilserver.config.root import Config
@@ -26,6 +25,7 @@ from hilserver.errors import FailedError
 from hilserver.image import ProcessImage
 from hilserver.plant.blocks import Output, block
 from hilserver.program import event_loop
+from hilserver.program.children import free_port
 
 LIMIT_S = 60.0
 SLICES_MS = {"plant": 1.0, "sensors": 10.0, "publish": 10.0, "supervise": 100.0}

@@ -17,11 +17,10 @@ from pathlib import Path
 
 import yaml
 
-from hilserver.bench.own_daemon import DAEMON, free_port
 from hilserver.bench.report import Result
 from hilserver.errors import FailedError
 from hilserver.image import ImageReader
-from hilserver.program.children import piped, python
+from hilserver.program.children import free_port, piped, python
 
 LIBRARIES = "numba, asyncua, aiohttp, pydantic, prometheus_client, structlog"
 IMPORTS = f"import {LIBRARIES}, time; print(open('/proc/self/status').read(), time.process_time())"
@@ -84,7 +83,7 @@ def _start(limit_s: float, **environment: str) -> dict[str, float]:
         path = Path(folder) / "config.yaml"
         path.write_text(yaml.safe_dump(settings), encoding="utf-8")
         begin = time.monotonic()
-        command = python("-c", DAEMON, "run", "-c", str(path))
+        command = python("-m", "hilserver", "run", "-c", str(path))
         env = {**os.environ, **environment}
         with piped(command, name="hilserver run", env=env, stderr=subprocess.DEVNULL) as daemon:
             _wait_for_tick(image, daemon, begin + limit_s)

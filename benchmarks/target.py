@@ -13,9 +13,8 @@ import yaml
 from asyncua import ua
 
 from benchmarks.wire import Wire
-from hilserver.bench.own_daemon import DAEMON, free_port
 from hilserver.errors import FailedError
-from hilserver.program.children import piped, python
+from hilserver.program.children import free_port, piped, python
 
 START_WITHIN_S = 300.0
 
@@ -36,7 +35,7 @@ async def running_daemon(
         }
         path = Path(folder) / "config.yaml"
         path.write_text(yaml.safe_dump({**ours, **settings}), encoding="utf-8")
-        command = python("-c", DAEMON, "run", "-c", str(path), *arguments)
+        command = python("-m", "hilserver", "run", "-c", str(path), *arguments)
         with piped(command, name="hilserver run") as daemon:
             await _wait_for_server(url, daemon)
             yield url, daemon

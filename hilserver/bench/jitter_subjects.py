@@ -18,10 +18,9 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from hilserver.bench.own_daemon import DAEMON, free_port
 from hilserver.errors import FailedError
 from hilserver.image import ImageReader
-from hilserver.program.children import piped, python
+from hilserver.program.children import free_port, piped, python
 from hilserver.scheduler import Statistics, map_statistics
 
 PACING_WITHIN_S = 120.0
@@ -121,7 +120,7 @@ def loaded_daemon(
         settings = _settings(backend, period_us, priority, image, url)
         settings |= {one.section: one.settings(place) for one in beside}
         path.write_text(yaml.safe_dump(settings), encoding="utf-8")
-        arguments = ["-c", DAEMON, "run", "-c", str(path)]
+        arguments = ["-m", "hilserver", "run", "-c", str(path)]
         with piped(python(*arguments), name="hilserver run") as daemon:
             statistics = _wait_for(lambda: _statistics_of(image), daemon)
             load = ["-m", "hilserver.bench.opcua_load", url]

@@ -1,13 +1,13 @@
 """Validate a configuration, say what it means and what the daemon will do with it."""
 
 import argparse
-import json
 from collections.abc import Iterator
 
 from hilserver.commands.credentials import check_credentials
 from hilserver.commands.options import add_config, config_path, out_file, write_text
 from hilserver.config.blocks import BlockConfig
-from hilserver.config.root import json_schema
+from hilserver.config.root import Config
+from hilserver.config.section import schema_text
 from hilserver.daemon.assembly import Assembly, assemble
 from hilserver.errors import EXIT_DONE
 from hilserver.io.opcua_server.model import describe as address_space
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Check; every complaint is one line with file, line and key (exit code 78)."""
     if args.schema is not None:
-        write_text(args.schema, json.dumps(json_schema(), indent=1) + "\n")
+        write_text(args.schema, schema_text(Config))
         return EXIT_DONE
     assembly = assemble(config_path(args))
     with assembly.at("blocks"):  # a name or a unit of theirs that OPC UA cannot show

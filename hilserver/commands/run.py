@@ -3,7 +3,6 @@
 import argparse
 import contextlib
 import gc
-import json
 import os
 import signal
 import sys
@@ -112,9 +111,10 @@ def _check_free(image: str, path: Path | None) -> None:
 
 
 def _write_schema(path: Path) -> int:
-    from hilserver.faults.scenario import json_schema  # noqa: PLC0415
+    from hilserver.config.section import schema_text  # noqa: PLC0415
+    from hilserver.faults.scenario import Scenario  # noqa: PLC0415
 
-    write_text(path, json.dumps(json_schema(), indent=1) + "\n")
+    write_text(path, schema_text(Scenario))
     return EXIT_DONE
 
 

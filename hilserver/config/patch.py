@@ -243,9 +243,3 @@ def patch_of(run: Mapping[str, Any]) -> Patch | None:
     """
     recorded = run.get("patch")
     return None if recorded is None else Patch(ModelPatch.model_validate(recorded["content"]))
-
-
-def json_schema() -> dict[str, Any]:
-    """Return the JSON Schema of model_patch.yaml."""
-    schema = ModelPatch.model_json_schema(by_alias=True)
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

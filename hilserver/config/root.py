@@ -118,9 +118,3 @@ def without_passwords(config: Config) -> dict[str, Any]:
 def load_config(path: Path | None) -> Config:
     """Return the configuration of a file, or the defaults; ConfigError has a line per complaint."""
     return Config() if path is None else load(path, Config)
-
-
-def json_schema() -> dict[str, Any]:
-    """Return the JSON Schema of config.yaml for editors."""
-    schema = Config.model_json_schema()
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

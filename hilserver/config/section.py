@@ -1,5 +1,6 @@
 """What all sections of the configuration have in common."""
 
+import json
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -48,6 +49,12 @@ class LinkSection(Section):
     def about(self, _folder: Path) -> str:
         """Return what `hilserver check` says of it; empty: off. Paths start from the folder."""
         return "on" if self.driver.is_enabled else ""
+
+
+def schema_text(model: type[BaseModel]) -> str:
+    """Return the JSON Schema of a file for editors."""
+    about = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
+    return json.dumps(about | model.model_json_schema(), indent=1) + "\n"
 
 
 def of(part: type, name: str) -> Any:

@@ -1,7 +1,6 @@
 """The controller's address space: the same nodes as the Node-RED flow in deploy/node-red."""
 
 import logging
-import socket
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from urllib.parse import urlsplit
@@ -11,19 +10,13 @@ from asyncua import Server, ua
 from hilserver.controller.nodes import NAMESPACE, SENSORS, SEQUENCE, SETPOINTS
 from hilserver.errors import FailedError
 from hilserver.opcua.standard_nodes import QuickInternalServer
+from hilserver.program.children import free_port
 
 TYPES = {"enable": ua.VariantType.Boolean, SEQUENCE: ua.VariantType.UInt32}
 """Every other node is a Double."""
 
 PORT_ATTEMPTS = 5
 _CURRENT_TIME = ua.NodeId(ua.ObjectIds.Server_ServerStatus_CurrentTime)
-
-
-def free_port(host: str) -> int:
-    """Return a TCP port of `host` that is free now."""
-    with socket.socket() as probe:
-        probe.bind((host, 0))
-        return int(probe.getsockname()[1])
 
 
 class ControllerServer:

@@ -97,12 +97,6 @@ def load_scenario(path: Path, most_bytes: int = MAX_BYTES) -> Scenario:
     return load(path, Scenario, most_bytes)
 
 
-def json_schema() -> dict[str, Any]:
-    """Return the JSON Schema of a scenario for editors."""
-    schema = Scenario.model_json_schema()
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
-
-
 class Stage:
     """Plays scenarios on a daemon's parts."""
 

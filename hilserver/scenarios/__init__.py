@@ -12,6 +12,5 @@ if find_spec("hilserver_injector") is None:  # not a checkout: it lies here, see
     sys.path.append(str(Path(__file__).parent / "installed"))
 
 from hilserver.scenarios.drives import SCENARIOS, scenario
-from hilserver.scenarios.expectation import judge
 
-__all__ = ["SCENARIOS", "judge", "scenario"]
+__all__ = ["SCENARIOS", "scenario"]

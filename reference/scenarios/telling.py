@@ -13,7 +13,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from hilserver.diagnosis.findings.explain import QUANTITIES, number
 from hilserver.diagnosis.schema.findings import Finding, Findings, Parameter, Verdict
-from hilserver.scenarios.expectation import Drive, Scenario, judge
+from hilserver.scenarios.expectation import Drive, Scenario
+from reference.scenarios.judging import judge
 
 COLUMNS: Final = 100
 

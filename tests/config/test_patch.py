@@ -1,12 +1,15 @@
 """A patch: what it may say, and what it does to a configuration."""
 
+import json
+
 import pytest
 import yaml
 from jsonschema import Draft202012Validator
 
 from hilserver.commands import main
-from hilserver.config.patch import json_schema, load_patch, patch_of
+from hilserver.config.patch import ModelPatch, load_patch, patch_of
 from hilserver.config.plant import PlantConfig
+from hilserver.config.section import schema_text
 from hilserver.daemon.assembly import assemble
 from hilserver.errors import ConfigError
 
@@ -169,8 +172,9 @@ def test_a_complaint_about_a_term_of_a_group_names_its_line(tmp_path):
 
 
 def test_the_schema_accepts_what_the_model_accepts():
-    validator = Draft202012Validator(json_schema())
-    Draft202012Validator.check_schema(json_schema())
+    schema = json.loads(schema_text(ModelPatch))
+    validator = Draft202012Validator(schema)
+    Draft202012Validator.check_schema(schema)
     assert validator.is_valid(PATCH)
     assert validator.is_valid(grouped(asphalt=0.0, sand=-0.2))
     assert not validator.is_valid(PATCH | {"more": 1})

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hilserver.config.section import schema_text
 from hilserver.faults.model import FORMS, Fault, parse_fault, parse_faults
-from hilserver.faults.scenario import json_schema
+from hilserver.faults.scenario import Scenario
 from tests.faults.rig import Rig
 
 BIAS = {"fault": "bias", "signal": "pose.x_m", "offset": 1.0}
@@ -130,7 +131,7 @@ def test_any_mapping_is_a_fault_or_one_sentence(data):
 
 
 def test_the_schema_agrees_with_the_model():
-    schema = json_schema()
+    schema = json.loads(schema_text(Scenario))
     good = {"faults": [BIAS, {"fault": "shield.rpm_unsigned"}]}
     jsonschema.validate(good, schema)
     for wrong in ({"fault": "bias", "signal": "a"}, BIAS | {"sd": 1}, BIAS | {"peer": "x"}):

@@ -9,8 +9,9 @@ from hilserver_injector import make
 from hilserver.commands import main
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.schema.findings import Finding, Findings
-from hilserver.scenarios import SCENARIOS, judge
+from hilserver.scenarios import SCENARIOS
 from hilserver.scenarios.expectation import Expectation
+from reference.scenarios.judging import judge
 
 NAMES = """friction_load k_omega_low surface_null surface_real unsteady_bias pulls_aside
 slides_in_circle launch_slip fast_input radio small_deviation fused_yaw on_a_frame rates

@@ -10,11 +10,6 @@ from hilserver.diagnosis.report.svg import MARGIN_LEFT, Plot
 HEAD_HEIGHT: Final = 66.0  # where the first plot begins: title and legend stand above
 _TITLE_Y, _LEGEND_Y = 24.0, 50.0
 _SAMPLE, _GAP, _LETTER = 28.0, 22.0, 6.5
-MODELS: Final = (
-    ("measured", "measured"),
-    ("simulated", "simulated"),
-    ("extended", "extended model"),
-)
 
 
 def document(plots: Sequence[Plot], title: str, legend: Sequence[tuple[str, str]]) -> str:

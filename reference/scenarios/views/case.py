@@ -11,6 +11,11 @@ from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
 Legend = Sequence[tuple[str, str]]
+MODELS: Final = (
+    ("measured", "measured"),
+    ("simulated", "simulated"),
+    ("extended", "extended model"),
+)
 POINTS: Final = 600
 PICTURE_WIDTH: Final = 760.0
 HEIGHT: Final = 380.0

@@ -7,11 +7,11 @@ import numpy as np
 
 from hilserver.arrays import Array
 from hilserver.diagnosis.replay.drive_stage import DriveStage
-from hilserver.diagnosis.report.standalone import HEAD_HEIGHT, MODELS
+from hilserver.diagnosis.report.standalone import HEAD_HEIGHT
 from hilserver.diagnosis.report.svg import Plot
 from hilserver.measured.channels import SETPOINTS, SPEEDS
 from hilserver.measured.data import MeasuredLog
-from reference.scenarios.views.case import HEIGHT, POINTS, Case, Legend, axes
+from reference.scenarios.views.case import HEIGHT, MODELS, POINTS, Case, Legend, axes
 from reference.scenarios.views.stretch import stretch
 
 UPPER, LOWER = 280.0, 190.0

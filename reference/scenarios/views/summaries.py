@@ -6,12 +6,12 @@ import numpy as np
 
 from hilserver.arrays import Array
 from hilserver.diagnosis.replay.drive_stage import DriveStage
-from hilserver.diagnosis.report.standalone import HEAD_HEIGHT, MODELS
+from hilserver.diagnosis.report.standalone import HEAD_HEIGHT
 from hilserver.diagnosis.report.svg import Plot, span_of
 from hilserver.identify.rotation import identify_rotation
 from hilserver.measured.channels import DUTIES, SPEEDS, YAW
 from hilserver.measured.data import MeasuredLog
-from reference.scenarios.views.case import HEIGHT, PICTURE_WIDTH, Case, Legend, axes
+from reference.scenarios.views.case import HEIGHT, MODELS, PICTURE_WIDTH, Case, Legend, axes
 
 
 @dataclass(frozen=True, slots=True)

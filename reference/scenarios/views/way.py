@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from hilserver.arrays import Array
-from hilserver.diagnosis.report.standalone import HEAD_HEIGHT, MODELS
+from hilserver.diagnosis.report.standalone import HEAD_HEIGHT
 from hilserver.diagnosis.report.svg import Plot, span_of
 from hilserver.diagnosis.schema.evidence import Path
 from hilserver.measured.channels import NAV_X
 from hilserver.measured.thresholds import LONGEST_SEGMENT_S
-from reference.scenarios.views.case import PICTURE_WIDTH, POINTS, Case, Legend
+from reference.scenarios.views.case import MODELS, PICTURE_WIDTH, POINTS, Case, Legend
 from reference.scenarios.views.stretch import stretch
 
 

@@ -12,9 +12,9 @@ from hilserver_injector import Table, make
 
 from hilserver.commands import main
 from hilserver.config.patch import load_patch
+from hilserver.config.section import schema_text
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.schema.findings import Findings
-from reference.schemas import findings_schema
 from tests.diagnosis.assertions import (
     nothing_is_found,
     the_cause_is_named,
@@ -47,7 +47,7 @@ def folder(tmp_path, monkeypatch):
 def read(folder):
     """The findings of a folder, checked against their schema."""
     data = json.loads((folder / "findings.json").read_text(encoding="utf-8"))
-    jsonschema.validate(data, findings_schema())
+    jsonschema.validate(data, json.loads(schema_text(Findings)))
     return Findings.model_validate(data)
 
 

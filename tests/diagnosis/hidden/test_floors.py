@@ -3,7 +3,8 @@
 import pytest
 
 from benchmarks.diagnose_worker import Staged, _findings, _logs
-from hilserver.scenarios import SCENARIOS, judge
+from hilserver.scenarios import SCENARIOS
+from reference.scenarios.judging import judge
 
 
 @pytest.mark.parametrize(
