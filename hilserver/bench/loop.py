@@ -113,7 +113,7 @@ def peer(endpoint: str, mode: str) -> PeerConfig:
     """Return the demo's peer, in `mode`, with the duty written back as well."""
     config = demo_peer(endpoint)
     write = config.write | {"wheel.fl.duty_pct": node_id(DUTY)}
-    return config.model_copy(update={"mode": mode, "write": write})
+    return config.changed(mode=mode, write=write)
 
 
 @contextlib.asynccontextmanager

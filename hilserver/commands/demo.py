@@ -74,9 +74,7 @@ async def _serving(command: list[str], name: str) -> AsyncIterator[str]:
 
 def demo_assembly(assembly: Assembly, endpoint: str) -> Assembly:
     """Return the same robot with the embedded controller as its only peer."""
-    return _with_peer(
-        assembly, demo_peer(endpoint).model_copy(update={"stale_after_ms": STALE_AFTER_MS})
-    )
+    return _with_peer(assembly, demo_peer(endpoint).changed(stale_after_ms=STALE_AFTER_MS))
 
 
 def twin_assembly(assembly: Assembly, endpoint: str) -> Assembly:
@@ -88,14 +86,11 @@ def twin_assembly(assembly: Assembly, endpoint: str) -> Assembly:
     from hilserver.recalibration.robot import peer  # noqa: PLC0415 - brings the injector along
 
     assembly = _with_peer(assembly, peer(endpoint))
-    config = assembly.config
-    own = config.recalibration
-    twin = own if own.enabled else TWIN
-    sensors = config.sensors.model_copy(
-        update={"nav": config.sensors.nav.model_copy(update={"enabled": True})}
+    own = assembly.config.recalibration
+    config = assembly.config.changed(
+        recalibration=own if own.enabled else TWIN, sensors={"nav": {"enabled": True}}
     )
-    changed = config.model_copy(update={"recalibration": twin, "sensors": sensors})
-    twin_of = assemble_config(changed, assembly.folder, assembly.patch)
+    twin_of = assemble_config(config, assembly.folder, assembly.patch)
     return dataclasses.replace(twin_of, path=assembly.path, from_file=assembly.from_file)
 
 
@@ -104,11 +99,8 @@ def _with_peer(assembly: Assembly, peer: PeerConfig) -> Assembly:
 
     The default limits of overruns are off: a laptop that slept would leave it in the safe state.
     """
-    scheduler = assembly.config.scheduler
-    if scheduler.limits == LimitsConfig():
-        limits = LimitsConfig(single_overrun_ms=None, consecutive_overruns=None)
-        scheduler = scheduler.model_copy(update={"limits": limits})
-    control = assembly.config.control.model_copy(update={"source": "peer"})
-    changes = {"peers": (peer,), "control": control, "scheduler": scheduler}
-    config = assembly.config.model_copy(update=changes)
+    config = assembly.config.changed(peers=(peer,), control={"source": "peer"})
+    if config.scheduler.limits == LimitsConfig():
+        none = LimitsConfig(single_overrun_ms=None, consecutive_overruns=None)
+        config = config.changed(scheduler={"limits": none})
     return dataclasses.replace(assembly, config=config)

@@ -58,8 +58,7 @@ def _recorded(assembly: Assembly, path: Path | None) -> Assembly:
     if path is None:
         return assembly
     check_suffix(path)
-    recording = assembly.config.recording.model_copy(update={"file": str(path.absolute())})
-    config = assembly.config.model_copy(update={"recording": recording})
+    config = assembly.config.changed(recording={"file": str(path.absolute())})
     return dataclasses.replace(assembly, config=config)
 
 

@@ -1,12 +1,11 @@
 """The section ``edge:``: signals on the databus of a Siemens Industrial Edge device."""
 
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
-from hilserver.config.section import Driver, LinkSection, Section
+from hilserver.config.section import Driver, LinkSection, Section, need
 
 Level = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]  # one level of a topic
 
@@ -62,11 +61,8 @@ class EdgeConfig(LinkSection):
 
     @model_validator(mode="after")
     def _usable(self) -> Self:
-        if self.enabled and find_spec("aiomqtt") is None:
-            raise ValueError(
-                "the databus needs the library aiomqtt: install it with"
-                " \"pip install 'hilserver[edge]'\", or set enabled: false"
-            )
+        if self.enabled:
+            need("aiomqtt", "edge", "the databus needs the library aiomqtt")
         names = [group.name for group in self.groups]
         for name in names:
             if names.count(name) > 1:

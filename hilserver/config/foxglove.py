@@ -1,11 +1,10 @@
 """The section ``foxglove:``: an endpoint for Foxglove, Lichtblick and PlotJuggler."""
 
-from importlib.util import find_spec
 from typing import Self
 
 from pydantic import Field, model_validator
 
-from hilserver.config.section import Section
+from hilserver.config.section import Section, need
 from hilserver.opcua.loopback import is_loopback
 
 
@@ -30,11 +29,7 @@ class FoxgloveConfig(Section):
     def _usable(self) -> Self:
         if not self.enabled:
             return self
-        if find_spec("foxglove") is None:
-            raise ValueError(
-                "the endpoint needs the library foxglove-sdk: install it with"
-                " \"pip install 'hilserver[foxglove]'\", or set enabled: false"
-            )
+        need("foxglove", "foxglove", "the endpoint needs the library foxglove-sdk")
         if not is_loopback(self.host) and not self.allow_insecure_network:
             raise ValueError(
                 f"host '{self.host}' is reachable from the network, where everybody may then"

@@ -188,7 +188,7 @@ class Patch:
                 )
             added[main_part(name)] = term.value
         kept = {n: v for n, v in plant.terms.items() if main_part(n) not in added}
-        return plant.model_copy(update={"terms": {**kept, **added}})
+        return plant.changed(terms={**kept, **added})
 
     def entry_at(self, key: str) -> str | None:
         """Return the entry of the patch that a key of the configuration names, if it is one."""
@@ -232,7 +232,7 @@ def load_patch(path: Path, group: str | None = None) -> Patch:
         return Patch(model, path)
     if group not in groups:
         raise ConfigError(f"{path}: has no group '{group}'; it has {names}")
-    taken = model.model_copy(update={"terms": model.terms_of(group), "groups": None})
+    taken = model.changed(terms=model.terms_of(group), groups=None)
     return Patch(taken, path, group, frozenset(groups[group]))
 
 

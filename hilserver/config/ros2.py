@@ -1,13 +1,12 @@
 """The section ``ros2:``: the daemon as a node of the robot."""
 
 import re
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
-from hilserver.config.section import Driver, LinkSection, Section
+from hilserver.config.section import Driver, LinkSection, Section, need
 from hilserver.errors import meant
 from hilserver.ros.flavours import FLAVOURS
 from hilserver.ros.types import Types
@@ -88,11 +87,7 @@ class Ros2Config(LinkSection):
     def _usable(self) -> Self:
         if not self.enabled:
             return self
-        if find_spec("cyclonedds") is None:
-            raise ValueError(
-                "ROS 2 needs the library cyclonedds: install it with"
-                " \"pip install 'hilserver[ros2]'\", or set enabled: false"
-            )
+        need("cyclonedds", "ros2", "ROS 2 needs the library cyclonedds")
         if self.interface not in LOOPBACK and not self.allow_insecure_network:
             raise ValueError(
                 f"interface '{self.interface}' is reachable from the network, where everybody may"

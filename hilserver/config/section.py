@@ -2,8 +2,9 @@
 
 import json
 from dataclasses import fields
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, Self, cast
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -14,6 +15,18 @@ class Section(BaseModel):
     """A section of config.yaml: unknown keys are errors, nothing changes after loading."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    def changed(self, **values: Any) -> Self:
+        """Return a copy with other values, which are not checked.
+
+        A mapping for a section within changes that one: ``config.changed(page={"port": 0})``.
+        """
+        update = {}
+        for name, value in values.items():
+            old = getattr(self, name)
+            within = isinstance(old, Section) and isinstance(value, dict)
+            update[name] = old.changed(**value) if within else value
+        return self.model_copy(update=update)
 
 
 class Driver(NamedTuple):
@@ -49,6 +62,14 @@ class LinkSection(Section):
     def about(self, _folder: Path) -> str:
         """Return what `hilserver check` says of it; empty: off. Paths start from the folder."""
         return "on" if self.driver.is_enabled else ""
+
+
+def need(module: str, extra: str, who: str) -> None:
+    """Refuse a section whose extra is not installed; `who`: what needs which library."""
+    if find_spec(module) is None:
+        raise ValueError(
+            f"{who}: install it with \"pip install 'hilserver[{extra}]'\", or set enabled: false"
+        )
 
 
 def schema_text(model: type[BaseModel]) -> str:

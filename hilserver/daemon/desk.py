@@ -114,7 +114,7 @@ class Recordings:
         self._task = asyncio.create_task(self._run(path, self._asked), name="recording")
 
     async def _run(self, path: Path, asked: asyncio.Event) -> None:
-        config = self._config.model_copy(update={"file": path.name, "rotate_mb": None})
+        config = self._config.changed(file=path.name, rotate_mb=None)
         try:
             await asyncio.to_thread(self._folder.mkdir, parents=True, exist_ok=True)
             async with running_recorder(config, self._image, self._folder) as ended:

@@ -122,11 +122,8 @@ class Reloader:
 
 def _reloaded(config: Config, new: Config) -> Config:
     """Return `config` with those values of `new` that can change while running."""
-    limits, stale_ms = new.scheduler.limits, new.control.opcua_stale_after_ms
-    return config.model_copy(
-        update={
-            "logging": new.logging,
-            "scheduler": config.scheduler.model_copy(update={"limits": limits}),
-            "control": config.control.model_copy(update={"opcua_stale_after_ms": stale_ms}),
-        }
+    return config.changed(
+        logging=new.logging,
+        scheduler={"limits": new.scheduler.limits},
+        control={"opcua_stale_after_ms": new.control.opcua_stale_after_ms},
     )

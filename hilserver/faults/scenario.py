@@ -80,7 +80,7 @@ class Scenario(Section):
     def seeded_faults(self) -> list[Fault]:
         """Faults, each with a seed."""
         return [
-            fault if fault.seed is not None else fault.model_copy(update={"seed": self.seed})
+            fault if fault.seed is not None else fault.changed(seed=self.seed)
             for fault in self.faults
         ]
 

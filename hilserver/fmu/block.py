@@ -111,35 +111,50 @@ def _key() -> str:
     return hash_of(sorted(Path(__file__).parent.glob("*.py")))
 
 
-class Here:
-    """An FMU that the step calls itself; attributes as for `Foreign`."""
+class _Running:
+    """A started FMU, in this process or its own; attributes as for `Foreign`."""
+
+    def __init__(self, name: str, part: Instance | Child) -> None:
+        self.addresses, self.initial, self.key = part.addresses, part.initial, _key()
+        self._name, self._part, self._reported = name, part, at.OK
+
+    def _failed(self, status: int) -> list[News]:
+        """Return the failure if it is a new one."""
+        if status == self._reported:
+            return []
+        self._reported = status
+        if status == at.OK:
+            return []
+        answer = self._part.message or at.STATUS.get(status, f"status {status}")
+        return [News(f"FMU '{self._name}' failed: {answer}", is_fault=True)]
+
+    def close(self) -> None:
+        """End it."""
+        self._part.close()
+
+
+class Here(_Running):
+    """An FMU that the step calls itself."""
 
     step, keep, adopt = calls.run_here, calls.keep_here, calls.adopt_here
 
     def __init__(self, model: FmuModel, name: str, setting: Setting) -> None:
         slow_ns = round(setting.base_period_s * SLOW_SHARE * 1e9)
-        self._instance = Instance(model.fmu, model.wiring, name, slow_ns)
-        self.addresses, self.initial = self._instance.addresses, self._instance.initial
-        self.key, self._failures = _key(), Failures(name)
+        super().__init__(name, Instance(model.fmu, model.wiring, name, slow_ns))
 
     def look(self, a: NDArray[np.int64]) -> Sequence[News]:
         """Return what happened since the last look."""
-        return self._failures.look(int(a[at.A_STATUS]), self._instance.message)
-
-    def close(self) -> None:
-        """End it."""
-        self._instance.close()
+        return self._failed(int(a[at.A_STATUS]))
 
 
-class Beside:
-    """An FMU in a process of its own; attributes as for `Foreign`."""
+class Beside(_Running):
+    """An FMU in a process of its own."""
 
     step, keep, adopt = exchange.run_beside, exchange.keep_beside, exchange.adopt_beside
 
     def __init__(self, model: FmuModel, name: str, setting: Setting) -> None:
         self._child = Child(model.fmu, model.wiring, name, setting)
-        self.addresses, self.initial = self._child.addresses, self._child.initial
-        self.key, self._name, self._failures = _key(), name, Failures(name)
+        super().__init__(name, self._child)
         self._status, self._late, self._hurried, self._is_lost = at.OK, 0, 0, False
 
     def look(self, a: NDArray[np.int64]) -> Sequence[News]:
@@ -153,7 +168,7 @@ class Beside:
         self._status = status
         news = [] if ended is None else [News(f"FMU '{self._name}' {ended}", is_fault=True)]
         if status != at.SILENT:  # how it ended is said already
-            news += self._failures.look(status, self._child.message)
+            news += self._failed(status)
         if late > self._late and not news:
             news.append(self._holds(f"had no answer in {late - self._late} slices"))
         if hurried > self._hurried and not news:
@@ -164,25 +179,3 @@ class Beside:
 
     def _holds(self, why: str) -> News:
         return News(f"FMU '{self._name}' {why}: its outputs hold", is_fault=False)
-
-    def close(self) -> None:
-        """End it."""
-        self._child.close()
-
-
-class Failures:
-    """Says once what an FMU failed of."""
-
-    def __init__(self, name: str) -> None:
-        self._name, self._reported = name, 0
-
-    def look(self, status: int, message: str) -> Sequence[News]:
-        """Return the failure if it is a new one."""
-        if status == self._reported:
-            return []
-        self._reported = status
-        if status == 0:
-            return []
-        answer = at.STATUS.get(status, f"status {status}")
-        text = f"FMU '{self._name}' failed: {message or answer}"
-        return [News(text, is_fault=True)]

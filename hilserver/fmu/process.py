@@ -182,12 +182,6 @@ def slices_of_silence(period_s: float) -> int:
 
 
 def _how(process: "subprocess.Popen[bytes]") -> str:
-    """Say how a process has ended."""
     code = process.returncode
-    if code == -signal.SIGXCPU:  # the kernel was first: see `worker`
-        return _NO_ANSWER
-    if code is None or code >= 0:
-        return f"ended with exit code {code}"
-    with contextlib.suppress(ValueError):
-        return f"was ended by {signal.Signals(-code).name}"
-    return f"was ended by signal {-code}"
+    # With SIGXCPU the kernel was first, see `worker`.
+    return _NO_ANSWER if code == -signal.SIGXCPU else children.how_ended(code)

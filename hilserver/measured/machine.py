@@ -38,8 +38,5 @@ def machine_config(log: MeasuredLog, config: Config) -> Config:
     for key in ("controller", "process"):
         if key in keys:
             keys[key] = {**given.get(key, {}), **keys[key]}
-    changed = {
-        "plant": type(config.plant).model_validate({**given, **keys}),
-        "kinematics": config.kinematics.model_copy(update={"rotation_gain": gain}),
-    }
-    return config.model_copy(update=changed)
+    plant = type(config.plant).model_validate({**given, **keys})
+    return config.changed(plant=plant, kinematics={"rotation_gain": gain})

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import re
+import signal
 import socket
 import subprocess
 import sys
@@ -60,6 +61,14 @@ async def end(process: asyncio.subprocess.Process, name: str, stop_limit_s: floa
                 _log.error("did not end in time and was killed", process=name)
         process.kill()
     await process.wait()
+
+
+def how_ended(code: int | None) -> str:
+    """Say how a process has ended, by its return code."""
+    if code is None or code >= 0:
+        return f"ended with exit code {code}"
+    known = -code in {*signal.Signals}
+    return f"was ended by {signal.Signals(-code).name if known else f'signal {-code}'}"
 
 
 async def write(process: asyncio.subprocess.Process, text: bytes) -> None:

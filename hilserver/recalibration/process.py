@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import os
 import re
-import signal
 from pathlib import Path
 from typing import Final
 
@@ -76,11 +75,9 @@ def cut_short(folder: Path) -> int | None:
 
 
 def _ended(code: int, said: bytes) -> str:
-    if code < 0:
-        name = signal.Signals(-code).name if -code in {*signal.Signals} else str(-code)
-        return f"its process was ended by {name}"
+    how = f"its process {children.how_ended(code)}"
     last = said.decode(errors="replace").strip().rpartition("\n")[2][:MOST_SAID]
-    return f"its process ended with exit code {code}: {last or 'it said nothing'}"
+    return how if code < 0 else f"{how}: {last or 'it said nothing'}"
 
 
 def recorder(image: str, folder: Path, window_s: float, max_mb: float) -> list[str]:

@@ -20,16 +20,15 @@ BATCH_TICKS, RING_FRAMES = 1000, 2048
 
 def quiet(config: Config) -> Config:
     """Return the same robot with nothing that listens, connects or writes by itself."""
-    settings = {
-        "scheduler": {"backend": "virtual"},
-        "control": {"source": "scenario"},
-        "image": {"name": "auto", "ring_frames": RING_FRAMES},
-        "opcua": {"enabled": False},
-        "metrics": {"enabled": False},
-        "recording": {"file": None},
-    }
-    sections = {key: getattr(config, key).model_copy(update=to) for key, to in settings.items()}
-    return config.model_copy(update={**sections, "peers": ()})
+    return config.changed(
+        scheduler={"backend": "virtual"},
+        control={"source": "scenario"},
+        image={"name": "auto", "ring_frames": RING_FRAMES},
+        opcua={"enabled": False},
+        metrics={"enabled": False},
+        recording={"file": None},
+        peers=(),
+    )
 
 
 def offline(assembly: Assembly) -> Assembly:

@@ -70,7 +70,7 @@ class Draws:
                 seed = item.fault.seed
                 if seed is None:
                     seed = int(self._uniform(index, f"fault seed:{number}") * 2**31)
-                found.append((number, item.fault.model_copy(update={"seed": seed})))
+                found.append((number, item.fault.changed(seed=seed)))
         return found
 
     def _drawn(self, distribution: Distribution, name: str, index: int) -> float:

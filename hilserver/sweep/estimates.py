@@ -6,7 +6,6 @@ from typing import Final
 
 import numpy as np
 from scipy import stats
-from scipy.special import betaincinv
 
 from hilserver.arrays import Array
 
@@ -15,14 +14,12 @@ LEAST_MACHINES: Final = 10  # machines below which no correlation is reported
 TOGETHER: Final = 0.7  # rank correlation of two drawn parameters from which they count as one group
 
 
-def exact_interval(passed: int, n: int, level: float = LEVEL) -> tuple[float, float]:
-    """Return the interval of Clopper and Pearson for a share; it covers at least the level."""
+def exact_interval(passed: int, n: int) -> tuple[float, float]:
+    """Return the interval of Clopper and Pearson for a share; it covers at least `LEVEL`."""
     if n == 0:
         return 0.0, 1.0
-    alpha = (1.0 - level) / 2.0
-    low = float(betaincinv(passed, n - passed + 1, alpha)) if passed else 0.0
-    high = float(betaincinv(passed + 1, n - passed, 1.0 - alpha)) if passed < n else 1.0
-    return low, high
+    found = stats.binomtest(passed, n).proportion_ci(LEVEL, method="exact")
+    return float(found.low), float(found.high)
 
 
 @dataclass(frozen=True)
@@ -99,11 +96,11 @@ def _grouped(found: list[Influence], drawn: dict[str, Array]) -> list[Influence]
     return groups
 
 
-def median_interval(values: Array, level: float = LEVEL) -> tuple[float, float, float]:
+def median_interval(values: Array) -> tuple[float, float, float]:
     """Return the median and its exact interval from order statistics."""
     ordered = np.sort(values)
     n = len(ordered)
-    k = int(stats.binom.ppf((1.0 - level) / 2.0, n, 0.5))
+    k = int(stats.binom.ppf((1.0 - LEVEL) / 2.0, n, 0.5))
     low, high = max(k - 1, 0), min(n - k, n - 1)
     return float(np.median(ordered)), float(ordered[low]), float(ordered[high])
 

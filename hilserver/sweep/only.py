@@ -95,7 +95,7 @@ def _scenario(
         )
     title = f"machine {machine.index} of {prepared.job.path.name}"
     scenario = scenario_of(base, machine)
-    return scenario.model_copy(update={"scenario": title, "steps": tuple(whole)})
+    return scenario.changed(scenario=title, steps=tuple(whole))
 
 
 def _plain(value: Any) -> Any:

@@ -169,8 +169,7 @@ def _assembled(
 
 
 def _with_controller(config: Config, controller: ControllerConfig | None, path: Path) -> Config:
-    scenario = config.control.model_copy(update={"source": "scenario"})
-    config = config.model_copy(update={"control": scenario})
+    config = config.changed(control={"source": "scenario"})
     if controller is None or controller.block is None:
         return config
     file, colon, function = controller.block.rpartition(":")
@@ -183,7 +182,7 @@ def _with_controller(config: Config, controller: ControllerConfig | None, path: 
     except ValidationError as error:
         text = error.errors(include_url=False)[0]["msg"].removeprefix("Value error, ")
         raise ConfigError(f"{place(path, ('controller', 'block'))}{text}") from None
-    return config.model_copy(update={"blocks": (*config.blocks, block)})
+    return config.changed(blocks=(*config.blocks, block))
 
 
 def _drive(sweep: Sweep, path: Path, assembly: Assembly) -> tuple[Scenario, int]:

@@ -149,7 +149,7 @@ class Rig:
             except ValueError as error:
                 where = place(job.path, ("faults", index, "fault"))
                 raise ConfigError(f"{where}{error}") from None
-        stage.play(job.scenario.model_copy(update={"faults": ()}))
+        stage.play(job.scenario.changed(faults=()))
 
     def _run(self) -> None:
         n, driver = self.job.n_ticks, self.driver
@@ -235,7 +235,7 @@ def distance_to_way(x_m: Array, y_m: Array, way: Array) -> Array:
 def scenario_of(scenario: Scenario, machine: Machine) -> Scenario:
     """Return the scenario with the machine's faults."""
     own = tuple(fault for _, fault in machine.faults)
-    return scenario.model_copy(update={"faults": (*scenario.faults, *own)}) if own else scenario
+    return scenario.changed(faults=(*scenario.faults, *own)) if own else scenario
 
 
 def _is_ours(problem: BaseException) -> bool:

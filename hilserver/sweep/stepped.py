@@ -24,7 +24,7 @@ from hilserver.faults.scenario import Play
 from hilserver.image import read_frames
 from hilserver.io.opcua_server import server as opcua_server
 from hilserver.monitoring.logging_setup import setup_logging
-from hilserver.program.children import end
+from hilserver.program.children import end, how_ended
 from hilserver.program.workers import end_with_parent
 from hilserver.requirements import CheckError
 from hilserver.scheduler.faults import fault_of
@@ -204,11 +204,8 @@ class _Watch:
 
 def _reachable(config: Config) -> Config:
     """Return the robot with a server that programs of this computer reach and nobody else."""
-    update = {
-        "opcua": type(config.opcua)(endpoint=_ADDRESS),
-        "control": config.control.model_copy(update={"source": "opcua"}),
-    }
-    return config.model_copy(update=update)
+    opcua = type(config.opcua)(endpoint=_ADDRESS)
+    return config.changed(opcua=opcua, control={"source": "opcua"})
 
 
 def _filled(word: str, values: dict[str, str]) -> str:
@@ -237,11 +234,8 @@ async def _keep(process: asyncio.subprocess.Process, lines: "deque[str]") -> Non
 
 def _ending(code: int, lines: "deque[str]") -> str:
     """Return how a process ended, with what it said of it."""
-    how = f"ended with exit code {code}"
+    how = how_ended(code)
     if code == 0:
         return how
-    if code < 0:
-        with contextlib.suppress(ValueError):
-            how = f"was ended by {signal.Signals(-code).name}"
     said = [line for line in lines if "rror" in line] or list(lines)
     return f"{how}: {said[-1]:.200}" if said else how

@@ -70,12 +70,10 @@ def for_test(config: Config, mode: Mode) -> Config:
         backend = "thread"
     source = config.control.source or ("peer" if config.peers else "scenario")
     path = urlsplit(config.opcua.endpoint).path
-    return config.model_copy(
-        update={
-            "scheduler": config.scheduler.model_copy(update={"backend": backend}),
-            "control": config.control.model_copy(update={"source": source}),
-            "image": config.image.model_copy(update={"name": "auto"}),
-            "opcua": config.opcua.model_copy(update={"endpoint": f"opc.tcp://127.0.0.1:0{path}"}),
-            "metrics": config.metrics.model_copy(update={"host": "127.0.0.1", "port": 0}),
-        }
+    return config.changed(
+        scheduler={"backend": backend},
+        control={"source": source},
+        image={"name": "auto"},
+        opcua={"endpoint": f"opc.tcp://127.0.0.1:0{path}"},
+        metrics={"host": "127.0.0.1", "port": 0},
     )
