@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from hilserver.bench.report import PERCENTILES, Result, as_json, percentile_us, sparse
 from hilserver.commands.options import number, out_file, write_text
 from hilserver.errors import EXIT_DONE
-from hilserver.monitoring.audit import AuditItem, as_lines, audit
+from hilserver.monitoring.audit import as_lines, audit
 from hilserver.scheduler import OverrunPolicy, RealtimeSettings, Scheduler, Slice
 from hilserver.scheduler.empty_step import empty_step
+from hilserver.scheduler.realtime import Grant
 
 EXAMPLE = "hilserver latency-test --duration 60 --json latency.json"
 _BINS = 20_000
@@ -72,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-async def measure(duration_s: float, period_us: int) -> tuple[Scheduler, list[AuditItem]]:
+async def measure(duration_s: float, period_us: int) -> tuple[Scheduler, list[Grant]]:
     """Pace an empty step for `duration_s`; return the stopped scheduler and the audit."""
     scheduler = Scheduler(
         base_period_ns=period_us * 1000,

@@ -20,7 +20,7 @@ from hilserver.sweep.journal import Journal
 from hilserver.sweep.junit import write_junit
 from hilserver.sweep.only import drive_again
 from hilserver.sweep.prepare import Prepared, prepare
-from hilserver.sweep.report import write_report
+from hilserver.sweep.report.page import write_report
 from hilserver.sweep.table import Table, read_table, table_of, write_table
 from hilserver.sweep.words import compare, details, headline, plan
 

@@ -87,16 +87,10 @@ class PeerSecurity(Section):
                     f"{idle[0]} is without effect while policy is None: remove it, or set policy,"
                     " for example to Basic256Sha256"
                 )
-        if (self.certificate is None) != (self.private_key is None):
-            given, missing = ("certificate", "private_key")
-            if self.certificate is None:
-                given, missing = missing, given
-            raise ValueError(f"{given} needs {missing} as well: give both, or neither")
-        if (self.user is None) != (self.password_file is None):
-            given, missing = ("user", "password_file")
-            if self.user is None:
-                given, missing = missing, given
-            raise ValueError(f"{given} needs {missing} as well: give both, or neither")
+        for pair in (("certificate", "private_key"), ("user", "password_file")):
+            given, missing = sorted(pair, key=lambda name: getattr(self, name) is None)
+            if getattr(self, given) is not None and getattr(self, missing) is None:
+                raise ValueError(f"{given} needs {missing} as well: give both, or neither")
         if self.allow_clear_password and (self.is_secure or self.user is None):
             raise ValueError(
                 "allow_clear_password is without effect unless a user logs in over policy None:"

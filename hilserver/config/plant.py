@@ -108,12 +108,14 @@ class KinematicsConfig(Section):
 Slice = Annotated[str, Field(description="slice in which it runs")]
 
 
+def _enabled(what_has: str, *, default: bool = True) -> Any:
+    return Field(default, description=f"false: {what_has} the status BadOutOfService")
+
+
 class ImuConfig(Section):
     """Inertial unit."""
 
-    enabled: bool = Field(
-        default=True, description="false: its outputs have the status BadOutOfService"
-    )
+    enabled: bool = _enabled("its outputs have")
     slice: Slice = "sensors"
     gyro_noise_rad_s: float = of(parts.Imu, "gyro_noise_rad_s")
     accel_noise_m_s2: float = of(parts.Imu, "accel_noise_m_s2")
@@ -122,9 +124,7 @@ class ImuConfig(Section):
 class BatteryConfig(Section):
     """NiMH battery 19.2 V."""
 
-    enabled: bool = Field(
-        default=True, description="false: its output has the status BadOutOfService"
-    )
+    enabled: bool = _enabled("its output has")
     slice: Slice = "sensors"
     capacity_ah: float = of(parts.Battery, "capacity_ah")
     initial_charge: float = of(parts.Battery, "initial_charge")
@@ -136,9 +136,7 @@ class BatteryConfig(Section):
 class TofConfig(Section):
     """Range finders at the corners."""
 
-    enabled: bool = Field(
-        default=True, description="false: their outputs have the status BadOutOfService"
-    )
+    enabled: bool = _enabled("their outputs have")
     slice: Slice = "sensors"
     hall: str = Field(
         "default", description="default, or a YAML file with walls: [[x1, y1, x2, y2], ...] in m"
@@ -151,9 +149,7 @@ class TofConfig(Section):
 class NavConfig(Section):
     """Navigation tag."""
 
-    enabled: bool = Field(
-        default=False, description="false: its outputs have the status BadOutOfService"
-    )
+    enabled: bool = _enabled("its outputs have", default=False)
     slice: Slice = "sensors"
     rate_hz: float = of(parts.Navigation, "rate_hz")
     lever_arm_x_m: float = of(parts.Navigation, "lever_arm_x_m")

@@ -17,8 +17,8 @@ from hilserver.daemon.desk import Desk
 from hilserver.daemon.outputs import Outputs
 from hilserver.image.board import Board
 from hilserver.io.link_status import PeerStatus
-from hilserver.monitoring.audit import AuditItem
 from hilserver.scheduler.metrics import slices_by_name
+from hilserver.scheduler.realtime import Grant
 
 EVERY_S = 0.5
 EVENTS = 40
@@ -33,7 +33,7 @@ class Surroundings:
     control: Control
     outputs: Outputs
     desk: Desk
-    audit: Sequence[AuditItem]
+    audit: Sequence[Grant]
     peers: Callable[[], Sequence[PeerStatus]]
 
     def content(self) -> dict[str, Any]:

@@ -38,11 +38,12 @@ from hilserver.io.recorder.launch import recorder_inside, running_recorder
 from hilserver.io.recorder.marks import Marks, StateService
 from hilserver.io.world import Part, World
 from hilserver.kernel import watch_communication
-from hilserver.monitoring.audit import AuditItem, audit
+from hilserver.monitoring.audit import audit
 from hilserver.monitoring.logging_setup import RepeatLimiter, log_event, report_repeats
 from hilserver.program.giving_back import give_back_code
 from hilserver.scheduler import StopReason
 from hilserver.scheduler.pacing_virtual import BATCH_TICKS
+from hilserver.scheduler.realtime import Grant
 
 _log = structlog.get_logger(__name__)
 IDLE_PERIOD_S, SIMULATED_POLL_S = 0.1, 0.01
@@ -66,7 +67,7 @@ class Daemon:
     ) -> None:
         self.assembly, self.config = assembly, assembly.config
         self.limiter = limiter
-        self.audit: list[AuditItem] = []
+        self.audit: list[Grant] = []
         self._play = play
         self._resources = AsyncExitStack()
         self._begun: list[Part] = []

@@ -8,9 +8,9 @@ from hilserver.core.inputs import InputGate
 from hilserver.image import Frame
 from hilserver.io.link_status import PeerStatus
 from hilserver.io.world import Figure
-from hilserver.monitoring.audit import AuditItem
 from hilserver.scheduler import Scheduler
 from hilserver.scheduler.metrics import slices_by_name
+from hilserver.scheduler.realtime import Grant
 from hilserver.signals import MEASURED, SignalTable
 from hilserver.status import GOOD
 
@@ -86,7 +86,7 @@ def _ms(nanoseconds: int | None) -> float | None:
     return None if nanoseconds is None else nanoseconds * 1e-6
 
 
-def audit_table(items: Iterable[AuditItem]) -> Table:
+def audit_table(items: Iterable[Grant]) -> Table:
     """Return the real-time audit: what is fulfilled, and the remedy for what is not."""
     shown = ("ok", "found", "wanted", "remedy")
     return {item.name: {name: getattr(item, name) for name in shown} for item in items}

@@ -178,7 +178,7 @@ class Stage:
         for step in scenario.steps:
             tick = start_tick + round(step.at_s / self._period_s)
             for name, value in step.write.items():
-                numbers = self._numbers(name, value)
+                numbers = check_value(self._table[name], value)
                 if isinstance(numbers, Refusal):
                     continue
                 slots = self._table[name].slots
@@ -187,17 +187,13 @@ class Stage:
             rows += self._gate.stamps(step.write, tick * self._period_s, tick=tick)
         return rows
 
-    def _numbers(self, name: str, value: Any) -> tuple[float, ...] | Refusal:
-        return check_value(self._table[name], value)
-
     def _complaint(self, name: str, value: Any) -> str:
         if name not in self._table or self._table[name].hidden:
             return no_signal(name, (signal.name for signal in self._table))
         signal = self._table[name]
         if not signal.writable:
             return f"'{name}' is an output; a fault or force can change it"
-        answer = self._numbers(name, value)
-        if isinstance(answer, Refusal):
+        if isinstance(check_value(signal, value), Refusal):
             return (
                 f"{value!r} does not fit {name}: {signal.type} between"
                 f" {signal.low:g} and {signal.high:g} {signal.unit}"

@@ -81,11 +81,6 @@ def regress(columns: Array, target: Array, block: Indices) -> Regression:
     return Regression(values, (count - 1) / count * apart.T @ apart, count)
 
 
-def mean(values: Array, block: Indices, unit: str = "1") -> Estimate:
-    """Return the mean of correlated samples with its interval."""
-    return regress(np.ones((len(values), 1)), values, block).estimate(0, unit)
-
-
 def blocks_of(t_s: Array, span: Indices, block_s: float = LONGEST_BLOCK_S) -> Indices:
     """Return the block of every sample: stretches of time that no segment's end cuts through.
 

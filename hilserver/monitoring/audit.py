@@ -15,11 +15,10 @@ from hilserver.scheduler.realtime import CAP_IPC_LOCK, CAP_SYS_NICE, Grant, has_
 if TYPE_CHECKING:
     from hilserver.scheduler import Scheduler
 
-AuditItem = Grant
 _GOOD_CLOCKS = ("tsc", "arch_sys_counter", "kvm-clock")
 
 
-def audit(scheduler: "Scheduler", root: Path = Path("/")) -> list[AuditItem]:
+def audit(scheduler: "Scheduler", root: Path = Path("/")) -> list[Grant]:
     """Return what the system offers, then what it granted to this scheduler."""
     items = [check(root) for check in CHECKS]
     # Another thread's slack may only be read with privileges: the thread's own answer is better.
@@ -28,7 +27,7 @@ def audit(scheduler: "Scheduler", root: Path = Path("/")) -> list[AuditItem]:
     return items + scheduler.grants
 
 
-def kernel(root: Path) -> AuditItem:
+def kernel(root: Path) -> Grant:
     """Check for a PREEMPT_RT kernel."""
     version = _read(root, "proc/version")
     is_rt = _read(root, "sys/kernel/realtime") == "1" or "PREEMPT_RT" in version
@@ -36,7 +35,7 @@ def kernel(root: Path) -> AuditItem:
     return _item("kernel", is_rt, kind, "PREEMPT_RT", "install a kernel with PREEMPT_RT")
 
 
-def governor(root: Path) -> AuditItem:
+def governor(root: Path) -> Grant:
     """Check that the cores keep their clock frequency."""
     paths = sorted(root.glob("sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor"))
     found = sorted({path.read_text(encoding="ascii").strip() for path in paths})
@@ -45,14 +44,14 @@ def governor(root: Path) -> AuditItem:
     return _item("governor", ok, text, "performance", "cpupower frequency-set -g performance")
 
 
-def isolated_cores(root: Path) -> AuditItem:
+def isolated_cores(root: Path) -> Grant:
     """Check that a core is kept free of other work."""
     isolated = _read(root, "sys/devices/system/cpu/isolated")
     remedy = "boot with isolcpus=N nohz_full=N and set scheduler.realtime.cpu to N"
     return _item("isolated_cores", bool(isolated), isolated or "none", "at least one", remedy)
 
 
-def rtprio_limit(root: Path) -> AuditItem:
+def rtprio_limit(root: Path) -> Grant:
     """Check that a thread of this process may have a real-time priority."""
     if has_capability(CAP_SYS_NICE, root):
         return _item("rtprio_limit", True, "CAP_SYS_NICE", "LimitRTPRIO or CAP_SYS_NICE", "")
@@ -62,7 +61,7 @@ def rtprio_limit(root: Path) -> AuditItem:
     return _item("rtprio_limit", limit not in ("0", "?"), limit, wanted, remedy)
 
 
-def memlock_limit(root: Path) -> AuditItem:
+def memlock_limit(root: Path) -> Grant:
     """Check that this process may lock its memory."""
     if has_capability(CAP_IPC_LOCK, root):
         return _item("memlock_limit", True, "CAP_IPC_LOCK", "unlimited or CAP_IPC_LOCK", "")
@@ -71,14 +70,14 @@ def memlock_limit(root: Path) -> AuditItem:
     return _item("memlock_limit", limit == "unlimited", limit, "unlimited, CAP_IPC_LOCK", remedy)
 
 
-def clock_source(root: Path) -> AuditItem:
+def clock_source(root: Path) -> Grant:
     """Check that the clock is read without a system call."""
     path = "sys/devices/system/clocksource/clocksource0/current_clocksource"
     found = _read(root, path) or "unknown"
     return _item("clock_source", found in _GOOD_CLOCKS, found, "tsc", "boot with tsc=reliable")
 
 
-def cpu_dma_latency(root: Path) -> AuditItem:
+def cpu_dma_latency(root: Path) -> Grant:
     """Check that the cores are kept from sleeping deeply."""
     try:
         with (root / "dev/cpu_dma_latency").open("rb") as device:
@@ -91,7 +90,7 @@ def cpu_dma_latency(root: Path) -> AuditItem:
     return _item("cpu_dma_latency", target_us == 0, f"{target_us} us", "0 us", remedy)
 
 
-def cgroup_cpu(root: Path) -> AuditItem:
+def cgroup_cpu(root: Path) -> Grant:
     """Check that the control group takes away neither time nor real-time priority."""
     wanted = "no quota, real-time allowed"
     for line in _read(root, "proc/self/cgroup").splitlines():
@@ -109,7 +108,7 @@ def cgroup_cpu(root: Path) -> AuditItem:
     return _item("cgroup_cpu", True, wanted, wanted, "")
 
 
-def virtualised(root: Path) -> AuditItem:
+def virtualised(root: Path) -> Grant:
     """Check that no hypervisor stands between this system and the cores."""
     in_vm = any(
         "hypervisor" in line.split()
@@ -121,13 +120,13 @@ def virtualised(root: Path) -> AuditItem:
     return _item("virtualised", not in_vm, found, "bare metal", remedy)
 
 
-def swap(root: Path) -> AuditItem:
+def swap(root: Path) -> Grant:
     """Check that no memory can be moved to a disk."""
     devices = [line.split()[0] for line in _read(root, "proc/swaps").splitlines()[1:]]
     return _item("swap", not devices, ", ".join(devices) or "none", "none", "swapoff -a")
 
 
-def timer_slack(root: Path, thread_id: int) -> AuditItem:
+def timer_slack(root: Path, thread_id: int) -> Grant:
     """Check how far the kernel may delay the pacing thread's timers (real-time: 0)."""
     found = _read(root, f"proc/{thread_id or 'self'}/timerslack_ns")
     ok = found.isdigit() and int(found) <= 1
@@ -135,7 +134,7 @@ def timer_slack(root: Path, thread_id: int) -> AuditItem:
     return _item("timer_slack", ok, text, "at most 1 ns", "pace with scheduler.backend: thread")
 
 
-CHECKS: tuple[Callable[[Path], AuditItem], ...] = (
+CHECKS: tuple[Callable[[Path], Grant], ...] = (
     kernel,
     governor,
     isolated_cores,
@@ -154,7 +153,7 @@ METRICS: Final = gauges(
 )
 
 
-def as_lines(items: Sequence[AuditItem]) -> list[str]:
+def as_lines(items: Sequence[Grant]) -> list[str]:
     """Return the audit as lines of text for a terminal."""
     lines = []
     for item in items:
@@ -164,8 +163,8 @@ def as_lines(items: Sequence[AuditItem]) -> list[str]:
     return lines
 
 
-def _item(name: str, ok: bool, found: str, wanted: str, remedy: str) -> AuditItem:
-    return AuditItem(name, ok, found, wanted, "" if ok else remedy)
+def _item(name: str, ok: bool, found: str, wanted: str, remedy: str) -> Grant:
+    return Grant(name, ok, found, wanted, "" if ok else remedy)
 
 
 def _read(root: Path, path: str) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Self, TextIO
 
 from hilserver.program.ending import end_was_asked
+from hilserver.program.writer import Footer
 
 PROGRESS_AFTER_S = 2.0
 LINE_EVERY_S = 5.0
@@ -21,7 +22,7 @@ class Progress:
     def __init__(self, stopped: Callable[[], str] | None = None) -> None:
         self._stopped = stopped
         self._start_s = time.monotonic()
-        self._shown, self._line = 0, ""
+        self._footer, self._line = Footer(sys.stderr), ""
         self._next_line_s = self._start_s + PROGRESS_AFTER_S
 
     def __call__(self, stage: str, share: float) -> None:
@@ -38,11 +39,9 @@ class Progress:
         self._show(f"[{bar:<30}] {share:4.0%} {stage}")
 
     def _show(self, line: str) -> None:
-        if line == self._line:
-            return
-        self._line = line
-        print(f"\r{line:<{self._shown}}", end="", file=sys.stderr, flush=True)
-        self._shown = len(line)
+        if line != self._line:
+            self._line = line
+            self._footer.show(line)
 
     def say(self, line: str, file: TextIO) -> None:
         """Print a line where the bar stood."""
@@ -60,7 +59,4 @@ class Progress:
 
     def end(self) -> None:
         """Wipe the bar."""
-        if self._shown:
-            self._show("")
-            print("\r", end="", file=sys.stderr, flush=True)
-            self._shown = 0
+        self._show("")

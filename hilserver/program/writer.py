@@ -11,7 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Self, TextIO
+from typing import TextIO
 
 LIMIT_BYTES = 256_000
 DRAIN_WITHIN_S = 0.3
@@ -103,10 +103,7 @@ _WIPE = "\r\x1b[K"
 
 
 class Footer:
-    """Stands between writers and a terminal, and keeps its own line below theirs.
-
-    A context manager; at its end the line is gone.
-    """
+    """Stands between writers and a terminal, and keeps its own line below theirs."""
 
     def __init__(self, terminal: TextIO | Writer) -> None:
         self._terminal = terminal
@@ -122,7 +119,7 @@ class Footer:
         return self._terminal.isatty()
 
     def show(self, line: str) -> None:
-        """Replace the line; what does not fit the terminal's width is left out."""
+        """Replace the line, by none at the end; what is wider than the terminal is left out."""
         columns = shutil.get_terminal_size().columns
         self._line = line[: columns - 1]
         self.write("")
@@ -138,9 +135,3 @@ class Footer:
     def flush(self) -> None:
         """Flush the terminal."""
         self._terminal.flush()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.show("")

@@ -5,7 +5,8 @@ import importlib.util
 import pytest
 from pydantic import ValidationError
 
-from hilserver.config import foxglove, ros2
+from hilserver.config import section
+from hilserver.config.edge import EdgeConfig
 from hilserver.config.foxglove import FoxgloveConfig
 from hilserver.config.root import Config
 from hilserver.config.ros2 import Ros2Config
@@ -28,14 +29,15 @@ def test_what_cannot_work_is_refused(keys, said):
 
 
 @pytest.mark.parametrize(
-    ("module", "model", "extra"),
+    ("model", "extra"),
     [
-        (ros2, Ros2Config, r"hilserver\[ros2\]"),
-        (foxglove, FoxgloveConfig, r"hilserver\[foxglove\]"),
+        (Ros2Config, r"hilserver\[ros2\]"),
+        (FoxgloveConfig, r"hilserver\[foxglove\]"),
+        (EdgeConfig, r"hilserver\[edge\]"),
     ],
 )
-def test_without_its_library_it_says_what_to_install(monkeypatch, module, model, extra):
-    monkeypatch.setattr(module, "find_spec", lambda _: None)
+def test_without_its_library_it_says_what_to_install(monkeypatch, model, extra):
+    monkeypatch.setattr(section, "find_spec", lambda _: None)
     with pytest.raises(ValidationError, match=extra):
         model(enabled=True)
     model(enabled=False)

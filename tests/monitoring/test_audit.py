@@ -114,7 +114,7 @@ def test_an_empty_tree_is_no_error(tmp_path):
 def test_grants_of_the_scheduler_are_part_of_it(tmp_path):
     refused = Grant("thread_priority", False, "not permitted", "SCHED_FIFO 80", "LimitRTPRIO=80")
     items = au.audit(Paced([refused]), tree(tmp_path, TUNED))
-    assert items[-1] == au.AuditItem(
+    assert items[-1] == au.Grant(
         "thread_priority", False, "not permitted", "SCHED_FIFO 80", "LimitRTPRIO=80"
     )
     (line,) = au.as_lines(items[-1:])

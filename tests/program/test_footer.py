@@ -25,13 +25,14 @@ def on_screen(text):
 
 def test_the_footer_stays_below_what_is_written():
     terminal = io.StringIO()
-    with Footer(terminal) as footer:
-        footer.write("before\n")
-        footer.show("a long line of status")
-        footer.write("first\n")
-        footer.write("second\n")
-        footer.show("short")
-        assert on_screen(terminal.getvalue()) == ["before", "first", "second", "short"]
+    footer = Footer(terminal)
+    footer.write("before\n")
+    footer.show("a long line of status")
+    footer.write("first\n")
+    footer.write("second\n")
+    footer.show("short")
+    assert on_screen(terminal.getvalue()) == ["before", "first", "second", "short"]
+    footer.show("")
     assert on_screen(terminal.getvalue()) == ["before", "first", "second", ""]
 
 

@@ -10,7 +10,7 @@ from hilserver.sweep import table as module
 from hilserver.sweep.batch import fingerprint
 from hilserver.sweep.journal import Journal
 from hilserver.sweep.junit import write_junit
-from hilserver.sweep.report import write_report
+from hilserver.sweep.report.page import write_report
 from hilserver.sweep.rig import Outcome, Rig
 from hilserver.sweep.table import read_table, table_of, write_table
 from hilserver.sweep.words import compare

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -112,12 +113,17 @@ def _extremes(y: Array, length: int) -> Indices:
     return np.asarray((ends + length * np.arange(len(ends))[:, None])[differ])
 
 
+def runs_of(run: Indices) -> list[slice]:
+    """Return where the runs of a line are: one at least."""
+    return [slice(a, b) for a, b in pairwise([0, *(np.flatnonzero(np.diff(run)) + 1), len(run)])]
+
+
 def thinned(x: Array, y: Array, run: Indices) -> tuple[Array, Array]:
     """Return the points of a line that breaks (at a NaN) wherever another run begins."""
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(run)) + 1, [len(run)]])
-    drawn = np.arange(0, len(edges) - 1, math.ceil((len(edges) - 1) / MAX_RUNS) or 1)
-    most = max(FEWEST_POINTS, LINE_POINTS // max(len(drawn), 1))
-    parts = [decimate(x[edges[k] : edges[k + 1]], y[edges[k] : edges[k + 1]], most) for k in drawn]
+    runs = runs_of(run)
+    drawn = runs[:: math.ceil(len(runs) / MAX_RUNS)]
+    most = max(FEWEST_POINTS, LINE_POINTS // len(drawn))
+    parts = [decimate(x[own], y[own], most) for own in drawn]
     xs, ys = zip(*((np.append(a, np.nan), np.append(b, np.nan)) for a, b in parts), strict=True)
     return np.concatenate(xs), np.concatenate(ys)
 

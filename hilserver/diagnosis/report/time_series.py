@@ -1,14 +1,13 @@
 """The plots of channels over time: values above, residuals below."""
 
 import math
-from itertools import pairwise
 
 import numpy as np
 
 from hilserver.arrays import Array, Indices
 from hilserver.diagnosis.findings.explain import number
 from hilserver.diagnosis.report.plain import plain
-from hilserver.diagnosis.report.svg import MAX_RUNS, Figure, Plot, picture, span_of
+from hilserver.diagnosis.report.svg import MAX_RUNS, Figure, Plot, picture, runs_of, span_of
 from hilserver.diagnosis.schema.evidence import Series
 
 MAX_MARKS = 60  # beginnings of a run that are marked; more of them would be a bar
@@ -34,7 +33,7 @@ def series(item: Series) -> Figure:
     ):
         if y is not None:
             plot.line(t, y, role, title, run=item.run)
-    begins = np.array([edge.start for edge in _edges(item.run)][1:], dtype=np.int64)
+    begins = np.array([edge.start for edge in runs_of(item.run)][1:], dtype=np.int64)
     if 0 < len(begins) <= MAX_MARKS:
         values.begins(t[begins])
     text = f"Mean absolute residual {_mean(before, item.unit)}"
@@ -66,15 +65,10 @@ def improvement(item: Series) -> float:
     return before / after if after > 0 else math.inf
 
 
-def _edges(run: Indices) -> list[slice]:
-    starts = [0, *(np.flatnonzero(np.diff(run)) + 1).tolist(), len(run)]
-    return [slice(a, b) for a, b in pairwise(starts)]
-
-
 def _continuous(t_s: Array, run: Indices) -> Array:
     """Put runs whose times overlap one after the other."""
     t, end = t_s.copy(), -math.inf
-    for edge in _edges(run):
+    for edge in runs_of(run):
         if len(t[edge]) and t[edge][0] < end:
             t[edge] += end - t[edge][0]
         end = float(t[edge][-1]) if len(t[edge]) else end
