@@ -19,16 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.bench import cyclictest
+from hilserver.bench import cyclictest, report
 from hilserver.bench.jitter_subjects import Companion, Subject, bare_pacing, loaded_daemon
-from hilserver.bench.report import (
-    PERCENTILES,
-    Result,
-    median_of_blocks_us,
-    percentile_us,
-    ratio_interval,
-    sparse,
-)
 
 Counts = NDArray[np.int64]
 SUBJECTS: dict[str, Callable[..., AbstractContextManager[Subject]]] = {
@@ -47,11 +39,11 @@ class Comparison:
     subject: list[Counts] = field(default_factory=list)
     reference: list[Counts] = field(default_factory=list)
 
-    def result(self, percent: float, prefix: str) -> Result:
+    def result(self, percent: float, prefix: str) -> report.Result:
         """Return the figure for one percentile."""
-        value = median_of_blocks_us(self.subject, percent)
-        reference = median_of_blocks_us(self.reference, percent)
-        return Result(
+        value = report.median_of_blocks_us(self.subject, percent)
+        reference = report.median_of_blocks_us(self.reference, percent)
+        return report.Result(
             name=f"{prefix}wake_latency_p{percent:g}_us",
             value=value,
             unit="us",
@@ -60,9 +52,11 @@ class Comparison:
             ratio=value / reference if reference > 0 else None,
             raw={
                 "backend": self.backend,
-                "ratio_interval_95": ratio_interval(self.subject, self.reference, percent),
-                "blocks_us": [percentile_us(block, percent) for block in self.subject],
-                "reference_blocks_us": [percentile_us(block, percent) for block in self.reference],
+                "ratio_interval_95": report.ratio_interval(self.subject, self.reference, percent),
+                "blocks_us": [report.percentile_us(block, percent) for block in self.subject],
+                "reference_blocks_us": [
+                    report.percentile_us(block, percent) for block in self.reference
+                ],
             },
         )
 
@@ -72,8 +66,8 @@ class Comparison:
         return {
             "cyclictest_command": self.command,
             "load": self.load,
-            "histograms": [sparse(block) for block in self.subject],
-            "cyclictest_histograms": [sparse(block) for block in self.reference],
+            "histograms": [report.sparse(block) for block in self.subject],
+            "cyclictest_histograms": [report.sparse(block) for block in self.reference],
         }
 
 
@@ -98,14 +92,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> list[Result]:
+def run(args: argparse.Namespace) -> list[report.Result]:
     """Measure; the raw histograms stand in the first figure of each back end."""
     results = []
     for backend in ("thread", "timerfd") if args.backend == "both" else (args.backend,):
         for beside in dict.fromkeys(((), args.beside)):
             comparison = compare(args, backend, beside)
             prefix = "with_" * bool(beside) + ("" if backend == "thread" else f"{backend}_")
-            figures = [comparison.result(percent, prefix) for percent in PERCENTILES]
+            figures = [comparison.result(percent, prefix) for percent in report.PERCENTILES]
             figures[0].raw.update(comparison.raw)
             results += figures
     return results

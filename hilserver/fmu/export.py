@@ -16,19 +16,10 @@ from numpy.typing import NDArray
 
 from hilserver.cache import cache_folder
 from hilserver.errors import ConfigError, FailedError
+from hilserver.fmu import variables
 from hilserver.fmu.c_source import c_number
 from hilserver.fmu.description import MISSING
 from hilserver.fmu.machine_code import CARRY, PACK, PARTS, PORTABLE
-from hilserver.fmu.variables import (
-    BUILD,
-    FIRST_INPUT,
-    FIRST_OUTPUT,
-    FIRST_TUNABLE,
-    Tunable,
-    description,
-    inputs,
-    tunables,
-)
 from hilserver.kernel import Composition
 from hilserver.plant.layout import RING, Inputs, Outputs, Parameters, State
 from hilserver.plant.parameters import RobotParameters
@@ -71,11 +62,11 @@ def export(
         2 or 3.
     """
     _check(composition, platforms)
-    tunable = tunables(robot)
+    tunable = variables.tunables(robot)
     header = f"#define FMI {version}\n" + _header(composition, robot, tunable, base_period_ns)
     token = f"{{{hashlib.sha256(header.encode()).hexdigest()[:32]}}}"
     header += f'#define TOKEN "{token}"\n#define LAYOUT 0x{token[1:16]}ULL\n'
-    text = description(version, composition.table, tunable, base_period_ns * 1e-9, token)
+    text = variables.description(version, composition.table, tunable, base_period_ns * 1e-9, token)
     with tempfile.TemporaryDirectory(prefix="hilserver-fmu-") as name:
         folder = Path(name)
         sources = _sources(folder / "sources", header, version)
@@ -125,7 +116,7 @@ def _sources(folder: Path, header: str, version: int) -> list[Path]:
     for name in _HEADERS[version]:
         shutil.copy(of_fmi / f"fmi{version}{name}.h", folder)
     if version == 3:  # 2.0 names them in the description of the model
-        (folder / "buildDescription.xml").write_text(BUILD, encoding="utf-8")
+        (folder / "buildDescription.xml").write_text(variables.BUILD, encoding="utf-8")
     return sorted(folder.iterdir())
 
 
@@ -156,7 +147,7 @@ def _run(command: Sequence[str], environment: Mapping[str, str]) -> None:
 def _header(
     composition: Composition,
     robot: RobotParameters,
-    tunable: Sequence[Tunable],
+    tunable: Sequence[variables.Tunable],
     base_period_ns: int,
 ) -> str:
     """Return robot.h: all that tells one robot from another."""
@@ -168,7 +159,7 @@ def _header(
         for part in composition.parts
         if part.slice == name
     ]
-    taken = [_row(s.name, i, s.low, s.high) for i, s in enumerate(inputs(table))]
+    taken = [_row(s.name, i, s.low, s.high) for i, s in enumerate(variables.inputs(table))]
     tuned = [_row(t.about.name, t.place, t.low, t.high) for t in tunable]
     why = ", ".join(f'"{REASONS.get(code, "")}"' for code in range(max(REASONS) + 1))
     lines = [
@@ -182,27 +173,27 @@ def _header(
         _array("V_0", _numbers(robot)),
         _array("P_0", composition.parameters.numbers),
         _array("X_0", composition.state.numbers),
-        _array("U_0", np.array([s.initial for s in inputs(table)])),
+        _array("U_0", np.array([s.initial for s in variables.inputs(table)])),
         _array("HALL", composition.hall.ravel()),
         _soundness(),
     ]
     return "\n".join(lines) + "\n"
 
 
-def _sizes(composition: Composition, tunable: Sequence[Tunable]) -> dict[str, int]:
+def _sizes(composition: Composition, tunable: Sequence[variables.Tunable]) -> dict[str, int]:
     return {
         "N_V": Physical.n_words,
         "N_P": Parameters.n_words,
         "N_X": State.n_words,
         "N_U": Inputs.n_words,
         "N_Y": Outputs.n_words,
-        "N_INPUT": len(inputs(composition.table)),
+        "N_INPUT": len(variables.inputs(composition.table)),
         "N_TUNABLE": len(tunable),
         "CARRY": CARRY,
         "PACK": PACK,
-        "FIRST_INPUT": FIRST_INPUT,
-        "FIRST_OUTPUT": FIRST_OUTPUT,
-        "FIRST_TUNABLE": FIRST_TUNABLE,
+        "FIRST_INPUT": variables.FIRST_INPUT,
+        "FIRST_OUTPUT": variables.FIRST_OUTPUT,
+        "FIRST_TUNABLE": variables.FIRST_TUNABLE,
     }
 
 

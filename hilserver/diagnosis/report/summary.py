@@ -3,15 +3,7 @@
 import textwrap
 
 from hilserver.diagnosis.findings.explain import explain_finding, number
-from hilserver.diagnosis.report.words import (
-    Change,
-    gains,
-    headline,
-    is_unchanged,
-    of_patch,
-    shared_and_free,
-    understated,
-)
+from hilserver.diagnosis.report import words
 from hilserver.diagnosis.schema.findings import Findings, Overall
 
 WIDTH = 96
@@ -19,7 +11,7 @@ WIDTH = 96
 
 def summary(findings: Findings) -> str:
     """Return what was found, what it gains and what to do."""
-    lines = [headline(findings)]
+    lines = [words.headline(findings)]
     named = findings.findings
     if len(named) > 1 or (named and explain_finding(named[0]) != lines[0]):
         lines += [f"- {explain_finding(item)}" for item in named]
@@ -28,15 +20,17 @@ def summary(findings: Findings) -> str:
         for item in named
         if item.separating_experiment
     ]
-    lines += [f"  {text}" for text in shared_and_free(findings)]
+    lines += [f"  {text}" for text in words.shared_and_free(findings)]
     lines += [
         f"  {' '.join(filter(None, ('Error of the', g.name, g.when)))}:"
         f" {number(g.gain.before, g.unit, digits=2)} to {number(g.gain.after, g.unit, digits=2)}"
-        f" ({Change.of(g.gain)})"
-        for g in gains(findings)
-        if not is_unchanged(g.gain)
+        f" ({words.Change.of(g.gain)})"
+        for g in words.gains(findings)
+        if not words.is_unchanged(g.gain)
     ]
-    lines += [f"  {text}" for text in (of_patch(findings), understated(findings)) if text]
+    lines += [
+        f"  {text}" for text in (words.of_patch(findings), words.understated(findings)) if text
+    ]
     if findings.verdict is Overall.NOTHING_FOUND and findings.smallest_detectable:
         lines.append("  The report says how large an effect must be to be found.")
     lines += [f"  Note: {notice}" for notice in findings.notices]
