@@ -143,7 +143,7 @@ def _a_minute(prepared: Prepared, workers: Workers, count: int) -> float:
     """Return machines a minute, from when each worker has driven a batch."""
     first, n, done, began_s = 2 * count * IN_A_BATCH, prepared.sweep.machines, 0, 0.0
     counted = 0
-    for _, batch in outcomes(prepared.job, prepared.machines(iter(range(n + first))), workers):
+    for _, batch in outcomes(prepared.job, map(prepared.machine, range(n + first)), workers):
         if any(outcome.error for outcome in batch):
             raise FailedError(f"a machine failed: {batch[0].error}")
         done += len(batch)

@@ -69,7 +69,7 @@ def _written(folder: Path, sweep: dict[str, Any]) -> Prepared:
 
 def _swept(prepared: Prepared, folder: Path, workers: int = 2) -> Table:
     journal, n = Journal(folder / "out", prepared.job.key, resume=False), prepared.sweep.machines
-    machines = prepared.machines(iter(range(n)))
+    machines = map(prepared.machine, range(n))
     with LocalWorkers(workers, prepared.job.limits.memory_mb) as pool:
         for computer, batch in outcomes(prepared.job, machines, pool):
             journal.add(batch, computer)

@@ -127,7 +127,7 @@ def _drive(prepared: Prepared, journal: Journal, args: argparse.Namespace) -> No
         DaskWorkers(args.dask) if args.dask else LocalWorkers(args.workers, job.limits.memory_mb)
     )
     with Progress(stopped) as progress, workers:
-        found = outcomes(job, prepared.machines(left), workers, mixed=args.mixed)
+        found = outcomes(job, map(prepared.machine, left), workers, mixed=args.mixed)
         for computer, batch in found:
             journal.add(batch, computer)
             done, passed_s = len(journal.done), time.monotonic() - began_s

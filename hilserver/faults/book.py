@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.faults.links import Line
-from hilserver.faults.mail import Command, Mailbox, rings_of
+from hilserver.faults.mail import Command, Mailbox
 from hilserver.faults.model import Fault, parse_fault
 from hilserver.faults.plan import Planner, check_range
 from hilserver.kernel import modifier_layout as lay
@@ -81,9 +81,8 @@ class Faults:
             number = next(self._numbers)
             commands += self._removals(fault.title)
             commands += [Command(lay.OP_ADD, number, entry) for entry in entries]
-            notes[number] = _Note(
-                fault, len(entries), rings_of(entries), self._mailbox.head + len(commands)
-            )
+            rings = sum(entry.kind in lay.RING_KINDS for entry in entries)
+            notes[number] = _Note(fault, len(entries), rings, self._mailbox.head + len(commands))
         self._send(commands, notes)
         for fault in parsed:
             if fault.peer is not None:

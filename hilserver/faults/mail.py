@@ -1,6 +1,6 @@
 """The way of commands into the compiled step, and the look at what acts there."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hilserver.image import ProcessImage
@@ -41,17 +41,12 @@ class Mailbox:
         """Timed input rows pushed so far."""
         return self._image.control.timed_head
 
-    @property
-    def waiting(self) -> int:
-        """Commands sent and not yet taken."""
-        return self.head - self.tail
-
     def send(self, commands: Sequence[Command]) -> None:
         """Hand over commands; one tick takes all of them.
 
         ValueError if the step has no room for them now.
         """
-        if len(commands) > lay.MAIL_ROWS - self.waiting:
+        if len(commands) > lay.MAIL_ROWS - (self.head - self.tail):
             raise ValueError(f"{len(commands)} commands are too many at once; try again")
         head = self.head
         for offset, command in enumerate(commands):
@@ -78,8 +73,3 @@ class Mailbox:
     def is_silent(self) -> bool:
         """Whether the command time-out holds the set-points at zero."""
         return bool(self._table.silent)
-
-
-def rings_of(entries: Iterable[Entry]) -> int:
-    """Return how many delay rings the entries need."""
-    return sum(entry.kind in lay.RING_KINDS for entry in entries)

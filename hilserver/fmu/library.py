@@ -111,7 +111,7 @@ class Instance:
 
     def __init__(self, fmu: Fmu, wiring: Wiring, name: str, slow_ns: int) -> None:
         self._fmu, self._library = fmu, Library(fmu)
-        self._message = np.zeros(at.MESSAGE_WORDS, dtype=np.int64)
+        self.message_words = np.zeros(at.MESSAGE_WORDS, dtype=np.int64)
         self._callbacks: Any = None
         self._instance = ctypes.c_void_p(self._instantiated(name.encode()))
         if not self._instance:
@@ -128,12 +128,7 @@ class Instance:
     @property
     def message(self) -> str:
         """What the FMU said of its last error."""
-        return text_of(self._message)
-
-    @property
-    def message_words(self) -> NDArray[np.int64]:
-        """The same as it lies in memory."""
-        return self._message
+        return text_of(self.message_words)
 
     def close(self) -> None:
         """End it."""
@@ -143,7 +138,7 @@ class Instance:
             self._instance = ctypes.c_void_p(None)
 
     def _instantiated(self, name: bytes) -> int:
-        fmu, environment = self._fmu, ctypes.c_void_p(self._message.ctypes.data)
+        fmu, environment = self._fmu, ctypes.c_void_p(self.message_words.ctypes.data)
         token, resources = fmu.token.encode(), fmu.folder / "resources"
         if fmu.version == 2:
             self._callbacks = (ctypes.c_void_p * 5)(

@@ -146,11 +146,6 @@ class HttpServer:
 
     address = url
 
-    @property
-    def connections(self) -> int:
-        """Number of clients being served."""
-        return len(self._tasks)
-
     async def start(self) -> None:
         """Listen; raise `FailedError` when the address cannot be used."""
         try:

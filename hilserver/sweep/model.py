@@ -18,7 +18,6 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
-from hilserver.config.loading import load
 from hilserver.config.section import Section
 from hilserver.faults import Fault
 from hilserver.requirements.model import MAX_REQUIREMENTS, Requirement
@@ -172,8 +171,3 @@ class Sweep(Section):
         if any(item.fault.peer is not None for item in faults):
             raise ValueError("a machine of a sweep has no peers; name a signal")
         return faults
-
-
-def load_sweep(path: Path) -> Sweep:
-    """Return the sweep of a file, or ConfigError; what it names is looked up by `prepare`."""
-    return load(path, Sweep)

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from math import isnan
 from pathlib import Path
@@ -14,7 +14,7 @@ from hilserver import __version__
 from hilserver.arrays import Array
 from hilserver.compiled import kernel_hash
 from hilserver.config.blocks import BlockConfig
-from hilserver.config.loading import place
+from hilserver.config.loading import load, place
 from hilserver.config.patch import Patch, load_patch
 from hilserver.config.root import Config, load_config
 from hilserver.daemon.assembly import Assembly, assemble_config
@@ -31,7 +31,7 @@ from hilserver.replay.simulation import quiet
 from hilserver.requirements import Judge, Requirement
 from hilserver.small_file import read_small
 from hilserver.sweep.draws import Draws, Joint, root_of
-from hilserver.sweep.model import ControllerConfig, FaultShare, Limits, Source, Sweep, load_sweep
+from hilserver.sweep.model import ControllerConfig, FaultShare, Limits, Source, Sweep
 
 PATH_ERROR = "path.error_m"
 _MOST_BYTES = 50_000_000
@@ -98,10 +98,6 @@ class Prepared:
         state = {int(i): float(x[i]) for i in np.flatnonzero(x)}
         return Machine(index, seed, values, faults, dict(robot.terms), np.array(p), state)
 
-    def machines(self, indices: Iterator[int]) -> Iterator[Machine]:
-        """Yield machines as they are asked for."""
-        return map(self.machine, indices)
-
     def robot_with(self, values: Mapping[str, float]) -> RobotParameters:
         """Return the robot with drawn values.
 
@@ -114,7 +110,7 @@ class Prepared:
 
 def prepare(path: Path, config_path: Path | None = None) -> Prepared:
     """Load a sweep and check all that it names; ConfigError has a line per complaint."""
-    sweep, path = load_sweep(path), path.resolve()
+    sweep, path = load(path, Sweep), path.resolve()
     if config_path is None and sweep.config is not None:
         config_path = path.parent / sweep.config
     config = load_config(config_path)

@@ -183,7 +183,7 @@ async def test_a_client_that_goes_away_leaves_nothing_behind(endpoint: Endpoint)
         writer.write(request)
         writer.transport.abort()
     assert (await endpoint.get("/healthz"))[0] == 200
-    await until(lambda: not endpoint.server.connections)
+    await until(lambda: not endpoint.server._tasks)
 
 
 async def test_a_client_that_does_not_read_is_dropped() -> None:

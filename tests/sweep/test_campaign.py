@@ -42,7 +42,7 @@ def sweep(made, tmp_path):
 
 def driven(prepared, workers, on_batch=lambda: None):
     found = {}
-    machines = prepared.machines(iter(range(prepared.sweep.machines)))
+    machines = map(prepared.machine, range(prepared.sweep.machines))
     with workers:
         for _, batch in outcomes(prepared.job, machines, workers):
             found |= {outcome.index: outcome for outcome in batch}
@@ -166,7 +166,7 @@ def test_a_computer_with_other_bits_is_refused(sweep, monkeypatch):
             return False
 
     prepared = sweep(machines=2)
-    machines = list(prepared.machines(iter(range(2))))
+    machines = list(map(prepared.machine, range(2)))
     with pytest.raises(FailedError, match="computes with other bits"):
         list(outcomes(prepared.job, machines, Elsewhere()))
     ((where, batch),) = outcomes(prepared.job, machines, Elsewhere(), mixed=True)
