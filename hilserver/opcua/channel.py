@@ -124,11 +124,13 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
         code = verdict.value if verdict not in _CONCEALED else "BadSecurityChecksFailed"
         raise TransportError(getattr(_Codes, code), "certificate refused")
 
-    def check_asymmetric(self, header: ua.AsymmetricAlgorithmHeader) -> None:
+    def check_asymmetric(self, header: ua.AsymmetricAlgorithmHeader, channel_id: int) -> None:
         """Check that an OpenSecureChannel is meant for us and for this channel."""
         policy = self.security_policy
         if header.SecurityPolicyURI != policy.URI:
             raise TransportError(_Codes.BadSecurityChecksFailed, "another policy than the channel")
+        if self._open and channel_id != self.security_token.ChannelId:
+            raise TransportError(_Codes.BadSecureChannelIdInvalid, "another channel")
         if policy.URI == SecurityPolicyNone.URI:
             return
         ours = hashlib.sha1(policy.host_certificate, usedforsecurity=False).digest()
@@ -152,11 +154,6 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
         asked_ms = params.RequestedLifetime or _MAX_LIFETIME_MS
         params.RequestedLifetime = min(max(asked_ms, _MIN_LIFETIME_MS), _MAX_LIFETIME_MS)
         return super().open(params, server)
-
-    def check_renewed(self, channel_id: int) -> None:
-        """Check that an OpenSecureChannel on an open channel names that channel."""
-        if self._open and channel_id != self.security_token.ChannelId:
-            raise TransportError(_Codes.BadSecureChannelIdInvalid, "another channel")
 
     def receive_plain(self, frame: bytes) -> tuple[int, Buffer] | None:
         """Return request id and body of a whole, unprotected, expected message, quickly.

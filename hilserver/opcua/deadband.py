@@ -16,11 +16,7 @@ from hilserver.opcua.encoding import FixedDataValue
 
 _Trigger, _Deadband, _Codes = ua.DataChangeTrigger, ua.DeadbandType, ua.StatusCodes
 _STATUS_VALUE = _Trigger.StatusValue
-_NUMBERS = {
-    ua.VariantType.SByte, ua.VariantType.Byte, ua.VariantType.Int16, ua.VariantType.UInt16,
-    ua.VariantType.Int32, ua.VariantType.UInt32, ua.VariantType.Int64, ua.VariantType.UInt64,
-    ua.VariantType.Float, ua.VariantType.Double,
-}  # fmt: skip
+_NUMBERS = {kind for kind in ua.VariantType if 2 <= kind.value <= 11}  # SByte to Double
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,10 +25,7 @@ MAX_DECODED = 2000  # in the lists of one operation, numbers apart
 _LENGTH_BYTES = 4
 _Type = ua.VariantType
 T = TypeVar("T")
-_NUMBERS = (
-    _Type.Boolean, _Type.SByte, _Type.Byte, _Type.Int16, _Type.UInt16, _Type.Int32, _Type.UInt32,
-    _Type.Int64, _Type.UInt64, _Type.Float, _Type.Double,
-)  # fmt: skip
+_NUMBERS = [kind for kind in _Type if 1 <= kind.value <= 11]  # Boolean to Double
 _WEIGHTS: dict[Any, int] = {
     **dict.fromkeys(_NUMBERS, 0),
     **dict.fromkeys((_Type.ExtensionObject, _Type.DataValue, _Type.DiagnosticInfo), 4),

@@ -42,11 +42,6 @@ class _Item:
     queue: deque[Any] = field(default_factory=deque)
     triggers: dict[int, None] = field(default_factory=dict)
 
-    def shorten(self) -> None:
-        """Drop what a shorter queue has no room for."""
-        while len(self.queue) > self.size:
-            self.queue.popleft()
-
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class ValueItem(_Item):

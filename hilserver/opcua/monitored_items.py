@@ -18,6 +18,7 @@ from hilserver.opcua.deadband import ChangeFilter, change_filter
 from hilserver.opcua.items import HANDLE, EventItem, FixedEvent, Item, Room, ValueItem
 from hilserver.opcua.reading import find, place_for_items, value_at
 from hilserver.opcua.rotation import Portions
+from hilserver.opcua.settings import OpcUaSettings
 from hilserver.opcua.where import compile_where
 
 LONGEST_SAMPLING_MS = 3_600_000.0
@@ -38,15 +39,13 @@ class MonitoredItems:
         self,
         address_space: Any,
         types: TypeTree,
+        settings: OpcUaSettings,
         publishing_ms: Callable[[], float],
-        *,
-        longest_queue: int,
-        shortest_sampling_ms: float,
     ) -> None:
         self._address_space, self._types = address_space, types
         self._publishing_ms = publishing_ms
-        self._longest_queue = longest_queue
-        self._shortest_ms = shortest_sampling_ms
+        self._longest_queue = settings.max_queue_size
+        self._shortest_ms = settings.min_publishing_ms
         self._number = 0
         self._values: dict[int, ValueItem] = {}
         self._events: dict[int, EventItem] = {}
@@ -156,7 +155,8 @@ class MonitoredItems:
         room.items += 1
         room.queued_values += item.size - 1
         item.size = result.RevisedQueueSize = room.take(asked.QueueSize, self._longest_queue)
-        item.shorten()
+        while len(item.queue) > item.size:
+            item.queue.popleft()
         self._rearrange()
         return result
 

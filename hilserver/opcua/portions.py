@@ -28,21 +28,22 @@ def decoded(kind: type, body: Buffer, most: int) -> Portions:
     ServiceError: BadTooManyOperations, or BadDecodingError whatever is wrong with them.
     """
     *first, (name, element) = _layout(kind)
-    values: dict[str, Any] = {n: _take(t, body) for n, t in first}
+    values: dict[str, Any] = {n: take(t, body) for n, t in first}
     if get_origin(element) is not list:
-        return kind(**values, **{name: _take(element, body)})
+        return kind(**values, **{name: take(element, body)})
     (element,) = get_args(element)
-    count = _take(ua.Int32, body)
+    count = take(ua.Int32, body)
     if count > most:
         raise ServiceError(_Codes.BadTooManyOperations)
     operations = values[name] = []
     for _ in range(count):
-        operations.append(_take(element, body))
+        operations.append(take(element, body))
         yield
     return kind(**values)
 
 
-def _take(kind: Any, body: Buffer) -> Any:
+def take(kind: Any, body: Buffer) -> Any:
+    """Decode one structure; BadDecodingError whatever is wrong with it."""
     return within_bounds(lambda: from_binary(kind, body))
 
 

@@ -23,12 +23,11 @@ from asyncua.ua.ua_binary import (
 
 from hilserver.opcua import encoding
 from hilserver.opcua.channel import GuardedConnection
-from hilserver.opcua.decoding import within_bounds
 from hilserver.opcua.frames import Stage, TransportError, check_order
-from hilserver.opcua.login import activate_session, create_session, release_session
+from hilserver.opcua.login import activate_session, create_session
 from hilserver.opcua.logs import log
 from hilserver.opcua.node_services import read
-from hilserver.opcua.portions import decoded, encoded
+from hilserver.opcua.portions import decoded, encoded, take
 from hilserver.opcua.rotation import Portions
 from hilserver.opcua.services import REPUBLISH, SERVICES
 from hilserver.opcua.sessions import Session
@@ -58,11 +57,6 @@ REQUEST_S = 0.5  # of work for one request; what it has not done by then is refu
 LONGEST_WAIT_S = 10.0  # for the methods that one Call waits for, together
 
 
-def decode(kind: type, body: Buffer) -> Any:
-    """Decode the parameters of a service; BadDecodingError whatever is wrong with them."""
-    return within_bounds(lambda: struct_from_binary(kind, body))
-
-
 class Processor:
     """Processes the messages of one connection, one after the other."""
 
@@ -90,10 +84,6 @@ class Processor:
     def policy(self) -> Any:
         """Security policy of the channel."""
         return self._connection.security_policy
-
-    def close(self) -> None:
-        """Release what the lost connection held."""
-        release_session(self)
 
     # --- transport --------------------------------------------------------------------------------
 
@@ -142,8 +132,7 @@ class Processor:
             return False
         request_id, body = message.SequenceHeader().RequestId, message.body()
         if kind == b"OPN":
-            connection.check_asymmetric(message.SecurityHeader())
-            connection.check_renewed(header.ChannelId)
+            connection.check_asymmetric(message.SecurityHeader(), header.ChannelId)
             self._open_channel(message.SecurityHeader(), request_id, body)
             return True
         return self._process_message(request_id, body)
@@ -171,8 +160,8 @@ class Processor:
     def _open_channel(self, security: Any, request_id: int, body: Buffer) -> None:
         if nodeid_from_binary(body) != _OPEN:
             raise TransportError(_Codes.BadTcpMessageTypeInvalid, "no OpenSecureChannel")
-        head = decode(ua.RequestHeader, body)
-        params = decode(ua.OpenSecureChannelParameters, body)
+        head = take(ua.RequestHeader, body)
+        params = take(ua.OpenSecureChannelParameters, body)
         connection = self._connection
         if not connection.is_open():
             connection.select_policy(
@@ -230,7 +219,7 @@ class Processor:
         session, token = self.session, None
         head = None if session is None else encoding.request_head(body, session.token_bytes)
         if head is None:
-            header = decode(ua.RequestHeader, body)
+            header = take(ua.RequestHeader, body)
             token = header.AuthenticationToken
             head = encoding.Head(header.RequestHandle, header.ReturnDiagnostics, header.TimeoutHint)
             if session is not None and not session.is_named_by(token):
@@ -272,10 +261,10 @@ class Processor:
         if self._connection.is_discovery_only:
             raise ServiceError(_Codes.BadSecurityPolicyRejected)
         if service == _CREATE:
-            return create_session(self, decode(ua.CreateSessionParameters, body))
+            return create_session(self, take(ua.CreateSessionParameters, body))
         if service == _ACTIVATE:
             token = session.auth_token if session is not None else token
-            return activate_session(self, token, decode(ua.ActivateSessionParameters, body))
+            return activate_session(self, token, take(ua.ActivateSessionParameters, body))
         if session is None:
             raise ServiceError(_Codes.BadSessionIdInvalid)
         session.touch()
@@ -294,7 +283,7 @@ class Processor:
         if service == _READ:
             return self._read(session, head, body)
         if service == _REPUBLISH:
-            message = REPUBLISH.answer(session, decode(REPUBLISH.parameters, body))
+            message = REPUBLISH.answer(session, take(REPUBLISH.parameters, body))
             return encoding.response_head(_REPUBLISH_RESPONSE, head.handle) + message
         if service in _MANAGEMENT:
             raise ServiceError(_Codes.BadUserAccessDenied)
@@ -314,10 +303,10 @@ class Processor:
 
     async def _discover(self, service: int, body: Buffer) -> Any:
         if service == _FIND_SERVERS:
-            find = decode(ua.FindServersParameters, body)
+            find = take(ua.FindServersParameters, body)
             servers = self.iserver.find_servers(find, self.sockname)
             return ua.FindServersResponse(Servers=servers)
-        params = decode(ua.GetEndpointsParameters, body)
+        params = take(ua.GetEndpointsParameters, body)
         endpoints = await self.iserver.get_endpoints(params, self.sockname)
         return ua.GetEndpointsResponse(Endpoints=endpoints)
 

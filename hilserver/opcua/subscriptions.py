@@ -6,7 +6,6 @@ server (`rotation`): one message per turn, so that a long queue keeps nobody wai
 
 import time
 from collections import OrderedDict, deque
-from collections.abc import Iterator
 from typing import Any
 
 from asyncua import ua
@@ -36,7 +35,6 @@ class Subscription:
     """One subscription."""
 
     def __init__(self, service: "Subscriptions", number: int, session: Any) -> None:
-        settings = service.settings
         # who created it is its owner, and may take it over in another session
         self.number, self.session, self.owner = number, session, session.owner
         self.revised = ua.CreateSubscriptionResult(SubscriptionId=number)
@@ -45,9 +43,8 @@ class Subscription:
         self.items = MonitoredItems(
             service.address_space,
             service.types,
+            service.settings,
             lambda: float(self.revised.RevisedPublishingInterval),
-            longest_queue=settings.max_queue_size,
-            shortest_sampling_ms=settings.min_publishing_ms,
         )
         # messages that were not acknowledged yet, by sequence number
         self.retained: OrderedDict[int, bytes] = OrderedDict()
@@ -298,11 +295,9 @@ class Subscriptions:
     def _share(self, session: Any) -> OpcUaShare:
         return self.settings.limits.of(session.user.rights)
 
-    def _orphans(self) -> Iterator[Subscription]:
-        return (s for s in self.subscriptions.values() if s.session.processor is None)
-
     def _drop_orphan(self) -> bool:
-        orphan = next(self._orphans(), None)
+        everybody = self.subscriptions.values()
+        orphan = next((s for s in everybody if s.session.processor is None), None)
         if orphan is None:
             return False
         log.info("opcua subscription without a connection makes room", subscription=orphan.number)

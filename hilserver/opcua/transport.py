@@ -18,6 +18,7 @@ from asyncua.common.connection import TransportLimits
 from asyncua.server.binary_server_asyncio import BinaryServer
 
 from hilserver.opcua.frames import FrameReader, Stage, TransportError
+from hilserver.opcua.login import release_session
 from hilserver.opcua.logs import log
 from hilserver.opcua.loopback import is_loopback
 from hilserver.opcua.processor import Processor
@@ -79,7 +80,7 @@ class Connection(asyncio.Protocol):
         if self._waiting is not None:
             self._waiting.cancel()
         self._work = None
-        self.processor.close()
+        release_session(self.processor)
 
     def data_received(self, data: bytes) -> None:
         """Cut frames out of the stream and queue them."""
