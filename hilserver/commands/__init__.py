@@ -62,6 +62,7 @@ def _parse(words: Sequence[str]) -> argparse.Namespace:
         epilog="example: hilserver run --demo",
     )
     parser.add_argument("--version", action="version", version=f"hilserver {__version__}")
+    sub = parser
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     asked = next((word for word in words if not word.startswith("-")), None)
     if asked is not None and asked not in COMMANDS:
@@ -80,7 +81,12 @@ def _parse(words: Sequence[str]) -> argparse.Namespace:
         )
         module.add_arguments(sub)
         sub.set_defaults(run=module.run)
-    return parser.parse_args(words)
+    args, left = parser.parse_known_args(words)
+    if left:
+        is_configuration = left[0].endswith((".yaml", ".yml")) and "config" in args
+        hint = f"; write '-c {left[0]}'" if is_configuration else ""
+        sub.error(f"{asked} takes no '{left[0]}'{hint}")
+    return args
 
 
 def _module(command: str) -> ModuleType:

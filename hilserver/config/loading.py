@@ -245,7 +245,7 @@ def _sentence(model: type[BaseModel], error: Any) -> str:
         return f"{key}: there is nothing below it; remove it or write its {below}"
     if kind == "model_type" and not location:
         found = "a list" if isinstance(error["input"], list) else repr(error["input"])
-        return f"a configuration consists of 'key: value' lines, not of {found:.60}"
+        return f"write 'key: value' lines, not {found:.60}"
     message = error["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
     if kind in ("value_error", "assertion_error"):
         return f"{key}: {message}" if key and not message.startswith(key) else message

@@ -267,7 +267,7 @@ def check_signals(peer: PeerConfig, table: SignalTable) -> list[SignalProblem]:
     for node, signal in _reads(peer):
         message = ""
         if signal not in known:
-            message = no_signal(signal, known)
+            message = no_signal(signal, [name for name in known if table[name].writable])
         elif not table[signal].writable:
             message = f"'{signal}' is an output, so no peer can set it"
         else:

@@ -309,3 +309,20 @@ def test_two_daemons_with_one_image_name(tmp_path):
     assert f"another hilserver uses the process image '{name}'" in second.stderr
     assert "unknown key 'plant.wheel_radius'" in mistaken.stderr  # before, the other one was blamed
     assert mistaken.returncode == 78
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["run", "my.yaml"], "write '-c my.yaml'"),
+        (["check", "my.yaml"], "write '-c my.yaml'"),
+        (["convert", "a.csv", "-o", "b.mcap"], "convert takes no '-o'"),
+        (["signals", "my.yaml", "--quick"], "write '-c my.yaml'"),
+        (["call", "Stop", "--quick"], "call takes no '--quick'"),
+    ],
+)
+def test_a_word_too_many_is_named_with_the_usage_of_its_command(here, words, hint):
+    code, _, said = here(*words)
+    assert code == 2
+    assert said.startswith(f"usage: hilserver {words[0]} ")
+    assert hint in said.splitlines()[-1]

@@ -1,5 +1,7 @@
 """Methods, signals and faults from the shell, against a real daemon."""
 
+import re
+
 import pytest
 
 from hilserver.commands import main
@@ -45,4 +47,4 @@ def test_what_does_not_fit_is_one_sentence(robot, capsys, words, sentence):
 def test_nobody_there_is_one_sentence(capsys):
     assert main(["call", "--endpoint", "opc.tcp://127.0.0.1:9/x", "Stop"]) == 1
     [line] = capsys.readouterr().err.splitlines()
-    assert "does not answer" in line
+    assert re.search(r"does not answer \(connect.*\); 'hilserver run' starts it$", line)

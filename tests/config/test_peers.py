@@ -133,6 +133,7 @@ def test_signals_are_checked_against_the_table():
             read={
                 "ns=1;s=a": "wheel.fl.setpoint_rmp",
                 "ns=1;s=b": "wheel.fl.speed_rpm",
+                "ns=1;s=d": "wheel.rr.set_rpm",
             },
             write={"wheel.fl.setpoint_rpm": "ns=1;s=c"},
         )
@@ -142,6 +143,8 @@ def test_signals_are_checked_against_the_table():
         ("read", "ns=1;s=a"): "there is no signal 'wheel.fl.setpoint_rmp'; did you mean"
         " 'wheel.fl.setpoint_rpm'?",
         ("read", "ns=1;s=b"): "'wheel.fl.speed_rpm' is an output, so no peer can set it",
+        ("read", "ns=1;s=d"): "there is no signal 'wheel.rr.set_rpm'; did you mean"
+        " 'wheel.rr.setpoint_rpm'?",
         ("write", "wheel.fl.setpoint_rpm"): "'wheel.fl.setpoint_rpm' is an input: write sends"
         " outputs",
     }

@@ -24,7 +24,8 @@ from tests.prometheus.server import running_prometheus
 DASHBOARD = Path(__file__).parents[2] / "deploy" / "grafana" / "dashboards" / "hilserver.json"
 WINDOW_S, STEP_S, RATE = 80, 1, "4s"
 COLUMNS, CELL_INCH = 24, 0.34
-PAPER, PANEL, INK, GREEN = "#111217", "#181b1f", "#ccccdc", "#73bf69"
+PAPER, PANEL, INK = "#111217", "#181b1f", "#ccccdc"
+COLOURS = {"green": "#73bf69", "orange": "#ff9830", "red": "#f2495c", "blue": "#5794f2"}
 MOST_NAMES = 6
 MISSED = f"sum(increase(hil_missed_ticks_total[{WINDOW_S}s]))"
 
@@ -72,9 +73,11 @@ def draw_stat(axes, panel, series):
     """Draw the newest value, or the name where the panel asks for that."""
     is_name = panel["options"]["textMode"] == "name"
     name, _, values = series[-1]
-    unit = panel["fieldConfig"]["defaults"]["unit"]
-    text = name if is_name else shown(values[-1], unit)
-    axes.text(0.5, 0.45, text, color=GREEN, size=17, ha="center", va="center")
+    defaults = panel["fieldConfig"]["defaults"]
+    text = name if is_name else shown(values[-1], defaults["unit"])
+    steps = defaults["thresholds"]["steps"]
+    reached = [s["color"] for s in steps if s["value"] is None or values[-1] >= s["value"]]
+    axes.text(0.5, 0.45, text, color=COLOURS[reached[-1]], size=17, ha="center", va="center")
     axes.set_axis_off()
 
 
@@ -109,7 +112,7 @@ def draw_state_timeline(axes, panel, series):
     names = list(dict.fromkeys(name for name, *_ in series))
     for name, times, values in series:
         for begin, value in zip(times, values, strict=True):
-            colour = GREEN if value else "#f2495c"
+            colour = COLOURS["green" if value else "red"]
             axes.barh(names.index(name), STEP_S, left=begin, height=0.8, color=colour)
     axes.set_yticks(range(len(names)), names)
     axes.set_xlim(-WINDOW_S, 0)

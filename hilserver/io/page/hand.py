@@ -9,6 +9,7 @@ from typing import Any
 from asyncua import Client, ua
 from asyncua.ua.ua_binary import struct_from_binary
 
+from hilserver.errors import reason
 from hilserver.io.opcua_server.method_table import METHOD_OF, METHODS, STRING, Method
 from hilserver.io.opcua_server.model import CONTROL_SOURCE, NAMESPACE_URI
 from hilserver.io.page.setup import OpcUaAccess
@@ -89,7 +90,11 @@ class Hand:
             raise RefusedError(str(error)) from None
         except (OSError, TimeoutError, ua.UaError) as error:
             await self.close()
-            raise RefusedError(f"the daemon's OPC UA server does not answer: {error}") from None
+            why = reason(error) if isinstance(error, OSError) else str(error)
+            raise RefusedError(
+                f"the daemon's OPC UA server does not answer ({why or 'time-out'});"
+                " 'hilserver run' starts it"
+            ) from None
 
     async def close(self) -> None:
         """End the session."""
