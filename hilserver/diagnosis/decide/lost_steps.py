@@ -4,12 +4,19 @@ from typing import Final
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.checks.support import row_period_s
 from hilserver.diagnosis.regression.problem import Point, Problem
-from hilserver.diagnosis.thresholds import LARGE_STEP_RPM, LOST_LATE_S
+from hilserver.diagnosis.thresholds import (
+    FEWEST_EVENTS,
+    LARGE_STEP_RPM,
+    LOST_LATE_S,
+    NEGLIGIBLE,
+)
 from hilserver.measured.channels import SETPOINTS, SPEEDS
 
 RESPONSE_S: Final = 0.15  # in which the wheel answers a step
+LONG_S: Final = 0.1  # after which a step that one late message explains has long arrived
 
 
 def lost_steps(problem: Problem, point: Point) -> tuple[int, int]:
@@ -17,7 +24,8 @@ def lost_steps(problem: Problem, point: Point) -> tuple[int, int]:
 
     A step that waits for the next message is late by one message: what is seen after every step is
     compared with the simulated response, and with the same one later. A sample that was taken
-    between two rows, or stays as it was, may be old, and a single one is no evidence.
+    between two rows, or stays as it was, may be old, and a single one is no evidence. Few that are
+    late by one message are chance, and count for nothing; a sound machine misses none for longer.
     """
     log, stack, stage = problem.stage.log, problem.stack, problem.stage
     both = [(a, b) for a, b in zip(SETPOINTS, SPEEDS, strict=True) if a in log and b in stack.edges]
@@ -26,7 +34,7 @@ def lost_steps(problem: Problem, point: Point) -> tuple[int, int]:
     residual = problem.residual(point.predicted)
     shown = stage.signals(point.model.terms, point.poses)
     rate_hz = 1.0 / stage.segments.period_s
-    late: list[bool] = []
+    shares: list[list[float]] = []
     for setpoint, speed in both:
         edge = stack.edges[speed]
         t, r = stack.t_s[edge], residual[edge]
@@ -34,11 +42,11 @@ def lost_steps(problem: Problem, point: Point) -> tuple[int, int]:
         rows_s, samples_s = row_period_s(log[setpoint]), row_period_s(log[speed])
         # when a sample was taken that is slower than the rows, is known to a row only
         row_s = np.where(stays, samples_s, rows_s if samples_s > 1.5 * rows_s else 0.0)
-        at_once, by_a_row, later = (
+        at_once, by_a_row, *later = (
             np.interp(stack.at[edge] - by_s * rate_hz, np.arange(len(shown[speed])), shown[speed])
-            for by_s in (0.0, row_s, row_s + 2.0 * LOST_LATE_S)
+            for by_s in (0.0, row_s, row_s + 2.0 * LOST_LATE_S, row_s + LONG_S)
         )
-        seen, g = r + at_once, later - by_a_row
+        seen = r + at_once
         r = seen - np.clip(seen, np.minimum(at_once, by_a_row), np.maximum(at_once, by_a_row))
         noise = problem.noise[speed].white_sd
         spans = stage.segments.span[stack.segment[edge]]
@@ -47,11 +55,20 @@ def lost_steps(problem: Problem, point: Point) -> tuple[int, int]:
             first, end = np.searchsorted(spans, [span, span + 1])  # stamps rise within a span only
             for a in np.flatnonzero(np.abs(np.diff(s)) > LARGE_STEP_RPM) + 1:
                 low, high = first + np.searchsorted(t[first:end], [ts[a], ts[a] + RESPONSE_S])
-                others = low + np.argsort(r[low:high] * g[low:high])[:-1]
-                power = float(g[others] @ g[others])
-                if power <= 0.0 or noise / np.sqrt(power) > 0.125:
-                    continue
-                late.append(float(r[others] @ g[others]) / power > 0.5)
-    if len(late) < 12:
+                two = [_share(r[low:high], (g - by_a_row)[low:high], noise) for g in later]
+                if not np.isnan(two).all():
+                    shares.append(two)
+    if len(shares) < 12:
         return 0, 0
-    return sum(late), len(late)
+    is_late = np.array(shares) > 0.5
+    late, gone = int(is_late.any(axis=1).sum()), int(is_late[:, 1].sum())
+    return late if gone >= FEWEST_EVENTS or late > NEGLIGIBLE * len(shares) else 0, len(shares)
+
+
+def _share(r: Array, later: Array, noise: float) -> float:
+    """Return the share of a later response in what is seen, but for one sample; NaN: none shows."""
+    others = np.argsort(r * later)[:-1]
+    power = float(later[others] @ later[others])
+    if power <= 0.0 or noise / np.sqrt(power) > 0.125:
+        return np.nan
+    return float(r[others] @ later[others]) / power

@@ -31,7 +31,7 @@ from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.evidence import FittedTerm
 from hilserver.diagnosis.schema.findings import Finding, Gain, Parameter, Verdict
-from hilserver.diagnosis.thresholds import FEWEST_EVENTS, NEGLIGIBLE
+from hilserver.diagnosis.thresholds import FEWEST_EVENTS
 from hilserver.measured.channels import POSITION, SETPOINTS
 from hilserver.measured.names import signal_unit
 
@@ -122,7 +122,7 @@ def other_findings(j: Judged) -> list[Finding]:
     if j.anchor is not None:
         found.append(misplaced_anchor(*j.anchor))
     late, judged = lost_steps(problem, j.point)
-    if late >= FEWEST_EVENTS and late > NEGLIGIBLE * judged:
+    if late >= FEWEST_EVENTS:
         found.append(lost(late, judged))
     elif j.unknown:
         found.append(structure(j.unknown, problem.stage.block, deviating(problem, j.point)))

@@ -129,6 +129,21 @@ def test_lost_steps_are_looked_for_within_each_log():
     assert both == (2 * alone[0], 2 * alone[1])
 
 
+def test_a_step_that_is_over_within_a_sample_is_lost_all_the_same():
+    """At one step the set-points in the log are 0.2 s ahead of those that the wheels got."""
+    log, ahead = sound(), {}
+    for name in (n for n in log.channels if "setpoint" in n):
+        values = log[name].values.copy()
+        steps = np.abs(np.diff(values))
+        around = np.convolve(steps, np.ones(25), "same")
+        k = np.flatnonzero((steps > 20.0) & (around == steps))[-1]
+        values[k - 9 : k + 1] = values[k + 1]
+        ahead[name] = log[name].with_values(values)
+    drive = prepare_all(log.with_channels(ahead), assembly().robot, 1, Tracker())[0]["drive"]
+    late, judged_steps = lost_steps(drive.problem, drive.base)
+    assert late == 4 < judged_steps
+
+
 def test_an_old_sample_at_a_step_is_no_lost_set_point():
     """Of rounded speeds nobody sees that one repeats the one before."""
     log, rng = sound(), np.random.default_rng(1)
