@@ -142,7 +142,7 @@ class Control:
             self._go(state, state.word)
             return
         self._snapshots.reset()
-        self._gate.end()
+        self._gate.outdate()
         for callback in self.on_reset:
             callback()
         self._events.publish(Event(EventKind.STATE, 200, "daemon", "simulation reset"))
@@ -197,7 +197,7 @@ class Control:
         """Continue from a saved state; version, kernels, signals and parameters have to match."""
         self._next(Command.LOAD_SNAPSHOT)
         await self._snapshots.load(name, ends_leases=True)
-        self._gate.end()
+        self._gate.outdate()
 
     def set_speed(self, factor: float) -> None:
         """Run at `factor` times real time (0.01 .. 100)."""

@@ -265,14 +265,15 @@ class InputGate(HandOver):
         self._image.push(self._placed(source, rows))
 
     def end(self) -> None:
-        """End every lease: nothing is commanded until a source does so anew.
-
-        What has come in by now and waits to be read is none of that.
-        """
-        self._ended_ns = self._now_ns() - _GRAIN_NS
+        """End every lease: nothing is commanded until a source does so anew."""
+        self.outdate()
         self._image.push([self.leases.end()])
         for slot in range(N_SETPOINTS):
             self._newest.pop(slot, None)
+
+    def outdate(self) -> None:
+        """Let what has come in by now, and waits to be read, command nothing."""
+        self._ended_ns = self._now_ns() - _GRAIN_NS
 
     def age_s(self, source: str) -> float | None:
         """Return the time since the source's last accepted write [s], None before the first."""
