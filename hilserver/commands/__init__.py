@@ -13,6 +13,7 @@ from types import ModuleType
 from hilserver import __version__
 from hilserver.errors import FailedError, meant
 from hilserver.program import harness
+from hilserver.program.ending import end_was_asked
 
 COMMANDS = {
     "run": "run the daemon",
@@ -41,6 +42,9 @@ COMMANDS = {
     "scenarios": "logs of the drives that the thesis says its simulation gets wrong",
     "bench": "measure every figure that the README quotes",
 }
+
+LONG = ("diagnose", "plan", "sweep")
+"""What has nothing to show before its end; the others say themselves how they ended."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -98,3 +102,7 @@ def _module(command: str) -> ModuleType:
             f"{error.filename}: {reason}; compiled code is cached there: set HILSERVER_CACHE_DIR to"
             " a folder that you may write to"
         ) from None
+    except (Exception, SystemExit):
+        if end_was_asked() and command in LONG:
+            print("hilserver: stopped while it was starting: nothing was done", file=sys.stderr)
+        raise

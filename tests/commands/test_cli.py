@@ -190,6 +190,21 @@ def test_a_signal_while_the_step_is_compiled_ends_it_at_once(monkeypatch):
     assert signal.getsignal(signal.SIGTERM) is before
 
 
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [("diagnose", "hilserver: stopped while it was starting: nothing was done\n"), ("run", "")],
+)
+def test_a_signal_while_a_command_is_imported_is_a_sentence(monkeypatch, capsys, command, said):
+    """Importing compiles, which takes a minute: the end was exit code 0 without a word."""
+
+    def interrupted(_name):
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr("hilserver.commands.importlib.import_module", interrupted)
+    assert main([command, "a.csv", "-o", "out"]) == 0
+    assert capsys.readouterr().err == said
+
+
 def test_an_interrupt_within_python_run_from_c_is_no_end_by_signal(tmp_path):
     """The interpreter ends itself by SIGINT when a KeyboardInterrupt came that way."""
     lines = [
