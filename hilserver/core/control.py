@@ -43,6 +43,7 @@ class Control:
         self._measured_pose = measured_pose
         self.on_reset: list[Callable[[], None]] = []
         self.before_reset: Callable[[], None] = lambda: None
+        self.on_acknowledge: Callable[[], None] = lambda: None
         self._table = table
         self._image = image
         self._gate = gate
@@ -150,6 +151,7 @@ class Control:
     def _acknowledge(self) -> None:
         if self._causes:
             raise ControlRefused(f"Reset has to wait: {'; '.join(self._causes.values())}")
+        self.on_acknowledge()
         self._gate.end()
         self._image.control.first_fault = 0
         self._image.control.stop_acknowledged = self._stop_taken

@@ -106,6 +106,7 @@ class Daemon:
         self.gaps = GapWatch(config.shadow, self.table, self.outputs.model_gap, self.events)
         self._states = StateService(core.snapshots, self.image.name)
         self.desk = make_desk(core, self.stage)
+        self.control.on_acknowledge = self.desk.scenarios.cut_short
         of = Surroundings(
             core, self.clock, self.control, self.outputs, self.desk, self.audit, self._statuses
         )

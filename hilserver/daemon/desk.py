@@ -5,7 +5,7 @@ Names are plain and within the configured folders; nothing that exists is writte
 
 import asyncio
 import contextlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import structlog
 
 from hilserver.config.loading import LIVE_BYTES
 from hilserver.config.recording import RecordingConfig
+from hilserver.core.leases import NOBODY
 from hilserver.core.recalibration import Decisions
 from hilserver.daemon.builder import Core
 from hilserver.daemon.patches import Patches, file_of
@@ -75,6 +76,14 @@ class Scenarios:
         self._stage.stop()
         if self._core.gate.owner == "scenario":
             self._core.gate.take(playing.owner)
+
+    def cut_short(self) -> None:
+        """Let no planned step drive a robot that was stopped: its steps end, its faults go on."""
+        self._stage.stop()
+        if self._playing is not None:
+            self._playing = replace(self._playing, end_tick=self._core.scheduler.tick - 1)
+        if self._core.gate.owner == "scenario":
+            self._core.gate.take(NOBODY)
 
     def view(self) -> dict[str, Any] | None:
         """Return name, time and length of what is playing; None without."""

@@ -133,13 +133,20 @@ class Faults:
 
     def reset(self) -> None:
         """End everything, forces and timed inputs too: the simulation goes back to its start."""
-        skip = Command(lay.OP_SKIP_TIMED, self._mailbox.timed_rows)
         going = self._acting()
-        self._mailbox.send([Command(lay.OP_CLEAR_ALL), skip])
+        self._mailbox.send([Command(lay.OP_CLEAR_ALL), self._skip])
         self._leave(entry.number for entry in going)
         self._notes.clear()
         for line in self._lines.values():
             line.clear()
+
+    def skip_timed(self) -> None:
+        """Drop the timed inputs that wait."""
+        self._mailbox.send([self._skip])
+
+    @property
+    def _skip(self) -> Command:
+        return Command(lay.OP_SKIP_TIMED, self._mailbox.timed_rows)
 
     # --- views ------------------------------------------------------------------------------------
 

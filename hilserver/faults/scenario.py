@@ -164,8 +164,9 @@ class Stage:
             self._faults.inject(*scenario.seeded_faults, start_tick=start_tick)
 
     def stop(self) -> None:
-        """Let no parameter change any more by a scenario."""
+        """Let no step of a scenario act any more."""
         self._parameters.schedule()
+        self._faults.skip_timed()
 
     def _sets(self, scenario: Scenario, start_tick: int) -> Iterator[tuple[int, dict[str, float]]]:
         for step in scenario.steps:

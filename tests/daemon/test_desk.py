@@ -7,6 +7,7 @@ import yaml
 
 from hilserver.config.recording import RecordingConfig
 from hilserver.config.root import Config
+from hilserver.core.control import Control
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.builder import build
 from hilserver.daemon.desk import Recordings, Scenarios
@@ -22,6 +23,8 @@ async def run(tmp_path):
         begin = {"at_s": 0, "write": {"control.mode": 1, signal: value}}
         steps = [begin, {"at_s": 9, "write": {signal: 0.0}}]
         (tmp_path / name).write_text(yaml.safe_dump({"steps": steps}), encoding="utf-8")
+    late = [{"at_s": s, "write": {"control.mode": 1, "twist.linear_m_s": 0.3}} for s in (0, 0.5)]
+    (tmp_path / "late.yaml").write_text(yaml.safe_dump({"steps": late}), encoding="utf-8")
     async with build(assemble_config(CONFIG, tmp_path)) as core:
         core.image.control.state = 1
         yield core, Scenarios(tmp_path, core.stage(), core)
@@ -38,6 +41,27 @@ async def test_of_scenarios_started_at_once_one_plays(run):
     values = core.image.latest().values
     driven = {n for n, (signal, _) in DRIVES.items() if values[core.table.slot(signal)]}
     assert driven == {scenarios.view()["name"]}
+
+
+async def test_after_a_stop_no_planned_step_drives(run):
+    core, scenarios = run
+    control = Control(
+        core.table, core.image, core.gate, core.events, core.scheduler, core.snapshots
+    )
+    control.on_acknowledge = scenarios.cut_short
+    control.started()
+    speed = lambda: core.image.latest().values[core.table.slot("twist.linear_m_s")]  # noqa: E731
+    await scenarios.start("late")
+    await core.scheduler.advance(100)
+    assert speed() > 0
+    control.stop()
+    await core.scheduler.advance(100)
+    control.reset()
+    await core.scheduler.advance(1000)
+    assert (speed(), core.gate.owner, scenarios.view()) == (0.0, "nobody", None)
+    await scenarios.start("late")
+    await core.scheduler.advance(1000)
+    assert speed() == 0.3
 
 
 async def test_a_recording_that_has_ended_by_itself_is_over(run, tmp_path):
