@@ -16,7 +16,7 @@ from structlog.testing import capture_logs
 
 from hilserver.controller.nodes import demo_peer
 from hilserver.daemon.metrics import METRICS
-from hilserver.io.opcua_client.validation import judge
+from hilserver.io.opcua_client.session import judge
 from hilserver.monitoring.health_http import RENDER_EVERY_S
 from tests.helpers.prom_diff import PromDiff, series_of_text
 from tests.loopback.rig import call, configuration, run_ticks, running, scrape, take, wait_until

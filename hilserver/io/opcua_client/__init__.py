@@ -2,9 +2,9 @@
 
 Read the files in the order of a value's way: `session` connects and finds the nodes, after
 `security` has judged the peer and `refusal` has put into words what is wrong with it, `acquisition`
-brings samples (subscribed or polled), `validation` judges each of them, `intake` hands one group to
-the input gate, `staleness` and `latency` judge the stream, `writer` sends outputs back, and `link`
-runs all of it in a loop that survives whatever the peer does.
+brings samples (subscribed or polled, each of them judged), `intake` hands one group to the input
+gate, `staleness` and `latency` judge the stream, `writer` sends outputs back, and `link` runs all
+of it in a loop that survives whatever the peer does.
 """
 
 from hilserver.io.opcua_client.link import PeerLink

@@ -14,9 +14,8 @@ from asyncua import ua
 
 from hilserver.config.peers import PeerConfig
 from hilserver.io.link_status import PeerStatus
-from hilserver.io.opcua_client.session import Session, read_request
+from hilserver.io.opcua_client.session import Session, judge, read_request
 from hilserver.io.opcua_client.subscription import Grant, Subscription
-from hilserver.io.opcua_client.validation import judge
 from hilserver.io.peer_link.intake import FaultyIntake
 from hilserver.period import every
 

@@ -10,8 +10,7 @@ from hilserver.config.peers import PeerConfig
 from hilserver.faults.links import Lane
 from hilserver.io.opcua_client.acquisition import Acquisition
 from hilserver.io.opcua_client.security import LinkSecurity
-from hilserver.io.opcua_client.session import Session
-from hilserver.io.opcua_client.validation import utc_ns_of
+from hilserver.io.opcua_client.session import Session, utc_ns_of
 from hilserver.io.opcua_client.writer import Writer
 from hilserver.io.peer_link.link import Peer, describe
 from hilserver.io.peer_link.samples import FaultKind

@@ -1,4 +1,4 @@
-"""One connection to a peer: open, find the nodes, read and write; good until its first error.
+"""One connection to a peer: open, find the nodes, read and judge; good until its first error.
 
 Every attempt gets a fresh asyncua client, because a client object whose link went dead can hang in
 its own reconnect; and every wait has a limit, because a dead link answers nothing.
@@ -8,6 +8,8 @@ import asyncio
 import contextlib
 import logging
 from collections.abc import Callable, Iterable
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from asyncua import Client, ua
@@ -15,7 +17,8 @@ from asyncua import Client, ua
 from hilserver.config.peers import NodeAddress
 from hilserver.io.opcua_client.refusal import hung_up, refused_by_peer
 from hilserver.io.opcua_client.security import LinkSecurity, PeerClient
-from hilserver.io.peer_link.samples import LinkLostError, RefusedError
+from hilserver.io.peer_link import samples
+from hilserver.io.peer_link.samples import FaultKind, LinkLostError, RefusedError, Verdict
 
 CONNECT_TIMEOUT_S = 2.0  # for the TCP connection and for each request
 
@@ -28,6 +31,7 @@ SESSION_TIMEOUT_MS = 30_000  # how long the peer keeps a session that we could n
 
 _NAMESPACE_ARRAY = ua.NodeId(ua.ObjectIds.Server_NamespaceArray)
 _CURRENT_TIME = ua.NodeId(ua.ObjectIds.Server_ServerStatus_CurrentTime)
+_EPOCH, _MICROSECOND = datetime(1970, 1, 1, tzinfo=UTC), timedelta(microseconds=1)
 
 
 RECEIVE_MAX = 16 * 1024 * 1024
@@ -195,3 +199,30 @@ class Session:
             if index is not None:
                 resolved[text] = ua.NodeId.from_string(f"ns={index};{address.identifier}")
         return resolved
+
+
+def utc_ns_of(stamp: datetime | None) -> int | None:
+    """Return UTC [ns since 1970] of an OPC UA time stamp; None where there is none."""
+    if stamp is None:
+        return None
+    if stamp.tzinfo is None:
+        stamp = stamp.replace(tzinfo=UTC)
+    return (stamp - _EPOCH) // _MICROSECOND * 1000
+
+
+def judge(sample: ua.DataValue) -> Verdict:
+    """Judge one sample; only status Good and finite numbers pass."""
+    return replace(_judged(sample), stamp_ns=utc_ns_of(sample.SourceTimestamp))
+
+
+def _judged(sample: ua.DataValue) -> Verdict:
+    status = sample.StatusCode
+    if status is not None and not status.is_good():
+        kind = FaultKind.BAD_STATUS
+        if status.value in (ua.StatusCodes.BadNodeIdUnknown, ua.StatusCodes.BadNodeIdInvalid):
+            kind = FaultKind.MISSING_NODE
+        return Verdict(fault=kind, detail=f"status {status.name}")
+    value = sample.Value.Value if sample.Value is not None else None
+    if value is None:
+        return Verdict(fault=FaultKind.NO_VALUE, detail="status Good without a value")
+    return samples.judge_value(value)

@@ -12,8 +12,7 @@ from typing import Any
 
 from asyncua import ua
 
-from hilserver.io.opcua_client.session import Session
-from hilserver.io.opcua_client.validation import judge
+from hilserver.io.opcua_client.session import Session, judge
 from hilserver.io.peer_link.intake import FaultyIntake
 from hilserver.io.peer_link.samples import LinkLostError
 

@@ -146,11 +146,11 @@ class Intake:
         stamp_ns = verdict.stamp_ns
         stamp = self._stamps.observe(node, stamp_ns, verdict.value)
         if stamp.fault is not None:
-            sentence = {
-                "frozen_stamp": f"the SourceTimestamp of {node} stands still while values change",
-                "stamp_backwards": f"the SourceTimestamp of {node} went backwards",
-            }[stamp.fault]
-            self._faults.report(FaultKind(stamp.fault), node, sentence, now_ns)
+            did = "went backwards"
+            if stamp.fault is FaultKind.FROZEN_STAMP:
+                did = "stands still while values change"
+            sentence = f"the SourceTimestamp of {node} {did}"
+            self._faults.report(stamp.fault, node, sentence, now_ns)
         counts = self._stamped_node in (None, node)
         offset_ns = self.offset.offset_ns
         if not (stamp.advanced and counts) or stamp_ns is None or offset_ns is None:

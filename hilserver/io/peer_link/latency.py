@@ -16,6 +16,8 @@ value that is up to a step old says nothing. Two reads in a row tell the two kin
 from collections import deque
 from dataclasses import dataclass
 
+from hilserver.io.peer_link.samples import FaultKind
+
 PAIR_NS = 50_000_000  # two reads further apart than this are not a pair
 
 FRESH_NS = 2_000_000
@@ -81,7 +83,7 @@ class StampVerdict:
     """What a SourceTimestamp is good for."""
 
     advanced: bool  # it is newer than the node's last one: a latency can be taken from it
-    fault: str | None = None  # ``frozen_stamp`` or ``stamp_backwards``
+    fault: FaultKind | None = None  # FROZEN_STAMP or STAMP_BACKWARDS
 
 
 class StampWatch:
@@ -109,11 +111,11 @@ class StampWatch:
             return StampVerdict(advanced=True)
         if stamp_ns < seen.stamp_ns - BACKWARDS_NS:
             seen.stamp_ns = stamp_ns
-            return StampVerdict(advanced=False, fault="stamp_backwards")
+            return StampVerdict(advanced=False, fault=FaultKind.STAMP_BACKWARDS)
         if stamp_ns == seen.stamp_ns:
             seen.changes_without_advance += changed
         frozen = seen.changes_without_advance > self._tolerated
-        return StampVerdict(advanced=False, fault="frozen_stamp" if frozen else None)
+        return StampVerdict(advanced=False, fault=FaultKind.FROZEN_STAMP if frozen else None)
 
 
 def one_way_ns(stamp_ns: int, arrival_ns: int, offset_ns: int) -> int:

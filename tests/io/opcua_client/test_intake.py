@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from hilserver.core.events import EventBus
 from hilserver.io.link_status import HOLD_NS, PeerStatus
-from hilserver.io.opcua_client.validation import judge
+from hilserver.io.opcua_client.session import judge
 from hilserver.io.peer_link.intake import Intake
 from hilserver.io.peer_link.samples import FaultKind, Verdict
 from hilserver.io.source import Source

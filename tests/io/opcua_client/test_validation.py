@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hilserver.io.opcua_client.link import PeerLink
-from hilserver.io.opcua_client.validation import judge
+from hilserver.io.opcua_client.session import judge
 from hilserver.io.opcua_client.writer import variant
 from hilserver.io.peer_link.link import Backoff
 from hilserver.io.peer_link.samples import FaultKind, LinkLostError, SequenceWatch
