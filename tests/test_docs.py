@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import textwrap
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,6 +10,9 @@ from pathlib import Path
 import pytest
 
 from hilserver import commands
+from hilserver.io.link_status import PeerStatus
+from hilserver.io.peer_link import metrics as peer_metrics
+from hilserver.metrics import Kind
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(
@@ -112,3 +116,12 @@ def test_every_command_line_is_one_that_the_program_takes(page: str, line: str) 
 def test_every_module_and_test_that_is_named_exists(page: Path) -> None:
     named = re.findall(r"\b(?:hilserver|tests)/[\w/]+\.py\b", page.read_text(encoding="utf-8"))
     assert not [name for name in named if not (ROOT / name).exists()]
+
+
+def test_the_example_of_a_metric_is_a_counter_of_peers() -> None:
+    text = (ROOT / "docs/how-to/extend.md").read_text(encoding="utf-8")
+    [example] = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    metric = eval(textwrap.dedent(example), vars(peer_metrics))
+    assert metric.kind is Kind.COUNTER
+    [(labels, reading)] = metric.read([PeerStatus("plc", writes=3)])
+    assert (*labels, *reading.counts) == ("plc", 3)
