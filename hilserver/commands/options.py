@@ -1,12 +1,14 @@
 """Options that several commands share."""
 
 import argparse
+import contextlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 from hilserver.errors import FailedError, reason
+from hilserver.program.whole_file import whole
 
 DEFAULT_CONFIG = Path("config.yaml")
 
@@ -82,9 +84,17 @@ def out_file(text: str) -> Path:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file that was asked for; FailedError names one that the disk does not take."""
+    """Write a file that was asked for, as `writing` does."""
+    with writing(path) as partial:
+        partial.write_text(text, encoding="utf-8")
+
+
+@contextlib.contextmanager
+def writing(path: Path) -> Iterator[Path]:
+    """Give the path to write a whole file to; FailedError names one that the disk does not take."""
     try:
-        path.write_text(text, encoding="utf-8")
+        with whole(path) as partial:
+            yield partial
     except OSError as error:
         raise FailedError(f"cannot write {path}: {reason(error)}") from None
 

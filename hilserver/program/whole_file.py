@@ -8,7 +8,14 @@ from pathlib import Path
 
 @contextlib.contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """Give the path to write to; at the end the file has its name, after an error there is none."""
+    """Give the path to write to; at the end the file has its name, after an error there is none.
+
+    A device or a pipe is written to as it is, and a link stays one.
+    """
+    if path.exists() and not path.is_file():
+        yield path
+        return
+    path = path.resolve()
     partial = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         yield partial

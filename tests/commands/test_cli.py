@@ -1,5 +1,6 @@
 """The command line as a user in a hurry meets it: exit codes, one sentence, no traceback."""
 
+import errno
 import json
 import os
 import re
@@ -341,3 +342,19 @@ def test_a_word_too_many_is_named_with_the_usage_of_its_command(here, words, hin
     assert code == 2
     assert said.startswith(f"usage: hilserver {words[0]} ")
     assert hint in said.splitlines()[-1]
+
+
+@pytest.mark.parametrize("words", [["check", "--schema"], ["signals", "-o"], ["fmu", "-o"]])
+def test_a_full_disk_leaves_the_file_of_before(here, tmp_path, monkeypatch, words):
+    def fill(place, *_, **__):
+        with place.open("wb") as file:
+            file.write(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", fill)
+    monkeypatch.setattr("hilserver.commands.fmu.export", fill)
+    (tmp_path / "out").write_bytes(b"good")
+    code, _, said = here(*words, "out")
+    assert code == 1
+    assert said == "hilserver: cannot write out: no space is left for it; free some\n"
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("out", b"good")]
