@@ -3,7 +3,8 @@
 Segments lie one after the other in all arrays, see `kernels`.
 """
 
-from typing import Any
+import math
+from typing import Any, Final
 
 import numpy as np
 
@@ -18,8 +19,11 @@ from hilserver.plant.kinematics import (
 )
 from hilserver.plant.layout import Outputs, Parameters, State
 from hilserver.plant.nav import shown_position, shown_yaw
-from hilserver.plant.pose import shift, turn, wrap
+from hilserver.plant.pose import sinc, wrap
 from hilserver.plant.robot import SIDE, drive_on_with_terms, follow_wheels
+
+EXACT_EVERY: Final = 64
+"""Ticks after which a direction is computed from its heading again: rounding must not add up."""
 
 
 @kernel()
@@ -89,7 +93,11 @@ def _velocities(p: Parameters, inside: bool, w_l: Any, w_r: Any, out: Any) -> No
 
 @kernel()
 def _run_by_speeds(p: Parameters, pose_0: Any, left: Any, right: Any, pose: Any) -> None:
-    """Run one segment by place and wheel speeds alone, to the bit as `_run_segment` does."""
+    """Run one segment by place and wheel speeds alone, as `_run_segment` does.
+
+    Headings are the same to the bit. Directions are turned on with them, for a sine and a cosine of
+    every tick would be most of the work; so positions are the same but for rounding.
+    """
     n, patch = left.size, p.surface_gain != 1.0 or p.surface_speed != 1.0
     w_l, w_r = np.empty(n + 1), np.empty(n + 1)
     w_l[:n], w_r[:n] = left * SIDE, right * SIDE
@@ -98,14 +106,24 @@ def _run_by_speeds(p: Parameters, pose_0: Any, left: Any, right: Any, pose: Any)
     _velocities(p, False, w_l, w_r, both[0])
     if patch:
         _velocities(p, True, w_l, w_r, both[1])
-    px, py, yaw = pose_0[0], pose_0[1], pose_0[2]
-    turned = yaw
+    px, py, yaw, dt = pose_0[0], pose_0[1], pose_0[2], p.dt
+    turned, cos, sin = yaw, 1.0, 0.0
     for k in range(n):
+        if k % EXACT_EVERY == 0:
+            cos, sin = math.cos(yaw), math.sin(yaw)
         i = 1 if patch and in_region(p, px, py) else 0
         pose[k, 0], pose[k, 1], pose[k, 2], pose[k, 3] = px, py, turned, both[i, 3, k]
-        dx, dy = shift(yaw, both[i, 0, k], both[i, 1, k], both[i, 2, k], p.dt)
-        px, py, before = px + dx, py + dy, yaw
-        yaw = turn(yaw, both[i, 2, k], p.dt)
+        half = 0.5 * both[i, 2, k] * dt
+        chord = sinc(half)
+        s = chord * half
+        c = math.sqrt(1.0 - s * s)  # no robot turns half a turn in a tick
+        ahead, aside = cos * c - sin * s, sin * c + cos * s  # the chord's direction
+        v, vy = dt * chord * both[i, 0, k], dt * chord * both[i, 1, k]
+        px, py = px + (v * ahead - vy * aside), py + (v * aside + vy * ahead)
+        more, less = 1.0 - 2.0 * s * s, 2.0 * s * c
+        cos, sin = cos * more - sin * less, sin * more + cos * less
+        before = yaw
+        yaw = wrap(yaw + half + half)
         turned += wrap(yaw - before)
 
 
