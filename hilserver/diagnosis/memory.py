@@ -10,16 +10,23 @@ from threadpoolctl import threadpool_limits
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_M_ARENA_MAX: Final = -8  # malloc.h of glibc
-ARENAS: Final = 2
-"""With a pool for every thread, large arrays that are gone stay in each: a tenth of all memory."""
+# of malloc.h of glibc
+_M_TRIM_THRESHOLD: Final = -1
+_M_MMAP_THRESHOLD: Final = -3
+_M_ARENA_MAX: Final = -8
+ALLOCATION: Final = {_M_ARENA_MAX: 2, _M_TRIM_THRESHOLD: 1 << 30, _M_MMAP_THRESHOLD: 1 << 25}
+"""With a pool for every thread, large arrays that are gone stay in each: a tenth of all memory; ...
+
+... and given back to the system, to be asked for again at the next replay, each page is cleared.
+"""
 
 
-def share_arenas() -> None:
-    """Keep glibc from giving each thread a pool of its own; with other libraries do nothing."""
+def reuse_memory() -> None:
+    """Let glibc keep what arrays leave, in few pools; with other libraries do nothing."""
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
-        mallopt(_M_ARENA_MAX, ARENAS)
+        for option, value in ALLOCATION.items():
+            mallopt(option, value)
 
 
 def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:

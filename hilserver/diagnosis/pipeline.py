@@ -6,7 +6,7 @@ from pathlib import Path
 
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.engine import compare, diagnose, diagnose_groups
-from hilserver.diagnosis.memory import share_arenas
+from hilserver.diagnosis.memory import reuse_memory
 from hilserver.diagnosis.output import documents
 from hilserver.diagnosis.progress import Report
 from hilserver.diagnosis.report.summary import one_line, summary
@@ -89,7 +89,7 @@ def refuse_twice(groups: Mapping[str, MeasuredLog]) -> None:
 
 def run(task: Task, progress: Report | None = None) -> Outcome:
     """Judge a task; what a user can fix becomes a sentence."""
-    share_arenas()
+    reuse_memory()
     try:
         diagnosis = judge(task, progress)
     except ForeignLog as error:
