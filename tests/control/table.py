@@ -77,7 +77,7 @@ TABLE: Final[Mapping[str, tuple[str, ...]]] = {
     "snapshot":          ("anew",   "anew",   "anew",   "anew",   "anew",   "-",      "anew",   "anew"),
     "overrun":           ("safe",   "drives", "zero",   "off",    "off",    "drives", "zero",   "zero"),
     "forced":            ("forced", "forced", "forced", "forced", "forced", "forced", "forced", "forced"),
-    "acknowledged":      ("anew",   "anew",   "anew",   "anew",   "anew",   "-",      "anew",   "anew"),
+    "acknowledged":      ("anew",   "anew",   "anew",   "anew",   "anew",   "nobody", "anew",   "anew"),
     "restarted":         ("before", "before", "before", "before", "before", "before", "before", "before"),
     "closed, fallback before": ("-", "before", "before", "-",   "-",      "-",      "-",      "before"),
     "cut, fallback before":    ("-", "before", "before", "-",   "-",      "-",      "-",      "-"),
