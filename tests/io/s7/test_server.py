@@ -200,7 +200,7 @@ async def test_a_newcomer_takes_the_place_of_who_has_been_idle_longest(monkeypat
 async def test_a_port_that_is_taken_is_named():
     port = free_port()
     async with daemon_with({1: DRIVE}, port=port):
-        with pytest.raises(FailedError, match=f"s7.server: 127.0.0.1, port {port}"):
+        with pytest.raises(FailedError, match=f"s7.server: cannot listen on 127.0.0.1 port {port}"):
             async with daemon_with({1: DRIVE}, port=port):
                 pass
 
