@@ -17,18 +17,24 @@ from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
 
-def find(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
-    """Find repeated and missing samples; repetitions are left out."""
+def find_missing(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
+    """Find samples that are missing in the log."""
     names = measured_channels(log.channels)
-    again = classified((n for n in names if not n.endswith("duty_pct")), lambda n: repeated(log[n]))
-    gone: dict[str, Fault] = {}
-    if log.has_stamps:
-        shares = {n: missing(log[n], SHORTEST_BURST) for n in names if n not in again}
-        gone = {n: Fault(log[n], s) for n, s in shares.items() if s > MISSING_IN_BURSTS}
-        if not gone and (share := missing(_rows(log), 1)) > IRREGULAR:
-            gone = {n: Fault(log[n], share) for n in names}
+    if not log.has_stamps:
+        return log, []
+    shares = {n: missing(log[n], SHORTEST_BURST) for n in names}
+    gone = {n: Fault(log[n], s) for n, s in shares.items() if s > MISSING_IN_BURSTS}
+    if not gone and (share := missing(_rows(log), 1)) > IRREGULAR:
+        gone = {n: Fault(log[n], share) for n in names}
+    return log, [_finding(gone, "are missing")] if gone else []
+
+
+def find_repeated(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
+    """Find single channels that repeat samples; the repetitions are left out."""
+    names = (n for n in measured_channels(log.channels) if not n.endswith("duty_pct"))
+    again = classified(names, lambda name: repeated(log[name]))
     findings = [_finding(again, "are repetitions of the one before")] if again else []
-    return corrected(log, again), findings + ([_finding(gone, "are missing")] if gone else [])
+    return corrected(log, again), findings
 
 
 def _rows(log: MeasuredLog) -> Channel:

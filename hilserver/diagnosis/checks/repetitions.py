@@ -118,7 +118,7 @@ def _range(log: MeasuredLog, *wheels: str) -> float:
 
 def find_held(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
     """Find channels on a slower clock; of each run only the first sample, the real one, is kept."""
-    changes = _changes_s(log)
+    changes = changes_s(log)
     runs = {name: runs_of(log[name]) for name in measured_channels(log.channels)}
     slow = classified(runs, lambda name: held(log[name], runs[name], changes))
     groups, findings = _alike(slow), []
@@ -151,7 +151,7 @@ def begins_of(log: MeasuredLog, name: str, group: Sequence[str], first: dict[str
     return begins
 
 
-def _changes_s(log: MeasuredLog) -> Array:
+def changes_s(log: MeasuredLog) -> Array:
     """Return stamps at which set-points change, see `along`."""
     found = [np.empty(0)]
     for channel in (log[name] for name in SETPOINTS if name in log):

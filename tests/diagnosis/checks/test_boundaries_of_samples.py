@@ -149,7 +149,7 @@ def missing(share):
     for begin in range(100, 19_900, round(5 / share)):
         keep[begin : begin + 5] = False
     values[~keep] = np.nan
-    return bool(dropouts.find(log_of(t, {"nav.x_m": values}, has_stamps=True), ROBOT)[1])
+    return bool(dropouts.find_missing(log_of(t, {"nav.x_m": values}, has_stamps=True), ROBOT)[1])
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,107 @@
+"""Messages that stand in a log twice: all channels of a source stay as they were, in one row.
+
+Rounded readings stay the same now and then, each by itself. Where those of a source only ever stay
+all at once, its message came again: nothing new is known of it. Those with the rhythm of a slower
+clock are left to `repetitions`.
+"""
+
+from collections.abc import Iterator
+from itertools import groupby
+from typing import Final
+
+import numpy as np
+
+from hilserver.arrays import Mask
+from hilserver.diagnosis.checks.repetitions import changes_s, held
+from hilserver.diagnosis.checks.runs import (
+    Fault,
+    Faults,
+    alternates,
+    corrected,
+    rate_fault,
+    runs_of,
+)
+from hilserver.diagnosis.checks.support import data_fault, listed, measured_channels, subset
+from hilserver.diagnosis.schema.findings import Finding
+from hilserver.diagnosis.thresholds import FEWEST_SAMPLES, HELD_SLOWEST_HZ, NEGLIGIBLE
+from hilserver.measured.data import Channel, MeasuredLog
+from hilserver.plant.parameters import RobotParameters
+
+SLOW: Final = 0.4  # share of the rows; a source that repeats more has a slower clock
+
+
+def find(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
+    """Find repeated messages and leave them out: the first of each counts, with its stamp."""
+    findings: list[Finding] = []
+    changes = changes_s(log)
+    for names in list(_sources(log)):
+        again = repetitions([log[name] for name in names])
+        evenly = (held(log[name], runs_of(log[name]), changes) for name in names)
+        if again is not None and None in evenly:  # a clock's is known better by its period
+            share = float(again.mean())
+            faults = {name: Fault(subset(log[name], ~again), share) for name in names}
+            findings.append(_finding(log, faults))
+            log = corrected(log, faults)
+    return log, findings
+
+
+def _sources(log: MeasuredLog) -> Iterator[list[str]]:
+    """Yield the channels that come in one message: of one kind, at the same stamps.
+
+    Wheels that keep their speed to the bit are those of a simulation.
+    """
+
+    def kind(name: str) -> tuple[str, str]:
+        group, _, rest = name.partition(".")
+        return group, rest.rpartition(".")[2] if group == "wheel" else ""
+
+    for (group, _), of_kind in groupby(sorted(measured_channels(log.channels), key=kind), key=kind):
+        names = list(of_kind)
+        alike = all(np.array_equal(log[name].t_s, log[names[0]].t_s) for name in names[1:])
+        if alike and (group != "wheel" or _are_noisy(log, names)):
+            yield names
+
+
+def _are_noisy(log: MeasuredLog, names: list[str]) -> bool:
+    steps = [np.diff(log[name].values) for name in names]
+    return any(alternates(one[one != 0.0]) for one in steps)
+
+
+def repetitions(channels: list[Channel]) -> Mask | None:
+    """Return which samples of a source repeat the message before, shape (n,); None without any.
+
+    The same column twice counts as one. A source that stays for long is at rest, or stuck.
+    """
+    t_s, span = channels[0].t_s, channels[0].span
+    columns = np.unique(np.stack([channel.values for channel in channels]), axis=0)
+    if len(columns) < 2 or len(t_s) < FEWEST_SAMPLES:
+        return None
+    stays = np.zeros(columns.shape, dtype=bool)
+    stays[:, 1:] = (np.diff(columns) == 0.0) & (np.diff(span) == 0)
+    again = np.asarray(stays.all(axis=0))
+    if (stays.any(axis=0) & ~again).mean() > NEGLIGIBLE * again.mean():
+        return None
+    begins = np.flatnonzero(~again)
+    length = np.diff(begins, append=len(t_s))
+    lasts_s = t_s[begins + length - 1] - t_s[begins]
+    again &= np.repeat(lasts_s < 1.0 / HELD_SLOWEST_HZ, length)
+    return again if again.mean() >= NEGLIGIBLE else None
+
+
+def _finding(log: MeasuredLog, faults: Faults) -> Finding:
+    """Return the finding of one source: one that is slow, or one that sometimes fails to come."""
+    name, (_, share, _) = next(iter(faults.items()))
+    if share > SLOW:
+        seconds = sum(span.end_s - span.start_s for span in log.spans)
+        rate_hz = (1.0 - share) * len(log[name]) / seconds
+        text = (
+            "{names}: a new message comes only {rate_hz} times a second, and is repeated in the"
+            " rows between: leave these empty; the repetitions were dropped."
+        )
+        slow = {name: fault._replace(figure=rate_hz) for name, fault in faults.items()}
+        return rate_fault("held_samples", slow, text)
+    text = (
+        f"{listed(list(faults))}: {100 * share:.2g} % of the messages stand in the log twice: leave"
+        " rows empty for which none came; the repetitions were dropped."
+    )
+    return data_fault("dropouts", faults, share, (0.8 * share, 1.2 * share), "1", text)
