@@ -18,7 +18,7 @@ from hilserver.measured.pauses import Pieces, cut
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RAD_S_PER_RPM
 
-SIDE: Final = 5  # samples on either side whose middle counts: an outlier is no jump
+SIDE: Final = 10  # samples on either side whose middle counts: outliers are no jump
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
@@ -71,6 +71,6 @@ def jumps(t_s: Array, x: Array, y: Array, fastest_m_s: float) -> Indices:
         before, after = slice(k - SIDE, k), slice(k, k + SIDE)
         driven_m = fastest_m_s * float(t_s[k + SIDE - 1] - t_s[k - SIDE])
         apart = np.hypot(*(middle(after) - middle(before)))
-        return bool(apart > JUMP_LEAST_M + 0.5 * driven_m)
+        return bool(apart > JUMP_LEAST_M + 0.25 * driven_m)
 
     return np.array([k for k in inside.tolist() if stays(k)], dtype=np.int64)

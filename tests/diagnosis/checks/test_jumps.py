@@ -35,7 +35,7 @@ def test_pauses_that_were_cut_out_end_segments(table):
 def test_outliers_and_a_tag_that_fails_for_a_while_are_no_jumps(table):
     t, columns = table
     rng = np.random.default_rng(2)
-    away = {"nav.x_m": 3.0 * (rng.random(len(t)) < 0.02), "nav.y_m": np.zeros(len(t))}
+    away = {"nav.x_m": 3.0 * (rng.random(len(t)) < 0.05), "nav.y_m": np.zeros(len(t))}
     spoilt = {n: v + away[n] if n in away else v for n, v in columns.items()}
     for name in ("nav.x_m", "nav.y_m", "nav.yaw_rad"):
         spoilt[name] = np.where((t > 50.0) & (t < 51.5), np.nan, spoilt[name])
