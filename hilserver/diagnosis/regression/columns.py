@@ -1,16 +1,19 @@
 """The sensitivities of all candidates of a stage, whitened and laid out for the screen."""
 
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from hilserver.arrays import Array, Columns, Indices, Mask
+from hilserver.compiled import kernel
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.regression.problem import Point, Problem
-from hilserver.diagnosis.regression.screen import SQUARE, Blocks, Scores, directions, score
+from hilserver.diagnosis.regression.screen import Blocks, Scores, score
 
 RIDGE = 1e-3
+SQUARE: Final = ((1.0, 0.0), (0.0, 1.0), (0.7071, 0.7071), (0.7071, -0.7071))
+"""The directions that a candidate of two parameters is looked at from."""
 AT_ONCE: Final = 8
 """Candidates that are whitened together: the rows of a table, and of memory, are shared."""
 
@@ -50,16 +53,18 @@ class Library:
         for first in range(0, len(self.raw), AT_ONCE):
             some = self.raw[first : first + AT_ONCE]
             table = np.concatenate(some, axis=1, dtype=np.float64)
-            spread = problem.project(problem.whiten(table), bases)
-            if spread.shape[1] > len(some):
-                ends = np.cumsum([raw.shape[1] for raw in some])[:-1]
-                white = np.split(spread, ends, axis=1)
-                self.norms += [np.sqrt((own**2).sum(axis=0)) + 1e-300 for own in white]
-                spread = np.concatenate([directions(own) for own in white], axis=1)
-            else:
-                self.norms += [np.ones(1)] * len(some)
-            end = begin + spread.shape[1]
-            self.columns[:, begin:end] = spread[self.blocks.order]
+            white = problem.project(problem.whiten(table), bases)
+            widths = np.array([raw.shape[1] for raw in some])
+            ends, length = np.cumsum(widths), np.ones(white.shape[1])
+            if white.shape[1] > len(some):
+                own = np.sqrt((white**2).sum(axis=0)) + 1e-30
+                length = np.where(np.repeat(widths, widths) > 1, own, length)
+            self.norms += np.split(length, ends[:-1])
+            sides = [SQUARE[: 1 if width == 1 else None] for width in widths]
+            place = np.repeat(ends - widths, [len(own) for own in sides])
+            end = begin + len(place)
+            weight, part = np.concatenate(sides), self.columns[:, begin:end]
+            lay_out(white, length, place, weight, self.blocks.order, part)
             begin = end
         self.squares, self._made_for = self.blocks.squares(self.columns), (problem.noise, point)
 
@@ -100,3 +105,28 @@ class Library:
             None if accepted is None else accepted[order].astype(np.float32),
             self.squares,
         )
+
+
+@kernel()
+def lay_out(white: Any, length: Any, place: Any, weight: Any, order: Any, out: Any) -> None:
+    """Write directions of whitened columns, in an order of the samples.
+
+    Parameters
+    ----------
+    length : ndarray, shape (columns,)
+        That columns are divided by.
+    place : ndarray of int, shape (k,)
+        Of each direction its candidate's first column.
+    weight : ndarray, shape (k, 2)
+        Of this column and the next.
+    out : ndarray, shape (n, k)
+        Written.
+    """
+    for r in range(len(order)):
+        row = white[order[r]]
+        for j in range(len(place)):
+            at = place[j]
+            value = weight[j, 0] * (row[at] / length[at])
+            if weight[j, 1] != 0.0:
+                value += weight[j, 1] * (row[at + 1] / length[at + 1])
+            out[r, j] = value

@@ -30,8 +30,6 @@ Real = NDArray[Any]  # of 32 or 64 bits
 LEAST_FREEDOM: Final = 0.5  # degrees of freedom of what shows in a single block
 FLIPS: Final = 4999  # draws of the blocks' signs; p is no smaller than one by so many
 
-SQUARE = ((1.0, 0.0), (0.0, 1.0), (0.7071, 0.7071), (0.7071, -0.7071))
-
 
 @dataclass(frozen=True)
 class Scores:
@@ -70,14 +68,6 @@ def freedom_of(own: Array) -> Array:
     own = own.astype(np.float64)  # in 32 bits the squares of small ones would vanish
     total, squares = own.sum(axis=0), (own**2).sum(axis=0)
     return np.asarray(np.maximum(total**2 / np.maximum(squares, 1e-300) - 1.0, LEAST_FREEDOM))
-
-
-def directions(block: Array) -> Array:
-    """Return the directions of a candidate's whitened columns: four for two parameters."""
-    if block.shape[1] == 1:
-        return block
-    norm = np.sqrt((block**2).sum(axis=0)) + 1e-30
-    return np.asarray((block / norm) @ np.array(SQUARE).T)
 
 
 @dataclass(frozen=True)

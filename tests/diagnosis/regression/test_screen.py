@@ -11,7 +11,6 @@ from hilserver.diagnosis.regression.screen import (
     Blocks,
     adjusted,
     critical,
-    directions,
     freedom_of,
     normal,
     null_maxima,
@@ -122,19 +121,6 @@ def test_p_values_count_the_flips_that_reach_as_far():
     assert adjusted(np.array([0.5, 2.0, -3.5, 9.0]), maxima) == pytest.approx([1.0, 0.8, 0.4, 0.2])
     assert critical(np.arange(1001.0), 0.01) == pytest.approx(990.0)
     assert SCREEN_LEVEL <= 0.01, "the family-wise error of a whole log"
-
-
-def test_two_parameters_are_looked_at_from_four_sides():
-    rng = np.random.default_rng(6)
-    pair = rng.normal(size=(500, 2)) * [1.0, 1e4]
-    four = directions(pair)
-    assert four.shape == (500, 4)
-    assert np.array_equal(directions(pair[:, 1:]), pair[:, 1:]), "one parameter keeps its unit"
-    unit = pair / np.linalg.norm(pair, axis=0)
-    for angle in np.linspace(0.0, np.pi, 9):
-        mixed = unit @ [np.cos(angle), np.sin(angle)]
-        cosine = np.abs(four.T @ mixed) / np.linalg.norm(four, axis=0) / np.linalg.norm(mixed)
-        assert cosine.max() > 0.9, "no direction of the plane is further than 22.5 degrees"
 
 
 @hypothesis.given(st.floats(0.1, 8.0), st.floats(2.0, 200.0))
