@@ -33,14 +33,14 @@ def decimal_notice(path: Path, separator: str) -> str:
 
 
 def with_points(
-    table: Table, reader: Any, separator: str, dates: str | None
+    table: Table, reader: Any, rows: Iterable[list[str]], separator: str, dates: str | None
 ) -> Iterator[list[str]]:
     """Yield the rows of a file without separating commas; numbers that are read have points.
 
     `dates`: a column without numbers. LogError if the file has both marks.
     """
     used, places = "", [place for place in table.read if table.header[place] != dates]
-    for row in reader:
+    for row in rows:
         for place in (place for place in places if place < len(row)):
             text = row[place]
             for mark, other in ((COMMA, "."), (".", COMMA)):

@@ -106,8 +106,9 @@ def read_table(
             file.seek(0)
             lines = _Lines(file)
             reader = csv.reader(lines, delimiter=separator, strict=True)
-            table = _begin(path, next(reader, None), names, time, used)
-            rows = _plain(table, reader, separator, time if dated else None)
+            first: list[str] | None = next(reader, None)
+            table = _begin(path, first, names, time, used)
+            rows = _plain(table, reader, first, separator, time if dated else None)
             return _parse(table, reader, rows, lines, time, drop_unended=ours)
         except UnicodeDecodeError as error:
             raise _undecodable(path, error) from None
@@ -125,12 +126,29 @@ def _undecodable(path: Path, error: UnicodeDecodeError) -> LogError:
     return LogError(f"{path}: row {row}: byte {error.start} is not UTF-8; save the file as UTF-8")
 
 
-def _plain(table: Table, reader: Any, separator: str, dates: str | None) -> Iterable[list[str]]:
+def _plain(
+    table: Table, reader: Any, header: list[str] | None, separator: str, dates: str | None
+) -> Iterable[list[str]]:
     """Return the rows with decimal points, and with numbers in the column `dates`."""
-    rows: Iterable[list[str]] = reader
+    rows: Iterable[list[str]] = _without(header, table, reader)
     if separator != COMMA:
-        rows = with_points(table, reader, separator, dates)
+        rows = with_points(table, reader, rows, separator, dates)
     return rows if dates is None else with_stamps(table, reader, rows, dates)
+
+
+def _without(header: list[str] | None, table: Table, reader: Any) -> Iterator[list[str]]:
+    """Yield the rows but for repetitions of the header, which recorders write that begin anew."""
+    again: list[int] = []
+    for row in reader:
+        if row != header:
+            yield row
+        else:
+            again.append(reader.line_num)
+    if again:
+        more = f" and in {len(again) - 1} more" if len(again) > 1 else ""
+        table.notices.append(
+            f"{table.path}: the header stands again in row {again[0]}{more}; it was skipped there"
+        )
 
 
 def _parse(

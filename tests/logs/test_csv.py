@@ -72,6 +72,18 @@ def test_a_torn_last_line_is_left_out_with_a_notice(tmp_path):
         assert "row 11" in log.notices[0]
 
 
+@pytest.mark.parametrize("mark", [",", ";"])
+def test_a_header_that_stands_there_again_is_skipped_with_a_notice(tmp_path, mark):
+    path = tmp_path / "foreign.csv"
+    head = f"t_s{mark}wheel.fl.setpoint_rpm\n"
+    path.write_text(f"{head}0{mark}1\n{head}1{mark}2\n{head}2{mark}3\n")
+    log = read_log(path)
+    assert log.columns["wheel.fl.setpoint_rpm"].tolist() == [1, 2, 3]
+    assert log.notices == [
+        f"{path}: the header stands again in row 3 and in 1 more; it was skipped there"
+    ]
+
+
 def test_others_may_leave_out_samples_and_the_last_line_end(tmp_path):
     path = tmp_path / "foreign.csv"
     path.write_bytes(
