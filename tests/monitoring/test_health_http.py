@@ -199,8 +199,8 @@ async def test_a_client_that_does_not_read_is_dropped() -> None:
         _, writer = await asyncio.open_connection("127.0.0.1", server.port, limit=1)
         writer.write(b"GET /metrics HTTP/1.0\r\n\r\n")
         await writer.drain()
-        await until(lambda: server.connections == 1)
-        await until(lambda: server.connections == 0)
+        await until(lambda: len(server._tasks) == 1)
+        await until(lambda: len(server._tasks) == 0)
         writer.transport.abort()
     finally:
         await server.stop()
@@ -223,7 +223,7 @@ async def test_dripping_clients_do_not_keep_a_probe_out(endpoint: Endpoint) -> N
     endpoint.server._timeout_s = 30
     async with asyncio.TaskGroup() as group:
         drips = [group.create_task(drip(endpoint.server.port)) for _ in range(CONNECTIONS_MAX + 8)]
-        await until(lambda: endpoint.server.connections == CONNECTIONS_MAX)
+        await until(lambda: len(endpoint.server._tasks) == CONNECTIONS_MAX)
         statuses = [(await endpoint.get("/healthz"))[0] for _ in range(10)]
         for task in drips:
             task.cancel()
@@ -278,7 +278,7 @@ async def test_stop_ends_open_connections_and_frees_the_port() -> None:
     reader, writer = await asyncio.open_connection("127.0.0.1", endpoint.server.port)
     writer.write(b"GET /hea")
     await writer.drain()
-    await until(lambda: endpoint.server.connections == 1)
+    await until(lambda: len(endpoint.server._tasks) == 1)
     await endpoint.server.stop()
     assert await closed_without_answer(reader)
     writer.transport.abort()
