@@ -79,10 +79,11 @@ class Scenarios:
 
     def cut_short(self) -> None:
         """Let no planned step drive a robot that was stopped: its steps end, its faults go on."""
+        drove = self._stage.drives  # without a scenario whoever writes by its name goes on
         self._stage.stop()
         if self._playing is not None:
             self._playing = replace(self._playing, end_tick=self._core.scheduler.tick - 1)
-        if self._core.gate.owner == "scenario":
+        if drove and self._core.gate.owner == "scenario":
             self._core.gate.take(NOBODY)
 
     def view(self) -> dict[str, Any] | None:

@@ -115,6 +115,7 @@ class Stage:
         self._faults = faults
         self._parameters = parameters
         self._period_s = base_period_ns * 1e-9
+        self.drives = False  # True from a scenario that drives until `stop`
 
     def check(self, play: Play) -> None:
         """Look every signal, range and peer up; ConfigError names file, line and key."""
@@ -155,6 +156,7 @@ class Stage:
         rows = sorted(self._rows(scenario, start_tick), key=lambda row: row.tick)
         if rows:
             self._gate.take("scenario")
+            self.drives = True
         if not self._image.push_timed(rows):
             raise ConfigError(f"{len(rows)} timed values are too many for the input queue")
         self._parameters.schedule(
@@ -167,6 +169,7 @@ class Stage:
         """Let no step of a scenario act any more."""
         self._parameters.schedule()
         self._faults.skip_timed()
+        self.drives = False
 
     def _sets(self, scenario: Scenario, start_tick: int) -> Iterator[tuple[int, dict[str, float]]]:
         for step in scenario.steps:

@@ -63,6 +63,19 @@ async def test_wait_for_ends_while_somebody_has_paused_it(hil, monkeypatch):
 
 
 @pytest.mark.parametrize("mode", MODES)
+async def test_a_test_drives_on_after_a_stop_and_its_reset(hil, mode):
+    assert mode
+    hil.write(FL, 30.0)
+    await hil.run_for(0.2)
+    hil.daemon.control.stop()
+    await hil.wait_for("drive.enable", lambda enabled: not enabled)
+    hil.daemon.control.reset()
+    await hil.run_for(0.1)
+    hil.write(FL, 20.0)
+    await hil.wait_for(SPEED, lambda rpm: rpm > 19.0)
+
+
+@pytest.mark.parametrize("mode", MODES)
 async def test_faults_and_forces_from_a_test(hil, mode):
     assert mode
     hil.inject({"fault": "bias", "signal": "pose.x_m", "offset": 2.0, "for_s": 0.05})
