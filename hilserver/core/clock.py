@@ -1,7 +1,7 @@
-"""UTC stamps for ticks: an anchor slewed to CLOCK_MONOTONIC.
+"""UTC stamps for ticks: an anchor of CLOCK_MONOTONIC in UTC, slewed.
 
-The loop counts on CLOCK_MONOTONIC alone. OPC UA wants UTC; reading it per value would let a step of
-the system clock (NTP) tear the series. The anchor therefore follows UTC slowly.
+The loop counts on CLOCK_MONOTONIC alone. OPC UA needs UTC; if it were read per value, a step of
+the system clock (NTP) would tear the series. The anchor therefore follows UTC slowly.
 """
 
 import time
@@ -10,7 +10,7 @@ from datetime import UTC, datetime, timedelta
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _APART_NS, _TOGETHER_NS = 1_000_000_000, 500_000_000
-"""From here on the clocks are said to be apart; below this they are together again."""
+"""Above the first the clocks count as apart, below the second as together again."""
 
 
 class UtcClock:
@@ -43,8 +43,8 @@ class UtcClock:
     def slew(self) -> str | None:
         """Move the anchor towards the system clock; called by the supervise slice.
 
-        Return what is to be said: once, when the system clock has stepped away, as it does on a
-        computer that learns the time after its start.
+        Return a notice, once, when the system clock has stepped away, as it does on a computer
+        that gets the time only after its start.
         """
         now_ns = self._monotonic_ns()
         error_ns = self._system_utc_ns() - now_ns - self._offset_ns

@@ -1,8 +1,8 @@
-"""The commands of operators and the daemon, and what each of them does on its way.
+"""The commands of operators and of the daemon, and what each of them does.
 
-Which state follows which command is the table in `hilserver.core.transitions`. In the safe state
-the set-points ramp to zero, the drive is then disabled, outputs keep being computed with quality
-Uncertain. It ends only by Reset, and only when its cause is gone.
+The table in `hilserver.core.transitions` says which state follows a command. In the safe state
+the set-points ramp to zero, then the drive is disabled; outputs are still computed, with quality
+Uncertain. Only Reset ends it, and only when its cause is gone.
 """
 
 import time
@@ -20,7 +20,7 @@ from hilserver.signals import SignalTable, State
 
 
 class Control:
-    """Commands of operators and faults of the system, turned into states."""
+    """Turns commands of operators and faults of the system into states."""
 
     def __init__(
         self,
@@ -74,13 +74,13 @@ class Control:
             raise ControlRefused(f"{refused}{because}") from None
 
     def started(self) -> None:
-        """First ticks are done: leave `STARTING`."""
+        """Leave `STARTING`: the first ticks are done."""
         state = self._next(Command.STARTED)
         if state is not self.state:
             self._go(state, state.word)
 
     def start(self) -> None:
-        """Run on from a pause."""
+        """Resume after a pause."""
         state = self._next(Command.START)
         self._scheduler.resume()
         self._go(state, state.word)
@@ -106,7 +106,7 @@ class Control:
         self._take_stop()
 
     def _take_stop(self) -> None:
-        """Take over a Stop that the plant obeys already, whoever pressed it."""
+        """Take over a Stop, from any source, that the plant obeys already."""
         pressed = self._image.control.stop_request
         if pressed != self._stop_taken:
             self._stop_taken = pressed
@@ -115,7 +115,7 @@ class Control:
     def enter_safe(self, reason: str, *, cause: str | None) -> None:
         """Ramp the set-points to zero and disable the drive.
 
-        Reset works once the condition `cause` has ended, see `clear_cause`; None: at once.
+        Reset works once the condition `cause` has ended (`clear_cause`); at once if it is None.
         """
         if cause is not None:
             self._causes[cause] = reason
@@ -210,7 +210,7 @@ class Control:
         self._speed_changed(factor)
 
     def stopping(self, reason: str) -> None:
-        """Leave for good."""
+        """Enter the final state."""
         self._go(self._next(Command.END), reason)
 
     def supervise(self) -> None:

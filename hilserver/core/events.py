@@ -27,7 +27,7 @@ class Event:
 
     kind: EventKind
     severity: int  # 1 (information) .. 1000 (catastrophe), OPC UA's scale
-    source: str  # who it is about: a slice, a peer, a signal
+    source: str  # its subject: a slice, a peer, a signal
     message: str
     # CLOCK_MONOTONIC at which it was seen
     monotonic_ns: int = field(default_factory=time.monotonic_ns)
@@ -43,11 +43,11 @@ class EventBus:
 
     @property
     def recent(self) -> list[Event]:
-        """What is kept, oldest first; a flood of overruns drives nothing else out."""
+        """The kept events, oldest first; a flood of overruns displaces no others."""
         return sorted((*self._events, *self._overruns), key=lambda event: event.monotonic_ns)
 
     def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
-        """Call `callback` for every later event; return the function that ends it."""
+        """Call `callback` for every later event; return a function that unsubscribes it."""
         self._subscribers.append(callback)
 
         def unsubscribe() -> None:
@@ -57,7 +57,7 @@ class EventBus:
         return unsubscribe
 
     def publish(self, event: Event) -> None:
-        """Hand `event` to every subscriber, in the order of their subscription."""
+        """Hand `event` to every subscriber, in order of subscription."""
         (self._overruns if event.kind == EventKind.OVERRUN else self._events).append(event)
         for callback in tuple(self._subscribers):
             callback(event)

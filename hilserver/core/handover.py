@@ -1,8 +1,7 @@
-"""Who drives as a table: which source has control after an event, or that it is refused.
+"""Who drives, as a table: which source has control after an event, or that it is refused.
 
-`HandOver` looks up what was asked; that the other rows hold, too, is tested against gate and state
-machine. ``docs/reference/control.md`` prints it. What the wheels get
-meanwhile is the step's business.
+`HandOver` looks up requests in it; tests compare the other rows with gate and state machine.
+``docs/reference/control.md`` prints it. What the wheels receive meanwhile is up to the step.
 """
 
 from collections.abc import Mapping, Sequence
@@ -74,7 +73,7 @@ def next_driver(happening: Happening, standing: Standing) -> Next:
 
 
 class HandOver:
-    """Has one kind of sources in control, and hands control on.
+    """Keeps one kind of source in control, and hands control over.
 
     Parameters
     ----------
@@ -90,7 +89,7 @@ class HandOver:
     owner : str
         Kind of source that has control, or ``nobody``.
     may_fall_back : bool
-        Set to False by what ended a command; taking control sets it anew.
+        Set to False by whatever ends a command; True again when control is taken.
     present : set
         Clients of our OPC UA server that have commanded and are still there.
     """
@@ -118,12 +117,12 @@ class HandOver:
         Parameters
         ----------
         holder : object
-            Whose it is; when that is `gone`, control goes on.
+            Client that holds it; control is passed on when it is `gone`.
 
         Raises
         ------
         ControlRefused
-            If `kind` is unknown, or the plant does not take more.
+            If `kind` is unknown, or the queue of inputs is full.
         """
         if kind not in (*self.priority, NOBODY):
             known = ", ".join(self.priority)
@@ -167,7 +166,7 @@ class HandOver:
         return Standing.ABOVE if is_above else Standing.BELOW
 
     def gone(self, client: object) -> None:
-        """Let control go on if the client that is no longer there held it."""
+        """Note that a client has left; if it held control, pass it on."""
         self.present.discard(client)
         if client is not None and client is self._holder:
             self._fall_back("is gone")
@@ -180,7 +179,7 @@ class HandOver:
         self._events.publish(Event(EventKind.STATE, 500, gone, f"'{gone}' {why}: {who}"))
 
     def _passed_on(self, source: str, rows: list[Row]) -> list[Row]:
-        """Return what ends the commands of another source of the same kind; two never mix."""
+        """Return rows that end the commands of another source of this kind: two never mix."""
         kind = kind_of(source)
         is_driving = kind == self.owner and any(row.slot < N_SETPOINTS for row in rows)
         if kind in OFFERING or not is_driving:

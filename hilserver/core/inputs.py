@@ -1,8 +1,8 @@
 """The only door for values into the plant.
 
 Every source (OPC UA client, peer, scenario, page, ROS 2) writes through the `InputGate`. It checks
-name, type, finiteness and range, asks who is in control, and pushes what is accepted as one group
-that one tick latches. What is refused is counted, published as an event, and never gets further.
+name, type, finiteness and range, asks who is in control, and pushes the accepted values as one
+group that one tick latches. A refused value is counted, published as an event, and goes no further.
 """
 
 import math
@@ -37,7 +37,7 @@ class Refusal(StrEnum):
     OUTDATED = "outdated"
 
 
-_GRAIN_NS = 20_000_000  # when a command came in is known to within so much
+_GRAIN_NS = 20_000_000  # accuracy of the time at which a command came in
 
 
 def check_value(signal: Signal, value: object) -> tuple[float, ...] | Refusal:
@@ -66,14 +66,14 @@ def check_value(signal: Signal, value: object) -> tuple[float, ...] | Refusal:
 
 
 class InputGate(HandOver):
-    """Checks and hands over what sources write.
+    """Checks what sources write and hands it to the plant.
 
     Parameters
     ----------
     owner, priority, fallback
         See `HandOver`.
     monotonic_ns : callable
-        Clock of what comes in.
+        Clock that stamps incoming values.
     """
 
     def __init__(
@@ -119,15 +119,15 @@ class InputGate(HandOver):
         values : mapping
             Signal name to number, Boolean, or four numbers for an array.
         received_ns : int, optional
-            When they came in, CLOCK_MONOTONIC; now by default.
+            When they came in, by CLOCK_MONOTONIC; now by default.
         commanded_ns : int, optional
-            From when what they command lapses, as it may have waited for us; by default from then.
+            When their lease begins: earlier if they waited to be read; `received_ns` by default.
         age_ns : int
-            How long before that their source took them.
+            How long before `received_ns` their source sampled them.
         news : collection of str, optional
-            Signals whose values are samples of their own, not those of before; by default all.
+            Signals whose values are new samples, not repeated ones; by default all.
         renews : bool
-            Whether what the source holds may go on; False while it lacks something.
+            Whether to renew the lease of the source; False while it lacks an input.
 
         Returns
         -------
@@ -153,7 +153,7 @@ class InputGate(HandOver):
     def _sort(
         self, source: str, values: Mapping[str, object], is_outdated: bool
     ) -> tuple[dict[str, list[Row]], list[Row], dict[str, Refusal]]:
-        """Return what is accepted, what is kept as an offer, and what is refused."""
+        """Return accepted rows by signal, rows kept as an offer, and refusals by signal."""
         rows: dict[str, list[Row]] = {}
         refused: dict[str, Refusal] = {}
         kind, offered = kind_of(source), []
@@ -175,7 +175,7 @@ class InputGate(HandOver):
     def stamps(
         self, names: Iterable[str], time_s: float, age_s: float = 0.0, tick: int = 0
     ) -> list[Row]:
-        """Return what counts a sample of each measured group, in simulated time."""
+        """Return rows that count a sample of each measured group, in simulated time."""
         groups = {n.split(".")[1] for n in names if n.startswith(MEASURED)} & self._counted
         self._samples.update(groups)
         rows: list[Row] = []
@@ -186,7 +186,7 @@ class InputGate(HandOver):
         return rows
 
     def _sampled(self, names: Iterable[str], now_ns: int, age_ns: int) -> list[Row]:
-        """Return the stamps of what came in at an instant of CLOCK_MONOTONIC."""
+        """Return the stamps of values that came in at `now_ns` (CLOCK_MONOTONIC)."""
         frame = self._image.latest() if self._counted else None
         if frame is None:
             return self.stamps(names, 0.0)
@@ -195,7 +195,7 @@ class InputGate(HandOver):
         return self.stamps(names, time_s, age_ns * 1e-9)
 
     def _placed(self, source: str, rows: list[Row], came_ns: int | None = None) -> list[Row]:
-        """Return rows for the place of the source's kind; commands renew its lease from then."""
+        """Return rows for the place of the source's kind; commands renew its lease at `came_ns`."""
         kind, place = kind_of(source), self.leases.place
         placed = [row._replace(slot=place(kind, row.slot)) for row in rows]
         is_command = any(not self._table.by_slot(row.slot).is_measured for row in rows)
@@ -225,7 +225,7 @@ class InputGate(HandOver):
     def _report(self, source: str, name: str, value: object, reason: Refusal) -> None:
         is_denied = reason is Refusal.NOT_IN_CONTROL and self._denied.get(source) == self.owner
         if is_denied and kind_of(source) in OFFERING:
-            return  # what a peer goes on offering is kept, not lost
+            return  # a repeated offer is kept, not lost
         self.rejected[(source, reason.value)] += 1
         if is_denied:
             return
@@ -235,7 +235,7 @@ class InputGate(HandOver):
         self._events.publish(Event(EventKind.SETPOINT_REFUSED, 400, source, text))
 
     def explain(self, source: str, name: str, reason: Refusal) -> str:
-        """Return in words why a source may not write a signal."""
+        """Return the reason in words."""
         if reason is Refusal.NOT_IN_CONTROL:
             kind = kind_of(source)
             return f"'{self.owner}' has control; writing '{kind}' to control.source takes it"
@@ -250,7 +250,7 @@ class InputGate(HandOver):
         return reason.value.replace("_", " ")
 
     def mark_stale(self, source: str) -> None:
-        """Keep what the source wrote last, with status UncertainLastUsableValue."""
+        """Keep the last values of the source, with status UncertainLastUsableValue."""
         slots = [slot for slot, (writer, _) in self._newest.items() if writer == source]
         rows = [Row(slot, math.nan, UNCERTAIN_LAST_USABLE_VALUE) for slot in slots]
         self._image.push(self._placed(source, rows))
@@ -265,14 +265,14 @@ class InputGate(HandOver):
         self._image.push(self._placed(source, rows))
 
     def end(self) -> None:
-        """End every lease: nothing is commanded until a source does so anew."""
+        """End every lease: nothing is commanded until a source sends a new command."""
         self.outdate()
         self._image.push([self.leases.end()])
         for slot in range(N_SETPOINTS):
             self._newest.pop(slot, None)
 
     def outdate(self) -> None:
-        """Let what has come in by now, and waits to be read, command nothing."""
+        """Refuse commands that have come in before now and still wait to be read."""
         self._ended_ns = self._now_ns() - _GRAIN_NS
 
     def age_s(self, source: str) -> float | None:
@@ -292,7 +292,7 @@ class InputGate(HandOver):
         return tuple(s.name.removeprefix(MEASURED) for s in signals if s.is_measured)
 
     def accepted_value(self, name: str) -> tuple[float, ...]:
-        """Return what was accepted last for a signal, a number per slot."""
+        """Return the last accepted value of a signal, one number per slot."""
         return tuple(self._newest[slot][1] for slot in self._table[name].slots)
 
     def newest(self, name: str) -> float | None:

@@ -1,4 +1,4 @@
-"""The leases of a robot as Python sees them: who may hold one, for how long, which have lapsed."""
+"""The leases of a robot, for Python: who may hold one, for how long, which have lapsed."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -12,7 +12,7 @@ from hilserver.status import GOOD
 
 NOBODY, TELEOP = "nobody", "opcua:teleop"
 OFFERING = frozenset(SOURCES[leases.FIRST_OFFERING :])
-"""Kinds that say what they want whether or not they have control."""
+"""Kinds that send their commands whether or not they have control."""
 _ACTIONS = {number: action for action, number in leases.POLICIES.items()}
 
 
@@ -26,18 +26,18 @@ class Lapse(NamedTuple):
 
     source: str
     action: str  # what the step has done: hold, zero, ramp or device
-    limit_ms: float  # what it was given
-    stalled_ticks: int  # how long the event loop of the daemon had stood still by then
-    waited_ms: float  # how long its last command had waited for us
+    limit_ms: float  # of the lease
+    stalled_ticks: int  # for which the event loop of the daemon had stood still
+    waited_ms: float  # for which its last command had waited to be read
 
 
 class Leases:
-    """Places in the image's region for sources, by name; a kind of sources shares a row.
+    """Places of sources in the image's region, by name; sources of one kind share a row.
 
     Parameters
     ----------
     ramp_ticks : int
-        In which the set-points go to zero when control changes hands, and in the safe state.
+        Length of the ramp to zero when control changes hands, and in the safe state.
     monotonic_ns : callable
         Clock for the age of commands; it stands where time is simulated.
     """
@@ -60,7 +60,7 @@ class Leases:
         self._driving.values[:, N_COMMANDS - 1] = 1.0
 
     def add(self, source: str, limit_ms: float | None, action: str) -> None:
-        """Give `source` a lease; what it commands lapses after `limit_ms`, None: never."""
+        """Give `source` a lease; its commands lapse after `limit_ms`, None: never."""
         self._places[source] = leases.words_needed(len(self._places))
         lease = self._lease(source)
         lease.kind = SOURCES.index(kind_of(source))
@@ -73,7 +73,7 @@ class Leases:
         self._lease(source).limit = 0 if limit_ms is None else max(1, round(limit_ms * 1e6))
 
     def limit_ms(self, source: str) -> float | None:
-        """Return how long a command of `source` holds, None for ever."""
+        """Return how long a command of `source` holds, None if for ever."""
         limit_ns = int(self._lease(source).limit)
         return limit_ns / 1e6 if limit_ns else None
 
@@ -88,11 +88,11 @@ class Leases:
         return self._slot(leases.VALUES + self._number(kind) * leases.ROW + slot)
 
     def renew(self, source: str, came_ns: int) -> None:
-        """Let what `source` holds go on: it has sent something then, and no other command."""
+        """Renew the lease of `source`, which sent something at `came_ns`, but no command."""
         self._image.push(self.renewal(source, came_ns))
 
     def renewal(self, source: str, came_ns: int) -> list[Row]:
-        """Return the row that renews what `source` holds from then on; none if it never lapses."""
+        """Return the row that renews the lease of `source` at `came_ns`, if it has one."""
         place = self._places.get(source) or self._places.get(kind_of(source))
         age_ns = max(self.now_ns() - came_ns, 0)
         return [] if place is None else [Row(self._slot(place), float(age_ns))]
@@ -106,7 +106,7 @@ class Leases:
         return Row(self._slot(leases.END), 1.0, GOOD)
 
     def lapses(self) -> Iterator[Lapse]:
-        """Yield those that have changed what is driven, each once."""
+        """Yield the lapses that changed what is driven, each once."""
         for source in self._places:
             lease = self._lease(source)
             before, self._known[source] = self._known.get(source, 0), int(lease.lapses)
@@ -116,7 +116,7 @@ class Leases:
                 yield Lapse(source, action, limit_ms, int(lease.stalled), waited_ms)
 
     def has_lapsed(self, source: str) -> bool:
-        """Whether `source` has not renewed yet what lapsed."""
+        """Whether the lease of `source` has lapsed and is not renewed yet."""
         return bool(self._lease(source).lapsed)
 
     def _lease(self, source: str) -> Lease:

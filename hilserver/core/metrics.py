@@ -7,7 +7,7 @@ from hilserver.core.inputs import InputGate
 from hilserver.metrics import Metric, Row, by_name, counter
 from hilserver.signals import State
 
-MAX_SOURCES: Final = 16  # sources whose age is exported; anybody may write under a name of his own
+MAX_SOURCES: Final = 16  # whose age is exported: clients choose source names freely
 
 
 class Inputs(NamedTuple):
@@ -21,7 +21,7 @@ class Inputs(NamedTuple):
 
 
 def inputs(gate: InputGate) -> Inputs:
-    """Return the figures of the gate at this moment; one of which nothing has come is left out."""
+    """Return the present figures of the gate; a source that has sent nothing is left out."""
     ages = {source: gate.age_s(source) for source in gate.sources[:MAX_SOURCES]}
     known = {source: age_s for source, age_s in ages.items() if age_s is not None}
     return Inputs(known, gate.rejected)

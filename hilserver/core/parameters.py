@@ -1,7 +1,7 @@
-"""The parameters of a running robot: every door that changes one comes through here.
+"""The parameters of a running robot; every change of one, from any door, is made here.
 
-A change is checked and packed here, once, and handed to the step, which takes it as a whole at one
-tick. What does not fit is refused with a sentence, and nothing changes.
+A change is checked and packed once and handed to the step, which takes it as a whole at one
+tick. A change that does not fit is refused with a sentence, and nothing changes.
 """
 
 import asyncio
@@ -45,20 +45,20 @@ _OF_THE_DRIVES: Final = (
     "terms.process_gain",
     "terms.time_constant",
 )
-"""What the mechatronic model is built of, and what it is built of where torque drives it."""
+"""Parameters built into the mechatronic model; the latter only if torque drives it."""
 
 
 @dataclass(frozen=True)
 class Start:
-    """What a run begins with."""
+    """What a run starts with."""
 
     robot: RobotParameters  # the plant of the first tick
-    configured: RobotParameters  # that of the configuration alone, without a patch
+    configured: RobotParameters  # of the configuration alone, without a patch
     composition: Composition  # own blocks, and what is packed beside them
 
     @property
     def table(self) -> dict[str, Parameter]:
-        """Every parameter of this robot; what its body is made of needs a restart."""
+        """Every parameter of this robot; those built into its body need a restart."""
         composition = self.composition
         table = table_of((block.name, block.declaration) for block in composition.blocks)
         if composition.body is None:
@@ -68,24 +68,24 @@ class Start:
 
     @property
     def values(self) -> dict[str, float]:
-        """What the configuration gives every parameter."""
+        """Values of all parameters by the configuration."""
         own = {n: v for n, v in self.composition.settings.items() if n.startswith(BLOCK)}
         return {**self.composition.settings, **read(self.configured), **own}
 
 
 class Refused(NamedTuple):
-    """Why a parameter keeps its value, as other inputs say it, and in a sentence."""
+    """Why a parameter keeps its value: a reason as for other inputs, and a sentence."""
 
     reason: Refusal
     text: str
 
 
 class LiveParameters:
-    """What is in force, or on its way into the step; belongs to the event loop's thread.
+    """Parameters in force, or on their way into the step; for the thread of the event loop only.
 
-    All is by name, and NaN is null: `table` has what a parameter is, `values` what is in force,
-    `configured` what the configuration has. `ahead_ticks`: how far ahead of its tick a scheduled
-    change is packed.
+    Everything is by name, and NaN is null: `table` describes the parameters, `values` are those in
+    force, `configured` those of the configuration. A scheduled change is packed `ahead_ticks`
+    before its tick.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class LiveParameters:
     # --- changes ----------------------------------------------------------------------------------
 
     def write(self, source: str, values: Mapping[str, object]) -> dict[str, Refused]:
-        """Check values, hand the sound ones to the next tick together; return why not, by name."""
+        """Check values, hand the valid ones to the next tick together; return refusals by name."""
         sound: dict[str, float] = {}
         refused: dict[str, Refused] = {}
         for name, value in values.items():
@@ -143,7 +143,7 @@ class LiveParameters:
         return {name: check(self.table[name], value) for name, value in full.items()}
 
     def try_out(self, values: Mapping[str, float]) -> tuple[RobotParameters, Composition]:
-        """Return what would run with these values, each checked by itself; nothing changes.
+        """Return what would run with these values, each checked before; nothing changes.
 
         PlantError if they do not fit the others.
         """
@@ -167,7 +167,7 @@ class LiveParameters:
     ) -> int:
         """Hand checked values, by their full names, to the plant; return the change's number.
 
-        PlantError if they do not fit the others; ControlRefused if the plant does not take more.
+        PlantError if they do not fit the others; ControlRefused if the plant takes no more changes.
 
         Parameters
         ----------
@@ -191,12 +191,12 @@ class LiveParameters:
     def reset(self) -> int:
         """Go back to the values of the configuration.
 
-        ControlRefused if the plant does not take more.
+        ControlRefused if the plant takes no more changes.
         """
         return self.apply({n: self.configured[n] for n in self.differing})
 
     async def taken(self, number: int) -> int:
-        """Wait for a change to act; return its first tick.
+        """Wait until a change takes effect; return its first tick.
 
         ControlRefused if the plant does not answer.
         """
@@ -209,11 +209,11 @@ class LiveParameters:
 
     @property
     def differing(self) -> dict[str, float]:
-        """Parameters that differ from the configuration, with what they have."""
+        """Parameters that differ from the configuration, with their present values."""
         return {n: v for n, v in self.values.items() if not _same(v, self.configured[n])}
 
     def hold(self, values: Mapping[str, float]) -> bool:
-        """Return whether all these, by their full names, are in force."""
+        """Return whether all these values, by their full names, are in force."""
         return all(_same(self.values[name], value) for name, value in values.items())
 
     # --- at a time --------------------------------------------------------------------------------
@@ -221,14 +221,14 @@ class LiveParameters:
     def schedule(
         self, changes: Iterable[tuple[int, Mapping[str, float]]] = (), tick: int = 0
     ) -> None:
-        """Let checked values act at their ticks, which rise, in place of what was scheduled."""
+        """Schedule checked values for ascending ticks, in place of earlier schedules."""
         self._timed = deque(changes)
         self.look_ahead(tick)
 
     def look_ahead(self, tick: int) -> None:
         """Hand over what is scheduled for the next ticks; called by the publish slice.
 
-        Only so much ahead: what another door changes meanwhile is packed with it, and not undone.
+        No further ahead: a packed change would undo what another door changes before its tick.
         """
         while self._timed and self._timed[0][0] < tick + self._ahead and self._changes.room:
             due, values = self._timed.popleft()
@@ -261,7 +261,7 @@ class LiveParameters:
         self._keep_for_reset(composition.packed(self._edition))
 
     def _keep_for_reset(self, packed: NDArray[np.float64]) -> None:
-        """Let a Reset go back to the start with the parameters of now."""
+        """Let a Reset go back to the start with the present parameters."""
         live = self._image.control.live_base
         first = self._image.control.parameters_base - live
         initial = self._snapshots.initial

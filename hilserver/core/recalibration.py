@@ -1,4 +1,4 @@
-"""What doors show of the recalibration, and what they ask of it; without one they refuse."""
+"""What doors show of the recalibration and request from it; without one it refuses."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ Table = Mapping[str, Mapping[str, float | str | bool | int | None]]
 
 
 class Decisions:
-    """What an engineer decides on proposals; of a daemon without recalibration, which refuses."""
+    """Decisions of an engineer on proposals; without recalibration they are refused."""
 
     async def accept(self, number: int, who: str) -> None:
         """Refuse."""
@@ -23,28 +23,28 @@ class Decisions:
     reject = postpone = accept
 
     def refused(self, sentence: str) -> None:
-        """Say nothing: the answer has said it."""
+        """Do nothing: the answer has the reason."""
 
     def table(self) -> Table:
         """Return nothing."""
         return {}
 
     def view(self) -> dict[str, Any] | None:
-        """Return that there is none."""
+        """Return None: there is no recalibration."""
         return None
 
 
 @dataclass
 class Figures:
-    """What is counted."""
+    """Figures of the metrics."""
 
     looks: Counter[str] = field(default_factory=Counter)  # by verdict
-    decisions: Counter[str] = field(default_factory=Counter)  # by what became of them
+    decisions: Counter[str] = field(default_factory=Counter)  # by outcome
     failures: int = 0  # windows that could not be judged, lines that could not be written
     waits: bool = False  # a proposal is open
     changed: bool = False  # the gap has left its usual range since the last look
     is_looking: bool = False  # a diagnosis runs
-    # gap before by gap after of the last decision that was measured, by quantity
+    # by quantity: gap before / gap after, of the last decision whose effect was measured
     effect: dict[str, float] = field(default_factory=dict)
 
 

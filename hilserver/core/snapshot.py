@@ -1,8 +1,8 @@
-"""Snapshots: the whole state in a file, and back, to the bit.
+"""Snapshots: the whole state, saved in a file and restored bit for bit.
 
 A snapshot holds every signal, every state of plant, sensors and own blocks, and the parameters in
-force. It carries version, kernel hash, signal names and configuration of the run; a restore where
-any of them differs is refused.
+force. It carries version, kernel hash, signal names and configuration of the run; if any of them
+differs, a restore is refused.
 """
 
 import asyncio
@@ -34,29 +34,29 @@ from hilserver.program.whole_file import whole
 
 SCHEMA = "hilserver.core.snapshot/1"
 OF_THE_RUN = ("config_sha256", "patch", "seed", "audit")
-"""What a snapshot says about the run that made it, beside its identity; nothing is asked of it."""
+"""What a snapshot records of its run besides its identity, for information only."""
 _DAMAGED = (
     OSError, ValueError, LookupError, MemoryError, EOFError, RuntimeError, SyntaxError, TypeError,
     zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
-"""What NumPy and zipfile raise on bytes that are none of theirs."""
-MOST_BYTES = 1 << 26  # that a snapshot may unpack to; a state has less than 1 MB
+"""What NumPy and zipfile raise on a file that is not theirs."""
+MOST_BYTES = 1 << 26  # unpacked size limit of a snapshot; a state has less than 1 MB
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 _SERVED_WITHIN_S = 2.0
-MOST_SNAPSHOTS = 100  # files in the folder: whoever may call SaveSnapshot must not fill the disk
+MOST_SNAPSHOTS = 100  # files in the folder: callers of SaveSnapshot must not fill the disk
 
 
 class SnapshotStore:
     """Saves and restores the live regions of a process image.
 
-    What `parameters` names has to agree between the run that saved and the run that loads.
+    The values of `parameters` must agree between the saving and the loading run.
     """
 
     def __init__(self, image: ProcessImage, folder: Path, parameters: dict[str, Any]) -> None:
         self._image = image
         self._folder = folder
         layout = json.dumps(image.description["signals"], sort_keys=True).encode()
-        # `parameters`, and version, kernels and signals of this run
+        # version, kernels and signals of this run, and `parameters`
         self.identity: dict[str, Any] = {
             "version": __version__,
             "kernels": kernel_hash(),
@@ -81,7 +81,7 @@ class SnapshotStore:
         """Save the state between two ticks; return the file.
 
         ControlRefused if the name is not a plain file name, the plant does not answer, there are
-        `MOST_SNAPSHOTS` already, or the disk does not take it.
+        `MOST_SNAPSHOTS` already, or it cannot be written to disk.
         """
         path = self._path(name)
         others = set(self._folder.glob("*.npz")) - {path}
@@ -105,7 +105,7 @@ class SnapshotStore:
     async def load(self, name: str, *, ends_leases: bool = False) -> int:
         """Continue from a saved state; return its tick.
 
-        ControlRefused if the file is absent, damaged, or was made by a run that differs.
+        ControlRefused if the file is absent, damaged, or of a run that differs.
         """
         path = self._path(name)
         state, meta = await asyncio.to_thread(read_snapshot, path)
@@ -128,9 +128,9 @@ class SnapshotStore:
     async def restore(
         self, state: NDArray[np.int64], tick: int, *, ends_leases: bool = False
     ) -> None:
-        """Continue from `state`, as a snapshot or a recording holds it, at `tick`.
+        """Continue from `state`, as held by a snapshot or a recording, at `tick`.
 
-        ControlRefused if the plant could not go on from it.
+        ControlRefused if the plant could not continue from it.
         """
         layout = self._image.layout
         if (what := unfit(state, layout.regions, layout.n_slots)) is not None:

@@ -2,11 +2,11 @@
 
 A peer is stale while nothing new came for longer than the limit, or while one input has been
 unusable (NaN, text, bad status, missing) for longer than the limit: a robot must not go on with
-three of its four set-points. A peer is fresh from the moment at which something came while
-every input that commands had a value; until then it is waited for, not lost, so that the two sides
-can be started in any order and nodes may appear after their server.
+three of its four set-points. A peer becomes fresh when something arrives while every commanding
+input has a value; until then it is waited for, not lost, so that the two sides can be started in
+any order and nodes may appear after their server.
 
-It reports; the command that a peer holds lapses in the step, whatever becomes of Python.
+This only reports: a peer's command lapses in the step, whatever happens to Python.
 """
 
 from collections.abc import Collection
@@ -14,7 +14,7 @@ from enum import Enum
 
 
 class Transition(Enum):
-    """A change that the rest of the program must know of."""
+    """A change that the rest of the program must know about."""
 
     FIRST = "first"
     LOST = "lost"
@@ -29,7 +29,7 @@ class Staleness:
     limit_ns : int
         Age [ns] above which inputs are stale.
     commanding : collection of str
-        Inputs without which the peer cannot command; the others may stay away.
+        Inputs without which the peer cannot command; the others may be missing.
     """
 
     def __init__(self, limit_ns: int, commanding: Collection[str] = ()) -> None:
@@ -44,16 +44,16 @@ class Staleness:
 
     @property
     def lacks_input(self) -> bool:
-        """Whether an input that commands has no usable value now."""
+        """Whether a commanding input has no usable value now."""
         return not self._commanding.isdisjoint(self._unusable_since_ns)
 
     @property
     def waiting(self) -> bool:
-        """Whether a stale peer still lacks an input that commands: nothing may be driven by it."""
+        """Whether a stale peer still lacks a commanding input, so that it may not drive."""
         return self.stale and self.lacks_input
 
     def renew(self, now_ns: int) -> None:
-        """Note that something new arrived: a newer number, or a value where nothing counts."""
+        """Note that something new arrived: a higher counter, or a value if there is no counter."""
         self._received_ns = now_ns
 
     def unusable(self, name: str, now_ns: int) -> None:

@@ -12,7 +12,7 @@ from hilserver.signals import State
 
 
 class Command(StrEnum):
-    """What moves the state machine: methods first, then what the daemon does by itself."""
+    """What moves the state machine: methods first, then actions of the daemon itself."""
 
     START = "Start"
     PAUSE = "Pause"
@@ -47,7 +47,7 @@ TRANSITIONS: Final[Mapping[Command, tuple[State | None, ...]]] = {
 def next_state(state: State, command: Command) -> State:
     """Return the state that follows `command`.
 
-    ControlRefused if the command is refused in `state`; says in which states it works.
+    ControlRefused if the command is refused in `state`; names the states in which it works.
     """
     following = TRANSITIONS[command][state]
     if following is None:

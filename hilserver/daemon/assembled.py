@@ -1,6 +1,6 @@
-"""What a daemon is built from: all that is fixed before the first tick, and what names it.
+"""What a daemon is built from: everything fixed before the first tick, and what identifies it.
 
-Models of others it only describes: every robot starts its own (`with_models`), and ends them.
+Models of others are only described here: each robot starts and ends its own (`with_models`).
 """
 
 import hashlib
@@ -33,7 +33,7 @@ from hilserver.signals import SignalTable
 class Assembly:
     """What a daemon is built from."""
 
-    # what is in force: `from_file` and what options of the command line changed in it
+    # in force: `from_file` with the changes of command-line options
     config: Config
     from_file: Config
     path: Path | None  # the configuration file; relative paths in it are relative to its folder
@@ -63,7 +63,7 @@ class Assembly:
 
     @contextmanager
     def at(self, *location: str | int) -> Iterator[None]:
-        """Add the place in the file to complaints about what stands there."""
+        """Add the place in the file to complaints about it."""
         try:
             yield
         except ConfigError as error:
@@ -71,7 +71,7 @@ class Assembly:
 
     @property
     def identity(self) -> dict[str, str]:
-        """What two runs must share for one to continue the other."""
+        """What two runs must have in common for one to continue the other."""
         c = self.composition
         digest = hashlib.sha256(pack(self.configured).numbers.tobytes() + c.hall.tobytes())
         if c.body is not None:
@@ -93,7 +93,7 @@ class Assembly:
 
     @property
     def provenance(self) -> dict[str, Any]:
-        """What every recording says about the run that made it."""
+        """What every recording states about the run that made it."""
         return {
             "version": __version__,
             "kernels": kernel_hash(),
@@ -122,14 +122,14 @@ class Assembly:
 
 
 def with_models(assembly: Assembly, plant: RealtimeSettings, *, waits: bool) -> Assembly:
-    """Return an assembly whose models nobody else steps: the mechatronic one, and FMUs.
+    """Return an assembly with models of its own, the mechatronic one and FMUs.
 
     ConfigError if an FMU does not start.
 
     Parameters
     ----------
     plant : RealtimeSettings
-        What the plant's thread asks for: models in processes of their own come right behind it.
+        Settings of the plant's thread; models in processes of their own run one below it.
     waits : bool
         Whether time waits for models in processes of their own: simulated time does.
     """

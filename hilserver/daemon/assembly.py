@@ -1,7 +1,7 @@
 """From a configuration to everything that is fixed before the first tick.
 
-Signal table, slices, packed parameters, own blocks. `hilserver check` and the daemon both come
-through here, so that what `check` accepts, `run` can start.
+Signal table, slices, packed parameters, own blocks. `hilserver check` and the daemon both use
+this, so that `run` can start what `check` accepts.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -47,7 +47,7 @@ _ONE = {"inputs": "input", "parameters": "parameter", "drives": "output"}
 def assemble(path: Path | None, patch: Path | None = None, group: str | None = None) -> Assembly:
     """Load and check a configuration, and a patch over it, down to the last signal name.
 
-    ConfigError has a sentence per complaint, with file, line and key.
+    ConfigError has one sentence per complaint, with file, line and key.
     """
     laid_over = None if patch is None else load_patch(patch, group)
     return _Builder(load_config(path), path, laid_over).build()
@@ -317,7 +317,7 @@ class _Builder:
 def _settings(
     config: Config, robot: RobotParameters, blocks: Sequence[BlockUse]
 ) -> dict[str, float]:
-    """Return the value of every parameter; what the body is made of is the configuration's."""
+    """Return the value of every parameter; those of the body come from the configuration."""
     values = read(robot)
     body = config.mechatronic.model_dump()
     for name in PLANT.keys() - values.keys():

@@ -1,9 +1,9 @@
-"""The one builder: from an assembly to a robot that can be paced. Nobody assembles these by hand.
+"""The one builder: from an assembly to a robot that can be paced. Nothing else assembles these.
 
-The daemon, a replay and the tests run the same parts; they differ in how they are paced and in
-what surrounds them. `Pace` says the former::
+The daemon, a replay and the tests run the same parts; they differ in how these are paced and in
+what surrounds them. `Pace` defines the former::
 
-    async with build(assembly) as core:            # stands still, in virtual time
+    async with build(assembly) as core:            # paused, in virtual time
         await core.scheduler.advance(1000)
 """
 
@@ -46,31 +46,31 @@ from hilserver.signals import SignalTable
 LINEAR_BINS = 10_000
 VIRTUAL_RING = 2048  # frames that are read between two batches of virtual time
 PUBLISHED_AHEAD = 2
-"""Publish slices by which a scheduled change of the parameters is packed ahead of its tick."""
-OTHER_LEASES = 3  # of those that are no links: see `leases_of`
+"""How many publish slices before its tick a scheduled change of parameters is packed."""
+OTHER_LEASES = 3  # of sources that are not links, see `leases_of`
 UNDEMANDING = RealtimeSettings(priority=0, lock_memory=False, hold_latency_target=False)
 """Asks nothing of the operating system."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pace:
-    """How the parts are paced and how much they hold; by default virtual, from a standstill."""
+    """Pacing and capacity of the parts; by default in virtual time, paused at the start."""
 
     backend: str = "virtual"
-    image: str = MADE_UP  # name of the process image; `MADE_UP`: one that nobody else has
+    image: str = MADE_UP  # name of the process image; `MADE_UP`: a unique one
     # frames kept and rows that fit into each input queue; powers of two
     ring_frames: int = 1 << 14
     queue_rows: int = 1 << 13
     policy: OverrunPolicy = field(default_factory=OverrunPolicy)
     limits: OverrunLimits = field(default_factory=OverrunLimits)
     realtime: RealtimeSettings = UNDEMANDING
-    command_limit_ticks: int = 0  # ticks without a set-point until they become zero; 0: never
+    command_limit_ticks: int = 0  # ticks without a set-point before they go to zero; 0: never
     paused: bool = True
     freeze_gc: bool = False
 
     @classmethod
     def configured(cls, assembly: Assembly, *, paused: bool = False) -> Self:
-        """Return what the configuration asks for."""
+        """Return the pace that the configuration asks for."""
         config, scheduler = assembly.config, assembly.config.scheduler
         least = VIRTUAL_RING if scheduler.backend == "virtual" else 0
         timeout_ms = config.control.command_timeout_ms
@@ -106,13 +106,13 @@ class Core:
 
     assembly: Assembly
     image: ProcessImage
-    step: StepFunction  # what the scheduler calls; for tests that call the phases themselves
+    step: StepFunction  # what the scheduler calls; kept for tests that call its phases
     scheduler: Scheduler
     events: EventBus
     gate: InputGate
     snapshots: SnapshotStore
     parameters: LiveParameters
-    lines: Mapping[str, Line]  # where faults of peer links act, by the peer's name
+    lines: Mapping[str, Line]  # where faults of peer links act, by name of the peer
     faults: Faults
 
     @property
@@ -126,7 +126,7 @@ class Core:
         return Stage(self.table, self.image, self.gate, self.faults, self.parameters, period_ns)
 
     def watch_communication(self, timeout_ms: float, speed: float = 1.0) -> None:
-        """Let the plant go to the safe state when nothing beats for `timeout_ms` at this speed."""
+        """Let the plant go to the safe state after `timeout_ms` without a heartbeat."""
         ticks = math.ceil(timeout_ms * 1e6 * speed / self.assembly.base_period_ns)
         watch_communication(self.image, ticks)
 
@@ -144,7 +144,7 @@ class Core:
 
     @property
     def foreign(self) -> Mapping[str, Foreign]:
-        """Models of others that run, by the name of their block."""
+        """Running models of others, by the name of their block."""
         blocks = self.assembly.composition.blocks
         return {block.name: block.foreign for block in blocks if block.foreign is not None}
 
@@ -231,7 +231,7 @@ def faults_of(
 
 
 def leases_of(config: Config, image: ProcessImage, period_ns: int, pace: Pace) -> Leases:
-    """Return the leases of every source that a configuration has, before the first tick."""
+    """Return leases for every source of a configuration, before the first tick."""
     clock = time.monotonic_ns if pace.backend != "virtual" else lambda: 0
     found = Leases(image, round(config.plant.safe_ramp_s * 1e9 / period_ns), clock)
     found.add("opcua", config.control.opcua_stale_after_ms, "ramp")

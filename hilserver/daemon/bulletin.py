@@ -1,4 +1,4 @@
-"""What the daemon writes on the board twice a second: everything that is no signal."""
+"""What the daemon writes on the board twice a second: everything that is not a signal."""
 
 import math
 import time
@@ -37,7 +37,7 @@ class Surroundings:
     peers: Callable[[], Sequence[PeerStatus]]
 
     def content(self) -> dict[str, Any]:
-        """Return what the board shows to other processes, as JSON takes it."""
+        """Return what the board shows to other processes, in types of JSON."""
         core, desk = self.core, self.desk
         return {
             "version": __version__,
@@ -45,7 +45,7 @@ class Surroundings:
             "reason": self.control.reason,
             "speed": self.control.speed,
             "owner": core.gate.owner,
-            "opcua_wrote": bool(core.gate.present),  # some client has, and is still there
+            "opcua_wrote": bool(core.gate.present),  # by a client that is still connected
             "realtime_factor": _number(core.scheduler.statistics.tick.real_time_factor),
             "bounds_us": (BOUNDS_NS / 1000).tolist(),
             "slices": self._slices(),
@@ -73,7 +73,7 @@ class Surroundings:
         return table
 
     def _events(self) -> list[dict[str, Any]]:
-        """Return the newest events, the newest first; the overruns of a slice are one."""
+        """Return the newest events, newest first; the overruns of a slice count as one."""
         now_ns, shown = time.monotonic_ns(), dict[Any, dict[str, Any]]()
         for event in reversed(self.core.events.recent):
             is_overrun = event.kind == EventKind.OVERRUN
@@ -93,7 +93,7 @@ class Surroundings:
 
 
 class Notice:
-    """Writes on the board of the image, not more often than anybody looks."""
+    """Writes on the board of the image, no more often than it is read."""
 
     def __init__(self, of: Surroundings) -> None:
         self._board, self._of = Board(of.core.image), of

@@ -1,4 +1,4 @@
-"""What connects a robot with the world: its links, what they need, metrics, health."""
+"""Connects a robot with the world: its links, what they need, metrics, health."""
 
 import asyncio
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -42,7 +42,7 @@ LINKS: tuple[Callable[[World], Iterable[Part]], ...] = (
     s7.parts,
     peer_parts,
 )
-"""Every link, in the order of the banner; a new one is a line here."""
+"""Every link, in the order of the banner; a new one takes one line here."""
 
 
 def make_world(of: Surroundings) -> World:
@@ -74,7 +74,7 @@ def make_world(of: Surroundings) -> World:
             "slices": lambda: figures.slice_table(core.scheduler),
             "peers": lambda: figures.peer_table(of.peers()),
             "audit": lambda: figures.audit_table(of.audit),
-            # asked anew each time: a part may bring its own later
+            # evaluated at each call: a part may set its own later
             "recalibration": lambda: desk.recalibration.table(),  # noqa: PLW0108
         },
         files=desk,
@@ -95,7 +95,7 @@ def make_desk(core: Core, stage: Stage) -> Desk:
 def make_metrics(
     of: Surroundings, gaps: GapWatch, config: Callable[[], Config], links: Sequence[Part]
 ) -> Metrics:
-    """Return the metrics; `config` is asked anew each time, as a reload changes it."""
+    """Return the metrics; `config` is called each time, as a reload changes it."""
     core, outputs, scheduler = of.core, of.outputs, of.core.scheduler
     return Metrics(
         Source(scheduler_metrics.METRICS, lambda: scheduler_metrics.pace(scheduler)),
@@ -122,7 +122,7 @@ def make_metrics(
 
 
 def _observed(core: Core) -> list[Head]:
-    """Return what the observer has counted, where it runs."""
+    """Return the counts of the observer, if it runs."""
     if core.assembly.composition.observer is None:
         return []
     return [observer_metrics.counted(core.image.region("observer")[0])]

@@ -1,6 +1,6 @@
 """The daemon: surrounds the core with the world, starts it in order, stops it in reverse.
 
-One set-point on its way: `io.opcua_client` or `io.opcua_server` hears it, `core.inputs` checks it
+The path of a set-point: `io.opcua_client` or `io.opcua_server` receives it, `core.inputs` checks it
 and pushes it into the process image, the paced step latches it and moves the plant, the step
 publishes a frame, the publish slice hands the frame to OPC UA and the peers.
 """
@@ -117,15 +117,15 @@ class Daemon:
         self.parts += make_http(core, self.control, self.supervision, self.metrics)
 
     def parts_of(self, section: str) -> list[Any]:
-        """Return what a section of the configuration has brought in."""
+        """Return the parts that belong to a section of the configuration."""
         return [part for part in self.parts if part.section == section]
 
     def part(self, section: str) -> Any:
-        """Return the one part of a section, None where the configuration has none."""
+        """Return the only part of a section, None if the configuration has none."""
         return next(iter(self.parts_of(section)), None)
 
     def _statuses(self) -> list[PeerStatus]:
-        """Return what is known about everybody at the other end of a link."""
+        """Return what is known about the other end of every link."""
         return [part.status for part in self.parts if part.status is not None]
 
     # --- start and stop ---------------------------------------------------------------------------
@@ -143,7 +143,7 @@ class Daemon:
         await self._resources.aclose()
 
     async def _start(self) -> None:
-        """Start all in order; what was begun ends in the reverse order, the plant first."""
+        """Start everything in order; what was started ends in reverse order, the plant first."""
         ending = self._resources
         ending.callback(self.events.subscribe(log_event))
         ending.callback(self.events.subscribe(self._on_event))
@@ -181,7 +181,7 @@ class Daemon:
                         raise address_refused(f"{part.section}: cannot start", error) from None
 
     def bring_to_rest(self) -> None:
-        """Ramp the set-points to zero, from any thread, when the event loop cannot."""
+        """Ramp the set-points to zero if the event loop cannot; callable from any thread."""
         watch_communication(self.image, 1)
         time.sleep(self.config.plant.safe_ramp_s)
 
@@ -200,7 +200,7 @@ class Daemon:
             await self._resources.enter_async_context(running_recorder(*what))
 
     def _take_audit(self) -> None:
-        """Look at what the system granted, show it and say what is missing."""
+        """Check what the system granted, publish it and log what is missing."""
         self.audit[:] = audit(self.scheduler)
         self.image.tell(audit=[dataclasses.asdict(item) for item in self.audit])
         missing = [item for item in self.audit if not item.ok]
@@ -213,9 +213,9 @@ class Daemon:
             )
 
     async def wait(self, duration_s: float | None) -> int:
-        """Run until time is over or the scheduler ends; return the exit code.
+        """Run until the time is up or the scheduler ends; return the exit code.
 
-        In virtual time `duration_s` is simulated time, for a daemon that stands still.
+        In virtual time `duration_s` is simulated time, for a daemon that is paused.
         """
         until: list[asyncio.Future[Any]] = []
         if self.clock.simulated and duration_s is not None:
@@ -239,7 +239,7 @@ class Daemon:
         return EXIT_DONE if reason is StopReason.STOPPED else EXIT_FAILED
 
     async def _simulate(self, duration_s: float) -> None:
-        """Run so much simulated time, however often somebody pauses it."""
+        """Run for so much simulated time, however often it is paused meanwhile."""
         n_ticks = max(round(duration_s * 1e9 / self.assembly.base_period_ns), 1)
         self.scheduler.step(n_ticks)
         await self.scheduler.wait_paused()
@@ -265,7 +265,7 @@ class Daemon:
             report_repeats(self.limiter)
 
     async def _idle(self) -> None:
-        """Keep publishing while the plant stands still: no tick makes a slice due then."""
+        """Keep publishing while the plant is paused: no tick makes a slice due then."""
         timeout_s = self.config.scheduler.communication_timeout_ms * 1e-3
         period_s = min(IDLE_PERIOD_S, timeout_s / 4 or IDLE_PERIOD_S)
         while True:
@@ -275,26 +275,26 @@ class Daemon:
                 self._supervise(self.scheduler.tick, 0)
 
     def _show_halt(self) -> None:
-        """Publish the last tick of a step at once: in virtual time, whoever steps waits for it."""
+        """Publish the last tick of a step at once: in virtual time, the caller waits for it."""
         if self.scheduler.paused and (head := self.image.head) != self._shown_head:
             self._shown_head = head
             self._publish(self.scheduler.tick, 0)
 
-    # --- what the parts tell each other -----------------------------------------------------------
+    # --- messages between the parts ---------------------------------------------------------------
 
     def _on_event(self, event: Event) -> None:
         if event.kind in (EventKind.STATE, EventKind.SAFE_STATE) and self.scheduler.paused:
             asyncio.get_running_loop().call_soon(self._publish, 0, 0)
 
     def _restart_faults(self) -> None:
-        """After a reset: no fault, no force, and the scenario from its beginning."""
+        """After a reset: clear faults and forces, start the scenario again."""
         self.faults.reset()
         self.core.parameters.schedule()
         if self._play is not None:
             self.stage.play(self._play.scenario)
 
     def _watch_communication(self, speed: float) -> None:
-        """Let the plant count ticks of silence: as many as pass in the time-out at this speed."""
+        """Set the plant's limit of silent ticks to the time-out at this speed."""
         if self.config.scheduler.backend != "virtual":
             self.core.watch_communication(self.config.scheduler.communication_timeout_ms, speed)
 
@@ -305,7 +305,7 @@ class Daemon:
 
 
 async def stop_all(parts: Sequence[Part]) -> None:
-    """Stop all parts side by side; one that fails or hangs holds up no other."""
+    """Stop all parts concurrently; one that fails or hangs does not delay the others."""
     await asyncio.gather(*(_stop(part) for part in parts))
 
 
@@ -313,7 +313,7 @@ async def _stop(part: Part) -> None:
     task = asyncio.ensure_future(part.stop())
     await asyncio.wait({task}, timeout=PART_STOP_S)
     if not task.done():
-        task.cancel()  # and not waited for: a library may swallow it
+        task.cancel()  # without waiting: a library may swallow it
         _log.warning("did not stop in time and was left", part=part.label)
     elif not task.cancelled() and (error := task.exception()) is not None:
         _log.error("failed to stop", part=part.label, error=f"{type(error).__name__}: {error}")

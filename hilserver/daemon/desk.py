@@ -1,6 +1,6 @@
 """What users start and stop by the name of a file: scenarios, recordings, patches.
 
-Names are plain and within the configured folders; nothing that exists is written over.
+Names are plain, files lie in the configured folders; existing ones are not overwritten.
 """
 
 import asyncio
@@ -23,7 +23,7 @@ from hilserver.faults.scenario import Stage
 from hilserver.io.recorder.launch import running_recorder
 
 SUFFIXES = (".mcap", ".csv")
-NOT_RECORDED = (".mf4", ".parquet", ".db3")  # logs as well; `hilserver convert` makes them
+NOT_RECORDED = (".mf4", ".parquet", ".db3")  # log formats that `hilserver convert` makes
 
 _log = structlog.get_logger(__name__)
 
@@ -37,7 +37,7 @@ class _Playing:
 
 
 class Scenarios:
-    """Plays scenarios of one folder from the present tick on."""
+    """Plays scenarios of one folder, from the present tick on."""
 
     def __init__(self, folder: Path, stage: Stage, core: Core) -> None:
         self._folder, self._stage, self._core = folder, stage, core
@@ -53,7 +53,7 @@ class Scenarios:
         self._refuse_while_playing()
         path = file_of(self._folder, name, "scenario")
         scenario = await asyncio.to_thread(load_scenario, path, LIVE_BYTES)
-        self._refuse_while_playing()  # another one may have begun while the file was read
+        self._refuse_while_playing()  # another may have started while the file was read
         self._stage.check(Play(scenario, path))
         start, owner = self._core.scheduler.tick + 1, self._core.gate.owner
         self._stage.play(scenario, start)
@@ -65,7 +65,7 @@ class Scenarios:
             raise ControlRefused("a scenario is playing: StopScenario ends it")
 
     def stop(self) -> None:
-        """End the scenario, its faults and every other; set-points go to zero.
+        """End the scenario and all faults, its own and others; set-points go to zero.
 
         ControlRefused if none is playing.
         """
@@ -78,8 +78,8 @@ class Scenarios:
             self._core.gate.take(playing.owner)
 
     def cut_short(self) -> None:
-        """Let no planned step drive a robot that was stopped: its steps end, its faults go on."""
-        drove = self._stage.drives  # without a scenario whoever writes by its name goes on
+        """End the steps, so that none drives a robot that was stopped; faults continue."""
+        drove = self._stage.drives  # else another writer of source scenario keeps control
         self._stage.stop()
         if self._playing is not None:
             self._playing = replace(self._playing, end_tick=self._core.scheduler.tick - 1)
@@ -87,7 +87,7 @@ class Scenarios:
             self._core.gate.take(NOBODY)
 
     def view(self) -> dict[str, Any] | None:
-        """Return name, time and length of what is playing; None without."""
+        """Return name, time and length of the scenario that plays, or None."""
         playing, tick = self._playing, self._core.scheduler.tick
         if playing is None or not playing.start_tick - 1 <= tick <= playing.end_tick:
             return None
@@ -99,7 +99,7 @@ class Scenarios:
 
 
 class Recordings:
-    """Runs a recorder beside the daemon while somebody wants one."""
+    """Runs a recorder in addition to the daemon's, on request."""
 
     def __init__(self, folder: Path, config: RecordingConfig, image: str) -> None:
         self._folder, self._config, self._image = folder, config, image
@@ -108,9 +108,9 @@ class Recordings:
         self._path = folder
 
     def start(self, name: str) -> None:
-        """Start to record into a new file; it attaches within seconds.
+        """Start to record into a new file; the recorder attaches within seconds.
 
-        ControlRefused if a recording runs, the suffix is none of ours, or the file exists.
+        ControlRefused if a recording runs, the suffix is not one of ours, or the file exists.
         """
         has_suffix = name.endswith(SUFFIXES + NOT_RECORDED)
         path = self._folder / (name if has_suffix else name + SUFFIXES[0])
@@ -134,7 +134,7 @@ class Recordings:
             _log.error("no recording", file=str(path), reason=str(error))
 
     def stop(self) -> None:
-        """End the recording; its file is complete soon.
+        """End the recording; its file is complete soon after.
 
         ControlRefused if nothing is being recorded.
         """
@@ -143,7 +143,7 @@ class Recordings:
         self._asked.set()
 
     def view(self) -> dict[str, Any] | None:
-        """Return name and size of the file that is being written; None without."""
+        """Return name and size of the file that is being written, or None."""
         if self._task is None or self._task.done():
             return None
         size = 0

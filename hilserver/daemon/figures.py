@@ -24,7 +24,7 @@ def _us(nanoseconds: float | None) -> float | None:
 
 
 def slice_table(scheduler: Scheduler) -> Table:
-    """Return latency, execution, margin [us] and overruns of every slice, and its pace."""
+    """Return latency, execution, margin [us], overruns and pace of every slice."""
     table: Table = {}
     tick = scheduler.statistics.tick
     last, total = (
@@ -54,7 +54,7 @@ def slice_table(scheduler: Scheduler) -> Table:
 
 
 def peer_table(peers: Iterable[PeerStatus]) -> Table:
-    """Return what is known about every peer; what is unknown so far is None."""
+    """Return what is known about every peer, with None for what is not known yet."""
     now_ns = time.monotonic_ns()
     table: Table = {}
     for p in peers:
@@ -95,7 +95,7 @@ def audit_table(items: Iterable[Grant]) -> Table:
 def model_gap(gate: InputGate, table: SignalTable, frame: Frame | None) -> Mapping[str, float]:
     """Return measured minus simulated of every channel for which measured values come in.
 
-    Both have to be Good in `frame`; the difference of two headings lies within half a turn.
+    Both must be Good in `frame`; the difference of two headings lies within half a turn.
     """
     gaps: dict[str, float] = {}
     if frame is None:

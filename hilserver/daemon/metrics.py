@@ -1,7 +1,7 @@
-"""All metrics: those of the rooms, and those of the daemon itself.
+"""All metrics: those of the rooms and of the daemon itself.
 
-A new metric is a row in the table of the room that feeds it; only a new table is entered here and
-in `connections`.
+A new metric is a row in the table of the room that feeds it; only a new table is added here and in
+`connections`.
 """
 
 import platform

@@ -13,8 +13,8 @@ from hilserver.io.world import Part
 from hilserver.plant.layout import WHEELS, Parameters
 
 EXPORTED = ("pose.x_m", "pose.y_m", "pose.yaw_rad", *(f"wheel.{w}.speed_rpm" for w in WHEELS))
-"""Outputs that metrics show: few, because every one is a series."""
-OF_THE_BODY = ("mech.gap_m", "mech.gap_yaw_rad")  # more of them, where the mechatronic model runs
+"""Outputs that metrics show: few, as each is a time series."""
+OF_THE_BODY = ("mech.gap_m", "mech.gap_yaw_rad")  # also shown, if the mechatronic model runs
 
 
 class Outputs:
@@ -22,12 +22,12 @@ class Outputs:
 
     def __init__(self, core: Core) -> None:
         self.frame: Frame | None = None  # the newest one that was published; None before the first
-        # set-point change to the first published output that contains it
+        # from a change of a set-point to the first published output that contains it
         self.end_to_end = Histogram125()
         self._core = core
 
     def publish(self, control: Control, parts: Iterable[Part]) -> None:
-        """Beat for the plant's watch, take the newest frame and hand it on."""
+        """Send the plant a heartbeat, take the newest frame and hand it on."""
         image, gate = self._core.image, self._core.gate
         image.control.heartbeat += 1
         frame = image.latest()

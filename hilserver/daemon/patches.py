@@ -17,7 +17,7 @@ from hilserver.kernel.fitted import fitted_limits
 from hilserver.parameters import check, named
 from hilserver.plant.errors import PlantError
 
-MOST_FILES: Final = 100  # patches in the folder: whoever may save one must not fill the disk
+MOST_FILES: Final = 100  # patches in the folder: saving them must not fill the disk
 
 
 def file_of(folder: Path, name: str, kind: str) -> Path:
@@ -43,23 +43,23 @@ class Patches:
 
     @property
     def loaded(self) -> str | None:
-        """Name of the file whose patch is at work; None without one."""
+        """Name of the file of the loaded patch, or None."""
         patch = self._patch
         return None if patch is None or patch.path is None else patch.path.name
 
     @property
     def notice(self) -> str | None:
-        """What the page says beside the name: the patch may not fit this configuration."""
+        """Notice next to the name on the page: the patch may not fit this configuration."""
         patch = self._patch
         return None if patch is None else patch.notice(self.config_sha256)
 
     @property
     def config_sha256(self) -> str:
-        """Hash that patches of this robot carry: of the file, which a diagnosis is handed."""
+        """Hash that patches of this robot carry: of the file, which is the input of a diagnosis."""
         return self.from_file.sha256
 
     async def load(self, name: str) -> None:
-        """Lay a patch over the plant, in place of the one before.
+        """Lay a patch over the plant, in place of the loaded one.
 
         ControlRefused if there is none of that name; ConfigError if the file has a mistake or does
         not fit the configuration.
@@ -72,7 +72,7 @@ class Patches:
             self._tell(400, notice)
 
     async def remove(self) -> None:
-        """Go on with what the configuration has for the parameters of the patch.
+        """Set the parameters of the patch back to the configuration.
 
         ControlRefused if no patch is loaded.
         """
@@ -99,12 +99,12 @@ class Patches:
             return await parameters.taken(number)
 
     def _put(self, patch: Patch | None) -> None:
-        """Keep which patch is at work; snapshots and recordings begun from now on say it."""
+        """Store which patch is loaded, for snapshots and recordings started from now on."""
         self._patch = patch
         self._core.image.tell(patch=None if patch is None else patch.provenance)
 
     def _follow(self) -> None:
-        """Forget a patch that is not in the state that was restored."""
+        """Forget a patch that is not part of the restored state."""
         patch, name = self._patch, self.loaded
         if patch is not None and not self._core.parameters.hold(self._checked(patch)):
             self._put(None)
@@ -177,5 +177,5 @@ def _write(path: Path, text: str) -> None:
             file.flush()
             os.fsync(file.fileno())
     except OSError as error:
-        path.unlink()  # half a patch is none, and would take the name
+        path.unlink()  # half a patch is useless and would occupy the name
         raise ControlRefused(f"{path}: cannot be written: {error.strerror}") from None

@@ -1,4 +1,4 @@
-"""SIGHUP: the configuration is read again, and what can change in a running robot changes.
+"""SIGHUP: read the configuration again and apply what can change in a running robot.
 
 Everything is checked before anything changes: a file with a mistake leaves the old configuration in
 force. The plant, its parameters and the signal table stay as they are until a restart, because
@@ -24,7 +24,7 @@ _log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A key of config.yaml whose value is another one now, such as ``logging.level``."""
+    """A key of config.yaml whose value has changed, such as ``logging.level``."""
 
     key: str
     before: Any
@@ -66,7 +66,7 @@ RELOADABLE: dict[str, Callable[[Daemon, Config, Stream | None], None]] = {
     "scheduler.limits.": _use_limits,
     "control.opcua_stale_after_ms": _use_operator_limit,
 }
-"""Beginning of the keys that can change while running -> what makes the change."""
+"""Prefix of the keys that can change while running -> function that makes the change."""
 
 
 class Reloader:
@@ -74,7 +74,7 @@ class Reloader:
 
     def __init__(self, daemon: Daemon, out: Stream | None = None) -> None:
         self._daemon, self._out = daemon, out
-        self._patches = daemon.desk.patches  # what options replaced in its file is no change
+        self._patches = daemon.desk.patches  # has the file without options: those are not changes
         self._lock = asyncio.Lock()
 
     async def reload(self) -> bool:
@@ -121,7 +121,7 @@ class Reloader:
 
 
 def _reloaded(config: Config, new: Config) -> Config:
-    """Return `config` with those values of `new` that can change while running."""
+    """Return `config` with the values of `new` that can change while running."""
     return config.changed(
         logging=new.logging,
         scheduler={"limits": new.scheduler.limits},

@@ -1,6 +1,6 @@
 """Shadow mode: the simulation beside the real robot, whose values come in as ``measured.*``.
 
-The gap between the two is a metric anyway; here a gap that lasts becomes an alarm, and the
+The gap between the two is always a metric; here a gap that lasts becomes an alarm, and the
 simulated robot can be put where the real one is.
 """
 
@@ -19,7 +19,7 @@ Pose = tuple[float, float, float]
 
 
 class GapWatch:
-    """Tells, once each time it begins and ends, that a gap exceeds its limit."""
+    """Reports when a gap begins to exceed its limit and when that ends, once each."""
 
     def __init__(
         self,
@@ -41,7 +41,7 @@ class GapWatch:
         return {channel: channel in self._alarms for channel in self._config.limits}
 
     def run(self) -> None:
-        """Look at the gaps; called by the supervise slice."""
+        """Check the gaps; called by the supervise slice."""
         if not self._config.limits:
             return
         gaps, now_ns = self._gaps(), self._now_ns()
@@ -83,17 +83,17 @@ def measured_pose(
 ) -> Pose | None:
     """Return x [m], y [m] and yaw [rad] of the real centre of mass, None while not measured.
 
-    ``measured.pose.*`` is taken as it is; ``measured.nav.*`` is the tag's, so that its place on the
-    robot, and scale and frame of the navigation, are taken off.
+    ``measured.pose.*`` is used as it is; ``measured.nav.*`` is the pose of the tag: its place on
+    the robot, and scale and frame of the navigation, are removed.
 
     Parameters
     ----------
     newest : callable
         Newest accepted value of a signal, None before the first.
     frame : Frame or None
-        The last one; its status codes say which values are stale.
+        The newest one; its status codes show which values are stale.
     parameters : Parameters
-        Of the plant, with the terms at work.
+        Of the plant, with the active terms.
     """
     if frame is None:
         return None

@@ -1,6 +1,6 @@
-"""Watches the running parts and tells the state machine: who is silent, who is late, who is ready.
+"""Watches the running parts and informs the state machine: what is silent, late or ready.
 
-Commands that lapse do so in the step; here it is said why, and overruns become events.
+Commands lapse in the step; here the reason is reported, and overruns become events.
 """
 
 from dataclasses import replace
@@ -20,7 +20,7 @@ NOTICES = {
     "twist_reduced": "the twist has two parts: only the larger one is driven (exclusive_twist)",
     "scaled": "the twist asks for more than max_rpm: all wheels are scaled down together",
 }
-"""Places in the plant's state that say how a command is changed, and what to tell then."""
+"""Flags in the plant's state for a command that is changed -> the notice."""
 
 
 class Supervision:
@@ -28,7 +28,7 @@ class Supervision:
 
     def __init__(self, core: Core, control: Control) -> None:
         config = core.assembly.config
-        # True once the plant met every deadline from one run to the next
+        # True once the plant met every deadline between two calls of `run`
         self.first_ticks_met = False
         self._period_ms = core.assembly.base_period_ns * 1e-6
         self._plant_state = State.of(core.image.region("x")[0])
@@ -47,7 +47,7 @@ class Supervision:
         self._drivers |= {driver.source: driver.title for driver in config.drivers}
 
     def run(self) -> None:
-        """Look at everything that has no event of its own."""
+        """Check everything that raises no event itself."""
         self._take_lapses()
         self._look_at_models()
         self._control.supervise()
@@ -55,7 +55,7 @@ class Supervision:
         self._watch_command()
 
     def _watch_command(self) -> None:
-        """Tell, once each time it begins, that the robot drives something else than commanded."""
+        """Report, once each time it begins, that the robot drives other than commanded."""
         for name, text in NOTICES.items():
             if not self._plant_state[name]:
                 self._noticed.discard(name)
@@ -80,7 +80,7 @@ class Supervision:
         self._events.publish(Event(EventKind.OVERRUN, 500, report.slice, text))
 
     def _with_part(self, report: OverrunReport) -> OverrunReport:
-        """Return the report with the model of others that took at least half of the time."""
+        """Return the report, with the FMU that hangs or took at least half of the time."""
         is_stalled = report.consequence == STALLED
         for name, (_, a) in self._models.items():
             if is_stalled and hangs_since(a):
@@ -92,7 +92,7 @@ class Supervision:
         return report
 
     def _look_at_models(self) -> None:
-        """Say what happened to models of others; one that fails leads to the safe state."""
+        """Report what happened to models of others; one that fails leads to the safe state."""
         for name, (model, a) in self._models.items():
             for news in model.look(a):
                 kind = EventKind.STATE if news.is_fault else EventKind.OVERRUN
@@ -101,7 +101,7 @@ class Supervision:
                     self._control.enter_safe(news.text, cause=None)
 
     def _take_lapses(self) -> None:
-        """Say what the step has done with commands that nobody renewed."""
+        """Report what the step has done with commands that were not renewed."""
         for lapse in self._gate.leases.lapses():
             self._gate.may_fall_back = False
             stalled_ms = lapse.stalled_ticks * self._period_ms / self._control.speed
