@@ -1,1 +1,1 @@
-"""plant."""
+"""The plant: the model of the robot and its sensors."""

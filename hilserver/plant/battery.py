@@ -1,8 +1,9 @@
 """The battery: state of charge and inner resistance of a NiMH pack of 16 cells (19.2 V nominal).
 
 ``V = E(charge) - R I``, ``I = idle + per-duty current of the four wheels``, clipped to the range of
-the pack (4.2: 17.5 .. 23.5 V). E is flat in the middle and falls at the end, as NiMH does. The
-currents and the resistance are assumptions. In the base model it does not act on the drive.
+the pack (4.2: 17.5 .. 23.5 V). E is flat in the middle and falls at the end, as in NiMH cells. The
+currents and the resistance are assumptions. In the base model the voltage does not act on the
+drive.
 """
 
 from typing import Final
@@ -22,7 +23,7 @@ _EMF_V: Final = np.array([17.5, 18.6, 19.4, 20.2, 21.0, 22.2, 23.5])
 
 @part
 def open_circuit_voltage(charge: float) -> float:
-    """Return the voltage [V] without load for a charge of 0 .. 1, linear between the points."""
+    """Return the voltage [V] without load at a charge of 0 .. 1, linear between the points."""
     for k in range(1, _CHARGE.shape[0]):
         if charge <= _CHARGE[k]:
             share = max(charge - _CHARGE[k - 1], 0.0) / (_CHARGE[k] - _CHARGE[k - 1])
@@ -41,7 +42,7 @@ def drawn_current(p: Parameters, y: Outputs) -> float:
 
 @part
 def battery_step(p: Parameters, x: State, u: Inputs, y: Outputs, q: Status) -> None:  # noqa: ARG001 (one shape)
-    """Publish the voltage under the load of this tick and take the charge of one run."""
+    """Publish the voltage under the load of this tick and subtract the charge used in one run."""
     if p.battery_enabled == 0.0:
         q.battery = q.current = BAD_OUT_OF_SERVICE
         return

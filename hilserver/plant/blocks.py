@@ -1,6 +1,6 @@
 """Own blocks: a user's numba function as a part of the plant.
 
-A block is declared where it is written; `config.yaml` names it, wires its inputs and puts it into a
+A block is declared beside its code; `config.yaml` names it, wires its inputs and assigns it to a
 slice. The function runs compiled in the pacing back end::
 
     from hilserver.plant.blocks import Output, block
@@ -11,8 +11,8 @@ slice. The function runs compiled in the pacing back end::
         x[0] += dt_s / p[1] * (p[0] * u[0] - x[0])
         y[0] = x[0]
 
-`u`, `y`, `x` and `p` are float64 arrays in the order of the declaration, `dt_s` is the slice. What
-the block remembers must lie in `x`: that is what snapshots hold.
+`u`, `y`, `x` and `p` are float64 arrays in the order of the declaration, `dt_s` is the period of
+the slice. What the block remembers must be in `x`, because snapshots hold nothing else of it.
 """
 
 import importlib
@@ -53,7 +53,7 @@ class Output:
     low: float = -1e9
     high: float = 1e9
     description: str = ""  # one line for the address space
-    is_replayed: bool = False  # hidden, and an input as well: in a replay it is the recorded one
+    is_replayed: bool = False  # hidden, and also an input: a replay uses the recorded value
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class BlockDeclaration:
     """What `block` declares about a function and `load_block` compiles."""
 
     name: str  # name of the function
-    # ``(dt_s, u, y, x, p) -> None``, compiled once it went through `load_block`
+    # ``(dt_s, u, y, x, p) -> None``, compiled after `load_block`
     function: Callable[..., None]
     # own names of the inputs, in the order of `u`; the configuration wires them to signals
     inputs: tuple[str, ...]
@@ -79,7 +79,7 @@ def block(
     state: Sequence[str] | Mapping[str, float] = (),
     parameters: Mapping[str, float] | None = None,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Declare a function ``(dt_s, u, y, x, p)`` to be a block.
+    """Declare a function ``(dt_s, u, y, x, p)`` as a block.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def block(
     outputs : sequence of Output
         At least one.
     state : sequence of str, or mapping of str to float
-        Names, starting at 0, or names with initial values.
+        Names, with initial values of 0, or names with their initial values.
     parameters : mapping of str to float
         Names and defaults.
     """
@@ -117,15 +117,15 @@ def block(
 def load_block(reference: str, base_dir: Path) -> BlockDeclaration:
     """Import, check and compile a block.
 
-    BlockError when module or function are missing, the function is not declared, the declaration is
-    wrong, or the function does not compile: with file and line.
+    BlockError, with file and line, when the module or function is missing, the function is not
+    declared, the declaration is wrong, or the function does not compile.
 
     Parameters
     ----------
     reference : str
         ``package.module:function`` or ``path/file.py:function``.
     base_dir : Path
-        Where relative paths start: the directory of the configuration file.
+        Base of relative paths: the directory of the configuration file.
     """
     place, colon, name = reference.rpartition(":")
     if not colon or not place or not name:
@@ -248,7 +248,7 @@ def _compile(declaration: BlockDeclaration, reference: str) -> BlockDeclaration:
     if code.__code__.co_argcount != 5:
         raise BlockError(f"block {reference!r}: {where} must take (dt_s, u, y, x, p).")
     try:
-        # A slip of the pen must not write into the robot's memory: it raises, and the step catches.
+        # a wrong index must not write into the robot's memory: it raises, and the step catches that
         compiled = kernel(_SIGNATURE, boundscheck=True)(code)
     except NumbaError as error:
         line = getattr(getattr(error, "loc", None), "line", None)

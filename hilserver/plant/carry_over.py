@@ -1,8 +1,8 @@
-"""What the state becomes when parameters change: it jumps only where the change itself makes it.
+"""Carries the state over when parameters change: it jumps only where the change makes it jump.
 
-Most states go on as they are: the integral is in units of the duty, so that another gain leaves it
-alone. Here stand those that a term begins to use, or that have the old parameter in them. Equal
-parameters change no bit.
+Most states stay as they are; the integral, for example, is in units of duty, so a new gain does not
+affect it. Handled here are states that a term starts to use, and states that depend on the old
+parameter. Equal parameters change no bit.
 """
 
 import math
@@ -36,7 +36,7 @@ def _carry_wheel(old: Parameters, new: Parameters, x: State, i: int) -> None:
         x.encoder[i] = filtered - new.encoder_share * x.speed[i]
     if new.backlash != old.backlash:
         gap, speed = x.gap[i], x.speed[i]
-        if old.backlash == 0.0:  # the flank that drives is in contact
+        if old.backlash == 0.0:  # the driving flank is in contact
             gap = math.copysign(new.backlash, speed) if abs(speed) >= REST_RPM else 0.0
         elif abs(gap) >= old.backlash:
             gap = math.copysign(new.backlash, gap)
@@ -47,7 +47,7 @@ def _carry_wheel(old: Parameters, new: Parameters, x: State, i: int) -> None:
 
 @part
 def _fill_ring(x: State) -> None:
-    """Let the ring of set-points hold what the loops follow now: what was before is not known."""
+    """Fill the ring of set-points with the present ones; earlier ones are not known."""
     for row in range(RING):
         for i in range(N_WHEELS):
             x.setpoint_ring[row, i] = x.setpoint[i]
@@ -55,7 +55,7 @@ def _fill_ring(x: State) -> None:
 
 @part
 def _catch_up(p: Parameters, x: State) -> None:
-    """Let a body that begins to lag have the speed and turn rate that its wheels give it now."""
+    """Give a body that starts to lag the speed and turn rate that its wheels make now."""
     left, right = x.speed[0] + x.speed[1], x.speed[2] + x.speed[3]
     faster_left = x.motor[0] + x.motor[1] - left
     faster_right = x.motor[2] + x.motor[3] - right
@@ -74,11 +74,11 @@ def _catch_up(p: Parameters, x: State) -> None:
 
 @part
 def carry_over(old: Parameters, new: Parameters, x: State) -> None:
-    """Make the state `x` that of the new parameters, between two ticks."""
+    """Adapt the state `x` to new parameters, between two ticks."""
     if new.command_terms != 0.0 and old.command_terms == 0.0:
         _fill_ring(x)
     if new.drive_terms != 0.0 and old.drive_terms == 0.0:
-        x.control_phase = 0.0  # it was not counted: no duty is held
+        x.control_phase = 0.0  # not counted until now: no duty is held
     x.control_phase = min(x.control_phase, new.control_ticks)
     for i in range(N_WHEELS):
         _carry_wheel(old, new, x, i)

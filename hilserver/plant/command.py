@@ -16,7 +16,7 @@ from hilserver.plant.layout import (
 
 @part
 def safe_ramp(p: Parameters, x: State) -> None:
-    """Take the set-points linearly to zero, from what was commanded last."""
+    """Ramp the set-points linearly to zero from the last command."""
     if x.last_command != COMMAND_SAFE:
         x.ramp_ticks = 0.0
         for i in range(N_WHEELS):
@@ -31,10 +31,10 @@ def safe_ramp(p: Parameters, x: State) -> None:
 def inverse_kinematics(
     p: Parameters, x: State, linear_m_s: float, lateral_m_s: float, angular_rad_s: float
 ) -> None:
-    """Set the wheels for a twist, equation (5.25), with nominal values.
+    """Set the wheel speeds for a twist, equation (5.25), with nominal values.
 
     In exclusive mode (5.4) the larger of ``|v|`` and ``|om| l_y/2`` drives alone. The rollers of
-    mecanum wheels form an X seen from above: to the left, the wheels of each side turn apart.
+    mecanum wheels form an X seen from above: to move left, the wheels of each side turn apart.
     """
     if p.exclusive != 0.0 and linear_m_s != 0.0 and angular_rad_s != 0.0:
         x.twist_reduced = 1.0
@@ -58,7 +58,7 @@ def inverse_kinematics(
 
 @part
 def direct_duty(x: State, u: Inputs) -> None:
-    """Drive with commanded duties; the speed loop follows, so that it can take over at any tick."""
+    """Drive with commanded duties; the speed loop tracks them, so it can take over at any tick."""
     x.direct = 1.0
     for i in range(N_WHEELS):
         x.duty_command[i] = u.duty[i]
@@ -67,7 +67,7 @@ def direct_duty(x: State, u: Inputs) -> None:
 
 @inlined
 def limit_speed(p: Parameters, x: State) -> None:
-    """Scale all wheels together to at most max_rpm, so that the path keeps its shape."""
+    """Scale all wheels together down to max_rpm, so that the path keeps its shape."""
     largest = abs(x.commanded[0])
     for i in range(1, N_WHEELS):
         largest = max(largest, abs(x.commanded[i]))
@@ -100,8 +100,8 @@ def delay_and_rate(p: Parameters, x: State) -> None:
 def command(p: Parameters, x: State, u: Inputs) -> None:
     """Latch the inputs of this tick into ``x.setpoint``.
 
-    A disabled drive and the zero command count as a command of zero: delay and rate limit act on
-    them as on any other.
+    A disabled drive and the zero command count as a command of zero, to which delay and rate limit
+    apply as to any other.
     """
     wish = u.command
     x.twist_reduced = 0.0

@@ -1,7 +1,7 @@
-"""Every constant of a tick from physical parameters, and whether they fit each other.
+"""Computes every constant of a tick from the physical parameters and checks that they fit together.
 
-One function for all: the daemon runs it in Python, once for a change of parameters, the robot's FMU
-as C.
+The same function serves the daemon, which runs it in Python once per change of parameters, and the
+robot's FMU, which has it as C.
 """
 
 import math
@@ -35,7 +35,7 @@ from hilserver.plant.units import RPM_PER_RAD_S
 
 @plain
 def compute(v: Any, p: Parameters) -> int:
-    """Compute all of `p`; return `FITS`, or why the robot cannot run with it."""
+    """Compute all of `p`; return `FITS`, or the code of why the robot cannot run with it."""
     p.dt = v.period_s
     p.seed = v.seed
     code: int = _command(v, p)
@@ -82,7 +82,7 @@ def _command(v: Any, p: Parameters) -> int:
     runs = delay_runs(v.term_actuation_delay, v.period_s)
     if runs > RING - 1:
         return ACTUATION
-    p.delay_ticks = float(math.ceil(runs))  # set-points hold between ticks: the one at t - tau
+    p.delay_ticks = float(math.ceil(runs))  # set-points hold between ticks: that of t - tau
     limited = not math.isnan(v.term_setpoint_rate_limit)
     p.rate_step = v.term_setpoint_rate_limit * v.period_s if limited else math.inf
     p.command_terms = _flag(v.term_actuation_delay > 0.0 or limited)
@@ -105,7 +105,7 @@ def _controller(v: Any, p: Parameters) -> int:
     keep, gain = derivative(k_p, k_d, v.controller_derivative_n, period_s)
     p.k_p = k_p * (1.0 + v.term_controller_gains_p)
     p.k_i_step = period_s * (k_i * (1.0 + v.term_controller_gains_i))
-    p.anti_windup_step = min(period_s * inverse_tracking, 1.0)  # beyond, it would overshoot
+    p.anti_windup_step = min(period_s * inverse_tracking, 1.0)  # more would overshoot
     p.limit = v.controller_limit_pct * (v.term_saturation_limit / 100.0)
     p.control_ticks = period_s / v.period_s
     p.derivative_keep, p.derivative_gain = keep, gain
@@ -137,10 +137,10 @@ def _drive_switched(v: Any) -> bool:
 
 @plain
 def encoder_weights(period_s: float, filter_s: float) -> tuple[float, float]:
-    """Return the weights of the newest speed and of the last value in an encoder's filter.
+    """Return the weights of the newest speed and of the last output in an encoder filter.
 
     First-order hold of a PT1 (Astrom and Wittenmark, Computer-Controlled Systems, 3rd ed., 8.3):
-    the rest up to 1 goes to the speed of the tick before.
+    the remainder up to 1 is the weight of the previous tick's speed.
     """
     if filter_s <= 0.0:
         return 1.0, 0.0
@@ -186,7 +186,7 @@ def _process(v: Any, p: Parameters) -> int:
 
 @plain
 def _kinematics(v: Any, p: Parameters) -> int:
-    if abs(v.icr_offset_m) >= v.wheelbase_m / 2.0:  # never with two wheels: NaN
+    if abs(v.icr_offset_m) >= v.wheelbase_m / 2.0:  # never true with two wheels: NaN
         return FAR_CENTRE
     k_om = nominal_gain(v.rotation_gain, v.geometric_diff, v.mecanum, v.wheelbase_m, v.track_m)
     radius = v.wheel_radius_m * (1.0 + v.term_wheel_radius)

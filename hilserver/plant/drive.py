@@ -19,7 +19,7 @@ Matrices = tuple[float, float, float, float, float, float]
 
 @inlined
 def drive_base(p: Parameters, x: State, y: Outputs) -> Sums:
-    """All drive terms at null: the controller at the plant slice, the exact joint solution."""
+    """Run the drive with all terms at null: controller every plant slice, exact joint solution."""
     if x.direct + x.own_gains != 0.0:
         return drive_terms(p, x, y)  # type: ignore[no-any-return]
     kp, ki_step = p.k_p, p.k_i_step
@@ -52,8 +52,8 @@ def drive_base(p: Parameters, x: State, y: Outputs) -> Sums:
 def encoder(p: Parameters, x: State, i: int) -> float:
     """Return the speed of wheel `i` [rpm] as the loop sees it (step 2).
 
-    The filter is exact for a speed that changes evenly over a tick. Held speeds would make it half
-    a tick too quick.
+    The filter is exact for a speed that changes linearly over a tick. With held speeds it would be
+    half a tick early.
     """
     speed = float(x.speed[i])
     seen = speed
@@ -69,7 +69,7 @@ def encoder(p: Parameters, x: State, i: int) -> float:
 
 @part
 def controller(p: Parameters, x: State, i: int, seen_rpm: float) -> None:
-    """Run the PI(D) loop of wheel `i` once (step 3), with back-calculation; sets the held duty."""
+    """Run the PI(D) loop of wheel `i` once (step 3), with back-calculation; set the held duty."""
     kp, ki_step = p.k_p, p.k_i_step
     if x.own_gains != 0.0:
         kp, ki_step = x.k_p, x.k_i * p.control_ticks * p.dt
@@ -88,7 +88,7 @@ def controller(p: Parameters, x: State, i: int, seen_rpm: float) -> None:
 
 @part
 def pass_duty(p: Parameters, x: State, i: int) -> None:
-    """Take the commanded duty of wheel `i` instead of the controller's, which takes note of it."""
+    """Apply the commanded duty of wheel `i`; the state of the controller tracks it."""
     limit = p.limit
     duty = min(max(x.duty_command[i], -limit), limit)
     x.duty[i] = x.integral[i] = duty
@@ -97,7 +97,7 @@ def pass_duty(p: Parameters, x: State, i: int) -> None:
 
 @part
 def load(p: Parameters, i: int, duty_pct: float, speed_rpm: float) -> float:
-    """Return the duty [%] that dead zone and friction (steps 4, 5) leave to the process."""
+    """Return the duty [%] left for the process after dead zone and friction (steps 4, 5)."""
     if p.dead_zone != 0.0:
         duty_pct = math.copysign(max(abs(duty_pct) - p.dead_zone, 0.0), duty_pct)
     friction = p.coulomb + p.wheel_load[i]
@@ -205,7 +205,7 @@ def drive_terms(p: Parameters, x: State, y: Outputs) -> Sums:
         y.duty[i] = x.duty[i]
         y.angle[i] = x.angle[i]
         duty = load(p, i, x.duty[i], speed)
-        if p.body_wheels != 0.0:  # the body takes the duty and hands the speed back
+        if p.body_wheels != 0.0:  # the body model takes the duty and returns the speed
             x.motor[i] = duty * (b0 / p.b0)
             motor = speed
         else:

@@ -1,12 +1,12 @@
 """Quasi-static turning of four wheels with anisotropic Coulomb friction (friction_anisotropy).
 
-While the sides roll at ``v0 +- delta``, the body moves so that the friction at the four contacts
-is in balance. The friction dissipates ``sum N_i sqrt(s_x^2 + mu^2 s_y^2)``, s the slip of a contact
-and mu the ratio of the friction across the wheels to that along them; the balance is the minimum of
-this convex function. Slip does not depend on v0, so turn rate and lateral speed are proportional to
-delta: the term is a constant factor on K_om and a constant shift of X_ICR. With mu = 1 and the
-centre of mass in the wheels' centre the answer is ``K_om = l_y/(l_x^2 + l_y^2)`` (5.9), whatever
-the friction and mass.
+While the sides roll at ``v0 +- delta``, the body moves so that the friction forces at the four
+contacts balance. The friction dissipates ``sum N_i sqrt(s_x^2 + mu^2 s_y^2)``, with s the slip of a
+contact and mu the ratio of the friction across the wheels to that along them; the balance is the
+minimum of this convex function. Slip does not depend on v0, so turn rate and lateral speed are
+proportional to delta: the term is a constant factor on K_om and a constant shift of X_ICR. With
+mu = 1 and the centre of mass in the wheels' centre the result is ``K_om = l_y/(l_x^2 + l_y^2)``
+(5.9), whatever the friction and mass.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ _SMOOTHING = 1e-9  # slip, as a share of delta, below which friction fades
 def _slip(
     wheelbase_m: float, track_m: float, offset_m: float, turn: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return slips along and across of the contacts fl, fr, rl, rr, their positions x and loads."""
+    """Return the slips along and across, positions x and loads of the contacts fl, fr, rl, rr."""
     ahead = np.array([0.5, 0.5, -0.5, -0.5]) * wheelbase_m - offset_m
     aside = np.array([0.5, -0.5, 0.5, -0.5]) * track_m
     share = 0.5 + np.array([1, 1, -1, -1]) * offset_m / wheelbase_m
@@ -39,7 +39,7 @@ def balance(
     wheelbase_m, track_m : float
         l_x and l_y.
     ratio : float
-        Friction across the wheels by friction along them.
+        Friction across the wheels divided by friction along them.
     offset_m : float
         Centre of mass in front of the wheels' centre, below half the wheelbase.
     """

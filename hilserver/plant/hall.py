@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class Solid:
-    """A box in the hall, as the mechatronic model feels it."""
+    """A box in the hall that the mechatronic model can touch."""
 
     # centre in the world's frame, and half of length, width and height
     centre_m: tuple[float, float, float]
     half_m: tuple[float, float, float]
-    # direction of its length, and by how much it rises along it
+    # direction of its length, and its slope in this direction
     yaw_rad: float = 0.0
     pitch_rad: float = 0.0
-    carries: bool = False  # wheels roll onto it; otherwise it is in the way of the chassis
+    carries: bool = False  # wheels roll onto it; otherwise it blocks the chassis
 
 
 DEFAULT_WALLS: Final = (

@@ -9,9 +9,9 @@ from hilserver.plant.pose import wrap
 
 @part
 def weights(head: int, count: float, delay_runs: float) -> tuple[int, int, float]:
-    """Return the rows of the ring just after and before the asked age, and the older one's share.
+    """Return the rows of the samples around the given age, newer first, and the older one's share.
 
-    Before the ring has filled, the oldest sample stands for what lies before it.
+    Until the ring is full, the oldest sample stands for all earlier ones.
     """
     age = min(delay_runs, count - 1.0)
     whole = math.floor(age)
@@ -23,7 +23,7 @@ def weights(head: int, count: float, delay_runs: float) -> tuple[int, int, float
 
 @part
 def between(newer: float, older: float, share: float) -> float:
-    """Return the linear mean of two samples; without a share of the older, the newer itself."""
+    """Interpolate linearly between two samples; with a share of 0, return the newer itself."""
     if share == 0.0:
         return newer
     return newer + share * (older - newer)
@@ -31,7 +31,7 @@ def between(newer: float, older: float, share: float) -> float:
 
 @part
 def between_angles(newer: float, older: float, share: float) -> float:
-    """Return the mean of two angles along the shorter way, in (-pi, pi]."""
+    """Interpolate between two angles along the shorter way, in (-pi, pi]."""
     if share == 0.0:
         return newer
     return float(wrap(newer + share * wrap(older - newer)))
@@ -39,5 +39,5 @@ def between_angles(newer: float, older: float, share: float) -> float:
 
 @part
 def push(head: float, count: float) -> tuple[int, float]:
-    """Return the row of a ring that takes the next sample, and how many the ring then holds."""
+    """Return the row for the next sample of a ring, and how many samples the ring then holds."""
     return (int(head) + 1) % RING, min(count + 1.0, RING)

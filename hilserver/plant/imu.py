@@ -1,7 +1,7 @@
 """The inertial unit: yaw rate, heading and acceleration of the centre of mass, in two dimensions.
 
 The acceleration is the exact derivative of the velocity, without gravity. The heading is the
-unit's fused one: bias and scale of the gyro do not make it drift.
+unit's fused one, which bias and scale of the gyro do not make drift.
 """
 
 from hilserver.plant.history import between, between_angles, push, weights
@@ -27,7 +27,7 @@ def _remember(x: State, rate: float, yaw: float, accel_x: float, accel_y: float)
 
 @part
 def imu_step(p: Parameters, x: State, u: Inputs, y: Outputs, q: Status) -> None:  # noqa: ARG001 (one shape)
-    """Publish what the unit shows at t_k; runs after `robot_step` of the same tick."""
+    """Publish the unit's outputs at t_k; runs after `robot_step` of the same tick."""
     show_imu(p, x, y.angular, y.pose[2], x.accel_x, x.accel_y, y, q)
 
 

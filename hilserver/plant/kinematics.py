@@ -21,9 +21,9 @@ OfSpeeds = namedtuple(
     " longitudinal_slip acceleration_slip side_slip misalignment surface_gain surface_speed"
     " gain_radius runout runout_phase",
 )
-"""What `velocity_terms` and `across` read; at null what hangs on more than place and wheel speeds.
+"""What `velocity_terms` and `across` read; terms that need more than place and speeds are null.
 
-By value: compiled code keeps it in registers, and computes several ticks at once.
+Passed by value: compiled code keeps it in registers and computes several ticks at once.
 """
 
 
@@ -31,7 +31,7 @@ By value: compiled code keeps it in registers, and computes several ticks at onc
 def nominal_gain(
     given: float, geometric_diff: float, mecanum: float, wheelbase_m: float, track_m: float
 ) -> float:
-    """Return K_om [1/m]: `given`, or if that is NaN what the geometry says, (5.8) or (5.9)."""
+    """Return K_om [1/m]: `given`, or if that is NaN the geometric value, (5.8) or (5.9)."""
     if not math.isnan(given):
         return given
     if mecanum != 0.0:
@@ -53,7 +53,7 @@ def velocity_base(p: Parameters, w_l: float, w_r: float, dw_l: float, dw_r: floa
 
 @inlined
 def _apart(p: Parameters, speed: Wheels) -> float:
-    """Return by how much the wheels of each side turn apart, as speed to the left."""
+    """Return the speed to the left at which the wheels of each side turn apart."""
     left = p.radius_left * (speed[0] - speed[1])
     right = p.radius_right * (speed[2] - speed[3])
     return float(-0.25 * RAD_S_PER_RPM * p.roller_keep * (left + right))
@@ -61,14 +61,14 @@ def _apart(p: Parameters, speed: Wheels) -> float:
 
 @part
 def sideways(p: Parameters, x: State) -> tuple[float, float]:
-    """Return lateral speed [m/s] and its rate [m/s2] of mecanum wheels that turn as `x` says."""
+    """Return lateral speed [m/s] and its rate [m/s2] of mecanum wheels that turn as in `x`."""
     speed = _apart(p, x.speed)
     return speed, (_apart(p, x.motor) - speed) * p.inverse_t2
 
 
 @part
 def in_region(p: Parameters, px: float, py: float) -> bool:
-    """Return whether a centre of mass there stands on the patch of `surface_change`."""
+    """Return whether a centre of mass at this point is on the patch of `surface_change`."""
     return bool(p.region_x_min <= px <= p.region_x_max and p.region_y_min <= py <= p.region_y_max)
 
 
@@ -76,7 +76,7 @@ def in_region(p: Parameters, px: float, py: float) -> bool:
 def turning_gain(
     p: Parameters, v0: float, dv0: float, w_l: float, w_r: float, dw_l: float, dw_r: float
 ) -> tuple[float, float]:
-    """Return the factor on K_om that speed and path radius make, and its rate (step 9)."""
+    """Return the factor that speed and path radius apply to K_om, and its rate (step 9)."""
     speed, dspeed = abs(v0), dv0 if v0 >= 0.0 else -dv0
     gain = 1.0 + p.gain_speed * speed
     dgain = p.gain_speed * dspeed
@@ -95,11 +95,11 @@ def turning_gain(
 def velocity_terms(
     p: Parameters, inside: bool, angle_left: float, w_l: float, w_r: float, dw_l: float, dw_r: float
 ) -> tuple[float, float, float, float]:
-    """Return v, om and their rates as the wheels make them, with the kinematic terms.
+    """Return v, om and their rates that the wheels produce, with the kinematic terms.
 
-    The body may lag behind them, so its lateral velocity is left to `across`. `angle_left` [rad] is
-    the mean angle of the left wheels (`wheel_runout`). The rate of the acceleration_slip factor
-    itself, which would need the wheels' jerk, is left out of `dv`.
+    The body may lag behind, so its lateral velocity is computed separately, in `across`.
+    `angle_left` [rad] is the mean angle of the left wheels (`wheel_runout`). The rate of the
+    acceleration_slip factor itself, which would need the wheels' jerk, is not part of `dv`.
     """
     wave, dwave = 1.0, 0.0
     if p.runout != 0.0:
@@ -123,7 +123,7 @@ def velocity_terms(
 
 @part
 def across(p: Parameters, v: float, om: float, dv: float, dom: float) -> tuple[float, float]:
-    """Return the lateral velocity [m/s] of a body with these, and its rate [m/s2] (step 10)."""
+    """Return the lateral velocity [m/s] of a body that moves so, and its rate [m/s2] (step 10)."""
     vy, dvy = -p.icr * om, -p.icr * dom
     if p.side_slip != 0.0:
         vy += p.side_slip * v * om
@@ -136,13 +136,13 @@ def across(p: Parameters, v: float, om: float, dv: float, dom: float) -> tuple[f
 
 @part
 def speeds_suffice(p: Parameters) -> bool:
-    """Return whether the velocity hangs on place and speeds of the wheels alone, now."""
+    """Return whether the velocity now depends on place and wheel speeds alone."""
     return p.gain_radius == 0.0 and p.runout == 0.0 and p.body_lag == 0.0 and p.mecanum == 0.0
 
 
 @inlined
 def of_speeds(p: Parameters) -> OfSpeeds:
-    """Return the kinematics of parameters for which speeds suffice."""
+    """Return the kinematic parameters of a robot for which speeds suffice."""
     return OfSpeeds(
         p.radius_left, p.radius_right, p.yaw_gain, p.icr, p.half_track, p.base_turn, p.gain_speed,
         p.traction, p.longitudinal_slip, p.acceleration_slip, p.side_slip, p.misalignment,

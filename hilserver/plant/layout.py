@@ -1,8 +1,8 @@
-"""Where every number of the robot lies: parameters `p`, state `x`, inputs `u`, outputs `y`.
+"""The layout of every number of the robot: parameters `p`, state `x`, inputs `u`, outputs `y`.
 
 All arrays are float64, one-dimensional and contiguous; `q`, as long as `y`, holds the OPC UA status
-code of each output (int64). Wheels always stand in the order fl, rl, fr, rr. Everything that the
-future depends on lies in `x` (delay rings, filter and noise states too), so a copy of `x` is a
+code of each output (int64). The order of wheels is always fl, rl, fr, rr. Everything that the
+future depends on is in `x`, including delay rings, filter and noise states, so a copy of `x` is a
 complete snapshot and equal `p`, `x`, `u` give equal bits.
 """
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hilserver.compiled.records import Record
 
-RING: Final = 1024  # samples that a delay can reach back
+RING: Final = 1024  # how many samples back a delay can reach
 
 Wheels = Annotated[NDArray[np.float64], 4]  # fl, rl, fr, rr
 Corners = Annotated[NDArray[np.float64], 4]  # fl, fr, rl, rr: EduArt's order
@@ -36,7 +36,7 @@ WHEEL_WORDS: Final = {
 
 
 class Inputs(Record):
-    """What a tick latches: the signal table's inputs in their order, then hidden ones."""
+    """What a tick latches: the inputs in the order of the signal table, then hidden ones."""
 
     setpoint: Wheels  # [rpm]
     twist_linear: float  # [m/s]
@@ -51,14 +51,14 @@ class Inputs(Record):
     command: float  # hidden: COMMAND_*
     pose_request: float  # hidden: a counter; when it changes, the pose is set
     pose: Three  # hidden: x [m], y [m], yaw [rad]
-    own_gains: float  # hidden: 1 while the next two replace the controller's
+    own_gains: float  # hidden: 1 while the next two replace the controller's gains
     k_p: float  # [%/rpm]
     k_i: float  # [%/(rpm s)]
 
 
-N_SETPOINTS: Final = Inputs.where("mode").start  # so many of the first inputs are set-points
+N_SETPOINTS: Final = Inputs.where("mode").start  # how many inputs, from the first, are set-points
 N_COMMANDS: Final = Inputs.where("enable").stop
-"""So many of the first inputs are commands: the set-points, mode and enable."""
+"""How many inputs, from the first, are commands: the set-points, mode and enable."""
 
 # values of `Inputs.mode`
 MODE_WHEELS: Final = 0
@@ -72,7 +72,7 @@ COMMAND_SAFE: Final = 2  # ramp to zero
 
 
 class Outputs(Record):
-    """What a tick shows, in the order of the signal table; `robot_step` writes up to `angular`."""
+    """Outputs of a tick in the order of the signal table; `robot_step` writes up to `angular`."""
 
     speed: Wheels  # [rpm], as the encoder shows it
     duty: Wheels  # [%]
@@ -99,7 +99,7 @@ class Status(Outputs, word=np.int64):
 
 
 class State(Record):
-    """All that the future depends on: a copy is a snapshot."""
+    """All that the future depends on; a copy is a snapshot."""
 
     motor: Wheels  # [rpm]: first state of the process
     speed: Wheels  # [rpm]: of the wheel, on the motor's side
@@ -120,7 +120,7 @@ class State(Record):
     control_phase: float  # ticks until the controller runs again
     derivative: Wheels  # [%]
     last_error: Wheels  # [rpm]
-    encoder: Wheels  # [rpm]: encoder filter, all but the share of the newest speed
+    encoder: Wheels  # [rpm]: encoder filter without the share of the newest speed
     gap: Wheels  # [rad]: motor angle minus wheel angle inside the backlash
     battery_v: float
     charge: float  # 1 full, 0 empty
@@ -139,18 +139,18 @@ class State(Record):
     temperature: float  # [degC]
     light_pattern: float
     light_time: float  # [s] since the pattern began
-    own_gains: float  # these three as the inputs
+    own_gains: float  # these three as in `Inputs`
     k_p: float
     k_i: float
-    body_v: float  # [m/s]: what the body has of the wheels' speed while it lags
+    body_v: float  # [m/s]: speed of the body while it lags behind the wheels
     body_om: float  # [rad/s]
     setpoint_ring: Ring4  # [rpm] of each wheel
-    imu_ring: Ring4  # rate [rad/s], heading [rad], acceleration ahead and to the left [m/s2]
+    imu_ring: Ring4  # rate [rad/s], heading [rad], forward and left acceleration [m/s2]
     nav_ring: Ring3  # x [m], y [m], yaw [rad]
 
 
 class Parameters(Record):
-    """What the kernels read of a robot: `packing.pack` computes it, once. Flags are 1 or 0."""
+    """A robot as the kernels read it, computed once by `packing.pack`. Flags are 1 or 0."""
 
     dt: float  # plant slice [s]
     k_p: float  # [%/rpm]
@@ -174,12 +174,12 @@ class Parameters(Record):
     half_track: float  # [m]
     exclusive: float  # flag: v or om, never both
     mecanum: float  # flag: rollers let the wheels drive sideways
-    roller_keep: float  # share of the lateral speed that the rollers' slip leaves
-    body_wheels: float  # flag: the mechatronic model turns the wheels, not the process
+    roller_keep: float  # share of the lateral speed that is left after the rollers' slip
+    body_wheels: float  # flag: the mechatronic model turns the wheels, instead of the process
     ramp_step: float  # share of the safe ramp per tick
     command_terms: float  # flag: delay or rate limit is on
     drive_terms: float  # flag: `drive_terms` instead of `drive_base`
-    kinematic_terms: float  # flag: kinematic terms instead of the base
+    kinematic_terms: float  # flag: kinematics with terms instead of the base
     # drive terms
     delay_ticks: float
     rate_step: float  # [rpm] per tick, inf: none
@@ -187,8 +187,8 @@ class Parameters(Record):
     derivative_keep: float  # D <- keep D + gain (e - e_last)
     derivative_gain: float  # [%/rpm]
     encoder_gain: Wheels
-    encoder_share: float  # of the newest speed in what the encoder filter shows; 1: no filter
-    encoder_keep: float  # of the last value shown
+    encoder_share: float  # weight of the newest speed in the encoder filter's output; 1: no filter
+    encoder_keep: float  # weight of its last output
     quantum: float  # [rpm]
     dead_zone: float  # [%]
     coulomb: float  # [%]
@@ -206,7 +206,7 @@ class Parameters(Record):
     gain_speed: float  # of K_om [s/m]
     gain_radius: float  # of K_om
     base_turn: float  # nominal r K_om: |om| of the base model per rad/s
-    traction: float  # share of the wheels' speed that the body has
+    traction: float  # speed of the body as share of the wheels'
     body_lag: float  # [s]
     longitudinal_slip: float  # [s/rad]
     acceleration_slip: float  # [s2/m]
@@ -236,7 +236,7 @@ class Parameters(Record):
     idle_current: float  # [A]
     duty_current: float  # [A/%] per wheel
     shield_period: float  # slice of the shield [s]
-    shield_keep: float  # share of its warming that is left after a run
+    shield_keep: float  # share of its warming left after a run
     tof_enabled: float  # flag
     tof_x: float  # [m] in front of the centre
     tof_y: float  # [m] beside it
@@ -259,9 +259,9 @@ class Parameters(Record):
     nav_bias_wave: float  # 2 pi / wavelength [1/m]
     outlier_share: float
     outlier_size: float  # [m]
-    distortion_1: float  # [rad], of one period per turn
+    distortion_1: float  # [rad], one period per turn
     distortion_phase_1: float  # [rad]
-    distortion_2: float  # [rad], of two periods per turn
+    distortion_2: float  # [rad], two periods per turn
     distortion_phase_2: float  # [rad]
     # initial values of the state that are not zero
     charge_0: float  # 1 full, 0 empty

@@ -1,8 +1,8 @@
 """The navigation tag: position by ultra-wideband ranging, heading by a magnetometer.
 
-In this order: age (position and yaw apart), lever arm, scale, bias field, noise, outliers; yaw:
-distortion, frame, noise. Between two samples the last one stands. Switched off (the default), the
-outputs keep their value and carry BadOutOfService.
+Effects act in this order: age (separate for position and yaw), lever arm, scale, bias field, noise,
+outliers; on the yaw: distortion, frame, noise. The last sample holds until the next. Switched off
+(the default), the outputs keep their value and carry BadOutOfService.
 """
 
 import math
@@ -16,12 +16,12 @@ from hilserver.status import BAD_OUT_OF_SERVICE, GOOD
 
 CHANNEL_OU = 8  # 3 channels: x, y, yaw
 CHANNEL_WHITE = 11  # 2 channels
-CHANNEL_OUTLIER = 40  # uniform channels: whether, in which direction
+CHANNEL_OUTLIER = 40  # 2 uniform channels: whether it is one, and its direction
 
 
 @part
 def _correlated(p: Parameters, x: State, part: int, keep: float, deviation: float) -> float:
-    """Advance an Ornstein-Uhlenbeck state by one sample, stationary from the first on."""
+    """Advance an Ornstein-Uhlenbeck state by one sample; stationary from the first sample."""
     sample = x.nav_samples
     fresh = deviation * normal(p.seed, sample, CHANNEL_OU + part)
     if sample == 0.0:
@@ -33,7 +33,7 @@ def _correlated(p: Parameters, x: State, part: int, keep: float, deviation: floa
 
 @part
 def shown_position(p: Parameters, x: State) -> tuple[float, float]:
-    """Return x, y [m] of the tag, of the pose that lies the delay back in the ring."""
+    """Return x, y [m] that the tag shows, from the pose one delay ago."""
     newer, older, share = weights(int(x.nav_head), x.nav_count, p.nav_delay)
     a, b = x.nav_ring[newer], x.nav_ring[older]
     px, py = between(a[0], b[0], share), between(a[1], b[1], share)
@@ -65,7 +65,7 @@ def shown_yaw(p: Parameters, x: State) -> float:
 
 @part
 def _sample(p: Parameters, x: State) -> None:
-    """Take one sample: what the tag shows until the next."""
+    """Take a sample, which the tag shows until the next."""
     seed, sample = p.seed, x.nav_samples
     px, py = shown_position(p, x)
     yaw = shown_yaw(p, x)
@@ -87,7 +87,7 @@ def _sample(p: Parameters, x: State) -> None:
 
 @part
 def nav_step(p: Parameters, x: State, u: Inputs, y: Outputs, q: Status) -> None:  # noqa: ARG001 (one shape)
-    """Remember the pose of t_k and, when a sample is due, publish what the tag shows."""
+    """Store the pose of t_k and, when a sample is due, publish what the tag shows."""
     if p.nav_enabled == 0.0:
         for k in range(3):
             q.nav[k] = BAD_OUT_OF_SERVICE

@@ -19,7 +19,7 @@ _ULP = 2.0**-53
 
 @part
 def _mix(word: np.uint64) -> np.uint64:
-    """Return the word with its bits scattered (the finaliser of splitmix64)."""
+    """Return the word with its bits mixed (the finaliser of splitmix64)."""
     word = word + _GOLDEN
     word = (word ^ (word >> _S30)) * _MIX_1
     word = (word ^ (word >> _S27)) * _MIX_2

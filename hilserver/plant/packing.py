@@ -1,4 +1,4 @@
-"""From physical parameters to the array `p`: every constant of a tick is computed once."""
+"""Packs physical parameters into the array `p`: every constant of a tick is computed once."""
 
 from hilserver.plant.battery import HIGHEST_V, LOWEST_V, open_circuit_voltage
 from hilserver.plant.constants import compute
@@ -25,7 +25,7 @@ from hilserver.plant.terms import complete
 def pack(robot: RobotParameters) -> Parameters:
     """Return the parameters as the kernels read them.
 
-    PlantError when a term does not fit the robot (a delay longer than its ring, a control period
+    PlantError if a term does not fit the robot (a delay longer than its ring, a control period
     below the plant slice, friction_anisotropy without a wheelbase).
     """
     p = Parameters.zeros()

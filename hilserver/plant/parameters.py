@@ -1,4 +1,4 @@
-"""The robot's parameters: physical values, checked; `packing` makes the array the kernels read."""
+"""The robot's parameters as checked physical values; `packing` makes the kernels' array of them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -51,10 +51,10 @@ MECANUM_GEOMETRY: Final[Mapping[str, float]] = {
 NOT_FOR_MECANUM: Final = frozenset(
     ("friction_anisotropy", "icr_offset", "rotation_gain_radius", "side_slip", "backlash")
 )
-"""Causes that come from wheels that scrub, or are written for the two sides of such a robot."""
+"""Causes in scrubbing wheels, or formulated for the two sides of a robot with such wheels."""
 
 FOR_MECANUM_ALONE: Final = frozenset(("roller_slip",))
-"""Causes in rollers, which no other wheels have."""
+"""Causes in rollers, which only mecanum wheels have."""
 
 NOT_FOR_TORQUE: Final = frozenset(("backlash", "viscous_load"))
 """Causes in the part of the process that the mechatronic model computes."""
@@ -116,7 +116,7 @@ class RobotParameters:
     # k_om by name or as a number [1/m]; ``geometric_skid`` without l_x means ``geometric_diff``,
     # with mecanum wheels ``1/(l_x + l_y)``
     rotation_gain: str | float = "geometric_skid"
-    # the mechatronic model turns the wheels: the process of (5.23) is in its drives
+    # the mechatronic model turns the wheels: its drives contain the process of (5.23)
     body_wheels: bool = False
     seed: int = quantity(0, "seed of all noise", jumps="fixed", ge=0, lt=2**53)
     controller: Controller = field(default_factory=Controller)
@@ -125,11 +125,11 @@ class RobotParameters:
     battery: Battery = field(default_factory=Battery)
     tof: RangeFinders = field(default_factory=RangeFinders)
     nav: Navigation = field(default_factory=Navigation)
-    # values of `terms.TERMS`; missing ones are null
+    # values of `terms.TERMS`; those not given are null
     terms: Mapping[str, float | None] = field(default_factory=dict)
     # shape (4 n,); walls for the range finders
     hall: NDArray[np.float64] = field(default_factory=default_hall, compare=False, repr=False)
-    # what the mechatronic model can bump into
+    # obstacles and floors of the mechatronic model
     solids: tuple[Solid, ...] = field(default_factory=default_solids, compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -169,7 +169,7 @@ class RobotParameters:
 
     @property
     def meaningless(self) -> dict[str, str]:
-        """Why some causes have no meaning for this robot, by cause."""
+        """By cause, why it has no meaning for this robot."""
         reasons: dict[str, str] = {}
         if self.is_mecanum:
             reasons |= dict.fromkeys(NOT_FOR_MECANUM, "has no meaning for mecanum wheels")
@@ -233,7 +233,7 @@ def _check_geometry(robot: RobotParameters) -> None:
 
 
 def _check_terms(robot: RobotParameters) -> None:
-    """Refuse what has no meaning for the robot's wheels, and unknown terms."""
+    """Refuse unknown terms, and those that have no meaning for the robot's wheels."""
     given = complete(robot.terms)
     if robot.is_mecanum and robot.wheelbase_m is None:
         raise PlantError("plant.wheelbase_m: a mecanum robot has four wheels; give their distance.")

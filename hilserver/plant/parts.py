@@ -1,6 +1,6 @@
 """Parts of the robot with their default figures, in physical units.
 
-The numbers are those of the thesis (equation numbers are its own) for EduArt's "IOT Bot" in its
+The figures, and the equation numbers, are those of the thesis for EduArt's "IOT Bot" in its
 skid-steer build; the plant reference names the source of each.
 """
 

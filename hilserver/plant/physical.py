@@ -1,6 +1,6 @@
-"""A robot as one record of numbers in the units of config.yaml, and why one cannot be.
+"""A robot as one record of numbers in the units of config.yaml, and the reasons to refuse one.
 
-`constants.compute` makes of it what a tick needs. Null is the null value of a term, or NaN.
+`constants.compute` turns it into what a tick needs. A term that is off has its null value, or NaN.
 """
 
 import math
@@ -25,14 +25,14 @@ PARTS: Final = {
     "tof_": parts.RangeFinders,
     "nav_": parts.Navigation,
 }
-"""Whose numbers are in it, by the beginning of their names."""
+"""Where the numbers of the record come from, by the prefix of their names."""
 MORE: Final = (
-    "rotation_gain",  # K_om; NaN: that of the geometry
+    "rotation_gain",  # K_om; NaN: from the geometry
     # flags
     "geometric_diff", "mecanum", "body_wheels", "exclusive", "euler", "imu_enabled",
     "battery_enabled", "tof_enabled", "nav_enabled",
     "yaw_sign",
-    # what friction_anisotropy makes of K_om and X_ICR
+    # effect of friction_anisotropy on K_om and X_ICR
     "anisotropy_factor", "anisotropy_shift_m",
 )  # fmt: skip
 NUMBERS: Final = {
@@ -50,7 +50,7 @@ def _names() -> Iterator[str]:
 
 
 Physical: Any = type("Physical", (Record,), {"__annotations__": dict.fromkeys(_names(), float)})
-"""The record."""
+"""The record itself."""
 
 FITS: Final = 0
 (
@@ -75,7 +75,7 @@ REASONS: Final = {
 
 
 def physical(robot: RobotParameters) -> SimpleNamespace:
-    """Return the numbers of a robot, by their names in `Physical`.
+    """Return the numbers of a robot by their names in `Physical`.
 
     PlantError if friction_anisotropy does not fit it.
     """

@@ -8,12 +8,12 @@ from hilserver.plant.kernels import inlined, part
 from hilserver.plant.layout import Inputs, State
 
 TURN = 2.0 * math.pi
-SERIES_LIMIT_RAD = 0.05  # below, the next term of the series is under half a unit in the last place
+SERIES_LIMIT_RAD = 0.05  # below this, the series' next term is under half a unit in the last place
 
 
 @part
 def wrap(angle_rad: float) -> float:
-    """Return the angle in (-pi, pi]; one that lies there keeps every bit.
+    """Return the angle in (-pi, pi]; one already there keeps every bit.
 
     ``fmod`` and the one subtraction that follows are exact, so the result is the true remainder by
     the double nearest to 2 pi and wrapping twice changes nothing.
@@ -39,10 +39,10 @@ def sinc(half_rad: float) -> float:
 
 @inlined
 def shift(yaw: float, v: float, vy: float, om: float, dt_s: float) -> tuple[float, float]:
-    """Return the way [m] in `dt_s` of constant body velocity [m/s, m/s, rad/s].
+    """Return the displacement [m] after `dt_s` of constant body velocity [m/s, m/s, rad/s].
 
-    The chord of the arc lies at the mean heading and is sin(h)/h of the arc long, so one sine and
-    one cosine give the exact end point.
+    The chord of the arc points along the mean heading, and its length is sin(h)/h of the arc's, so
+    one sine and one cosine give the exact end point.
     """
     half = 0.5 * om * dt_s
     chord, heading = dt_s * sinc(half), yaw + half
@@ -52,7 +52,7 @@ def shift(yaw: float, v: float, vy: float, om: float, dt_s: float) -> tuple[floa
 
 @inlined
 def turn(yaw: float, om: float, dt_s: float) -> float:
-    """Return the heading after the same."""
+    """Return the heading after `dt_s` of constant turn rate."""
     half = 0.5 * om * dt_s
     return float(wrap(yaw + half + half))
 
@@ -68,7 +68,7 @@ def move(x: State, v: float, vy: float, om: float, dt_s: float) -> None:
 
 @inlined
 def set_pose(x: State, u: Inputs) -> None:
-    """Place the robot where the hidden pose request asks, once per change of its counter."""
+    """Place the robot at the hidden input `pose`, once per change of the request counter."""
     if u.pose_request != x.pose_request:
         x.pose_request = u.pose_request
         x.pose[0] = u.pose[0]

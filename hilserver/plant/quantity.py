@@ -1,4 +1,4 @@
-"""A parameter with default, bounds, unit and meaning: what configuration and plant share."""
+"""A parameter with default, bounds, unit and meaning, shared by configuration and plant."""
 
 import math
 import operator
@@ -31,7 +31,7 @@ _UNITS: Final = {
     "s": "s",
     "a": "A",
 }
-"""Symbol of the unit in which a name ends; longer endings first."""
+"""Symbol of the unit by the ending of a name; longer endings first."""
 
 
 def unit_of(name: str) -> str:
@@ -47,10 +47,10 @@ def quantity(
     Parameters
     ----------
     unit : str
-        Its symbol, where the name does not end in it.
+        Its symbol, if the name does not end in the unit.
     jumps : str
-        Which outputs a change of it makes jump, see `hilserver.parameters.table`; "fixed": it
-        cannot be changed while the robot runs.
+        Which outputs jump when it changes, see `hilserver.parameters.table`; "fixed": it cannot be
+        changed while the robot runs.
     **bounds : float
         ``gt``, ``ge``, ``lt``, ``le``: above, at least, below, at most.
     """
@@ -59,7 +59,7 @@ def quantity(
 
 
 def refused(part: Any) -> Iterator[tuple[str, float, str]]:
-    """Yield name, value and what it must be of every number of a dataclass that cannot be."""
+    """Yield name, value and requirement of every number of a dataclass that is out of bounds."""
     for item in fields(part):
         value = getattr(part, item.name)
         if isinstance(value, int | float) and not isinstance(value, bool):

@@ -15,7 +15,7 @@ from hilserver.plant.pose import move, set_pose
 from hilserver.plant.units import RAD_S_PER_RPM
 from hilserver.status import GOOD
 
-SIDE = 0.5 * RAD_S_PER_RPM  # sum of two wheels in rpm to their mean in rad/s
+SIDE = 0.5 * RAD_S_PER_RPM  # from the sum of two wheels in rpm to their mean in rad/s
 SLOPE_REST_RAD_S = 0.05
 
 
@@ -30,7 +30,7 @@ def publish(x: State, y: Outputs, v: float, vy: float, om: float, dv: float, dvy
 def follow_wheels(
     p: Parameters, x: State, y: Outputs, w_l: float, w_r: float, dw_l: float, dw_r: float
 ) -> None:
-    """Let the body move as its wheels do [rad/s, rad/s2], without the lag of `body_lag`."""
+    """Set the body to the speed of its wheels [rad/s, rad/s2], without the lag of `body_lag`."""
     angle = 0.5 * (y.angle[0] + y.angle[1])
     v, om, _, _ = velocity_terms(p, in_region(p, x.pose[0], x.pose[1]), angle, w_l, w_r, dw_l, dw_r)
     x.body_v, x.body_om = v, om
@@ -40,7 +40,7 @@ def follow_wheels(
 def lag_behind(x: State, v: float, om: float, lag_s: float, dt_s: float) -> tuple[float, float]:
     """Move the body's v and om towards the wheels' over a tick; return their means.
 
-    First order, exact for wheels that keep their mean speed of the tick.
+    First-order lag, exact for wheels that keep the mean speed of the tick.
     """
     closed = -math.expm1(-dt_s / lag_s)
     behind_v, behind_om = x.body_v - v, x.body_om - om
@@ -67,8 +67,8 @@ def drive_on_with_terms(
     """Publish and move as the base model does, with the kinematic terms (steps 8 to 11).
 
     Side speeds [rad/s] and their rates at t_k, the means over the tick, and the lateral speed of
-    mecanum wheels at t_k with its rate. The means go with the wheel angle and the acceleration in
-    the middle of the tick.
+    mecanum wheels at t_k with its rate. The means are used with wheel angle and acceleration at
+    mid-tick.
     """
     dt, is_mecanum = p.dt, p.mecanum != 0.0
     inside = in_region(p, x.pose[0], x.pose[1])

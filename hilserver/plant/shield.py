@@ -1,7 +1,7 @@
-"""The extension shield: lamps as they blink, and its temperature.
+"""The extension shield: its blinking lamps and its temperature.
 
-The temperature follows the current with one time constant. How warm the real one gets, and how fast
-its lamps blink, is not published: the figures here are assumptions.
+The temperature follows the current with one time constant. How warm the real shield gets and how
+fast its lamps blink are not published: the figures here are assumptions.
 """
 
 import math
@@ -15,7 +15,7 @@ from hilserver.status import GOOD
 AMBIENT_DEGC: Final = 25.0
 WARMING_DEGC_PER_A: Final = 2.5
 WARMING_S: Final = 300.0
-BLINK_S: Final = 0.8  # on for one half of it
+BLINK_S: Final = 0.8  # on for half of it
 TURN_S: Final = 0.72  # once round the four lamps
 WAVE_S: Final = 1.9
 
@@ -24,7 +24,7 @@ DIM, HIGH_BEAM, FLASH_ALL, FLASH_LEFT, FLASH_RIGHT, PULSATION, ROTATION, RUNNING
 
 @part
 def brightness(pattern: float, lamp: int, time_s: float) -> float:
-    """Return 0 .. 1 of a lamp (fl, fr, rl, rr) at a time since the pattern began."""
+    """Return the brightness 0 .. 1 of a lamp (fl, fr, rl, rr) at a time since the pattern began."""
     blink = 1.0 if time_s % BLINK_S < 0.5 * BLINK_S else 0.0
     quarter = int(time_s % TURN_S * 4.0 / TURN_S)
     if pattern == DIM:
@@ -49,7 +49,7 @@ def brightness(pattern: float, lamp: int, time_s: float) -> float:
 
 @part
 def shield_step(p: Parameters, x: State, u: Inputs, y: Outputs, q: Status) -> None:
-    """Publish lamps and temperature, and move on by one run."""
+    """Publish lamps and temperature, and advance by one run."""
     pattern = u.light_pattern
     if pattern != x.light_pattern:
         x.light_pattern, x.light_time = pattern, 0.0

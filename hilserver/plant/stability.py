@@ -1,4 +1,4 @@
-"""The sampled wheel speed loop: its matrices, whether it is stable, and the slice it allows."""
+"""The sampled wheel speed loop: its matrices, its stability, and the longest stable period."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from hilserver.plant.kernels import plain
 
 @plain
 def euler_matrices(gain: float, viscous: float, t1_s: float, t2_s: float, dt_s: float) -> Matrices:
-    """Return what `process_matrices` does, by forward differences."""
+    """Return the same as `process_matrices`, by forward differences."""
     slow, fast = dt_s / t1_s, dt_s / t2_s
     return 1.0 - slow, -gain * viscous * slow, fast, 1.0 - fast, gain * slow, 0.0
 
@@ -27,8 +27,8 @@ def is_stable(process: Matrices, k_p: float, k_i_step: float, keep: float, gain:
     """Return whether all poles of the loop, unsaturated, are inside the unit circle.
 
     The process is ``(q1 z + q0) / (z^2 + p1 z + p0)`` from duty to speed, the controller
-    ``k_p + k_i_step / (z - 1) + gain (z - 1) / (z - keep)``. Without an integral its pole at 1 is
-    none; one at 0 stands for it. Jury's criterion (Astrom and Wittenmark, 3.3).
+    ``k_p + k_i_step / (z - 1) + gain (z - 1) / (z - keep)``. Without an integral, its pole at
+    1 is replaced by one at 0. Jury's criterion (Astrom and Wittenmark, 3.3).
     """
     a00, a01, a10, a11, b0, b1 = process
     p1, p0 = -(a00 + a11), a00 * a11 - a01 * a10
@@ -47,7 +47,7 @@ def is_stable(process: Matrices, k_p: float, k_i_step: float, keep: float, gain:
         b = p0 + p1 * d1 + d0 + q1 * n1 + q0 * n2
         c = p0 * d1 + p1 * d0 + q1 * n0 + q0 * n1
         d = p0 * d0 + q0 * n0
-    # of z^4 + a z^3 + b z^2 + c z + d, of the cubic, of the quadratic that follow from it
+    # Jury's table of z^4 + a z^3 + b z^2 + c z + d: the cubic, then the quadratic
     e3, e2, e1, e0 = 1.0 - d * d, a - c * d, b - b * d, c - a * d
     f2, f0 = e3 * e3 - e0 * e0, e3 * e1 - e0 * e2
     at_ends = 1.0 + a + b + c + d > 0.0 and 1.0 - a + b - c + d > 0.0
@@ -56,7 +56,7 @@ def is_stable(process: Matrices, k_p: float, k_i_step: float, keep: float, gain:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Loop:
-    """A PI(D) controller around the process of equation (5.23), to be sampled."""
+    """A PI(D) controller around the process of equation (5.23)."""
 
     gain: float  # speed per duty [rpm/%]
     # time constants of the two first-order lags
@@ -81,12 +81,12 @@ class Loop:
         return found
 
     def is_stable(self, dt_s: float) -> bool:
-        """Return whether it is stable when sampled at `dt_s`."""
+        """Return whether the loop is stable when sampled at `dt_s`."""
         keep, gain = self.derivative(dt_s)
         return bool(is_stable(self.process(dt_s), self.k_p, dt_s * self.k_i, keep, gain))
 
     def largest_period_s(self, unstable_s: float) -> float:
-        """Return the period at which the loop leaves stability, below an unstable one."""
+        """Return the longest stable period below an unstable one."""
         low, high = 0.0, unstable_s
         for _ in range(40):
             middle = 0.5 * (low + high)

@@ -1,7 +1,7 @@
 """The terms: every physical cause of a deviation, as a parameter of the plant.
 
 The table is `terms.csv`. A term at its null value changes no output bit. The name is the cause, or
-``cause.part`` where a cause has several parameters; the bare cause then stands for its first part.
+``cause.part`` if a cause has several parameters; the bare cause then means its first part.
 Shape parameters (a phase, a region) act only while another part of their cause is not null.
 """
 
@@ -24,13 +24,13 @@ class Term:
     name: str  # cause, or ``cause.part``
     block: str  # part of the plant it acts in: drive, kinematics, navigation or inertial
     unit: str  # symbol of the unit, "1" for a relative value
-    null: float | None  # value at which it changes nothing; None: what `description` says
+    null: float | None  # value at which it changes nothing; None: see `description`
     reference: float | None  # size at which a diagnosis must name it
     # range of values, ends included
     low: float
     high: float
     shape: bool  # True: it only shapes the effect of another part of its cause
-    jumps: str  # which outputs a change of it makes jump, see `hilserver.parameters.table`
+    jumps: str  # which outputs jump when it changes, see `hilserver.parameters.table`
     description: str  # what it does
 
     @property
@@ -64,7 +64,7 @@ TERMS: Final[Mapping[str, Term]] = MappingProxyType(_read())
 def main_part(name: str) -> str:
     """Return the full name of a term: the bare cause of several parts means its first part.
 
-    PlantError when there is no such term.
+    PlantError if there is no such term.
     """
     if name in TERMS:
         return name
@@ -77,9 +77,9 @@ def main_part(name: str) -> str:
 
 
 def complete(values: Mapping[str, float | None]) -> dict[str, float | None]:
-    """Return a value for every term: those given, checked, and the null of all others.
+    """Return a value for every term: those given, checked, and null for all others.
 
-    PlantError when a name is unknown or given twice, or a value is not finite or out of range.
+    PlantError if a name is unknown or given twice, or a value is not finite or out of range.
 
     Parameters
     ----------

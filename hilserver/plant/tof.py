@@ -1,7 +1,7 @@
 """Four range finders at the corners, looking along x into a hall made of line segments.
 
 A sensor shows the nearest point of the hall inside its cone. That point is found exactly: each
-segment is cut to the cone and its nearest point taken, so no thin wall slips between two rays.
+segment is clipped to the cone and its nearest point taken, so no thin wall is missed between rays.
 """
 
 import math
@@ -19,7 +19,7 @@ FARTHEST_M: Final = 5.0
 def _nearest_in_cone(ax: float, ay: float, bx: float, by: float, sin: float, cos: float) -> float:
     """Return the distance from the origin to the part of a segment inside the cone along +x.
 
-    The cone is where ``x sin - y cos >= 0`` and ``x sin + y cos >= 0``; inf if nothing is left.
+    The cone is where ``x sin - y cos >= 0`` and ``x sin + y cos >= 0``; inf if no part is inside.
     """
     first, last = 0.0, 1.0
     for side in (-1.0, 1.0):
@@ -61,7 +61,7 @@ def _range(p: Parameters, hall: Any, px: float, py: float, cos: float, sin: floa
 
 @part
 def seen_by(p: Parameters, hall: Any, k: int, x: float, y: float, yaw: float) -> float:
-    """Return what range finder `k` (fl, fr, rl, rr) sees from a pose [m]; inf: nothing."""
+    """Return what range finder `k` (fl, fr, rl, rr) sees from a pose [m]; inf if nothing."""
     cos, sin = math.cos(yaw), math.sin(yaw)
     along = p.tof_x if k < 2 else -p.tof_x
     aside = p.tof_y if k % 2 == 0 else -p.tof_y
@@ -80,7 +80,7 @@ def tof_step(p: Parameters, x: State, u: Inputs, y: Outputs, q: Status, hall: An
     p, x, u, y, q
         As for `robot_step`, which must have run in this tick.
     hall : ndarray of float64, shape (4 n,)
-        Walls: x1, y1, x2, y2 [m] of each in the world frame, one after the other.
+        Walls, each with x1, y1, x2, y2 [m] in the world frame.
     """
     if p.tof_enabled == 0.0:
         for k in range(4):

@@ -1,14 +1,14 @@
-"""The tyre law of the house: what planar plant and mechatronic model share.
+"""The tyre law that the planar plant and the mechatronic model share.
 
-A contact that carries the normal force N and slips with (s, t), along and across the direction in
-which the tyre grips, is pushed by::
+On a contact with the normal force N and the slip (s, t), along and across the direction in which
+the tyre grips, acts the force::
 
     F = -mu N (s, rho^2 t) / sqrt(s^2 + (rho t)^2 + v0^2)
 
-with mu the friction along, rho mu the one across, and v0 the slip [m/s] below which the friction
+with mu the friction along, rho mu that across, and v0 the slip [m/s] below which the friction
 fades. It is the gradient of the dissipation ``mu N sqrt(s^2 + (rho t)^2 + v0^2)``, so it never
 drives. `friction_anisotropy` is its limit v0 -> 0; a mecanum wheel grips along the axis of its
-rollers and has rho = 0: across, they roll.
+rollers and has rho = 0, because across it they roll.
 """
 
 from typing import Any

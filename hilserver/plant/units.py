@@ -1,4 +1,4 @@
-"""Conversions and nominal values that several rooms need, once each."""
+"""Conversions and nominal values that several rooms need."""
 
 import math
 from typing import Final

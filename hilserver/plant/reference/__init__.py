@@ -1,1 +1,1 @@
-"""The plant a second time, in C, and the conformance vectors that both reproduce."""
+"""A second implementation of the plant, in C, and the conformance vectors both reproduce."""

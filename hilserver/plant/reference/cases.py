@@ -24,7 +24,7 @@ _UNSET_REFERENCE: Final = {
 
 
 def cases() -> dict[str, dict[str, float]]:
-    """Return the terms of every vector file, by its name; the base has none."""
+    """Return the terms of every vector file by its name; the base has none."""
     result: dict[str, dict[str, float]] = {"base": {}}
     for term in TERMS.values():
         if not term.shape:

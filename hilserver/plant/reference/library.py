@@ -24,7 +24,7 @@ FLAGS: Final = ("-std=gnu11", "-O3", "-march=native", "-fPIC", "-shared")
 def build(folder: Path) -> Path:
     """Compile the C reference into `folder` and return the shared library.
 
-    FailedError when there is no C compiler or it fails.
+    FailedError if there is no C compiler or it fails.
     """
     compiler = shutil.which("gcc") or shutil.which("cc")
     if compiler is None:
@@ -78,14 +78,14 @@ class ReferencePlant:
     Parameters
     ----------
     library : Path
-        What `build` returned.
+        As returned by `build`.
     robot : RobotParameters
-        Its physical values are handed over by name; the packed ones are not used. Of
+        Its physical values are passed by name; the packed ones are not used. For
         friction_anisotropy the C program takes factor and shift, not the balance behind them.
     battery_v : float
         Voltage for battery_sag, constant.
     extended : bool
-        Run the steps of all terms, even if all are null.
+        Run the steps of all terms, even if all are at null.
     """
 
     def __init__(
@@ -129,7 +129,7 @@ class ReferencePlant:
     def run(
         self, u: NDArray[np.float64], y: NDArray[np.float64], q: NDArray[np.int64], ticks: int
     ) -> None:
-        """Run whole base ticks with inputs, outputs and status codes: the speed comparison."""
+        """Run whole base ticks with inputs, outputs and status codes, to compare speed."""
         self._library.plant_run(
             self._handle, _pointer(u), _pointer(y), _pointer(q), ctypes.c_long(ticks)
         )
