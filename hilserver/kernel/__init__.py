@@ -1,6 +1,6 @@
-"""The step of one configuration: plant, sensors and own blocks between latch and publication.
+"""The compiled step of one configuration: plant, sensors and own blocks from latch to publication.
 
-This is the only room that knows both the plant's arrays and where they lie in the process image.
+This is the only room that knows both the plant's arrays and their places in the process image.
 """
 
 from hilserver.kernel.build import compose, limit_silence, watch_communication

@@ -1,4 +1,4 @@
-"""Whether the step may go on from a state: its numbers become indices, and the step checks none."""
+"""Checks a state before the step continues from it, because the step checks no index itself."""
 
 from collections.abc import Mapping
 
@@ -19,18 +19,18 @@ _ENTRY: Mapping[str, tuple[int, int]] = {
     "spread": (0, at.MAX_DELAY_TICKS),
     "ring": (-1, at.MAX_RINGS - 1),
 }
-"""Least and largest value of what an entry of the faults holds."""
+"""Least and largest value of the fields of a fault's entry."""
 
 
 def unfit(state: NDArray[np.int64], regions: Mapping[str, Region], n_slots: int) -> str | None:
-    """Return what in a state the step could not bear, None if it is sound.
+    """Return what in a state would break the step, None if it is sound.
 
     Parameters
     ----------
     state : ndarray of int64
-        The live regions, as a snapshot or a recording holds them.
+        The live regions, as in a snapshot or a recording.
     regions : mapping of Region
-        Those of the image that is to adopt it.
+        Regions of the image that is to adopt the state.
     """
     base = regions["live"].base
 

@@ -1,4 +1,4 @@
-"""What runs of the mechatronic model in the slices, called like `parts` by the generated step."""
+"""The mechatronic model's parts of the slices, called like `parts` by the generated step."""
 
 from typing import Any
 
@@ -32,7 +32,7 @@ def body(at: Places, body_at: BodyPlaces, values: Any, words: Any) -> int:
 
 @inlined
 def body_wheels(at: Places, body_at: BodyPlaces, values: Any, words: Any) -> None:  # noqa: ARG001
-    """Hand the wheels' speeds to the plant; runs before it."""
+    """Pass the wheels' speeds to the plant; runs before it."""
     hand_over_wheels(record_at(values, body_at.b, MOTION), x(at, values))
 
 
@@ -45,6 +45,6 @@ def imu(at: Places, body_at: BodyPlaces, values: Any, words: Any) -> None:
 
 @inlined
 def tof(at: Places, body_at: BodyPlaces, values: Any, words: Any) -> None:
-    """Show the four distances to the walls from where the body is."""
+    """Show the four distances to the walls from the body's place."""
     b, hall = record_at(values, body_at.b, MOTION), values[at.hall : at.hall_end]
     body_ranges(b, p(at, values), y(at, values), q(at, words), hall)

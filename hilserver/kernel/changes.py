@@ -1,4 +1,4 @@
-"""How the step takes a change of the parameters: as a whole, with the state carried over."""
+"""How the step applies a change of parameters: as a whole, with the state carried over."""
 
 from typing import Any
 
@@ -21,7 +21,7 @@ def _take(row: int, at: Places, values: Any, words: Any) -> None:
 
 @kernel()
 def drop_changes(tick: int, words: Any) -> None:
-    """Leave out what is still on its way: the state that was loaded brings its own parameters."""
+    """Skip pending changes: the state that was loaded brings its own parameters."""
     head, tail = load_acquire(words, word.CHANGES_HEAD), words[word.CHANGES_TAIL]
     stride = changes.PACKED + words[word.PARAMETERS_LENGTH]
     while tail < head:
@@ -33,7 +33,7 @@ def drop_changes(tick: int, words: Any) -> None:
 
 @kernel()
 def take_changes(tick: int, at: Places, values: Any, words: Any) -> None:
-    """Take the changes that are due, in the order in which they were posted."""
+    """Apply the changes that are due, in the order in which they were posted."""
     head, tail = load_acquire(words, word.CHANGES_HEAD), words[word.CHANGES_TAIL]
     stride = changes.PACKED + words[word.PARAMETERS_LENGTH]
     while tail < head:

@@ -23,7 +23,7 @@ from hilserver.signals import SignalTable
 class Part:
     """One of the robot's own parts (robot, imu, battery, shield, tof, nav) and its slice.
 
-    With `of_body` it is that of the mechatronic model: body, body_wheels, imu, tof.
+    With `of_body` it is a part of the mechatronic model: body, body_wheels, imu, tof.
     """
 
     name: str
@@ -32,13 +32,13 @@ class Part:
 
 
 class Setting(NamedTuple):
-    """What surrounds a foreign model: periods of its slice and of a tick, virtual time or not."""
+    """What a foreign model runs in: periods of its slice and of a tick, virtual time or not."""
 
     period_s: float
     base_period_s: float
     waits: bool
     priority: int = 0  # SCHED_FIFO of a process beside the plant; 0: an ordinary one
-    plant_core: int | None = None  # where it does not run
+    plant_core: int | None = None  # core that this process leaves to the plant
 
 
 class News(NamedTuple):
@@ -49,10 +49,10 @@ class News(NamedTuple):
 
 
 class Foreign(Protocol):
-    """A started model of others: compiled functions that call it, and what they need."""
+    """A foreign model that was started: compiled functions that call it, and what they need."""
 
     step: Callable[..., int]  # ``(tick, dt_s, u, y, x, p, a) -> int``, a fault number or 0
-    # ``(u, y, x, p, a)``: write the state to `x` before a snapshot; go on from `x` after one
+    # ``(u, y, x, p, a)``: write the state to `x` before a snapshot; continue from `x` after one
     keep: Callable[..., None]
     adopt: Callable[..., None]
     addresses: NDArray[np.int64]  # `a` at the start, of this process; must outlive the step
@@ -60,23 +60,23 @@ class Foreign(Protocol):
     key: str  # hash of the functions' sources
 
     def look(self, a: NDArray[np.int64]) -> Sequence[News]:
-        """Return what happened since the last look; `a` as the step has it."""
+        """Return what happened since the last call; `a` as the step has it."""
 
     def close(self) -> None:
         """End it."""
 
 
 class ForeignModel(Protocol):
-    """A model of others, of which every robot starts its own.
+    """A model from outside, for example an FMU; every robot starts its own.
 
     Attributes
     ----------
     identity : bytes
-        What two runs must share for one to continue the other.
+        Equal in two runs if one can continue the other.
     not_replayable : str
         Why a recording with it cannot be replayed; empty if it can.
     remark : str
-        What its user should know; empty if there is nothing.
+        What its user should know; may be empty.
     """
 
     @property
@@ -94,7 +94,7 @@ class ForeignModel(Protocol):
 
 @dataclass(frozen=True)
 class BlockUse:
-    """A user's block, put into a slice and wired."""
+    """A user's block, assigned to a slice and wired."""
 
     name: str
     declaration: BlockDeclaration
@@ -102,9 +102,9 @@ class BlockUse:
     inputs: Mapping[str, str]  # signal for each declared input
     # values that replace the declared defaults
     parameters: Mapping[str, float] = field(default_factory=dict)
-    model: ForeignModel | None = None  # what is behind it if it is no function of the user
-    foreign: Foreign | None = None  # the same, started for this robot
-    # command for some of the outputs: the block is a controller
+    model: ForeignModel | None = None  # model behind the block, if it is not a user's function
+    foreign: Foreign | None = None  # that model, started for this robot
+    # signal that an output commands; a block with any is a controller
     drives: Mapping[str, str] = field(default_factory=dict)
 
     def output_signal(self, output: str) -> str:
@@ -113,7 +113,7 @@ class BlockUse:
 
     @property
     def regions(self) -> dict[str, int]:
-        """Lengths [words] of what the block remembers between its runs."""
+        """Lengths [words] of the regions that the block keeps between its runs."""
         d = self.declaration
         return {
             f"{self.name}.u": len(d.inputs),
@@ -130,16 +130,16 @@ class BlockUse:
 
 @dataclass(frozen=True)
 class ObserverUse:
-    """The observer, put into a slice."""
+    """The observer, assigned to a slice."""
 
     source: str  # simulated or measured
-    constants: NDArray[np.float64]  # what its kernels take as `c`, made with the parameters `base`
+    constants: NDArray[np.float64]  # `c` of its kernels, computed at the parameters `base`
     base: robot.Parameters
     nav_ticks: int  # period of the simulated navigation's slice
     imu_ticks: int
 
     def packed(self, now: robot.Parameters) -> NDArray[np.float64]:
-        """Return the constants with the directions about other parameters."""
+        """Return the constants with their varied parameter sets moved to the parameters `now`."""
         c, n, base = self.constants.copy(), robot.Parameters.n_words, self.base.numbers
         for first in range(Figures.n_words, c.size, n):
             moved = c[first : first + n]
@@ -150,7 +150,7 @@ class ObserverUse:
 
 @dataclass(frozen=True)
 class Composition:
-    """What runs: the robot's parts and the blocks, by slice."""
+    """The robot's parts and the blocks, by slice."""
 
     table: SignalTable
     slices: Sequence[str]  # compiled slices in the order in which they run in a tick
@@ -163,14 +163,14 @@ class Composition:
     hall: NDArray[np.float64]
     # ranges in which the terms of a patch were fitted, see `fitted_limits`
     fitted: NDArray[np.float64] = field(default_factory=fitted_limits)
-    body: Engine | None = None  # the mechatronic model; its addresses must live as long as the step
-    observer: ObserverUse | None = None  # the filter that says where the robot is
+    body: Engine | None = None  # the mechatronic model; its addresses must outlive the step
+    observer: ObserverUse | None = None  # the filter that estimates where the robot is
     # value of every parameter by its name, see `hilserver.parameters`; NaN is null
     settings: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def parameter_regions(self) -> dict[str, int]:
-        """Regions that a change of the parameters replaces, in one piece, with their lengths."""
+        """Regions that a change of parameters replaces as one piece, with their lengths."""
         own = {"p": robot.Parameters.n_words, "fitted": N_LIMITS, "edition": 1}
         own["parameters"] = len(self.settings)
         if self.observer is not None:
@@ -178,7 +178,7 @@ class Composition:
         return own | {f"{b.name}.p": len(b.declaration.parameters) for b in self.blocks}
 
     def packed(self, edition: int = 0) -> NDArray[np.float64]:
-        """Return that piece: all numbers that the step reads of the parameters."""
+        """Return this piece: all numbers of the parameters that the step reads."""
         numbers: dict[str, Any] = {
             "p": self.parameters.numbers,
             "fitted": self.fitted,
@@ -199,7 +199,7 @@ class Composition:
     def live_regions(self) -> dict[str, int]:
         """Regions of the arena that a snapshot holds, with their lengths in words.
 
-        The parameters are among them: a recording in which a patch was loaded can be replayed.
+        They include the parameters, so a recording in which a patch was loaded can be replayed.
         """
         regions = {"x": robot.State.n_words, **self.parameter_regions} | REGIONS_LIVE
         if self.body is not None:
@@ -212,7 +212,7 @@ class Composition:
 
     @property
     def fixed_regions(self) -> dict[str, int]:
-        """Regions of the arena that a run does not change."""
+        """Regions of the arena that are not part of a snapshot."""
         regions = {"hall": self.hall.size} | REGIONS_FIXED
         packed = sum(map(padded, self.parameter_regions.values()))
         regions[changes.REGION] = changes.words_needed(packed)

@@ -1,6 +1,6 @@
-"""Outside the range in which a term was fitted, the outputs that it changes are Uncertain.
+"""Marks the outputs that a term changes Uncertain outside the range in which it was fitted.
 
-The ranges are parameters of the plant like others: a patch brings them with its terms.
+The ranges are parameters of the plant like any other; a patch brings them with its terms.
 """
 
 import math
@@ -20,9 +20,9 @@ from hilserver.status import GOOD, UNCERTAIN
 
 BLOCKS: Final = ("drive", "kinematics", "navigation", "inertial")
 N_ROW: Final = 6  # low and high of speed [m/s], turn rate [rad/s], wheel speed [rpm]
-N_LIMITS: Final = 1 + len(BLOCKS) * N_ROW  # the first says whether there is a patch
+N_LIMITS: Final = 1 + len(BLOCKS) * N_ROW  # the first is 1 if there is a patch
 MARGIN: Final = 0.02
-"""Share of a range by which it may be left: the plant's ripple is no other condition."""
+"""Share of a range by which it may be exceeded, so that ripple does not count as leaving it."""
 
 _INERTIAL: Final = ("gyro", "heading", "accel_x", "accel_y")
 _MOTION: Final = ("pose", "linear", "lateral", "angular", *_INERTIAL, "tof", "nav")
@@ -47,12 +47,12 @@ FIRST_OUTPUT: Final = Inputs.n_words
 
 
 def fitted_limits(patch: ModelPatch | None = None) -> NDArray[np.float64]:
-    """Return the range of each block: where all of its terms were fitted.
+    """Return the range of each block in which all of its terms were fitted.
 
     Returns
     -------
     ndarray of float64, shape (N_LIMITS,)
-        1 with a patch, else 0; then a row per block of `BLOCKS`, infinite where nothing is said.
+        1 with a patch, else 0; then a row per block of `BLOCKS`, infinite where no range is given.
     """
     limits = np.tile([-math.inf, math.inf], (len(BLOCKS), N_ROW // 2))
     for name, term in {} if patch is None else patch.terms.items():
@@ -89,7 +89,7 @@ def _is_outside(row: int, outputs: int, values: Any) -> bool:
 
 @kernel()
 def flag_unfitted(limits: int, values: Any, words: Any) -> None:
-    """Set to Uncertain what a patch was not fitted for in this tick.
+    """Set the outputs to Uncertain for which the patch was not fitted at this tick's motion.
 
     `limits`: base of the region with the ranges, see `fitted_limits`.
     """

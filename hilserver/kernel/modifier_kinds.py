@@ -20,7 +20,7 @@ UART_RANGE = 65536.0
 
 @kernel()
 def _past(tick: int, entry: Entry, raw: float, m: Modifiers) -> Any:
-    """Note `raw` in the entry's ring, also for ticks that were skipped; return the ring."""
+    """Store `raw` in the entry's ring and fill the ticks that were skipped; return the ring."""
     ring = m.rings[entry.ring]
     last = entry.last
     first = max(last + 1, tick - RING_TICKS + 1)
@@ -32,7 +32,7 @@ def _past(tick: int, entry: Entry, raw: float, m: Modifiers) -> Any:
 
 @kernel()
 def _begin(tick: int, entry: Entry, raw: float) -> None:
-    """Make the entry's state that of the end of the last tick."""
+    """Set `previous` to the entry's state at the end of the last tick."""
     start = entry.start
     if start < 0 or tick < start:
         entry.start = tick
@@ -104,7 +104,7 @@ def _from_value(tick: int, entry: Entry, raw: float) -> float:
 
 @kernel()
 def modify(tick: int, entry: Entry, m: Modifiers, values: Any, words: Any) -> None:
-    """Let a modifier of one signal act on its value and status."""
+    """Apply a modifier of one signal to its value and status."""
     slot, kind = entry.slot, entry.kind
     place = words[word.FRAME_BASE] + slot
     raw = values[place]
@@ -139,10 +139,10 @@ def swap(entry: Entry, values: Any, words: Any) -> None:
 
 @kernel()
 def scale_by_last_wheel(entry: Entry, values: Any, words: Any) -> None:
-    """Limit the twist as a driver does that keeps the last offending wheel's factor.
+    """Limit the twist like a driver that keeps only the factor of the last wheel that is too fast.
 
-    The wheels are looked at in the driver's order fl, fr, rl, rr; a wheel that is still too fast
-    is cut off by its motor, so that the path bends.
+    The wheels are checked in the driver's order fl, fr, rl, rr; one that is still too fast is
+    limited by its motor, so that the path bends.
     """
     frame = words[word.FRAME_BASE]
     linear, angular = frame + entry.slot, frame + entry.other

@@ -1,7 +1,7 @@
-"""Where the active modifiers (faults and forced signals) lie in the arena.
+"""The layout of the active modifiers (faults and forced signals) in the arena.
 
-The region ``modifiers`` is live: a snapshot holds every active fault with its delay ring, and the
-run that continues it gives the same bits. Commands come in through the fixed region
+The region ``modifiers`` is live: a snapshot holds every active fault with its delay ring, so a run
+that continues from it gives the same bits. Commands come in through the fixed region
 ``modifier_mail``, a queue with one producer (the event loop) and one consumer (the latch).
 """
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hilserver.compiled.records import Record
 
 MAX_MODIFIERS: Final = 32
-MAX_RINGS: Final = 8  # each is part of every snapshot and recorded state, 8 kB
+MAX_RINGS: Final = 8  # each adds 8 kB to every snapshot and recorded state
 RING_TICKS: Final = 1024  # a power of two
 MAX_DELAY_TICKS: Final = RING_TICKS - 1
 FOREVER: Final = 2**62
@@ -22,7 +22,7 @@ NOW: Final = -1
 
 
 class Kind(IntEnum):
-    """What a modifier does with its signal."""
+    """What a modifier does to its signal."""
 
     STUCK = 1
     NOISE = 2
@@ -55,7 +55,7 @@ Rings = Annotated[NDArray[np.float64], (MAX_RINGS, RING_TICKS)]
 
 
 class Entry(Record):
-    """One modifier: what the command brings, and what the step remembers of it."""
+    """One modifier: the fields of the command, then the state that the step keeps."""
 
     number: int
     kind: int
@@ -65,13 +65,13 @@ class Entry(Record):
     from_tick: int  # or NOW
     until_tick: int  # with NOW: duration
     seed: int
-    every: int  # ticks of one sample
+    every: int  # ticks per sample
     ticks: int  # delay
     spread: int  # largest additional delay
     a: float  # value, deviation, offset, factor, step, size, rpm per m/s
     b: float  # probability; 1: STUCK has a value; rpm per rad/s
     c: float  # max_rpm
-    is_integer: int  # 1: whole numbers between low and high only
+    is_integer: int  # 1: only whole numbers between low and high
     low: float
     high: float
     channel: int  # of the noise
@@ -88,17 +88,17 @@ class Modifiers(Record):
     """The region: head, entries, what the modified slots held, delay rings."""
 
     count: int  # entries in use
-    touched: int  # slots that hold a modified value now
-    rings_in_use: int  # one bit for each ring
+    touched: int  # slots that now hold a modified value
+    rings_in_use: int  # one bit per ring
     dropped: int  # commands for which there was no room
-    timeout_dead: int  # 1: the command time-out is defeated
+    timeout_dead: int  # 1: the command time-out is disabled
     last_command: int  # tick of the last set-point
     timeouts: int  # how often the command time-out has fired
-    silent: int  # 1 while it holds
+    silent: int  # 1 while the time-out holds
     free: Annotated[NDArray[np.int64], 8]
     entries: Annotated[list[Entry], MAX_MODIFIERS]
-    slots: Slots  # those that are touched
-    raw_value: Raw  # what they held
+    slots: Slots  # the touched ones
+    raw_value: Raw  # their true values
     raw_status: Slots
     rings: Rings
 
@@ -113,7 +113,7 @@ MAIL_ROWS: Final = 128  # a power of two
 
 
 class Mail(Record):
-    """One command: a new entry, or what becomes of those with its number."""
+    """One command: a new entry, or an operation on entries, by number or all."""
 
     operation: int  # OP_*
     entry: Entry

@@ -1,4 +1,4 @@
-"""How modifiers come and go inside the compiled step: by mail, and by their time."""
+"""How modifiers start and end inside the compiled step: by mail, or when their time is over."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ FORCE, DEAD_TIMEOUT = int(at.Kind.FORCE), int(at.Kind.DEAD_TIMEOUT)
 
 @kernel("void(int64, int64[::1])")
 def show_mail(head: int, words: Any) -> None:
-    """Show all commands before `head` to the plant, at once."""
+    """Make all commands before `head` visible to the plant, at once."""
     store_release(words, word.MAIL_HEAD, head)
 
 
@@ -51,7 +51,7 @@ def _add(tick: int, order: Entry, m: Modifiers) -> None:
 
 @kernel()
 def _keep(keeps: bool, i: int, kept: int, m: Modifiers) -> int:
-    """Move a kept entry down to place `kept`, free the ring of another; return the next place."""
+    """Move an entry to place `kept`, or free its ring if it goes; return the next place."""
     entry = m.entries[i]
     if not keeps:
         if entry.ring >= 0:
@@ -77,7 +77,7 @@ def _remove(operation: int, number: int, m: Modifiers) -> None:
 
 @kernel()
 def drain_mail(tick: int, m: Modifiers, words: Any) -> None:
-    """Take the commands that are shown; a modifier that begins now begins with `tick`."""
+    """Take the visible commands; a modifier that begins now begins with `tick`."""
     head, tail = load_acquire(words, word.MAIL_HEAD), words[word.MAIL_TAIL]
     while tail < head:
         place = words[word.MAIL_BASE] + (tail & (at.MAIL_ROWS - 1)) * at.MAIL_ROW
@@ -94,7 +94,7 @@ def drain_mail(tick: int, m: Modifiers, words: Any) -> None:
 
 @kernel()
 def expire(tick: int, m: Modifiers) -> None:
-    """Drop modifiers whose time is over; note whether one keeps the time-out from acting."""
+    """Drop modifiers whose time is over; note whether one disables the command time-out."""
     kept = 0
     m.timeout_dead = 0
     for i in range(m.count):

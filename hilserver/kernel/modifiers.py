@@ -1,11 +1,11 @@
 """Faults and forced signals inside the compiled step.
 
-At the start of a tick the true values come back, the new inputs are latched, and the modifiers of
-inputs act; before the frame is published those of outputs act. Between the two, plant and sensors
-compute with true outputs: a broken wire behind the encoder does not change the robot.
+At the start of a tick the true values are restored, the new inputs latched, and the modifiers of
+inputs applied; those of outputs are applied before the frame is published. In between, plant and
+sensors compute with true outputs: a broken wire behind the encoder does not change the robot.
 
-Every modifier depends on tick, seed and its own state only, and may be evaluated again for the same
-tick (the latch of a paused run does so): the bits are the same in every pacing back end.
+A modifier depends only on tick, seed and its own state, and may be evaluated again for the same
+tick, as the latch of a paused run does: the bits are the same in every pacing back end.
 """
 
 from typing import Any
@@ -24,7 +24,7 @@ FORCE, SWAP, LAST_WHEEL = int(at.Kind.FORCE), int(at.Kind.SWAP), int(at.Kind.LAS
 
 @kernel()
 def modifiers(words: Any) -> Any:
-    """Return the region; not one of its words is there in an image without modifiers."""
+    """Return the region of the modifiers; an image without modifiers has none."""
     return record_at(words, words[word.MODIFIERS], at.MODIFIERS)
 
 
@@ -43,7 +43,7 @@ def _restore(m: Modifiers, values: Any, words: Any) -> None:
 
 @kernel()
 def _touch(slot: int, m: Modifiers, values: Any, words: Any) -> None:
-    """Keep the true value of a slot before the first modifier acts on it."""
+    """Save the true value of a slot before the first modifier acts on it."""
     n = m.touched
     for i in range(n):
         if m.slots[i] == slot:
@@ -56,7 +56,7 @@ def _touch(slot: int, m: Modifiers, values: Any, words: Any) -> None:
 
 @kernel()
 def _act(tick: int, side: int, m: Modifiers, values: Any, words: Any) -> None:
-    """Let all modifiers of one side act, in the order in which they came; forces last."""
+    """Apply all modifiers of one side in the order in which they came; forces last."""
     for forced in range(2):
         for i in range(m.count):
             entry = m.entries[i]
@@ -114,7 +114,7 @@ def watch_commands(tick: int, values: Any, words: Any) -> None:
 
 @kernel()
 def modify_inputs(tick: int, values: Any, words: Any) -> None:
-    """Let the modifiers of inputs act on what was latched."""
+    """Apply the modifiers of inputs to the latched values."""
     if words[word.COMMAND_LIMIT] > 0:
         watch_commands(tick, values, words)
     m = modifiers(words)
@@ -124,7 +124,7 @@ def modify_inputs(tick: int, values: Any, words: Any) -> None:
 
 @kernel()
 def modify_outputs(tick: int, values: Any, words: Any) -> None:
-    """Let the modifiers of outputs act on what is about to be published."""
+    """Apply the modifiers of outputs to the values about to be published."""
     m = modifiers(words)
     if words[word.MODIFIERS] > 0 and m.count > 0:
         _act(tick, at.OUTPUT, m, values, words)

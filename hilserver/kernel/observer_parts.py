@@ -1,4 +1,4 @@
-"""What runs of the observer in its slice, called like `parts` by the generated step."""
+"""The observer's part of its slice, called like `parts` by the generated step."""
 
 from typing import Any, NamedTuple
 
@@ -17,9 +17,9 @@ N_SHOWN = Shown.n_words
 
 
 class ObserverPlaces(NamedTuple):
-    """Where the observer's numbers begin, and the slots of what it reads."""
+    """Where the observer's numbers begin, and the slots that it reads."""
 
-    # index into `values`: what it knows, and its state
+    # index into `values`: constants, and state
     c: int
     c_end: int
     f: int
@@ -30,11 +30,11 @@ class ObserverPlaces(NamedTuple):
     # period of the slices of the simulated sensors
     nav_ticks: int
     imu_ticks: int
-    # slots of the measured values, the first of the group
+    # first slot of each group of measured values
     speed: int
     gyro: int
     nav: int
-    # slots of the counters of imu and nav, and of when they came [s]
+    # slots of the sample counters of imu and nav, and of the samples' times [s]
     samples: tuple[int, int]
     stamps: tuple[int, int]
 
@@ -69,7 +69,7 @@ def _seconds(tick: int, words: Any) -> float:
 
 @inlined
 def simulated(at: Places, ob: ObserverPlaces, tick: int, values: Any, words: Any) -> None:
-    """Observe the simulated robot by its simulated sensors."""
+    """Observe the simulated robot through its simulated sensors."""
     c, f = values[ob.c : ob.c_end], values[ob.f : ob.f_end]
     plant, state, shown = p(at, values), x(at, values), y(at, values)
     angle = 0.5 * (shown.angle[0] + shown.angle[1])
@@ -87,7 +87,7 @@ def simulated(at: Places, ob: ObserverPlaces, tick: int, values: Any, words: Any
 
 @inlined
 def measured(at: Places, ob: ObserverPlaces, tick: int, values: Any, words: Any) -> None:
-    """Observe the real robot by what is measured of it."""
+    """Observe the real robot through its measured values."""
     c, f = values[ob.c : ob.c_end], values[ob.f : ob.f_end]
     plant, now = p(at, values), _seconds(tick, words)
     frame, status = words[word.FRAME_BASE], words[word.STATUS_BASE]

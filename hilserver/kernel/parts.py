@@ -1,4 +1,4 @@
-"""What runs in the slices: the robot's parts, and what a user's block takes and gives.
+"""What runs in the slices: the robot's parts, and the inputs and outputs of a user's block.
 
 The generated step calls these in the order of the configuration.
 """
@@ -38,13 +38,13 @@ def imu(at: Places, values: Any, words: Any) -> None:
 
 @inlined
 def battery(at: Places, values: Any, words: Any) -> None:
-    """Take the charge of this run from the battery and show its voltage."""
+    """Subtract the charge used in this run from the battery and show its voltage."""
     battery_step(p(at, values), x(at, values), u(at, values), y(at, values), q(at, words))
 
 
 @inlined
 def shield(at: Places, values: Any, words: Any) -> None:
-    """Show the lamps as they blink, and the temperature."""
+    """Show the blinking lamps and the temperature."""
     shield_step(p(at, values), x(at, values), u(at, values), y(at, values), q(at, words))
 
 
@@ -79,14 +79,14 @@ def read_inputs(slots: Any, u: Any, values: Any, words: Any) -> None:
 
 @kernel()
 def give_up(y: Any) -> None:
-    """Make the outputs of a block that raised unusable."""
+    """Invalidate the outputs of a block that raised."""
     for i in range(y.shape[0]):
         y[i] = math.nan
 
 
 @kernel()
 def write_outputs(slots: Any, y: Any, values: Any, words: Any) -> None:
-    """Copy a block's outputs to the signals in `slots`; what is not finite is Bad."""
+    """Copy a block's outputs to the signals in `slots`; one that is not finite is Bad."""
     for i in range(slots.shape[0]):
         values[words[word.FRAME_BASE] + slots[i]] = y[i]
         status = GOOD if math.isfinite(y[i]) else BAD_SENSOR_FAILURE
@@ -95,9 +95,9 @@ def write_outputs(slots: Any, y: Any, values: Any, words: Any) -> None:
 
 @kernel()
 def drive(slots: Any, outputs: Any, ranges: Any, y: Any, values: Any, words: Any) -> None:
-    """Let a block's outputs command what they are wired to, for whoever plays the scenario.
+    """Let a block's outputs command the signals they are wired to, as the source `scenario`.
 
-    What is no number or outside the range is not commanded; the command before stays.
+    NaN or a value outside the range is not commanded; the previous command stays.
     """
     if words[word.LEASES] == 0:
         return

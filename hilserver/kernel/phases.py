@@ -1,4 +1,4 @@
-"""What surrounds the plant in every tick: latch the inputs, publish the outputs, fail safely."""
+"""The phases around the plant in every tick: latch inputs, publish outputs, fail safely."""
 
 from typing import Any
 
@@ -26,7 +26,7 @@ NOTHING, SAVES, RESTORES = range(3)
 
 @kernel()
 def enter_safe(code: int, at: Places, values: Any, words: Any) -> int:
-    """Go to the safe state from the plant's side; the first fault number is kept."""
+    """Enter the safe state from the plant's side; the first fault number is kept."""
     if words[word.FIRST_FAULT] == 0:
         words[word.FIRST_FAULT] = code
     values[words[word.FRAME_BASE] + at.command] = COMMAND_SAFE
@@ -35,7 +35,7 @@ def enter_safe(code: int, at: Places, values: Any, words: Any) -> int:
 
 @kernel()
 def _lapse(lease: Lease, at: Places, values: Any, words: Any) -> None:
-    """End a lease by its policy; what it held was not renewed in time."""
+    """End a lease that was not renewed in time, according to its policy."""
     lease.lapsed = 1
     lease.stalled = words[word.HEARTBEAT_AGE]
     policy, n = lease.policy, words[word.SETPOINT_SLOTS]
@@ -55,7 +55,7 @@ def _lapse(lease: Lease, at: Places, values: Any, words: Any) -> None:
 
 @kernel()
 def drive(now_ns: int, at: Places, values: Any, words: Any) -> None:
-    """Renew the leases, let those lapse by which the robot is driven, write the outcome."""
+    """Renew leases, let overdue ones of the owner lapse, and write the resulting commands."""
     d = driving(words)
     held = words[word.MODIFIERS] > 0 and modifiers(words).timeout_dead != 0
     for number in range(d.count):
@@ -73,9 +73,9 @@ def drive(now_ns: int, at: Places, values: Any, words: Any) -> None:
 
 @kernel()
 def _take_state(at: Places, values: Any, words: Any) -> None:
-    """Show the daemon's state; drive to zero in the safe one, after a fault and after Stop.
+    """Show the daemon's state; ramp to zero in the safe state, after a fault and after Stop.
 
-    A replay brings both in rows and sets the word of the state negative.
+    A replay has both in its input rows and sets the word of the state negative.
     """
     state = words[word.STATE]
     if state < 0:
@@ -89,7 +89,7 @@ def _take_state(at: Places, values: Any, words: Any) -> None:
 
 @kernel()
 def _drive_on(now_ns: int, values: Any, words: Any) -> None:
-    """Go on from a state that was restored: by what it commands, or at zero."""
+    """Continue from a restored state, with its commands or at zero."""
     kind = words[word.REQUEST_KIND]
     if kind in (REQUEST_LOAD, REQUEST_RESTART):
         drop_changes(words[word.REQUEST_TICK], words)
@@ -112,7 +112,7 @@ def _watch_heartbeat(at: Places, values: Any, words: Any) -> None:
 
 @kernel()
 def requested(words: Any) -> int:
-    """Return the number of the newest snapshot request; later ones are for the next tick."""
+    """Return the number of the newest snapshot request; later ones wait for the next tick."""
     return int(load_acquire(words, word.REQUEST))
 
 
@@ -126,12 +126,12 @@ def task(request: int, words: Any) -> int:
 
 @kernel()
 def latch(request: int, tick: int, planned_ns: int, at: Places, values: Any, words: Any) -> int:
-    """Take parameters, serve a snapshot request, latch the inputs; return the tick to execute.
+    """Apply parameters, serve a snapshot request, latch the inputs; return the tick to execute.
 
-    The daemon's state is an input like others, so that a replay shows it at the same ticks.
+    The daemon's state is an input like any other, so that a replay shows it at the same ticks.
     """
     if load_acquire(words, word.CHANGES_HEAD) != words[word.CHANGES_TAIL]:
-        take_changes(tick, at, values, words)  # before a state that is loaded brings its own
+        take_changes(tick, at, values, words)  # before a loaded state brings its own
     served = words[word.REQUEST_DONE]
     tick = serve(request, tick, words)
     restore_true_values(tick, values, words)

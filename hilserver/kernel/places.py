@@ -1,4 +1,4 @@
-"""Where the parts of one configuration lie in the process image: all that tells two steps apart."""
+"""Where the parts of a configuration are in the process image, in which alone steps differ."""
 
 from typing import Any, NamedTuple
 
@@ -81,7 +81,7 @@ def q(at: Places, words: Any) -> Any:
 
 
 class BodyPlaces(NamedTuple):
-    """Where the mechatronic model's numbers begin."""
+    """Where the numbers of the mechatronic model begin."""
 
     # index into `values`: parameters, state, behind the state
     p: int

@@ -1,6 +1,6 @@
 """Writes the step of one configuration: a list of calls, because numba cannot loop over functions.
 
-What the calls do stands in `phases`, `parts`, `fitted` and the blocks; here is only their order.
+The called functions are in `phases`, `parts`, `fitted` and the blocks; here is only their order.
 """
 
 from collections.abc import Iterable, Sequence
@@ -11,9 +11,9 @@ from hilserver.kernel.observer_parts import find_observer
 from hilserver.kernel.places import find_body, find_places
 
 BODY = "body"
-"""The part that can fail: the mechatronic model's own slice; it runs after the robot's others."""
+"""The part that can fail: the mechatronic model's own slice, after the robot's other parts."""
 
-OBSERVER = "observer"  # the part that runs after all others of its slice
+OBSERVER = "observer"  # this part runs last in its slice
 
 _BODY_CALL = "body_parts.body(AT, BODY, values, words)"
 _HEAD = '''\
@@ -110,7 +110,7 @@ def _block_slots(number: int, block: BlockUse, composition: Composition) -> list
 
 
 def _commands(number: int, block: BlockUse, composition: Composition) -> list[str]:
-    """Return which output goes to which slot, and the range of what it commands."""
+    """Return lines with the slots that outputs command, and the range of each command."""
     names = [output.name for output in block.declaration.outputs]
     signals = [composition.table[name] for name in block.drives.values()]
     numbers = [names.index(output) for output in block.drives]
@@ -129,7 +129,7 @@ def _slots(signals: Sequence[str], composition: Composition) -> str:
 def _around_latch(
     blocks: Sequence[tuple[int, BlockUse]], layout: Layout, verb: str, task: str
 ) -> str:
-    """Return the calls of models that keep their state elsewhere, while the image's is served."""
+    """Return calls, around the latch, of models whose state is outside the image."""
     calls = [
         f"{verb}_{number}({_arrays(block, layout)})"
         for number, block in blocks
@@ -154,7 +154,7 @@ def _piece(region: Region) -> str:
 
 
 def _replayed(number: int, block: BlockUse, layout: Layout) -> list[str]:
-    """Return what takes the last outputs from the frame, where a replay has put them."""
+    """Return the line that reads replayed outputs from the frame, where a replay has put them."""
     n = sum(output.is_replayed for output in block.declaration.outputs)
     y = layout.regions[f"{block.name}.y"]
     last = f"values[{y.base + y.length - n} : {y.base + y.length}]"
