@@ -1,5 +1,5 @@
-"""The mechatronic model: bodies that stand on a floor, see walls and can be blocked (MuJoCo).
+"""The mechatronic model: a body that stands on a floor, sees walls and can be blocked (MuJoCo).
 
-MuJoCo moves one rigid body and finds the contacts' normal forces; wheels, drives and tyres are our
-own, compiled, and share the tyre law with the planar plant. `engine` alone imports mujoco.
+MuJoCo moves one rigid body and computes the contacts' normal forces. Wheels, drives and tyres are
+our own compiled code and share the tyre law with the planar plant. Only `engine` imports mujoco.
 """

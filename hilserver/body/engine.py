@@ -1,4 +1,4 @@
-"""MuJoCo itself: compiles the model and says where the kernel finds it. Nobody else imports it."""
+"""MuJoCo itself: compiles the model and gives the kernel its addresses; nobody else imports it."""
 
 import ctypes
 from importlib import import_module
@@ -26,11 +26,11 @@ def mujoco() -> ModuleType:
 
 
 class Engine:
-    """One model and its data, to be stepped by whoever has its addresses; must outlive them."""
+    """One model and its data, stepped through its addresses, which it must outlive."""
 
     def __init__(self, body: BodyParameters) -> None:
         library = mujoco()
-        self.body = body  # what it was made from
+        self.body = body  # parameters it was made from
         self.model = library.MjModel.from_xml_string(mjcf(body, body.robot.solids))
         self.data = library.MjData(self.model)
         self.parameters = body.pack()  # `p` of the kernel
@@ -42,13 +42,13 @@ class Engine:
 
     @property
     def identity(self) -> bytes:
-        """What two bodies must share for one to continue the other."""
+        """Equal for two bodies if one can continue the state of the other."""
         xml = mjcf(self.body, self.body.robot.solids)
         return xml.encode() + self.parameters.tobytes()
 
     def _addresses(self, library: ModuleType, signature: int) -> Addresses:
         (path,) = Path(library.__file__ or "").parent.glob("libmujoco.so*")
-        symbols = ctypes.CDLL(str(path))  # the copy that the bindings have loaded
+        symbols = ctypes.CDLL(str(path))  # the copy that the bindings loaded
         _silence(symbols)
 
         def function(name: str, of: ctypes.CDLL = symbols) -> int:
@@ -59,7 +59,7 @@ class Engine:
             raise PlantError(
                 f"mechatronic: MuJoCo {library.__version__} counts warnings otherwise."
             )
-        first = counters.ctypes.data - counters.itemsize  # what a warning was about stands before
+        first = counters.ctypes.data - counters.itemsize  # each counter follows the warning's info
         a = Addresses.of(np.zeros(Addresses.n_words, dtype=np.int64))
         a.step = function("mj_step")
         a.set_state = function("mj_setState")
@@ -84,6 +84,6 @@ _ignored = _Handler(lambda _: None)
 
 
 def _silence(symbols: ctypes.CDLL) -> None:
-    """Keep MuJoCo from writing MUJOCO_LOG.TXT into the working folder: we read its counters."""
+    """Keep MuJoCo from writing MUJOCO_LOG.TXT to the working folder; we read its counters."""
     handler = ctypes.c_void_p.in_dll(symbols, "mju_user_warning")
     handler.value = ctypes.cast(_ignored, ctypes.c_void_p).value

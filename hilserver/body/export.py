@@ -19,10 +19,10 @@ SOFT = 'solref="0.02 1" solimp="0.9 0.95 0.001"'
 
 
 def mjcf(body: BodyParameters, solids: Iterable[Solid] = ()) -> str:
-    """Return the model that the kernel steps: contacts without friction, the tyres are ours.
+    """Return the model that the kernel steps, with frictionless contacts, as the tyres are ours.
 
-    Wheels are capsules: their contact with an edge is exact. They touch only what carries them
-    (contype 1), the bumper in front of them touches everything (contype 1 and 2).
+    Wheels are capsules, whose contact with an edge is exact. They touch only what carries them
+    (contype 1); the bumper in front of them touches everything (contype 1 and 2).
     """
     ahead, aside, height = body.centre_of_mass_m
     bottom, top = body.robot.wheel_radius_m / 2, max(2 * body.robot.wheel_radius_m, 0.15)
@@ -95,7 +95,7 @@ def _text(*numbers: float) -> str:
 
 
 def _chassis_m(body: BodyParameters) -> tuple[float, float, float]:
-    """Return the middle of the plates, seen from the centre of mass."""
+    """Return the middle of the plates relative to the centre of mass."""
     ahead, aside, height = body.centre_of_mass_m
     return -ahead, -aside, body.robot.wheel_radius_m - height
 
@@ -103,8 +103,8 @@ def _chassis_m(body: BodyParameters) -> tuple[float, float, float]:
 def robot_mjcf(body: BodyParameters) -> str:
     """Return a robot with a hinge and a velocity servo per wheel.
 
-    It needs the friction of MuJoCo's contacts, so it does not turn like `mjcf`'s, whose tyres are
-    our own: it is for looking at, and for other work in MuJoCo.
+    It uses the friction of MuJoCo's contacts, so it does not turn like that of `mjcf`, which has
+    our own tyres. It is meant for viewing, and for other work in MuJoCo.
     """
     root = Xml.Element("mujoco", model="hilserver robot")
     world = Xml.SubElement(root, "worldbody")
@@ -139,7 +139,7 @@ def robot_mjcf(body: BodyParameters) -> str:
 def robot_urdf(body: BodyParameters, prefix: str = "") -> str:
     """Return links and joints of the robot; ``base_link`` is its centre of mass (REP-105).
 
-    Joints and frames have the names of the messages in ROS 2; `prefix` stands before them.
+    Joints and frames are named as in the ROS 2 messages, with `prefix` before each name.
     """
     root, base = Xml.Element("robot", name="hilserver"), f"{prefix}base_link"
     link = Xml.SubElement(root, "link", name=base)

@@ -1,8 +1,8 @@
 """The numbers of the mechatronic model by name: parameters `p`, state `b`, addresses `a`, outputs.
 
-`b` holds all that its future depends on, MuJoCo's integration state at its end, so that a copy is a
-snapshot. Wheels stand in the order fl, rl, fr, rr and turn forward with a positive speed here; the
-signals mirror the right ones. Vectors are in the frame of the body, its origin the centre of mass.
+`b` holds all that the model's future depends on, at its end MuJoCo's integration state, so a copy
+is a snapshot. The order of wheels is fl, rl, fr, rr; here all turn forward at a positive speed, the
+signals mirror the right ones. Vectors are in the body's frame with the centre of mass as origin.
 """
 
 from typing import Annotated, Final
@@ -41,27 +41,27 @@ class Signals(Record):
 
 
 class Motion(Record):
-    """The state, up to where MuJoCo's own goes on."""
+    """The state; MuJoCo's own begins at `time` and goes beyond this record."""
 
     speed: Wheels  # [rad/s]
     angle: Wheels  # [rad]
     duty: Wheels  # [%], behind the fast lag of the drive
     torque: Wheels  # [Nm]
     slip: Wheels  # [m/s], along the wheel
-    normal: Wheels  # [N] of the last step
-    contact: WheelVectors  # [m], where they act
+    normal: Wheels  # [N], in the last step
+    contact: WheelVectors  # [m], where the normal forces act
     up: WheelVectors  # their directions
     accel: Three  # [m/s2], specific force
     bump: float  # 1: the bumper touched something in the last slice
     pose_request: float
-    failed: float  # 1: MuJoCo warned or a number is not finite; it stands still
-    wait: float  # plant ticks until the wheels' speeds are handed over
-    asked: Wheels  # [rad/s] or [%]: what the last run was driven by
-    warnings: Annotated[NDArray[np.float64], N_WARNINGS]  # MuJoCo's counters, as bits: 0.0 is none
+    failed: float  # 1: MuJoCo warned or a number is not finite; the body stands still
+    wait: float  # plant ticks until the wheels' speeds are passed to the plant
+    asked: Wheels  # [rad/s] or [%]: input of the last run
+    warnings: Annotated[NDArray[np.float64], N_WARNINGS]  # MuJoCo's counters, as bits; 0.0: none
     touch: Annotated[NDArray[np.float64], (4, 2, 3)]  # sensor: net force and where it acts, world
     bumps: float  # sensor: contacts of the bumper
     felt: Three  # sensor: specific force [m/s2]
-    time: float  # from here on as mj_getState writes it
+    time: float  # from here as mj_getState writes it
     position: Three  # [m], world
     orientation: Wheels  # unit quaternion
     velocity: Three  # [m/s], world
@@ -69,7 +69,7 @@ class Motion(Record):
 
 
 class Addresses(Record):
-    """Functions of C libraries and memory of MuJoCo, of this process."""
+    """Addresses in this process: functions of C libraries, memory of MuJoCo."""
 
     step: int  # mj_step
     set_state: int  # mj_setState
@@ -79,12 +79,12 @@ class Addresses(Record):
     copy_bytes: int  # memcpy
     sensors: int
     warnings: int
-    signature: int  # no address: which parts of the state mj_getState writes
-    push: int  # no address: where in the state force and moment on the body lie
+    signature: int  # not an address: which parts of the state mj_getState writes
+    push: int  # not an address: index in the state of force and moment on the body
 
 
 class Constants(Record):
-    """What the kernels read of the body."""
+    """The body as the kernels read it."""
 
     dt: float  # of a step [s]
     steps: float  # per slice
@@ -96,7 +96,7 @@ class Constants(Record):
     speed_per_duty: float  # without load [rad/s per %]
     duty_keep: float  # exp(-dt/T2)
     grip: float  # mu along
-    ratio: float  # friction across by friction along
+    ratio: float  # friction across / along
     v0: float  # [m/s]
     rolling: float
     air: float  # [N s2/m2]
@@ -114,4 +114,4 @@ STATUS: Final = SignalStatus.layout
 MOTION: Final = Motion.layout
 ADDRESSES: Final = Addresses.layout
 CONSTANTS: Final = Constants.layout
-MUJOCO: Final = Motion.where("time").start  # where in the state that of MuJoCo begins
+MUJOCO: Final = Motion.where("time").start  # where MuJoCo's part of the state begins

@@ -1,4 +1,4 @@
-"""The mechatronic model's parameters: physical values, checked, and packed for the kernel."""
+"""The mechatronic model's parameters: checked physical values, packed for the kernel."""
 
 import math
 from dataclasses import dataclass, field
@@ -16,14 +16,14 @@ from hilserver.plant.units import RPM_PER_RAD_S
 GRAVITY_M_S2 = 9.81
 PLATES_M = (0.38, 0.22, 0.10)  # EduArt's chassis with its superstructure: length, width, height
 WHEEL_WIDTH_M = 0.055
-BUMPER_GAP_M = 0.01  # how far the bumper stands in front of the wheels: these never touch a wall
+BUMPER_GAP_M = 0.01  # how far the bumper is in front of the wheels, which never touch a wall
 _GRIP_ANGLE = (-1.0, 1.0, 1.0, -1.0)
 """Mecanum wheels fl, rl, fr, rr grip along this times 45 degrees from their plane: an X."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tyre:
-    """Friction along and across the wheels, its fading slip, and rolling resistance."""
+    """Friction along and across the wheels, the slip below which it fades, rolling resistance."""
 
     mu_long: float = quantity(0.8, "friction along the wheels", gt=0, le=10)
     mu_lat: float = quantity(0.8, "friction across them; mecanum: not used", gt=0, le=10)
@@ -35,9 +35,9 @@ class Tyre:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BodyParameters:
-    """What MuJoCo's model and the kernel of wheels and tyres are made from.
+    """Parameters of MuJoCo's model and of the kernel of wheels and tyres.
 
-    PlantError when a value is not finite, out of range, or the step is too long for the tyre.
+    PlantError if a value is not finite, out of range, or the step is too long for the tyre.
     """
 
     robot: RobotParameters  # geometry, process and range finders
@@ -52,9 +52,9 @@ class BodyParameters:
     mass_kg: float = quantity(5.0, "mass of the whole robot", gt=0, le=1e5)
     # in front of and left of the wheels' centre, and above the floor
     centre_of_mass_m: tuple[float, float, float] = (0.0, 0.0, 0.06)
-    # about the centre of mass; None: that of a box as large as the chassis
+    # about the centre of mass; None: as of a box of the chassis' size
     inertia_kg_m2: tuple[float, float, float] | None = None
-    # force of the air at 1 m/s
+    # drag at 1 m/s
     air_n_s2_m2: float = quantity(0.03, "drag of the air at 1 m/s [N]", ge=0, le=1e3)
     tyre: Tyre = field(default_factory=Tyre)
 
@@ -76,7 +76,7 @@ class BodyParameters:
 
     @property
     def wheel_inertia_kg_m2(self) -> float:
-        """Inertia of a wheel with its drive: it follows the slow lag of (5.23) when lifted."""
+        """Inertia of a wheel with its drive; lifted, the wheel has the slow lag of (5.23)."""
         lag_s = self.robot.process.t1_s * (1.0 + self._term("time_constant"))
         return self.stall_torque_nm * lag_s / self.no_load_rad_s
 
@@ -174,8 +174,9 @@ def _check_steps(body: BodyParameters) -> None:
 def _longest_step_s(body: BodyParameters) -> float:
     """Return the step at which the tyre's damping begins to overshoot.
 
-    At no slip a tyre is a damper of ``mu N / v0``. All of them brake the body's motion and turning,
-    and each its own wheel; explicit steps overshoot beyond 1/rate and diverge beyond 2/rate.
+    At zero slip a tyre is a damper of ``mu N / v0``. All tyres together brake the body's motion and
+    turning, and each its own wheel; explicit steps overshoot beyond 1/rate and diverge beyond
+    2/rate.
     """
     damping = max(body.tyre.mu_long, body.tyre.mu_lat) * GRAVITY_M_S2 * body.mass_kg
     damping /= body.tyre.v0_m_s

@@ -1,4 +1,4 @@
-"""The mechatronic model as parts of the compiled step: its own slice, and who asks it."""
+"""The mechatronic model as parts of the compiled step: its own slice, and those that read it."""
 
 import math
 from typing import Any
@@ -120,7 +120,7 @@ def run_slice(
 
 @part
 def stand_still(numbers: Any) -> None:
-    """Give a body up whose numbers are no longer good: all that is shown stays finite."""
+    """Stop a body whose numbers are no longer good; all that is shown stays finite."""
     for i in range(numbers.shape[0]):
         if not math.isfinite(numbers[i]):
             numbers[i] = 0.0
@@ -134,7 +134,7 @@ def stand_still(numbers: Any) -> None:
 
 @part
 def hand_over_wheels(b: Motion, x: State) -> None:
-    """Before the plant's tick: let the wheels turn as the body computed a slice ago."""
+    """Before the plant's tick, set the wheel speeds that the body computed a slice ago."""
     if b.wait > 0.0:
         b.wait -= 1.0
         if b.wait == 0.0:
@@ -152,7 +152,7 @@ def body_imu(b: Motion, p: Parameters, x: State, y: Outputs, q: Status) -> None:
 
 @part
 def body_ranges(b: Motion, p: Parameters, y: Outputs, q: Status, hall: Any) -> None:
-    """Show the ranges from where the body is."""
+    """Show the ranges from the body's place."""
     if p.tof_enabled == 0.0:
         for k in range(4):
             q.tof[k] = BAD_OUT_OF_SERVICE

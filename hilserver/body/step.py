@@ -1,6 +1,6 @@
-"""The mechatronic model's run in a slice: show what the last run computed, then compute the next.
+"""A run of the mechatronic model: show what the last run computed, then compute the next slice.
 
-What is computed from tick k is shown, and acts, exactly one slice later.
+What is computed at tick k is shown, and acts, exactly one slice later.
 """
 
 import math
@@ -16,7 +16,7 @@ POSE_REQUEST = Motion.where("pose_request").start
 TOUCH = Motion.where("touch").start
 END = Motion.n_words
 GRAZING = 0.01
-"""A contact that leans further over than this, as share of its normal, carries no tyre force."""
+"""Squared share of a contact's normal in the wheel's plane below which no tyre force acts."""
 
 
 @part
@@ -49,7 +49,7 @@ def to_world(axes: tuple[Vector, Vector, Vector], v: Vector) -> Vector:
 
 @part
 def _push(p: Constants, b: Motion, push: Any) -> None:
-    """Step the wheels and let their forces, and the air's, act in MuJoCo's next step."""
+    """Step the wheels and apply their forces, and the drag, to MuJoCo's next step."""
     axes = body_axes(b.orientation)
     velocity, turning = to_body(axes, vector(b.velocity)), vector(b.turning)
     force, moment = turn_wheels(p, b, velocity, turning)
@@ -66,9 +66,9 @@ def _push(p: Constants, b: Motion, push: Any) -> None:
 
 @part
 def _read_contacts(b: Motion, place: Vector, axes: tuple[Vector, Vector, Vector]) -> None:
-    """Keep normal force, point and direction of every wheel's contact, in the body's frame.
+    """Store normal force, point and direction of every wheel's contact, in the body's frame.
 
-    `place` and `axes` are those that the sensors were computed with, before the step moved them.
+    `place` and `axes` are those before the step, for which the sensors were computed.
     """
     for i in range(4):
         up, where = to_body(axes, vector(b.touch[i, 0])), vector(b.touch[i, 1])
@@ -93,7 +93,7 @@ def _is_finite(numbers: Any) -> bool:
 
 @part
 def place_body(p: Constants, numbers: Any, x: float, y: float, yaw: float) -> None:
-    """Stand the body at rest on the floor; what it was driven by, and MuJoCo's time, go on."""
+    """Place the body at rest on the floor; its inputs and MuJoCo's time stay."""
     for i in range(POSE_REQUEST):
         numbers[i] = 0.0
     for i in range(MUJOCO + 1, numbers.shape[0]):
@@ -112,7 +112,7 @@ def advance(p: Constants, numbers: Any, a: Addresses) -> bool:
     Parameters
     ----------
     numbers : ndarray of float64
-        State, changed in place; all that MuJoCo knows is set from it and read back.
+        State, changed in place; MuJoCo's whole state is set from it and read back.
     """
     b = record_at(numbers, 0, MOTION)
     state, sensors, counters = numbers[MUJOCO:], numbers[TOUCH:].ctypes.data, b.warnings.ctypes.data

@@ -1,4 +1,4 @@
-"""One step of the wheels: drive, tyre, and what both do to the body. All in the body's frame."""
+"""One step of the wheels: drive, tyre, and their effect on the body, in the body's frame."""
 
 import math
 from typing import Any
@@ -34,9 +34,9 @@ def _drive(
 ) -> tuple[float, float]:
     """Return torque of the drive and new speed of wheel `i`.
 
-    Driven by speed, the torque is what it takes to turn as `asked` [rad/s]. Driven by torque,
+    Driven by speed, the torque is that needed to turn at `asked` [rad/s]. Driven by torque,
     `asked` is a duty [%]: ``J w' = J/T1 (w_free - w) + floor`` is the slow lag of (5.23), stepped
-    exactly where the floor does nothing.
+    exactly if the floor exerts no force.
     """
     inertia, step, speed = p.inertia, p.dt, b.speed[i]
     if p.torque == 0.0:
@@ -51,7 +51,7 @@ def _drive(
 def _floor(
     p: Constants, b: Motion, i: int, velocity: Vector, turning: Vector
 ) -> tuple[Vector, float]:
-    """Return the floor's force on wheel `i` and the moment [Nm] with which it resists rolling.
+    """Return the floor's force on wheel `i` and its moment [Nm] against rolling.
 
     The tyre grips in the plane of the contact, along the wheel turned by the angle of its rollers.
     """
@@ -84,9 +84,9 @@ def turn_wheels(
 ) -> tuple[Vector, Vector]:
     """Step the four wheels; return force and moment on the body.
 
-    A wheel passes the floor's force on to its axle, the drive's torque acts back on the body. Both
-    together are the force at the contact, the resistance to rolling, and the reaction to what
-    accelerates the wheel.
+    A wheel passes the floor's force on to its axle, and the drive's torque reacts on the body. In
+    sum these are the force at the contact, the rolling resistance, and the reaction to the
+    acceleration of the wheel.
 
     Parameters
     ----------
