@@ -175,8 +175,7 @@ def _longest_step_s(body: BodyParameters) -> float:
     """Return the step at which the tyre's damping begins to overshoot.
 
     At zero slip a tyre is a damper of ``mu N / v0``. All tyres together brake the body's motion and
-    turning, and each its own wheel; explicit steps overshoot beyond 1/rate and diverge beyond
-    2/rate.
+    turning, and each its own wheel; explicit steps overshoot above 1/rate, diverge above 2/rate.
     """
     damping = max(body.tyre.mu_long, body.tyre.mu_lat) * GRAVITY_M_S2 * body.mass_kg
     damping /= body.tyre.v0_m_s

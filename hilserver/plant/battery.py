@@ -2,8 +2,7 @@
 
 ``V = E(charge) - R I``, ``I = idle + per-duty current of the four wheels``, clipped to the range of
 the pack (4.2: 17.5 .. 23.5 V). E is flat in the middle and falls at the end, as in NiMH cells. The
-currents and the resistance are assumptions. In the base model the voltage does not act on the
-drive.
+currents and the resistance are assumptions. The drive of the base model ignores the voltage.
 """
 
 from typing import Final
