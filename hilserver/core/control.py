@@ -42,7 +42,7 @@ class Control:
         self._speed_changed = speed_changed
         self._measured_pose = measured_pose
         self.on_reset: list[Callable[[], None]] = []
-        self.before_reset: Callable[[], None] = lambda: None
+        self.before_reset: list[Callable[[], None]] = []  # may refuse it
         self.on_acknowledge: Callable[[], None] = lambda: None
         self._table = table
         self._image = image
@@ -135,8 +135,12 @@ class Control:
             self._events.publish(Event(EventKind.STATE, 300, "daemon", text))
 
     def reset(self) -> None:
-        """Acknowledge the safe state; otherwise put the simulation back to its start."""
-        self.before_reset()
+        """Acknowledge the safe state; otherwise put the simulation back to its start.
+
+        ControlRefused, and nothing has changed, if one of `before_reset` refuses.
+        """
+        for callback in self.before_reset:
+            callback()
         state = self._next(Command.RESET)
         if self.state is State.SAFE:
             self._acknowledge()

@@ -97,6 +97,7 @@ class Daemon:
             speed_changed=self._watch_communication,
             measured_pose=self.outputs.measured_pose,
         )
+        self.control.before_reset.append(self.faults.expect_room)
         self.control.on_reset.append(self._restart_faults)
         self._watch_communication(speed=1.0)
         self.stage = core.stage()

@@ -69,6 +69,7 @@ class Scenarios:
 
         ControlRefused if none is playing.
         """
+        self._core.faults.expect_room()
         playing, self._playing = self._playing, None
         if playing is None:
             raise ControlRefused("no scenario is playing")

@@ -37,7 +37,7 @@ class Supervision:
         self._gate, self._events = core.gate, core.events
         self._scheduler = core.scheduler
         self._control = control
-        control.before_reset = self._take_lapses
+        control.before_reset.append(self._take_lapses)
         self._overruns_seen = 0
         self._causes: set[str] = set()
         self._models = {

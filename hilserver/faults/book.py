@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from hilserver.core.events import Event, EventBus, EventKind
+from hilserver.errors import ControlRefused
 from hilserver.faults.links import Line
 from hilserver.faults.mail import Command, Mailbox
 from hilserver.faults.model import Fault, parse_fault
@@ -16,6 +17,7 @@ from hilserver.signals import SignalTable
 
 Figure = float | str | bool | int | None
 FORCE = "force"
+_RESET_ROWS = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +141,11 @@ class Faults:
         self._notes.clear()
         for line in self._lines.values():
             line.clear()
+
+    def expect_room(self) -> None:
+        """ControlRefused while the plant has no room for what `reset` hands over."""
+        if self._mailbox.room < _RESET_ROWS:
+            raise ControlRefused("the plant has not taken the last faults yet; ask again")
 
     def skip_timed(self) -> None:
         """Drop the timed inputs that wait."""

@@ -37,6 +37,11 @@ class Mailbox:
         return self._image.control.mail_tail
 
     @property
+    def room(self) -> int:
+        """Commands that the step has room for now."""
+        return lay.MAIL_ROWS - (self.head - self.tail)
+
+    @property
     def timed_rows(self) -> int:
         """Timed input rows pushed so far."""
         return self._image.control.timed_head
@@ -46,7 +51,7 @@ class Mailbox:
 
         ValueError if the step has no room for them now.
         """
-        if len(commands) > lay.MAIL_ROWS - (self.head - self.tail):
+        if len(commands) > self.room:
             raise ValueError(f"{len(commands)} commands are too many at once; try again")
         head = self.head
         for offset, command in enumerate(commands):

@@ -167,8 +167,8 @@ class Stage:
 
     def stop(self) -> None:
         """Let no step of a scenario act any more."""
-        self._parameters.schedule()
         self._faults.skip_timed()
+        self._parameters.schedule()
         self.drives = False
 
     def _sets(self, scenario: Scenario, start_tick: int) -> Iterator[tuple[int, dict[str, float]]]:

@@ -1,6 +1,7 @@
 """Scenarios and recordings by name: one at a time, and what has ended by itself is over."""
 
 import asyncio
+import contextlib
 
 import pytest
 import yaml
@@ -12,6 +13,7 @@ from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.builder import build
 from hilserver.daemon.desk import Recordings, Scenarios
 from hilserver.errors import ControlRefused
+from hilserver.testing.opening import open_hil
 
 CONFIG = Config.model_validate({"scheduler": {"backend": "virtual"}})
 DRIVES = {"ahead.yaml": ("twist.linear_m_s", 0.1), "turn.yaml": ("twist.angular_rad_s", 0.2)}
@@ -62,6 +64,31 @@ async def test_after_a_stop_no_planned_step_drives(run):
     await scenarios.start("late")
     await core.scheduler.advance(1000)
     assert speed() == 0.3
+
+
+@pytest.mark.parametrize("is_safe", [False, True])
+@pytest.mark.usefixtures("run")
+async def test_a_reset_that_the_plant_has_no_room_for_changes_nothing(tmp_path, is_safe):
+    async with open_hil(None, "virtual", scenario=tmp_path / "late.yaml") as hil:
+        control, faults = hil.daemon.control, hil.daemon.faults
+        await hil.run_for(0.1)
+        if is_safe:
+            control.stop()
+        hil.inject({"fault": "bias", "signal": "pose.x_m", "offset": 1.0})
+        await hil.step()
+        before, owner = control.state, hil.daemon.gate.owner
+        with contextlib.suppress(ValueError):
+            for _ in range(1000):
+                faults.force("pose.y_m", 1.0)
+        with pytest.raises(ControlRefused, match="has not taken the last faults yet; ask again"):
+            control.reset()
+        assert (control.state, hil.daemon.gate.owner) == (before, owner)
+        await hil.step()
+        assert hil.tick > 100, "it has begun anew"
+        assert "bias:pose.x_m" in faults.names
+        control.reset()
+        await hil.step()
+        assert (control.state.word, hil.tick > 100) == ("running", is_safe)
 
 
 async def test_a_recording_that_has_ended_by_itself_is_over(run, tmp_path):

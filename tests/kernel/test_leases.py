@@ -159,7 +159,9 @@ async def test_a_command_lapses_from_when_it_came_in():
 async def test_what_came_in_before_a_standstill_of_ours_is_never_driven(on_stale):
     async with robot(on_stale) as core:
         said = []
-        control = SimpleNamespace(speed=1.0, enter_safe=lambda why, **_: said.append(why))
+        control = SimpleNamespace(
+            speed=1.0, enter_safe=lambda why, **_: said.append(why), before_reset=[]
+        )
         Supervision(core, control)
         core.gate.leases.now_ns = time.monotonic_ns
         await core.scheduler.advance(10)
@@ -168,7 +170,7 @@ async def test_what_came_in_before_a_standstill_of_ours_is_never_driven(on_stale
         await core.scheduler.advance(10)
         assert on_stale == "ramp" or set(series(core, 0)) == {0.0}
         assert (now(core, "internal.command") == 2.0) == (on_stale == "ramp")
-        control.before_reset()
+        control.before_reset[0]()
         assert on_stale == "zero" or said[0].startswith("the daemon's event loop stood still for")
         core.gate.leases.now_ns = lambda: 0
         core.gate.write("peer:plc", {LEFT: 40.0}, commanded_ns=long_ago_ns)
