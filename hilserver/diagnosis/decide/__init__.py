@@ -1,1 +1,1 @@
-"""Which causes the data name: selection, rivals, drift, unknown structure."""
+"""Which causes explain the data: selection, rivals, drift, unknown structure."""

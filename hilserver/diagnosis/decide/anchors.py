@@ -1,8 +1,8 @@
-"""A ranging anchor that stands elsewhere than configured: a smooth bias field of known form.
+"""A ranging anchor that is not where it is configured: a smooth bias field of known form.
 
-All ranges to it are too long or too short by about the same, and the position moves with the place.
-Of all smooth fields this is the one that ranging makes, so it is tested for itself: among the
-hundred columns of unknown structure four would hardly count.
+All ranges to it are too long or too short by about the same amount, so the error of the position
+depends on the place. As the form of this field is known, it is tested on its own: among the hundred
+columns of unknown structure, its four would hardly count.
 """
 
 from collections.abc import Sequence
@@ -41,19 +41,19 @@ from hilserver.diagnosis.thresholds import (
 from hilserver.measured.channels import POSITION
 
 ANCHOR_LEVEL: Final = 0.5 * REST_LEVEL
-"""A test of its own beside that of all structure, which it is a part of."""
+"""A test of its own, in addition to that of all structure, which includes it."""
 SIDES = ("low x and low y", "high x and low y", "high x and high y", "low x and high y")
 
 
 @dataclass(frozen=True)
 class Anchor:
-    """One of four ranging anchors measures too long a way."""
+    """One of four ranging anchors whose ranges are off."""
 
-    side: str  # where it stands about the driven place, in words
+    side: str  # where it stands relative to the area driven
     # what is added to its ranges, and half the width of its 95 % interval
     error_m: float
     half_m: float
-    largest: float  # how far the position moves where it moves most, per metre of the range
+    largest: float  # largest error of the position per metre of range error
 
 
 def _fields(problem: Problem, point: Point) -> tuple[Array, Array] | None:
@@ -92,19 +92,19 @@ def anchor_off(
 ) -> tuple[Anchor, float] | None:
     """Return the anchor that the residual of a model indicates, with its p, or None.
 
-    It must hold on blocks that it was not fitted to, and beat every cause of the library and every
-    unknown structure that was found: where another explains as much, nothing is concluded.
+    It must hold on blocks that it was not fitted to, and explain more than any cause of the library
+    and any unknown structure that was found; otherwise nothing is concluded.
 
     Parameters
     ----------
     explained : float
-        Deviance that the accepted causes save: a small share of it may be their own inexactness.
+        Deviance saved by the accepted causes, whose inexactness may leave a small share of it.
 
     Returns
     -------
     Anchor
     float
-        Family-wise over the anchors, weighted so that it compares with the level of the screen.
+        Family-wise over the anchors, scaled to compare with the level of the screen.
     """
     problem = library.problem
     fields = _fields(problem, point)
@@ -133,20 +133,19 @@ def anchor_off(
 
 
 def scale_or_anchor(problem: Problem, point: Point) -> tuple[int, float, Anchor] | None:
-    """Hold an accepted scale of the navigation against misplaced anchors; None without one.
+    """Compare an accepted scale of the navigation with misplaced anchors; None without a scale.
 
-    A scale is the simplest of the fields of error that one misplaced anchor makes, and the first to
-    be found.
+    A scale is the simplest error field that one misplaced anchor can cause, and so the first to be
+    found.
 
     Returns
     -------
     int
-        Place of the scale among the accepted causes.
-    float
-        Deviance that one anchor, or all four less one for each, saves more than the scale: beyond
-        `TIE` the scale is none, within it the data do not decide.
+        Index of the scale among the accepted causes.
+    Deviance that one anchor, or all four (less one for each), saves beyond the scale. More than
+    `TIE`: there is no scale; within it, the data do not decide.
     Anchor
-        The one that explains most in its place.
+        The anchor that explains most in place of the scale.
     """
     accepted = problem.accepted(point)
     index = next((i for i, c in enumerate(point.model.causes) if traits_of(c).field), None)

@@ -1,4 +1,4 @@
-"""Where a search begins: at the configuration, or at terms that run already."""
+"""Where a search begins: at the configuration, or at terms that already run."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -19,16 +19,16 @@ Terms = Mapping[str, float]
 def begun(
     problem: Problem, library: Library, base: Point, terms: Terms, barred: Collection[str] = ()
 ) -> Point:
-    """Return the model of terms that run already, at the values that these data give them.
+    """Return the model of the terms that already run, with values estimated from these data.
 
-    What the data do not show, or know no cause for, is left out.
+    Terms that the data do not show, or that belong to no cause, are left out.
 
     Parameters
     ----------
     terms : mapping of str to float
         Total values by term.
     barred : collection of str
-        Causes that have no place in it.
+        Causes that it must not contain.
     """
     model = Model()
     for f in causes_of(library.candidates, terms):
@@ -43,7 +43,7 @@ def begun(
 
 
 def causes_of(candidates: Sequence[Candidate], terms: Terms) -> Iterator[Fitted]:
-    """Yield causes that set terms as they run; those that set most at once come first."""
+    """Yield causes that reproduce the running terms; those that set the most terms come first."""
     left = dict(terms)
     for c in sorted(candidates, key=lambda c: -len(c.terms(c.start))):
         names = list(c.terms(c.start))
@@ -52,12 +52,12 @@ def causes_of(candidates: Sequence[Candidate], terms: Terms) -> Iterator[Fitted]
 
 
 def _as_it_runs(c: Candidate, own: Terms) -> Fitted:
-    """Return a cause at given values; what only shapes it stays as given.
+    """Return a cause at given values; terms that only shape it stay as given.
 
     Parameters
     ----------
     own : mapping of str to float
-        By term, in the order of the candidate's: first those that are fitted.
+        By term, in the candidate's order: the fitted ones first.
     """
     values = list(own.values())
     theta = tuple(values[: c.n])

@@ -1,9 +1,9 @@
-"""Delays in each other's place: late may be the whole source, or one of its channels.
+"""Exchange of delays: the whole source may be late, or one of its channels.
 
-The first one that is taken holds on to what another would explain. Beside it the other has little
-left, and in its place would begin at zero, from where no slope leads to a long delay. So each delay
-of a model is exchanged for every other, which begins with its value; and each has to hold beside
-the others.
+The first delay that is accepted explains part of what another would. Added to it, the other has
+little left to explain; in its place it would start from zero, from where no slope leads to a long
+delay. So each delay of a model is exchanged for every other, which starts from its value, and each
+must be needed in addition to the others.
 """
 
 from typing import Final
@@ -26,7 +26,7 @@ SUPERFLUOUS: Final = "beside another delay it does not hold on held-out blocks"
 def with_other_delays(library: Library, point: Point, rows: list[Decision]) -> Point:
     """Return the model with the delays that explain the data best, and no superfluous one."""
     problem = library.problem
-    if problem.stage.memoryless:  # times of the drive act each in its own way
+    if problem.stage.memoryless:  # each time of the drive acts in its own way
         return point
     for _ in range(MOST_SWAPS):
         action: Action = "swapped"
@@ -41,18 +41,18 @@ def with_other_delays(library: Library, point: Point, rows: list[Decision]) -> P
 
 
 def beginning_for(f: Fitted, c: Candidate) -> tuple[float, ...]:
-    """Return where a candidate begins in the place of a cause: a delay with the other's value."""
+    """Return where a candidate starts in place of a cause; a delay takes the other's value."""
     both = traits_of(f.candidate.cause).whole_ticks and traits_of(c.cause).whole_ticks
     return f.theta if both and c.low[0] < f.theta[0] < c.high[0] else c.beginning
 
 
 def _delays(point: Point) -> list[int]:
-    """Return the places of the delays in a model."""
+    """Return the indices of the delays in a model."""
     return [i for i, cause in enumerate(point.model.causes) if traits_of(cause).whole_ticks]
 
 
 def _exchanged(library: Library, point: Point) -> Point | None:
-    """Return the best model with one delay in the place of another, if it is clearly better."""
+    """Return the best model with one delay in place of another, if it is clearly better."""
     problem, best, most = library.problem, None, 0.0
     others = [
         c

@@ -1,4 +1,4 @@
-"""Causes whose size changes along the log: their sensitivity times the course of time."""
+"""Causes whose size changes along the log: their sensitivity times the time."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ class Drifting:
 
     point: Point
     p: dict[str, float]  # of no change, by cause
-    # deviance that sizes and trends of their own in each part of the log save against the model
+    # deviance that separate sizes and trends in each part of the log save, compared with the model
     # before
     gain: float
 
@@ -58,7 +58,7 @@ def parts(problem: Problem) -> list[Mask]:
 def drifting(problem: Problem, point: Point, rng: np.random.Generator) -> dict[str, float]:
     """Return accepted causes whose value changes along the log, with their p.
 
-    A change within what the plant's own form of a cause may be off by is none.
+    A change that the inexact form of a cause in the plant could explain does not count.
     """
     accepted = problem.accepted(point)
     if accepted is None:
@@ -82,13 +82,13 @@ def drifting(problem: Problem, point: Point, rng: np.random.Generator) -> dict[s
 
 
 def with_drift(library: Library, point: Point, rng: np.random.Generator) -> Drifting:
-    """Return the model in which a cause that drifts stands where it explains more.
+    """Return the model with a drifting cause wherever that explains more.
 
-    One that drifts about its configured value has no mean effect, so that a selection does not see
-    it; and one that drifts otherwise can look like part of the floor or a weaker battery.
+    A cause that drifts about its configured value has no mean effect, so that selection does not
+    see it. Other drifts can look like part of the floor or a weaker battery.
     """
     first = point
-    if library.problem.stack.n_blocks < 2 * PARTS_OF_LOG:  # what changes would be noise
+    if library.problem.stack.n_blocks < 2 * PARTS_OF_LOG:  # too few: a change would be noise
         return Drifting(point, {}, 0.0)
     point = _taken_up(library, point, rng)
     p = drifting(library.problem, point, rng)
@@ -102,7 +102,7 @@ def with_drift(library: Library, point: Point, rng: np.random.Generator) -> Drif
 
 
 def _singles(library: Library) -> tuple[list[int], Array]:
-    """Return the linear candidates of one parameter and their columns, in the log's order."""
+    """Return the linear candidates with one parameter and their columns, in the log's order."""
     chosen = [i for i, c in enumerate(library.candidates) if c.linear and c.n == 1]
     columns = np.empty((len(library.problem.stack), len(chosen)), order="F")
     columns[library.blocks.order] = library.columns[:, np.isin(library.owner, chosen)]
@@ -126,7 +126,7 @@ def _taken_up(library: Library, point: Point, rng: np.random.Generator) -> Point
     order, time = blocks.order, course(problem)[:, 0]
     base = basis(np.empty((len(columns), 0)) if accepted is None else accepted)
     left, found = _beside(base, point.left), []
-    for k in free:  # beside a size of its own: without, only the end that differs would count
+    for k in free:  # with a size of its own, or only the end that differs would count
         own = _beside(base, _beside(base, columns[:, k]))
         own = own[:, None] / max(float(np.sqrt(own @ own)), SHORTEST)
         change = _beside(own, _beside(base, columns[:, k] * time))
@@ -143,19 +143,19 @@ def _taken_up(library: Library, point: Point, rng: np.random.Generator) -> Point
 def _rearranged(
     library: Library, first: Point, point: Point, drift: set[str]
 ) -> tuple[Point, float]:
-    """Exchange and drop causes, all compared with sizes and trends of their own in each part.
+    """Exchange and drop causes; models are compared with separate sizes and trends in each part.
 
     Parameters
     ----------
     first : Point
-        What was selected, before a cause was taken up for its change alone.
+        What was selected before a cause was added for its change alone.
 
     Returns
     -------
     Point
         With one size each.
     float
-        Deviance with sizes and trends of their own.
+        Deviance with separate sizes and trends.
     """
     problem, taken = library.problem, point.model.causes
     accepted = problem.accepted(point)
@@ -168,7 +168,7 @@ def _rearranged(
         others, own = apart(point, accepted, index)
         best = _by_change(library, orthogonal(point.left + own, others), others)
         for c in [c for c in best if c.cause not in taken][:MOST_FITTED]:
-            if c.cause in model.causes:  # taken in the place of another
+            if c.cause in model.causes:  # taken in place of another
                 continue
             other = model.swapped(index, c, c.beginning)
             found = cost(other)
@@ -187,21 +187,21 @@ def _rearranged(
 
 
 def left_by_changes(problem: Problem, model: Model, start: Point) -> float:
-    """Return the deviance of a model with sizes and trends of their own in each part of the log."""
+    """Return the deviance of a model with separate sizes and trends in each part of the log."""
     return sum(_left_in(problem, model, start, mask) for mask in parts(problem))
 
 
 def changing_alike(problem: Problem, point: Point, rivals: Sequence[Rival]) -> list[Rival]:
     """Return the rivals whose change along the log explains as much as that of an accepted cause.
 
-    With one size each, far more is left than the causes differ by.
+    With one size each, the misfit would be far larger than the difference between the causes.
     """
     most = left_by_changes(problem, point.model, point) + INSTEAD_LEAST_GAIN
     return [r for r in rivals if left_by_changes(problem, r.point.model, r.point) < most]
 
 
 def _left_in(problem: Problem, model: Model, start: Point, mask: Mask) -> float:
-    """Return the deviance of some blocks, with sizes and straight trends of their own there."""
+    """Return the deviance of some blocks, with their own sizes and linear trends there."""
     point = fit(problem, model, start, rows=mask, iterations=3)
     left = float(point.loss[mask].sum())
     columns, rows = problem.accepted(point), mask[problem.stack.block]
@@ -219,10 +219,10 @@ def _without_stand_ins(
     cost: Callable[[Model], float],
     least: float,
 ) -> tuple[Model, float]:
-    """Drop causes that explained the change of another: beside it they explain next to nothing.
+    """Drop causes that stood in for the change of another: with it they explain next to nothing.
 
-    Of a selected cause a share of what it explains alone must be left; of one that was taken up for
-    its change, a share of what all changes explain.
+    A selected cause must keep a share of what it explains alone; a cause that was added for its
+    change, a share of what all changes explain.
     """
     while len(model.fitted) > 1:
         whole = fit(problem, model, first, iterations=4)
@@ -246,7 +246,7 @@ def _without_stand_ins(
 def _one_for_all(
     library: Library, model: Model, first: Point, cost: Callable[[Model], float], least: float
 ) -> tuple[Model, float]:
-    """Return one cause in the place of several where it explains as much as they do together."""
+    """Return one cause in place of several if it explains as much as they do together."""
     if len(model.fitted) < 2:
         return model, least
     problem = library.problem
@@ -260,7 +260,7 @@ def _one_for_all(
 
 
 def _by_change(library: Library, target: Array, others: Array | None) -> list[Candidate]:
-    """Return the linear candidates; first those whose size and trend explain most of a target."""
+    """Return the linear candidates, those whose size and trend explain most of a target first."""
     chosen, columns = _singles(library)
     time = course(library.problem)
     gains = [

@@ -28,15 +28,15 @@ MOST_SWAPS: Final = 4  # exchanges in a row
 
 @dataclass
 class Rival:
-    """A cause in the place of another."""
+    """A cause in place of another."""
 
     candidate: Candidate
     point: Point
-    # of the sensitivities, what the other accepted causes explain taken out; of the effects
-    # themselves at their fitted sizes where these are more alike, see `likeness`
+    # of the sensitivities, without what the other accepted causes explain; or of the effects at
+    # their fitted sizes, if these are more alike, see `likeness`
     cosine: float
-    worse: float  # deviance that it leaves more, a penalty per parameter included
-    z: float  # deviations of the difference over the blocks, see `deviations`
+    worse: float  # additional deviance that it leaves, including a penalty per parameter
+    z: float  # significance of the difference over the blocks, see `deviations`
     gross: bool  # the accepted cause leaves far more than noise
 
     @property
@@ -46,14 +46,14 @@ class Rival:
 
     @property
     def close(self) -> bool:
-        """Whether it explains the data about as well."""
+        """Whether it explains the data about as well as the accepted cause."""
         return self.worse < TIE or self.z < RIVAL_CLEAR_Z
 
     @property
     def ties(self) -> bool:
         """Whether the data cannot tell it from the accepted cause.
 
-        What is less alike can be distinguished where only noise is left. Where far more is left,
+        Where only noise is left, less similar causes can be distinguished. Where far more is left,
         something unknown moves the robot as well, and may be what makes one of the two fit.
         """
         return self.close and self.cosine > (RIVAL_COSINE if self.gross else GROUP_COSINE)
@@ -65,9 +65,9 @@ class Rival:
 
 
 def cosines(library: Library, point: Point, index: int) -> Array:
-    """Return the |cos| between an accepted cause and what every candidate can imitate of it.
+    """Return the |cos| between an accepted cause and the best imitation by every candidate.
 
-    What the other accepted causes explain is taken out of both.
+    What the other accepted causes explain is removed from both.
     """
     problem, f = library.problem, point.model.fitted[index]
     columns = problem.accepted(point)
@@ -94,7 +94,7 @@ def cosines(library: Library, point: Point, index: int) -> Array:
 
 
 def explained(problem: Problem, point: Point, index: int) -> float:
-    """Return the deviance that an accepted cause saves, about, beside the others."""
+    """Return about how much deviance an accepted cause saves in addition to the others."""
     columns = problem.accepted(point)
     if columns is None or not point.model.fitted[index].candidate.linear:
         return 0.0
@@ -104,12 +104,12 @@ def explained(problem: Problem, point: Point, index: int) -> float:
 
 
 def rivals(library: Library, point: Point, index: int, near: Sequence[Trial] = ()) -> list[Rival]:
-    """Fit every confusable rival in the place of an accepted cause; the best start of each.
+    """Fit every confusable rival in place of an accepted cause, each from its best start.
 
     Parameters
     ----------
-    near : sequence of Trial
-        Others that explained nearly as much when the cause was accepted. A large effect need not
+    Others that explained nearly as much when the cause was accepted. A large effect need not
+    look like the slope of its cause: a limit has no effect until it is reached.
         look like the slope of its cause: a limit does nothing until it is reached.
     """
     problem, taken = library.problem, point.model.causes
@@ -140,7 +140,7 @@ def _in_its_place(
     theta: tuple[float, ...],
     alike: float,
 ) -> Rival | None:
-    """Return a candidate, fitted in the place of an accepted cause, if it is possible."""
+    """Return a candidate fitted in place of an accepted cause, or None if it is not possible."""
     trial = fit(problem, point.model.swapped(index, c, theta), point, iterations=5)
     if not possible(trial):
         return None
@@ -151,15 +151,15 @@ def _in_its_place(
 
 
 def likeness(without: Point, one: Point, other: Point) -> float:
-    """Return the |cos| between what two models change of a third that has neither cause."""
+    """Return the |cos| between the changes that two models make to one that has neither cause."""
     return cosine(without.left - one.left, without.left - other.left)
 
 
 def deviations(difference: Array, more: float = 0.0) -> float:
-    """Return how clearly differences of deviance, by block, lie on one side: sum by its error.
+    """Return how clearly the blocks' differences of deviance have one sign: sum over its error.
 
-    As they are, or bounded, whichever is clearer: of a cause that changes along the log, the half
-    of the blocks that its mean fits worse would outvote the others.
+    They are taken as they are or bounded, whichever is clearer: if a cause changes along the log,
+    the half of the blocks that its mean fits worse would outvote the others.
     """
     bounded = np.clip(difference, -LEAST_GAIN, LEAST_GAIN)
     return max(
@@ -172,7 +172,7 @@ def with_best_rivals(
 ) -> tuple[Point, dict[str, list[Rival]]]:
     """Swap causes for better rivals until none is left; return the rivals that tie.
 
-    One that leaves less, and larger errors on held-out blocks, is none.
+    A rival that leaves less, but larger errors on held-out blocks, is not better.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-"""Duties that end below the limit of the drive: the drive is limited by that much, or the log is.
+"""Duties that stay below the limit of the drive: either the drive or the log is limited.
 
-Both pile up at one value. A drive that is limited makes its wheels slower, a log does not.
+In both cases readings pile up at one value. Only a limited drive makes its wheels slower.
 """
 
 from typing import Final
@@ -24,7 +24,7 @@ LIMIT: Final = "saturation_limit"
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
-    """Find limits of logged duties; the log keeps them, for readings there are no measurements."""
+    """Find limits of logged duties and set them in the log: readings at a limit measure nothing."""
     most = robot.controller.limit_pct
     ends = {
         name: end
@@ -53,14 +53,14 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
 
 
 def _goes_beyond(problem: Problem, free: Array, name: str, end: float) -> bool:
-    """Return whether the drive as configured asks for more where a channel stands at its end."""
+    """Return whether the configured drive asks for more while a channel is at its limit."""
     edge = problem.stack.edges[name]
     at = np.abs(problem.stack.values[edge]) >= end
     return bool(at.any() and np.median(np.abs(free[edge][at])) > (1.0 + NEGLIGIBLE) * end)
 
 
 def _free_to_turn(problem: Problem, free: Array, limit_pct: float) -> bool:
-    """Return whether the wheels' speeds contradict a drive that is limited itself."""
+    """Return whether the wheel speeds contradict a limited drive."""
     stack = problem.stack
     left = [problem.residual(p) for p in (free, problem.predict({LIMIT: limit_pct}, NO_POSES))]
     problem.estimate_noise(left[0])

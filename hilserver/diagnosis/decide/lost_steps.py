@@ -1,4 +1,4 @@
-"""Set-points that came late or never: what a link that loses messages leaves in the residual."""
+"""Set-points that came late or never: the trace of a link that loses messages."""
 
 from typing import Final
 
@@ -15,17 +15,17 @@ from hilserver.diagnosis.thresholds import (
 )
 from hilserver.measured.channels import SETPOINTS, SPEEDS
 
-RESPONSE_S: Final = 0.15  # in which the wheel answers a step
-LONG_S: Final = 0.1  # after which a step that one late message explains has long arrived
+RESPONSE_S: Final = 0.15  # within which the wheel responds to a step
+LONG_S: Final = 0.1  # by then a step that is late by one message has long arrived
 
 
 def lost_steps(problem: Problem, point: Point) -> tuple[int, int]:
     """Return how many set-point steps reached the wheels late or never, and how many are judged.
 
-    A step that waits for the next message is late by one message: what is seen after every step is
-    compared with the simulated response, and with the same one later. A sample that was taken
-    between two rows, or stays as it was, may be old, and a single one is no evidence. Few that are
-    late by one message are chance, and count for nothing; a sound machine misses none for longer.
+    A step that waits for the next message is late by one message: the response seen after every
+    step is compared with the simulated one, and with the same one later. A sample that was taken
+    between two rows, or did not change, may be old, and a single one is no evidence. A few steps
+    late by one message are chance and do not count; a sound machine misses none for longer.
     """
     log, stack, stage = problem.stage.log, problem.stack, problem.stage
     both = [(a, b) for a, b in zip(SETPOINTS, SPEEDS, strict=True) if a in log and b in stack.edges]
@@ -40,7 +40,7 @@ def lost_steps(problem: Problem, point: Point) -> tuple[int, int]:
         t, r = stack.t_s[edge], residual[edge]
         stays = np.diff(stack.values[edge], prepend=np.inf) == 0.0
         rows_s, samples_s = row_period_s(log[setpoint]), row_period_s(log[speed])
-        # when a sample was taken that is slower than the rows, is known to a row only
+        # if samples are slower than the rows, their time is known only to one row
         row_s = np.where(stays, samples_s, rows_s if samples_s > 1.5 * rows_s else 0.0)
         at_once, by_a_row, *later = (
             np.interp(stack.at[edge] - by_s * rate_hz, np.arange(len(shown[speed])), shown[speed])
@@ -66,7 +66,7 @@ def lost_steps(problem: Problem, point: Point) -> tuple[int, int]:
 
 
 def _share(r: Array, later: Array, noise: float) -> float:
-    """Return the share of a later response in what is seen, but for one sample; NaN: none shows."""
+    """Return the share of a later response in the data without one sample; NaN if none shows."""
     others = np.argsort(r * later)[:-1]
     power = float(later[others] @ later[others])
     if power <= 0.0 or noise / np.sqrt(power) > 0.125:

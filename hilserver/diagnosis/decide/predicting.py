@@ -1,8 +1,8 @@
-"""What predicts: the causes that have a name, and columns without one that held-out blocks confirm.
+"""What predicts: causes that have a name, and columns without one that held-out blocks confirm.
 
-A name asks for much: that enough blocks show a cause, that its size is one that machines have. A
-prediction asks that held-out errors fall. So a column may stay in the model, or come into it,
-without a name: it is no finding and no term of the patch.
+A name needs enough blocks that show the cause, and a size that machines have. A prediction only
+needs held-out errors to fall. So a column may stay in the model, or be added to it, without a name:
+it is neither a finding nor a term of the patch.
 """
 
 from collections.abc import Iterable
@@ -25,10 +25,10 @@ COMES: Final = "too few blocks show it for a name; held-out blocks confirm its c
 def before_settling(
     problem: Problem, point: Point, before: Iterable[Point], rows: list[Decision]
 ) -> Point:
-    """Return one of the models before causes lost their names, if it predicts better.
+    """Return one of the models from before causes lost their names, if it predicts better.
 
-    A name may go because something else explains as much, is too large or too small. What it
-    predicts right on held-out blocks stays, as a column without a name.
+    A cause may lose its name because something else explains as much, or because it is too large or
+    too small. If it helps on held-out blocks, it stays as a column without a name.
     """
     whole, harm = point, None
     for richer in before:
@@ -45,8 +45,8 @@ def before_settling(
 def with_nameless(p: Prepared, whole: Point, rows: list[Decision]) -> Point:
     """Return a model with all further columns that held-out blocks confirm.
 
-    Where nothing is found nothing predicts. What a drive leaves is mostly the form of its causes,
-    see `Traits.abrupt`: columns would only imitate that.
+    Without any cause nothing is added. What remains of a drive is mostly the inexact form of its
+    causes, see `Traits.abrupt`: columns would only imitate that.
     """
     if not whole.model.fitted or p.problem.stage.memoryless:
         return whole
@@ -63,8 +63,8 @@ def with_nameless(p: Prepared, whole: Point, rows: list[Decision]) -> Point:
 def halfway(problem: Problem, by_all: Point) -> Point:
     """Return a model halfway between its fit to all samples and that to the ends of free runs.
 
-    One errs by what it takes for noise, the other by how little it uses; their mean is nearer than
-    either. Where segments are long the noise is known, and all samples are best.
+    The first errs by what it takes for noise, the second because it uses little of the data; their
+    mean is closer than either. In long segments the noise is known, and all samples are best.
     """
     by_ends = fit_by_ends(problem, by_all, HORIZON_S) if problem.is_short else by_all
     if by_ends is by_all:
@@ -74,7 +74,7 @@ def halfway(problem: Problem, by_all: Point) -> Point:
 
 
 def _further(p: Prepared, whole: Point) -> Point | None:
-    """Return the model with the column that explains most of those that are confirmed."""
+    """Return the model with the one confirmed column that explains most, if there is one."""
     problem, library = p.problem, p.library
     starts = best_starts(library.scores(whole), library, frozenset(whole.model.causes))
     fitted = partial(attempt, problem, whole, library, p=1.0, gross=whole.is_gross)

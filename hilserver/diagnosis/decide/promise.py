@@ -1,4 +1,4 @@
-"""What no step may cost: the error at the end of free runs on blocks that took no part in a fit."""
+"""What no step may make worse: the error at the end of free runs on held-out blocks."""
 
 from typing import Final
 
@@ -11,11 +11,11 @@ from hilserver.diagnosis.thresholds import NEGLIGIBLE
 
 HORIZON_S: Final = 5.0
 CLEARLY_SE: Final = 2.0
-"""Standard errors over the blocks by which an error has grown (specification)."""
+"""Standard errors over the blocks beyond which an error has clearly grown (specification)."""
 
 
 class Step:
-    """The exchange of one model for another, on held-out blocks, paired by block.
+    """The exchange of one model for another, compared block by block on held-out blocks.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class Step:
 
     @property
     def gain(self) -> float | None:
-        """Error before by error after, geometric mean over the quantities; None without any."""
+        """Error before over error after, geometric mean over the quantities; None without any."""
         ratios = [
             pair.before.values.mean() / max(pair.after.values.mean(), 1e-300)
             for pair in self._pairs.values()
@@ -38,19 +38,19 @@ class Step:
 
     @property
     def harms(self) -> bool:
-        """Whether an error that is reported grows clearly."""
+        """Whether a reported error grows clearly."""
         return any(map(_grows, self._pairs.values()))
 
     @property
     def helps(self) -> bool:
-        """Whether an error that is reported falls clearly."""
+        """Whether a reported error falls clearly."""
         return any(_grows(Pair(p.after, p.before, p.horizon_s)) for p in self._pairs.values())
 
 
 def left_out(
     problem: Problem, before: Point, after: Point, action: Action, reason: str
 ) -> list[Decision]:
-    """Return a row for each cause that one model has and the next has not, with what that gains."""
+    """Return a row for each cause that the next model no longer has, with the gain of the step."""
     gone = [c for c in before.model.causes if c not in after.model.causes]
     gain = Step(problem, before, after).gain if gone else None
     return [Decision(cause, action, gain, reason) for cause in gone]

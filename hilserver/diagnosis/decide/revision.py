@@ -34,7 +34,7 @@ from hilserver.diagnosis.thresholds import GROSS, LEAST_GAIN, LEFT_SHARE, TIE
 BY_STRUCTURE: Final = "unknown structure explains as much"
 TOO_SMALL: Final = "too small to be worth a name"
 Doubt = tuple[int, str] | None
-"""The place of a cause that should go, and why; None if there is none."""
+"""The index of a cause that should go, and why; None if there is none."""
 
 
 @dataclass
@@ -45,7 +45,7 @@ class Judged:
     selected: Selected
     point: Point  # the causes that have a name
     whole: Point
-    """What predicts: beside these, columns of causes that were found right and lost their names."""
+    """What predicts: these, and columns of causes that proved right but lost their names."""
     ties: Mapping[str, list[Rival]]
     unknown: list[Unknown]
     drift: dict[str, float]
@@ -72,7 +72,7 @@ def revised(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     fitted, (point, is_missed) = point, _named_only(problem, point, ties, drift, rows)
     drift = {cause: p for cause, p in drift.items() if cause in point.model.causes}
     bare = point is not fitted and not point.model.fitted
-    # what they did not explain is no less gross without them
+    # without them the misfit is no less gross
     if is_missed or (bare and not unknown and fitted.is_gross):
         unknown = _remaining(problem, point, rng, 0.0 if bare else explained)
     if not drift and fails(p, point):
@@ -116,7 +116,7 @@ def _beside_structure(
     rng: np.random.Generator,
     rows: list[Decision],
 ) -> tuple[Point, list[Unknown]]:
-    """Return a model without causes that unknown structure stands for, and that structure."""
+    """Return a model without causes that unknown structure replaces, and that structure."""
     point, look = weighed, Imitation(problem, weighed)
     families = look.beside(families_of(problem, weighed))
     unknown = remaining(problem, weighed, rng, families, explained)
@@ -144,7 +144,7 @@ def _changing(
     rng: np.random.Generator,
     rows: list[Decision],
 ) -> tuple[Point, list[Unknown], dict[str, float]]:
-    """Return the model in which causes change along the log where that explains more."""
+    """Return the model in which causes change along the log, if that explains more."""
     changing = with_drift(p.library, point, rng)
     left = point.deviance - changing.gain
     clear = not p.problem.stage.memoryless or left < GROSS * len(point.left)
@@ -164,8 +164,8 @@ def _named_only(
 ) -> tuple[Point, bool]:
     """Return a model without causes that are no findings, and whether one of them is missed.
 
-    What is too small for a name is none: what it explained is not unknown, and of no use. The mean
-    of one that changes does not say how large it is.
+    One too small for a name is not: what it explained is known, and does not matter. But of one
+    that changes along the log, the mean does not show how large it is.
     """
 
     def nameless(point: Point) -> Doubt:
@@ -178,9 +178,9 @@ def _named_only(
 
 
 def no_name(problem: Problem, f: Fitted, ties: Mapping[str, Sequence[Rival]]) -> str | None:
-    """Return why a fitted cause is no finding; None: it is one.
+    """Return why a fitted cause is no finding; None if it is one.
 
-    Of a size that no machine has it may stand in a group behind a cause that is plausible.
+    A cause larger than any machine has may be in a group behind a plausible one.
     """
     if not worth_a_name(f):
         return TOO_SMALL
@@ -196,7 +196,7 @@ def _harmless(problem: Problem, point: Point, doubtful: Iterable[int]) -> set[in
     """Return those of some causes without which no held-out error grows, or one even falls.
 
     A family of columns is flexible enough to explain as much as a true cause on the blocks that it
-    is fitted to; but a true cause makes no prediction worse.
+    is fitted to; but a true cause does not make any prediction worse.
     """
     steps = {i: Step(problem, point, fit_without(problem, point, i)) for i in doubtful}
     return {i for i, step in steps.items() if step.helps or not step.harms}
@@ -221,7 +221,7 @@ def _without_doubtful(
 
 
 def _weighed(p: Prepared, selected: Selected) -> tuple[Point, dict[str, list[Rival]]]:
-    """Return the selected causes or better ones in their place, and the rivals that tie."""
+    """Return the selected causes, or better ones in their place, and the rivals that tie."""
     problem, point, rows = p.problem, selected.point, selected.rows
     if not point.model.fitted:
         return point, {}
@@ -252,9 +252,9 @@ def _without_what_tyres_do(
 
 
 def with_fewer(problem: Problem, point: Point, ties: Mapping[str, list[Rival]]) -> Point | None:
-    """Return a model with fewer causes in which a rival that ties stands for two; or None.
+    """Return a model with fewer causes in which a rival that ties replaces two; or None.
 
-    A wheel radius and a scale of the navigation turn and drive as a rotation gain alone does.
+    A wheel radius with a scale of the navigation has the same effect as a rotation gain alone.
     """
     if len(point.model.fitted) < 2:
         return None
@@ -270,9 +270,9 @@ def with_fewer(problem: Problem, point: Point, ties: Mapping[str, list[Rival]]) 
 
 
 def fails(p: Prepared, point: Point) -> bool:
-    """Return whether causes leave a gross misfit, and no small part of all there was.
+    """Return whether causes leave a gross misfit that is no small part of the original one.
 
-    What is left then is no noise, and whatever makes it may well make the rest, too.
+    What is left then is not noise, and whatever causes it may well cause the rest, too.
     """
     if not point.model.fitted or not point.is_gross:
         return False

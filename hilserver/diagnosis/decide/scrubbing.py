@@ -1,8 +1,8 @@
 """Tyres that scrub: when a smaller rotation gain may be friction across the wheels.
 
-In steady turns the two are exact twins (`hilserver.plant.friction`). What a gain alone cannot make
-is a turn that also comes late: tyres give before they pull, so the body follows the wheels by some
-milliseconds. Real skid-steered robots turn at about half of 1/track.
+In steady turns the two are exact twins (`hilserver.plant.friction`). But a gain alone cannot make
+the turn late: tyres give before they pull, so the body follows the wheels some milliseconds later.
+Real skid-steered robots turn at about half of 1/track.
 """
 
 from collections.abc import Sequence
@@ -22,12 +22,12 @@ from hilserver.plant.friction import anisotropy
 from hilserver.plant.parameters import RobotParameters
 
 RATIOS: Final = (0.2, 20.0)
-"""Friction across by friction along the wheels: where a ratio is looked for."""
+"""Range in which the ratio of friction across to friction along the wheels is searched."""
 TURNING = "velocity.angular_rad_s"
 
 
 def scrubs(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> bool:
-    """Return whether the turn is much smaller than by the wheels, and late or irregular."""
+    """Return whether the turn is much smaller than the wheels say, and late or irregular."""
     log, robot = problem.stage.log, problem.stage.robot
     if robot.wheelbase_m is None or robot.is_mecanum or not log.has(*POSITION, YAW):
         return False
@@ -39,7 +39,7 @@ def scrubs(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> bool:
 
 
 def late_turn(point: Point) -> int | None:
-    """Return the index of a latency of the turn that is no longer than tyres can make it."""
+    """Return the index of a latency of the turn that is short enough to come from the tyres."""
     for index, f in enumerate(point.model.fitted):
         if traits_of(f.candidate.cause).delays_turn and 0.0 < f.theta[0] < SCRUBBING_LATE_S:
             return index
@@ -47,7 +47,7 @@ def late_turn(point: Point) -> int | None:
 
 
 def bent_turn(problem: Problem, point: Point, explained: float) -> int | None:
-    """Return the index of a cause that only bends what tyres make a little nearer to a gain.
+    """Return the index of a cause that only makes up the small difference of tyres to a gain.
 
     Parameters
     ----------
@@ -63,9 +63,9 @@ def bent_turn(problem: Problem, point: Point, explained: float) -> int | None:
 
 
 def as_friction(robot: RobotParameters, gain: Fitted, own: Parameter) -> Parameter | None:
-    """Return the ratio of friction across to friction along that turns as the rotation gain does.
+    """Return the ratio of friction across to along that turns the robot as the rotation gain does.
 
-    None where no ratio does.
+    None if no ratio does.
     """
     assert robot.wheelbase_m is not None
     even = robot.track_m / (robot.wheelbase_m**2 + robot.track_m**2)

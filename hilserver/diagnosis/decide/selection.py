@@ -42,10 +42,10 @@ from hilserver.diagnosis.thresholds import (
     TIE,
 )
 
-TRIALS: Final = 8  # candidates of a round that are fitted: those with the largest linear gains
-MOST_FITTED: Final = 3  # causes of a round that are fitted in full, each with all its shapes
-MOST_SHAPES: Final = 4  # shapes of a cause that are fitted where much is left to explain
-ROUNDS: Final = 3  # each takes away more than half of what the weights confirm of earlier fits
+TRIALS: Final = 8  # candidates fitted per round: those with the largest linear gains
+MOST_FITTED: Final = 3  # causes fitted in full per round, each with all its shapes
+MOST_SHAPES: Final = 4  # shapes of a cause fitted where much is left to explain
+ROUNDS: Final = 3  # each removes more than half of the weights' bias to earlier fits
 
 
 @dataclass
@@ -56,17 +56,17 @@ class Selected:
     # family-wise p of each accepted cause when it was accepted
     p: dict[str, float] = field(default_factory=dict)
     rows: list[Decision] = field(default_factory=list)  # what was taken and refused, in order
-    # of each accepted cause the others that explained nearly as much in its round
+    # for each accepted cause, the others that explained nearly as much in its round
     near: dict[str, list[Trial]] = field(default_factory=dict)
 
 
 def best_starts(
     scores: Scores, library: Library, barred: frozenset[str], *, gross: bool = False
 ) -> list[tuple[int, float]]:
-    """Return the candidates that could explain most, with their linear gain; one of each cause.
+    """Return the candidates that could explain most, with their linear gain; one per cause.
 
-    Where much is left to explain no cause is linear any more, so significance is asked of the fit
-    and not of the screen; and of a cause with a shape several are tried.
+    Where much is left to explain, no cause is linear any more: significance is then tested on the
+    fit, not on the screen, and several shapes of a cause are tried.
     """
     found: dict[str, tuple[int, float]] = {}
     shapes: dict[int, float] = {}
@@ -95,13 +95,13 @@ def attempt(
 ) -> Trial | None:
     """Fit a candidate together with the accepted causes.
 
-    One that is too small for a name competes as well: were it refused, a rival would get the name
-    of what it explains.
+    One that is too small for a name competes as well: without it, a rival would be named for what
+    it explains.
 
     Parameters
     ----------
     gross : bool
-        So much is left that the screen, which is linear, is a poor start.
+        Whether so much is left that the linear screen is a poor start.
     """
     c = library.candidates[index]
     begin = c.beginning
@@ -114,9 +114,9 @@ def attempt(
 
 
 def both_at_once(problem: Problem, point: Point, library: Library) -> Point:
-    """Return the causes that an accepted one may stand for, in its place or beside it.
+    """Return a model with the causes that an accepted one may stand for, replacing or joining it.
 
-    As it is, unless one of these is clearly better.
+    It is unchanged unless one of these is clearly better.
     """
     causes = point.model.causes
     index, both = next(
@@ -147,14 +147,14 @@ def select(
     other: Sequence[Scores] = (),
     running: Terms = MappingProxyType({}),
 ) -> Selected:
-    """Select the causes of a stage, in so many threads.
+    """Select the causes of a stage, in `jobs` threads.
 
     Parameters
     ----------
     other : sequence of Scores
         Of the other stages, which share the family-wise level.
     running : mapping of str to float
-        Terms that run already: the search starts there, and their values are estimated as totals.
+        Terms that already run: the search starts there and estimates their total values.
     """
     with ThreadPoolExecutor(max(jobs, 1)) as pool:
         search = partial(_forward, problem, library, base, other, rng, pool, running)
@@ -167,10 +167,10 @@ def _plausible(
     base: Point,
     search: Callable[[frozenset[str]], Selected],
 ) -> Selected:
-    """Search, and once more without a first choice that no machine would have.
+    """Search; where a cause is larger than any machine has it, search again without it.
 
-    What was taken first shapes all that follows, and no exchange of one cause for another leads
-    from it to several that explain the data as well. At a bound it explains nothing at all.
+    The first choice shapes all that follows: swapping single causes never leads from it to several
+    causes that explain the data as well. A cause at a bound explains nothing at all.
     """
     beginning = problem.noise, problem.weights
     first = search(frozenset())
@@ -203,13 +203,13 @@ def _excessive(f: Fitted) -> bool:
 
 
 def _use_noise(problem: Problem, library: Library, noise: Noises, point: Point) -> None:
-    """Take a noise model that was estimated before."""
+    """Use a noise model that was estimated before."""
     problem.noise, problem.weights = noise
     library.rewhiten(point)
 
 
 def _cost(problem: Problem, selected: Selected, noise: Noises) -> float:
-    """Return the deviance of a model under some noise, and what its parameters cost."""
+    """Return the deviance of a model under some noise, plus the cost of its parameters."""
     point = fit(problem.under(*noise), selected.point.model, selected.point, iterations=2)
     return point.deviance + sum(TIE * f.candidate.weight for f in point.model.fitted)
 
@@ -256,7 +256,7 @@ def _forward(
         for cause in point.model.causes:
             selected.p.setdefault(cause, min(accepted.p, SCREEN_LEVEL))
         point = with_noise_anew(problem, library, point)
-    # samples that a fit misses weigh less there, and so confirm it: a value comes out too small
+    # samples that a fit misses get less weight, which confirms the fit: values come out too small
     for _ in range(ROUNDS if problem.is_short and point.model.fitted else 0):
         point = with_noise_anew(problem, library, point)
     selected.point = point
@@ -264,7 +264,7 @@ def _forward(
 
 
 def _already(problem: Problem, library: Library, point: Point, selected: Selected) -> Point:
-    """Return a model that a search starts from; its causes are taken, each with its own p."""
+    """Return a model that a search starts from; its causes count as taken, each with its own p."""
     if not point.model.fitted:
         return point
     point = with_noise_anew(problem, library, point)
@@ -277,11 +277,11 @@ def _already(problem: Problem, library: Library, point: Point, selected: Selecte
 
 
 def own_error(problem: Problem, point: Point, before: float) -> float:
-    """Return the deviance that the accepted causes may leave by their own form.
+    """Return the deviance that the accepted causes may leave because their form is inexact.
 
     An effect that is off by a share of itself leaves the square of that share. Where wheels stick
     and break loose it leaves more: a tenth of the share already decides when they do. Twice the
-    share is asked, as in an interval.
+    share is allowed, as in an interval.
 
     Parameters
     ----------
@@ -299,7 +299,7 @@ def own_error(problem: Problem, point: Point, before: float) -> float:
 
 
 def _moved_by(problem: Problem, point: Point, index: int, share: float) -> float:
-    """Return the deviance between a model and the same with one cause larger by a share."""
+    """Return the deviance between a model and the same model with one cause larger by a share."""
     f = point.model.fitted[index]
     theta = (v + share * (v - null) for v, null in zip(f.theta, f.candidate.null, strict=True))
     moved = point.model.swapped(index, f.candidate, tuple(theta))
@@ -317,8 +317,8 @@ def _accepted(
 ) -> Trial | None:
     """Return the best trial that is significant and holds on blocks it was not fitted to.
 
-    One that only explains a part of what a better one does, which shows in too few blocks to be
-    believed, is a wrong name for it.
+    A trial that explains only part of what a better one does is a wrong name for it, even where the
+    better one shows in too few blocks to be believed.
     """
     causes: set[str] = set()
     unsure: list[Trial] = []
@@ -350,7 +350,7 @@ def _accepted(
 
 
 def _part_of(problem: Problem, other: Trial, trial: Trial, least: float) -> bool:
-    """Return whether another cause explains clearly more, and this one hardly more beside it."""
+    """Return whether another cause explains clearly more, and this one hardly adds to it."""
     if trial.gain > GROUP_COSINE**2 * other.gain:
         return False
     model = other.point.model.plus(trial.candidate, trial.theta)
@@ -359,9 +359,9 @@ def _part_of(problem: Problem, other: Trial, trial: Trial, least: float) -> bool
 
 
 def with_noise_anew(problem: Problem, library: Library, point: Point) -> Point:
-    """Learn the noise anew from what the extended model leaves, and fit once more.
+    """Estimate the noise again from what the extended model leaves, and fit once more.
 
-    In short segments from what no cause could explain besides: it takes the side of no model.
+    In short segments only from what no further cause could explain, which favours no model.
     """
     if problem.is_short:
         clean(problem, library, point)

@@ -1,4 +1,4 @@
-"""Search for the shape of a cause: of a delay or a limit its value, of a region its edge."""
+"""Search for the shape of a cause: the value of a delay or a limit, the edge of a region."""
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
@@ -23,7 +23,7 @@ def searched(
 ) -> tuple[Candidate, tuple[float, ...]]:
     """Return the best of some starts of a cause, and a value near it that is better still.
 
-    What a delay or a limit leaves has steps: its slope has no information on where the bottom is.
+    The deviance of a delay or a limit has steps: its slope does not show where the minimum is.
     """
 
     def deviance(c: Candidate, theta: float) -> float:
@@ -50,9 +50,9 @@ def searched(
 
 
 def refined(problem: Problem, point: Point, trials: Sequence[Trial], pool: Executor) -> list[Trial]:
-    """Search the shapes of those trials that could win with a better one; the best first.
+    """Search the shapes of those trials that could win with a better one; sort, the best first.
 
-    Where the best trial ends a gross misfit, no shape of another can do better.
+    If the best trial ends a gross misfit, no shape of another can do better.
     """
     most = max((trial.gain for trial in trials), default=0.0)
     ends_it = point.is_gross and not all(trial.point.is_gross for trial in trials)
@@ -72,7 +72,7 @@ def refined(problem: Problem, point: Point, trials: Sequence[Trial], pool: Execu
 
 
 def refine(problem: Problem, point: Point, index: int) -> Point:
-    """Search the shape of one cause: a region's edge is moved while it explains more."""
+    """Search the shape of one cause: a region's edge is moved as long as it explains more."""
     for shift_m in SHIFTS_M:
         for side in (1.0, -1.0):
             f = point.model.fitted[index]
@@ -86,7 +86,7 @@ def refine(problem: Problem, point: Point, index: int) -> Point:
 
 
 def _unexplained(point: Point) -> float:
-    """Return the deviance in which a few blocks that are off altogether count little.
+    """Return the deviance in which a few blocks that are far off count little.
 
     Where the robot nearly missed an edge, a centimetre decides whether its replay crosses it.
     """

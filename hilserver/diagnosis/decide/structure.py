@@ -38,7 +38,7 @@ class Unknown:
 
     family: Family  # without what the accepted causes explain
     t: float
-    critical: float  # what it must exceed, among all families
+    critical: float  # what t must exceed, among all families
     p: float
     gain: float  # deviance that the whole family saves, less one per column
 
@@ -55,14 +55,14 @@ def remaining(
     Parameters
     ----------
     explained : float
-        Deviance that the accepted causes save: a small share of it may be their own inexactness.
+        Deviance saved by the accepted causes, whose inexactness may leave a small share of it.
 
     Notes
     -----
-    A model without any cause that misses grossly is never left without a word: where no family is
-    significant, because all that was missed is in few blocks, the one that explains most is given.
-    Single samples that are far off, as those of a slow sensor about a step, are no gross misfit.
-    Not so where set-points are followed: one may have come and gone between two rows of the log.
+    A gross misfit of a model without any cause is always reported: if no family is significant,
+    because the misfit is in few blocks, the one that explains most is returned. Single samples that
+    are far off, such as those of a slow sensor near a step, are no gross misfit. Where set-points
+    are followed there is no such rule: one may have come and gone between two rows of the log.
     """
     stack, accepted = problem.stack, problem.accepted(point)
     blocks = Blocks.of(stack.block, stack.n_blocks)
@@ -96,10 +96,10 @@ def remaining(
 class Imitation:
     """The accepted cause that a column of unknown structure most clearly explains better.
 
-    On blocks that neither was fitted to, what the other causes explain taken out of both. Only
+    Compared on blocks that neither was fitted to, without what the other causes explain. Only
     columns that could stand in its place count: others explain something else, which may well be
-    more. And a column that is better by little may be a twin of the cause, whose own form is exact
-    and the column's linear. It is one cause at a time: without it, the next may be needed.
+    more. A column that is slightly better may be a twin of the cause, since it is linear and the
+    form of the cause exact. One cause at a time: without it, the next may be needed.
     """
 
     def __init__(self, problem: Problem, point: Point) -> None:
@@ -107,7 +107,7 @@ class Imitation:
         self._better = np.zeros(len(point.model.fitted))
 
     def beside(self, families: Iterable[Family]) -> Iterator[Family]:
-        """Yield families, one at a time, each held against every cause."""
+        """Yield families one at a time, each compared with every cause."""
         accepted = self._problem.accepted(self._point)
         for family in families:
             for index in range(len(self._better)):
@@ -118,12 +118,12 @@ class Imitation:
 
     @property
     def index(self) -> int | None:
-        """Its place among the causes, or None."""
+        """Its index among the causes, or None."""
         return int(np.argmax(self._better)) if self._better.any() else None
 
 
 def imitated(problem: Problem, point: Point, families: Iterable[Family]) -> int | None:
-    """Return the place of an accepted cause that is imitated, see `Imitation`, or None."""
+    """Return the index of an accepted cause that is imitated, see `Imitation`, or None."""
     if not point.model.fitted:
         return None
     found = Imitation(problem, point)
@@ -133,7 +133,7 @@ def imitated(problem: Problem, point: Point, families: Iterable[Family]) -> int 
 
 
 def _better(problem: Problem, white: Array, point: Point, accepted: Array, index: int) -> float:
-    """Return by how much one of a family's columns explains more in the place of a cause; or 0."""
+    """Return by how much one of a family's columns explains more in place of a cause; or 0."""
     others, own = apart(point, accepted, index)
     target = orthogonal(point.left + own, others)
     effect = orthogonal(own[:, None], others)
@@ -188,8 +188,8 @@ def holds_out(problem: Problem, white: Array, left: Array, least: float = REST_L
 def without_unknown(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> list[int]:
     """Return the accepted causes that unknown structure leaves in doubt.
 
-    A cause is in doubt when, with the structure's columns beside it, it explains less than
-    `DOMINANCE` times what the structure does; or when the structure explains more in its place.
+    A cause is in doubt if, together with the structure's columns, it explains less than
+    `DOMINANCE` times what the structure does; or if the structure explains more in its place.
     """
     if not unknown or not point.model.fitted:
         return []

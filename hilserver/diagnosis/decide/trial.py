@@ -1,4 +1,4 @@
-"""A trial, a candidate fitted together with what is accepted, and what is asked of it."""
+"""A trial: a candidate fitted together with the accepted causes, and the tests it must pass."""
 
 from dataclasses import dataclass
 
@@ -22,7 +22,7 @@ from hilserver.diagnosis.thresholds import (
 
 @dataclass(frozen=True)
 class Trial:
-    """A candidate fitted together with what is accepted."""
+    """A candidate fitted together with the accepted causes."""
 
     candidate: Candidate
     point: Point
@@ -36,7 +36,7 @@ class Trial:
 
 
 def cost(candidate: Candidate, explained: float) -> float:
-    """Return the deviance that a candidate must save before it is better than a simpler one."""
+    """Return the deviance that a candidate must save to be better than a simpler one."""
     return TIE * candidate.weight + INEXACT * candidate.hidden * explained
 
 
@@ -46,13 +46,13 @@ def possible(point: Point) -> bool:
 
 
 def at_bound(f: Fitted) -> bool:
-    """Return whether a parameter of a cause rests on the edge of its range: it explains nothing."""
+    """Return whether a parameter of a cause is at the edge of its range: it explains nothing."""
     ranges = zip(f.theta, f.candidate.low, f.candidate.high, strict=True)
     return any(not low < value < high for value, low, high in ranges)
 
 
 def implausible(f: Fitted) -> bool:
-    """Return whether a cause is larger than it is in any machine one would expect."""
+    """Return whether a cause is larger than one would expect in any machine."""
     away = (abs(v - null) for v, null in zip(f.theta, f.candidate.null, strict=True))
     return max(away) > SELECTION_PLAUSIBLE_SD * f.candidate.prior
 
@@ -69,7 +69,7 @@ def physical(point: Point) -> bool:
 
 
 def holds(problem: Problem, before: Point, after: Point) -> bool:
-    """Return whether a cause improves the blocks that took no part in its fit, both ways.
+    """Return whether a cause improves the blocks left out of its fit, both ways.
 
     Each half of the blocks is predicted from a fit on the other: together they must improve
     clearly, and neither may get worse.
@@ -88,11 +88,11 @@ def holds(problem: Problem, before: Point, after: Point) -> bool:
 
 
 def wald(problem: Problem, point: Point, index: int) -> float:
-    """Return how far a fitted cause lies from its null, as a normal deviation.
+    """Return how far a fitted cause lies from its null, as a normal deviate.
 
-    Tested is the share in which all that it changes is there. The slope at the fit holds less on
-    a cause that acts in jumps: a robot that nearly missed the edge of a floor turns there
-    altogether otherwise. The blocks that separate the cause from the others count, see
+    Tested is a factor of the whole effect of the cause. The slope at the fit says less about a
+    cause that acts in jumps: a robot that nearly missed the edge of a floor turns there quite
+    differently. Only blocks that separate the cause from the others count, see
     `screen.normal`.
     """
     columns = problem.accepted(point)
@@ -105,9 +105,9 @@ def wald(problem: Problem, point: Point, index: int) -> float:
 
 
 def not_alone(information: Array) -> Mask:
-    """Return which blocks count: one with more information than all others together is no evidence.
+    """Return which blocks count: not one with more information than all others together.
 
-    It would hide that of the others.
+    Such a block is no evidence, and would hide that of the others.
 
     Parameters
     ----------

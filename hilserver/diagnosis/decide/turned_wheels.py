@@ -1,4 +1,4 @@
-"""How wheels turn: by the causes of the drive, and what follows for the pose."""
+"""How wheels turn with the causes of the drive, and what follows for the pose."""
 
 from collections.abc import Mapping
 
@@ -18,10 +18,10 @@ from hilserver.measured.data import MeasuredLog
 def with_wheels(
     p: Prepared, drive: Judged, log: MeasuredLog, jobs: int, report: Report
 ) -> Prepared | None:
-    """Return the pose, moved by the wheels as they turn with the drive's causes.
+    """Return the pose stage, moved by wheels that turn with the drive's causes.
 
-    Between their samples, and where they have none, they turn as in the drive's model. None where
-    what its causes change of that is too little for any sensor of the pose to show.
+    Between samples, and where there are none, wheels turn as in the drive's model. None if its
+    causes change that too little for any sensor of the pose.
     """
     terms = drive.lasting.terms
     if not terms:
@@ -33,11 +33,11 @@ def with_wheels(
 def disproved(
     p: Prepared, drive: Judged, log: MeasuredLog, jobs: int, rng: np.random.Generator
 ) -> frozenset[str]:
-    """Return causes of the drive that make wheels turn as the pose shows that they do not.
+    """Return causes of the drive whose turning wheels the pose contradicts.
 
-    A wheel whose encoder shows too much and one whose motor pulls too well take the same duty.
-    Where the pose needs no cause with wheels that turn as measured, and misses the data with wheels
-    that turn as with a cause, that cause is the wrong one.
+    A wheel whose encoder shows too much needs the same duty as one whose motor pulls too well.
+    If the pose needs no cause with wheels that turn as measured, but misses the data with wheels
+    that turn as a cause makes them, that cause is the wrong one.
     """
     named: set[str] = set()
     for f in drive.lasting.fitted:
@@ -51,7 +51,7 @@ def disproved(
 def _moved(
     p: Prepared, terms: Mapping[str, float], log: MeasuredLog, jobs: int
 ) -> tuple[Stage, Array]:
-    """Return the pose whose wheels turn by terms of the drive, and its whitened difference."""
+    """Return the pose stage with wheels moved by drive terms, and its whitened difference."""
     problem, poses = p.problem, p.base.poses
     anew = stages_of(log, problem.stage.robot, jobs, drive_terms=terms)[problem.stage.name]
     moved = problem.stage.difference(anew.predict({}, poses), problem.stage.predict({}, poses))

@@ -1,8 +1,8 @@
 """Structure that the library does not have: what the remaining error depends on, without a name.
 
-What is left is mapped against the regressors that are at hand: time, place, heading, speed, turn
-rate, history, the other wheels. A family of columns stands for each; a family is a disturbance of
-the body velocity (pose) or of speed and duty (drive) that depends on its regressor alone.
+What is left is mapped against the available regressors: time, place, heading, speed, turn rate,
+history, the other wheels. Each has a family of columns: a disturbance of the body velocity (pose)
+or of speed and duty (drive) that depends on that regressor alone.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -25,7 +25,7 @@ RANGING = "ranging"
 FREQUENCIES_HZ = tuple(float(f) for f in np.geomspace(0.02, 2.0, 9))
 PEAKS, FINEST_HZ = 3, 5.0
 ANCHORS_OUTSIDE = 0.1
-"""How far outside of the driven place ranging anchors are taken to stand, by its width."""
+"""How far outside the driven area ranging anchors are assumed to stand, relative to its width."""
 
 Raw = tuple[str, tuple[str, ...], list[Array]]
 """A family with its raw columns, per unit of an arbitrary coefficient."""
@@ -41,7 +41,7 @@ class Family:
 
 
 def families_of(problem: Problem, point: Point) -> Iterator[Family]:
-    """Yield what a disturbance of what a stage replays could depend on."""
+    """Yield the families that a disturbance of what a stage replays could depend on."""
     stage = problem.stage
     if isinstance(stage, PoseStage):
         found = _of_the_body(Motion(stage, problem, point), problem, point)
@@ -98,11 +98,11 @@ def _waves(t_s: Array, found: Iterable[float]) -> list[Array]:
 
 
 def anchor_fields(m: Motion) -> Array:
-    """Return how the position moves where one of four ranging anchors measures too long.
+    """Return how the position moves when one of four ranging anchors measures too long.
 
-    Shape (4, n, 2), metre per metre. Where the anchors are is unknown: they are assumed
-    about the place where the robot drove, from low x and y on against the clock. Least squares of
-    the four ranges moves by ``(H'H)^-1 H' e``, H the directions to them.
+    Shape (4, n, 2), metre per metre. Where the anchors stand is unknown: they are assumed around
+    the area where the robot drove, counter-clockwise from low x and y. The least-squares position
+    from the four ranges moves by ``(H'H)^-1 H' e``, H the directions to them.
     """
     low = np.array([m.x.min(), m.y.min()])
     high = np.array([m.x.max(), m.y.max()])
@@ -174,7 +174,7 @@ def _of_the_drive(stage: DriveStage, problem: Problem, point: Point) -> Iterator
         return np.asarray(np.sum([of_wheel(w, None, shape) for w in wheels], axis=0))
 
     def disturbed(w: int, shape: Array) -> list[Array]:
-        """Columns of such a load of one wheel: the loop answers, the speed dips."""
+        """Columns of such a load of one wheel: the loop responds, the speed dips."""
         return [loaded((w,), shape), of_wheel(w, -np.gradient(shape) * rate * 0.005, None)]
 
     for source, name in enumerate(WHEELS):
