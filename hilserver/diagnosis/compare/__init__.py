@@ -1,1 +1,1 @@
-"""Whether one set of recordings differs from another, and in what."""
+"""Whether one set of recordings differs from another, and how."""

@@ -1,8 +1,8 @@
-"""Do two sets of logs differ, and in what? The unit is the run where there are several.
+"""Do two sets of logs differ, and how? The unit is the run if there are several.
 
 Every cause is estimated in both sets, at the model that both share. The difference is judged
-against the scatter between blocks and, with two runs or more on each side, between runs: one run's
-own precision says nothing about the next run.
+against the scatter between blocks and, with two or more runs on each side, between runs: the
+precision of one run does not tell how far the next run will be off.
 """
 
 from collections.abc import Sequence
@@ -27,11 +27,11 @@ from hilserver.plant.parameters import RobotParameters
 
 @dataclass(frozen=True)
 class Compared:
-    """What two sets of logs differ in."""
+    """How two sets of logs differ."""
 
     logs: tuple[MeasuredLog, ...]  # without their faults
     findings: list[Finding]
-    sizes: tuple[Detectable, ...]  # the smallest differences that would have shown
+    sizes: tuple[Detectable, ...]  # the smallest differences that would have been found
     reasons: dict[str, str]  # why causes are not judged
 
 

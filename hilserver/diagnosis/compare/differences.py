@@ -1,4 +1,4 @@
-"""Every cause in two sets of logs, estimated beside those that both share."""
+"""Every cause in two sets of logs, estimated together with the causes that both share."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,17 +27,17 @@ class Difference:
     values: tuple[float, float]
     errors: tuple[float, float]
     p: float  # of no difference, for all causes together (Bonferroni)
-    gain: float  # deviance that two values save against one
+    gain: float  # deviance that two values save compared with one
     dof: float
 
     @property
     def is_worth_a_name(self) -> bool:
-        """Whether the values lie as far apart as the cause's least size."""
+        """Whether the values differ by at least the cause's least size."""
         return abs(self.values[1] - self.values[0]) >= self.candidate.least
 
     @property
     def is_possible(self) -> bool:
-        """Whether both values are ones that a machine can have, but for errors and inexactness."""
+        """Whether a machine can have both values, within their errors and inexactness."""
         c = self.candidate
         if not c.linear:
             return True
@@ -52,7 +52,7 @@ class Difference:
 def differences_of(
     stage: str, prepared: Prepared, point: Point, second: Mask, runs: Indices
 ) -> list[Difference]:
-    """Estimate every cause of a stage in both sets, beside the causes that both share.
+    """Estimate every cause of a stage in both sets, together with the causes that both share.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def differences_of(
 def _own_scores(
     library: Library, point: Point, c: Candidate, mine: Indices
 ) -> tuple[Scores, Array] | None:
-    """Return scores and values of a shared cause, beside the others; None for other causes."""
+    """Return scores and values of a shared cause, given the others; None for other causes."""
     index = next((k for k, f in enumerate(point.model.fitted) if f.candidate.label == c.label), -1)
     if index < 0:
         return None
@@ -131,7 +131,7 @@ def _one(
         infos.append(total)
     both = variances[0] + variances[1]
     dof = both**2 / sum(v**2 / c for v, c in zip(variances, counts, strict=True))
-    if repeats[0] == repeats[1] > 1:  # of equally many runs Student's test holds, too
+    if repeats[0] == repeats[1] > 1:  # with equally many runs, Student's test is valid, too
         dof = float(sum(counts))
     t = (values[1] - values[0]) / np.sqrt(both)
     p = float(2.0 * stats.t.sf(abs(t), dof))
@@ -143,8 +143,8 @@ def _one(
 def run_of_spans(logs: Sequence[MeasuredLog]) -> Indices:
     """Return the run that every span of the pooled log belongs to: its file.
 
-    A set of one file with several segments counts every block of its own as a run, every segment
-    where it has none.
+    In a set of one file with several segments, every block of its own counts as a run, or every
+    segment if it has no blocks.
     """
     runs: list[int] = []
     for log in logs:

@@ -1,4 +1,4 @@
-"""From differences to findings: the cause that explains one best, with its twins."""
+"""From differences to findings: the cause that explains one best, and its twins."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
@@ -21,7 +21,7 @@ from hilserver.diagnosis.thresholds import COMPARE_LEVEL, DETECTABLE_POWER_SD, G
 def difference_findings(
     differences: Sequence[Difference], prepared: Mapping[str, Prepared], points: Mapping[str, Point]
 ) -> list[Finding]:
-    """Name the cause that explains the difference best in each stage, with its twins.
+    """Name the cause that best explains the difference in each stage, and its twins.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def difference_findings(
 def _imitators(
     library: Library, point: Point, best: Difference, named: Collection[str]
 ) -> list[Difference]:
-    """Return twins of a cause that both sets share: beside it they have nothing left to explain."""
+    """Return twins of a cause that both sets share: added to it, they have nothing to explain."""
     index = next(
         (k for k, f in enumerate(point.model.fitted) if f.candidate.cause == best.candidate.cause),
         None,
@@ -66,7 +66,7 @@ def _imitators(
     out = []
     for rival in rivals(library, point, index):
         c = rival.candidate
-        alike = rival.close and rival.cosine > GROUP_COSINE  # what is left is the difference itself
+        alike = rival.close and rival.cosine > GROUP_COSINE  # what remains is the difference itself
         if not alike or c.n > 1 or c.cause in named:
             continue
         share = (rival.fitted.theta[0] - c.null[0]) / away
@@ -109,7 +109,7 @@ def _finding(group: Sequence[Difference]) -> Finding:
 
 
 def smallest_differences(differences: Sequence[Difference], count: int) -> tuple[Detectable, ...]:
-    """Return, by cause, the smallest difference that `count` judged ones would have shown."""
+    """Return, by cause, the smallest difference that would have been found among `count` judged."""
     sizes: dict[str, Detectable] = {}
     for d in differences:
         least = float(stats.t.ppf(1.0 - 0.5 * COMPARE_LEVEL / count, max(d.dof, 1.0)))

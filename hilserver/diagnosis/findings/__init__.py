@@ -1,1 +1,1 @@
-"""From decisions to findings: values, words, gain, smallest sizes, the patch."""
+"""From decisions to findings: values, words, gain, detectable sizes, the patch."""

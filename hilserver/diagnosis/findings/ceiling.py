@@ -1,4 +1,4 @@
-"""How much better a model could be at all: a flexible regression on every direction at once."""
+"""How much better any model could be: a flexible regression on all directions at once."""
 
 from typing import Final
 
@@ -8,13 +8,13 @@ from hilserver.diagnosis.findings.worth import Part
 from hilserver.diagnosis.regression.gain import gains
 from hilserver.diagnosis.regression.stages import of_the_other_half
 
-DIGITS: Final = 5  # the rest of a ceiling hangs on how many threads share its large products
+DIGITS: Final = 5  # further digits depend on how many threads share its large products
 
 
 def ceilings(part: Part, horizon_s: float, rng: np.random.Generator) -> dict[str, float]:
     """Return the held-out ratio that a ridge regression on all columns reaches, by quantity.
 
-    The base is the model, the effects are taken as linear there.
+    The base is the model; the effects are taken as linear there.
     """
     library, point = part.judged.prepared.library, part.judged.point
     library.rewhiten(point)

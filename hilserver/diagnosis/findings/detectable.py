@@ -37,7 +37,7 @@ def smallest(
     needed = least + DETECTABLE_SELECTION_SD + DETECTABLE_POWER_SD
     found: dict[str, tuple[float, str, float]] = {}
     for i, c in enumerate(library.candidates):
-        norms = library.norms[i] if c.n > 1 else np.ones(1)  # that `spread` divided columns by
+        norms = library.norms[i] if c.n > 1 else np.ones(1)  # by which `spread` divided columns
         names = list(c.terms(c.start))
         mine = np.flatnonzero(library.owner == i)[: max(c.n, 1)]
         for k, j in enumerate(mine):
@@ -67,12 +67,12 @@ def smallest(
 
 
 def _size(candidate: Candidate, times: float, norm: float) -> float | None:
-    """Return the size that shows, from null; of a limit, which has none, its value.
+    """Return the size that shows, as distance from null; for a limit, which has none, its value.
 
     Parameters
     ----------
     times : float
-        Units of the candidate's column that show.
+        Units of the candidate's column that would show.
     """
     if candidate.is_limit:
         return candidate.start[0] if times <= 1.0 else None

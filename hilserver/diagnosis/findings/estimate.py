@@ -1,4 +1,4 @@
-"""The fitted parameters of a model together: reported names and units, one covariance."""
+"""The fitted parameters of a model together: names and units as reported, one covariance."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.schema.findings import Joint
 
 PARTNERS: Final = 0.5
-"""|correlation| of two estimates from which one cause can take over what another explains."""
+"""|correlation| of two estimates from which one cause can take over what the other explains."""
 
 
 def is_wave(f: Fitted) -> bool:
@@ -28,9 +28,9 @@ class Estimate:
     """All fitted parameters of one stage, as reported."""
 
     names: tuple[str, ...]
-    owner: tuple[int, ...]  # cause of each, by its place in the model
+    owner: tuple[int, ...]  # cause of each, as its index in the model
     value: Array  # shape (k,)
-    # shape (k, k): robust; along what the data leave open it is that of the priors
+    # shape (k, k): robust; in directions that the data leave open, that of the priors
     covariance: Array
 
     @classmethod
@@ -88,7 +88,7 @@ def joint(estimates: Sequence[Estimate]) -> Joint | None:
 
 
 def reported(model: Model) -> Array:
-    """Return how the parameters as reported move with those as fitted, shape (k, k)."""
+    """Return the derivatives of the reported parameters by the fitted ones, shape (k, k)."""
     return np.asarray(
         block_diag(
             *(_polar(f.theta) if is_wave(f) else np.eye(f.candidate.n) for f in model.fitted)
@@ -97,7 +97,7 @@ def reported(model: Model) -> Array:
 
 
 def _polar(theta: Sequence[float]) -> Array:
-    """Return how amplitude and phase move with the cosine and the sine part."""
+    """Return the derivatives of amplitude and phase by the cosine and the sine part."""
     a, b = theta
     size = max(float(np.hypot(a, b)), 1e-9)
     return np.array([[a / size, b / size], [-b / size**2, a / size**2]])
@@ -109,7 +109,7 @@ def priors(model: Model) -> Array:
 
 
 def with_priors(covariance: Array, prior: Array) -> Array:
-    """Return a covariance together with what is known of sound machines beforehand."""
+    """Return a covariance combined with what is known beforehand of sound machines."""
     known = np.flatnonzero(np.isfinite(prior))
     if not len(known):
         return covariance

@@ -1,4 +1,4 @@
-"""Findings in words that a technician understands; the sentences stand in `sentences.yaml`."""
+"""Findings in words that a technician understands; the sentences are in `sentences.yaml`."""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -20,7 +20,7 @@ QUANTITIES: Final[Mapping[str, tuple[str, str]]] = {
     "duty_pct": ("duty", "%"),
     "gyro_z_rad_s": ("turn rate", "rad/s"),
 }
-"""Keys of a gain: what they are called, and their unit."""
+"""Keys of a gain: their names in words, and their unit."""
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _CHOICE = re.compile(r"\{([^{}|]*)\|([^{}|]*)\}")
@@ -35,18 +35,18 @@ def _read() -> dict[str, Any]:
 
 
 def sentences() -> Mapping[str, Mapping[str, str]]:
-    """Return of every cause what it ``says``, a template, and its ``remedy``."""
+    """Return for every cause what it ``says``, a template, and its ``remedy``."""
     return dict(_read()["causes"])
 
 
 @cache
 def experiments() -> Mapping[frozenset[str], str]:
-    """Return what separates causes, by the causes."""
+    """Return the experiments that separate causes, by the causes."""
     return {frozenset(e["causes"]): e["text"] for e in _read()["experiments"]}
 
 
 def number(value: float, unit: str = "1", *, digits: int = 3) -> str:
-    """Return a value for reading: so many digits, with a true minus and its unit."""
+    """Return a value for reading: rounded to `digits`, with a true minus and its unit."""
     text = f"{value:.{digits}g}"
     if "e" in text:
         mantissa, exponent = text.split("e")
@@ -62,7 +62,7 @@ def power_of_ten(exponent: int) -> str:
 
 
 def explain(causes: Iterable[str], parameters: Mapping[str, Parameter]) -> str:
-    """Return one sentence that says what these causes are; of several, what each would be.
+    """Return one sentence that says what these causes are; for several, what each would be.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def explain_finding(finding: Finding) -> str:
 
 
 def of_two_wheels(finding: Finding) -> Finding:
-    """Return a finding of a robot with one wheel a side: not front, not rear."""
+    """Return a finding of a robot with one wheel per side, without front and rear."""
     text = finding.explanation
     for side in ("left", "right"):
         text = text.replace(f"front {side} or rear {side}", side)
@@ -134,7 +134,7 @@ def _lower(text: str) -> str:
 
 
 def _say(cause: str, parameters: Mapping[str, Parameter]) -> str:
-    """Return the sentence of a cause, its parameters in their places."""
+    """Return the sentence of a cause with its parameters filled in."""
     own = {n: p for n, p in parameters.items() if n == cause or n.startswith(f"{cause}.")}
     by_part = {part.name: p for n, p in own.items() if (part := known_part(n)) is not None}
     parts = CAUSES[cause].parts
@@ -165,7 +165,7 @@ def _say(cause: str, parameters: Mapping[str, Parameter]) -> str:
 
 
 def _all_of(own: Mapping[str, Parameter]) -> str:
-    """Return all parameters of a cause but those that shape it."""
+    """Return all parameters of a cause except those of its shape."""
     return ", ".join(
         f"{name.partition('.')[2] or name} {number(p.value, p.unit)}"
         for name, p in own.items()
@@ -174,7 +174,7 @@ def _all_of(own: Mapping[str, Parameter]) -> str:
 
 
 def _value(part: str, parameter: Parameter | None) -> str:
-    """Return one parameter; of a wheel its name, or those of all that it may be."""
+    """Return one parameter; for a wheel its name, or the names of all that it may be."""
     if parameter is None:
         return "?"
     if part == "wheel":

@@ -1,7 +1,7 @@
 """The cross-validated gain: selection, noise and fit leave out the blocks that judge them.
 
-Parameters alone, refitted, would flatter: a selection that has seen a block has chosen causes for
-what is chance there, too.
+Refitting the parameters alone would be too favourable: a selection that has seen a block has also
+chosen causes for what is chance there.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.schema.findings import Finding
 
 Halves = Sequence[Judged | None]
-"""What is found without each half of the blocks; None where nothing is left."""
+"""What is found without each half of the blocks; None if nothing is left."""
 
 
 def answers_of(judged: Mapping[str, Judged], seed: int, jobs: int) -> list[Answer]:
@@ -41,16 +41,16 @@ def answers_of(judged: Mapping[str, Judged], seed: int, jobs: int) -> list[Answe
 
 
 def in_halves(finding: Finding, halves: Halves) -> Finding:
-    """Return a finding with the number of halves that show it, or one that could stand for it."""
+    """Return a finding with the number of halves that show it, or a cause that may stand for it."""
     shown = [h is not None and not {*finding.causes}.isdisjoint(h.whole.model.causes)
              for h in halves]  # fmt: skip
     return finding.model_copy(update={"halves": sum(shown)})
 
 
 def judged_by_halves(judged: Mapping[str, Judged], seed: int, jobs: int) -> dict[str, Halves]:
-    """Return for every stage with a cause what is found in it without each half of its blocks.
+    """Return, for every stage with a cause, what is found in it without each half of its blocks.
 
-    The wheels that move the pose turn as the drive's causes of the whole log have it.
+    The wheels that move the pose turn according to the drive's causes in the whole log.
     """
     found: dict[str, list[Judged | None]] = {
         name: [] for name, j in judged.items() if j.whole.model.fitted
@@ -80,7 +80,7 @@ def cross_validated(
     configured : ndarray, shape (n,)
         What the configured plant predicts.
     named : bool
-        Only those that have a name, fitted without the others.
+        Only the causes that have a name, fitted without the others.
     """
     problem, poses = j.prepared.problem, j.point.poses
     names = [
@@ -109,7 +109,7 @@ def cross_validated(
 
 
 def _model(half: Judged, barred: set[str], named: bool) -> Model:
-    """Return what a half found, fitted anew without some causes."""
+    """Return what a half found, refitted without some causes."""
     point = half.point if named else half.whole
     gone = [i for i, cause in enumerate(point.model.causes) if cause in barred]
     if not gone:

@@ -29,13 +29,13 @@ def gain_on(
 ) -> dict[str, Gain]:
     """Return what models of the stages gain on another log.
 
-    Where the log consists of several runs, free runs go from the beginning of each to its end;
-    `horizon_s` else.
+    If the log consists of several runs, free runs go from the beginning of each to its end;
+    otherwise they last `horizon_s`.
 
     Parameters
     ----------
     of_patch : bool
-        Correct the log beside the configured plant as well: no patch does.
+        Also correct the log when replaying the configured plant: no patch does that.
     """
     lengths = [s.end_s - s.start_s for s in log.spans]
     if len(lengths) >= FEWEST_RUNS and max(lengths) <= LONGEST_RUN_S:

@@ -52,7 +52,7 @@ def parameters_of(f: Fitted, shown: Array) -> dict[str, Parameter]:
     Parameters
     ----------
     shown : ndarray, shape (f.candidate.n, 2)
-        Limits of 95 % of the parameters as fitted.
+        95 % limits of the parameters as fitted.
     """
     terms = dict(f.terms)
     if is_wave(f):
@@ -82,7 +82,7 @@ def _wave(f: Fitted, shown: Array) -> dict[str, Parameter]:
 
 
 def named_findings(j: Judged) -> tuple[Finding, ...]:
-    """Return one finding for every accepted cause, in its group; the plausible ones come first."""
+    """Return one finding for every accepted cause, in its group; plausible ones come first."""
     problem, point = j.prepared.problem, j.point
     if not point.model.fitted:
         return ()
@@ -108,7 +108,7 @@ def named_findings(j: Judged) -> tuple[Finding, ...]:
 
 
 def chance(j: Judged, cause: str) -> float:
-    """Return the p of an accepted cause; one that took another's place is given 1 %."""
+    """Return the p of an accepted cause; 1 % for one that replaced another."""
     return j.drift.get(cause, j.selected.p.get(cause, 0.01))
 
 
@@ -130,7 +130,7 @@ def other_findings(j: Judged) -> list[Finding]:
 
 
 def _twins(j: Judged, f: Fitted, own: Parameter | None) -> dict[str, Parameter]:
-    """Return what these data cannot tell from a cause and no candidate is fitted for."""
+    """Return twins of a cause that the data cannot exclude and that have no candidate."""
     traits, robot = traits_of(f.candidate.cause), j.prepared.problem.stage.robot
     found: dict[str, Parameter] = {}
     if own is None:
@@ -151,7 +151,7 @@ def _twins(j: Judged, f: Fitted, own: Parameter | None) -> dict[str, Parameter]:
 def fitted_finding(
     causes: Sequence[str], values: dict[str, Parameter], p: float, drifts: bool
 ) -> Finding:
-    """Return the finding of a fitted cause, the first, and those that could stand in its place."""
+    """Return the finding of a fitted cause, listed first, and of those that could replace it."""
     block, one = CAUSES[causes[0]].block, len(causes) == 1
     alone = Verdict.DATA_FAULT if block == "data" else Verdict.NAMED
     verdict = Verdict.DRIFT if drifts else alone if one else Verdict.NAMED_GROUP
@@ -168,7 +168,7 @@ def _finding(
 
 
 def _named(name: str, parameters: dict[str, Parameter], p: float = 0.001) -> Finding:
-    """Return the finding of a cause that no fit of the plant shows, with its sentence."""
+    """Return the finding of a cause that needs no fit of the plant, with its sentence."""
     cause = cause_of(name)
     return _finding(Verdict.NAMED, (cause.name,), cause.block, p, parameters=parameters)
 
@@ -178,7 +178,7 @@ def _within(value: float, half: float, unit: str) -> Parameter:
 
 
 def deviating(problem: Problem, point: Point) -> dict[str, Parameter]:
-    """Return the channel that a model misses most, by the channel's own noise, and by how much."""
+    """Return the channel that a model misses most, relative to its own noise, and by how much."""
     missed = {name: float(np.mean(point.left[e] ** 2)) for name, e in problem.stack.edges.items()
               if e.stop > e.start}  # fmt: skip
     name = max(missed, key=lambda channel: missed[channel])
@@ -188,7 +188,7 @@ def deviating(problem: Problem, point: Point) -> dict[str, Parameter]:
 
 
 def structure(unknown: Sequence[Unknown], block: Block, most: dict[str, Parameter]) -> Finding:
-    """Return the finding of unknown structure: what the error depends on, strongest first.
+    """Return the finding of unknown structure: what the error depends on, the strongest first.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def structure(unknown: Sequence[Unknown], block: Block, most: dict[str, Paramete
 
 
 def lost(late: int, judged: int) -> Finding:
-    """Return the finding of set-points that were logged as sent and never arrived."""
+    """Return the finding of set-points that were logged as sent but never arrived."""
     text = (
         f"{late} of {judged} set-point steps stand in the log as sent, but reached"
         " the wheels a message too late or never: messages were lost on the way."
@@ -222,7 +222,7 @@ def coarse(step_rpm: float) -> Finding:
 
 
 def misplaced_anchor(anchor: Anchor, p: float) -> Finding:
-    """Return the finding of a ranging anchor that stands elsewhere than configured."""
+    """Return the finding of a ranging anchor that is not where it is configured."""
     error_m, side = anchor.error_m, "long" if anchor.error_m > 0.0 else "short"
     finding = _named(POSITION_FIELD, _field(anchor), p)
     text = (
@@ -233,7 +233,7 @@ def misplaced_anchor(anchor: Anchor, p: float) -> Finding:
 
 
 def _field(anchor: Anchor) -> dict[str, Parameter]:
-    """Return how far the position is off where an anchor moves it most."""
+    """Return how far the position is off at the place where an anchor moves it most."""
     size_m, half_m = anchor.largest * abs(anchor.error_m), anchor.largest * anchor.half_m
     return {POSITION_FIELD: _within(size_m, half_m, "m")}
 
@@ -241,7 +241,7 @@ def _field(anchor: Anchor) -> dict[str, Parameter]:
 def outliers(problem: Problem, point: Point) -> Finding | None:
     """Return the finding of outliers in the position, if there are more than noise explains.
 
-    An outlier stands out from its neighbours: where all of them are off, the model is.
+    An outlier is far from its neighbours: if all of them are off, it is the model that is wrong.
     """
     stack = problem.stack
     if not all(n in stack.edges for n in POSITION):
@@ -284,8 +284,8 @@ def extension(findings: Iterable[Finding], fitted: Mapping[int, Fitted]) -> tupl
 def worsened(total: Mapping[str, Gain], *patches: Mapping[str, Gain]) -> str | None:
     """Return why no extension is written, or None.
 
-    The whole interval of a quantity that the patch changes is a loss: with the patch alone, or with
-    all that predicts.
+    It is not if the whole interval of a quantity that the patch changes is a loss, with the patch
+    alone or with all that predicts.
     """
     changed = {key for gains in patches for key, gain in gains.items() if gain.ratio != 1.0}
     for key, gain in (item for some in (total, *patches) for item in some.items()):

@@ -1,4 +1,4 @@
-"""What each cause is worth on held-out blocks: alone, and with those that could stand in for it."""
+"""What each cause is worth on held-out blocks: alone, and with its possible substitutes."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from hilserver.diagnosis.regression.problem import Problem
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.schema.findings import Finding, Gain, Matters
 
-Predictions = tuple[Array, ...]  # one of each member
+Predictions = tuple[Array, ...]  # one for each member
 
 
 @dataclass(frozen=True)
@@ -22,18 +22,18 @@ class Part:
 
     member: str
     judged: Judged
-    # held-out predictions: the configured plant; the same, the log corrected; with all causes
+    # held-out predictions: the configured plant; the same with the log corrected; with all causes
     before: Array
     corrected: Array
     after: Array
 
     @property
     def problem(self) -> Problem:
-        """Its regression."""
+        """Its regression problem."""
         return self.judged.prepared.problem
 
     def errors(self, before: Array, horizon_s: float) -> dict[str, Pair]:
-        """Return the errors of every quantity of some prediction, and with all causes."""
+        """Return the errors of every quantity for a given prediction, and with all causes."""
         return errors(self.problem, (before, self.after), horizon_s)
 
 
@@ -42,18 +42,18 @@ class Explained:
     """What the causes of one stage explain, of one member or of several."""
 
     parts: tuple[Part, ...]
-    # predictions of the model without some of its causes, by their places in it
+    # predictions of the model without some of its causes, which are given by index
     without: Callable[[frozenset[int]], Predictions]
 
     @property
     def corrected(self) -> Predictions:
-        """Predictions of the configured plant where the causes correct the log, its clock."""
+        """Predictions of the configured plant with the log, its clock, corrected by the causes."""
         return tuple(part.corrected for part in self.parts)
 
     def gains(
         self, horizon_s: float, rng: np.random.Generator, before: Predictions | None = None
     ) -> dict[str, Gain]:
-        """Return the gain of every quantity over all members: on no cause, or on some."""
+        """Return the gain of every quantity over all members, against no cause or against some."""
         base = before or tuple(part.before for part in self.parts)
         pairs = [p.errors(b, horizon_s) for p, b in zip(self.parts, base, strict=True)]
         return pooled_gains(pairs, rng)
@@ -70,7 +70,7 @@ class Explained:
         }
 
     def _means(self, predictions: Sequence[Array]) -> dict[str, float]:
-        """Return the mean absolute error of every channel, initial poses free."""
+        """Return the mean absolute error of every channel, with free initial poses."""
         values: dict[str, list[Array]] = {}
         for part, predicted in zip(self.parts, predictions, strict=True):
             for name in part.problem.stack.channels:
@@ -88,22 +88,22 @@ def _ratio(before: float, after: float) -> float:
 class Answer:
     """The answer of one stage of all members."""
 
-    # by all causes, and by those alone that have a name: a patch has no others
+    # with all causes, and with the named ones alone: a patch has no others
     explained: Explained
     named: Explained
     model: Model  # the causes with a name
-    findings: tuple[Finding, ...]  # one of each, in the order of the model
+    findings: tuple[Finding, ...]  # one per cause, in the order of the model
     estimate: Estimate  # all parameters of the model
 
     def with_worth(
         self, horizon_s: float, rng: np.random.Generator, total: dict[str, Gain] | None = None
     ) -> list[Finding]:
-        """Return the findings with what each cause gains and how it matters, all others on.
+        """Return the findings with the gain of each cause and its effect, all others being on.
 
         Parameters
         ----------
         total : dict of str to Gain, optional
-            The gain of all causes, if known: that of a single one.
+            The gain of all causes, if known; it is also that of a single cause.
         """
         found = []
         for index, finding in enumerate(self.findings):

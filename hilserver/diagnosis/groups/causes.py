@@ -1,4 +1,4 @@
-"""One list of causes for all groups, from what each group's logs say by themselves."""
+"""One list of causes for all groups, from what the logs of each group show on their own."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,8 +13,8 @@ from hilserver.diagnosis.replay.model import Fitted
 class Cause:
     """A cause that at least one group shows."""
 
-    fitted: Fitted  # where a fit begins
-    # what it cannot be separated from in any group that shows it, by cause
+    fitted: Fitted  # where a fit starts
+    # causes from which no group that shows it can separate it
     rivals: Mapping[str, Fitted]
     p: float  # of chance, in the group that shows it most clearly
     drifts: bool  # in at least one group
@@ -38,8 +38,8 @@ class Cause:
 def causes_of(judged: Sequence[Judged]) -> list[Cause]:
     """Return the causes that the groups show in one stage, without twins of each other.
 
-    What one group names alone may have a twin in another: the one that is named alone stands for
-    both.
+    A cause that one group names alone may have a twin in another group. The one named alone then
+    stands for both.
     """
     shown = [cause for j in judged for cause in _of(j, len(judged))]
     chosen: list[Cause] = []
@@ -59,7 +59,7 @@ def causes_of(judged: Sequence[Judged]) -> list[Cause]:
 
 
 def _of(j: Judged, groups: int) -> list[Cause]:
-    """Return the causes of one group; with every group chance has one more opportunity."""
+    """Return the causes of one group; every group is one more opportunity for chance."""
     out = []
     for f in j.point.model.fitted:
         cause = f.candidate.cause

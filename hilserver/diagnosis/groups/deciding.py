@@ -1,4 +1,4 @@
-"""From what the groups show by themselves to one model: causes, values, what is shared."""
+"""From what each group shows on its own to one model: causes, values, what is shared."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -23,13 +23,13 @@ class Decided:
     names: tuple[str, ...]  # of the groups
     members: tuple[Judged, ...]
     causes: tuple[Cause, ...]  # in the order of the model
-    joint: JointFit | None  # None: there is no cause
+    joint: JointFit | None  # None if there is no cause
 
 
 def decided(judged: Mapping[str, Judged]) -> Decided:
-    """Return the model of one stage: what some group shows and the others leave possible.
+    """Return the model of one stage: what some group shows and the others do not exclude.
 
-    What the others make superfluous is dropped, one cause at a time, the weakest first.
+    Causes that the others make superfluous are dropped, one at a time, the weakest first.
 
     Parameters
     ----------
@@ -51,9 +51,9 @@ def decided(judged: Mapping[str, Judged]) -> Decided:
 
 
 def with_what_remains(whole: Decided, rng: np.random.Generator) -> Decided:
-    """Return the groups at the common model, unknown structure mapped anew where that is another.
+    """Return the groups at the common model; if it differs, unknown structure is mapped again.
 
-    A cause that one group's logs hardly show may look like unknown structure there.
+    A cause that the logs of one group hardly show may look like unknown structure there.
     """
     if whole.joint is None:
         return whole
@@ -70,7 +70,7 @@ def with_what_remains(whole: Decided, rng: np.random.Generator) -> Decided:
 
 
 def with_rival(decided: Decided, index: int, rival: Fitted) -> JointFit:
-    """Return the model with a rival in the place of a cause; what is free stays so."""
+    """Return the model with a rival in place of a cause; free parameters stay free."""
     assert decided.joint is not None
     models = [
         point.model.swapped(index, rival.candidate, rival.theta) for point in decided.joint.points
@@ -83,7 +83,7 @@ def with_rival(decided: Decided, index: int, rival: Fitted) -> JointFit:
 
 
 def _model(j: Judged, causes: Sequence[Cause]) -> Model:
-    """Return the model of a group, with its own values where it has some."""
+    """Return the model of a group, with its own values where it has any."""
     own = {f.candidate.label: f for f in j.point.model.fitted}
     model = Model()
     for cause in causes:
@@ -93,7 +93,7 @@ def _model(j: Judged, causes: Sequence[Cause]) -> Model:
 
 
 def _doubt(joint: JointFit, index: int, cause: Cause) -> float:
-    """Return how far a cause is from being needed: from 1 on it is not, 1 over its evidence."""
+    """Return the doubt in a cause: 1 over its evidence; at 1 or above it is not needed."""
     values = [joint.model(group).fitted[index] for group in range(len(joint.members))]
     if not any(map(worth_a_name, values)):
         return np.inf
@@ -108,7 +108,7 @@ def _doubt(joint: JointFit, index: int, cause: Cause) -> float:
     known = np.stack([fit.known[mine] for fit in joint.fits])
     for group, value in enumerate(values):
         counts = free & known[group]
-        if group == 0:  # what is shared counts once
+        if group == 0:  # shared parameters count once
             counts |= ~free & known.any(axis=0)
         if not counts.any():
             continue

@@ -1,4 +1,4 @@
-"""From a joint model to findings: values that are shared, and values by group."""
+"""From a joint model to findings: shared values, and values by group."""
 
 from collections.abc import Sequence
 
@@ -34,7 +34,7 @@ def fitted_findings(decided: Decided) -> tuple[Finding, ...]:
 
 
 def parameters_by_group(joint: JointFit, index: int, names: Sequence[str]) -> dict[str, Parameter]:
-    """Return the parameters of one cause; those that differ have a value for each group."""
+    """Return the parameters of one cause; those that differ have a value per group."""
     mine = joint.points[0].model.slices[index]
     free = joint.all.free[mine]
     shown = []
@@ -66,7 +66,7 @@ def parameters_by_group(joint: JointFit, index: int, names: Sequence[str]) -> di
 
 
 def in_words(finding: Finding) -> str:
-    """Return the explanation of a finding; what differs is said of every group."""
+    """Return the explanation of a finding; values that differ are given for every group."""
     groups = next((p.groups for p in finding.parameters.values() if p.groups), None)
     if groups is None:
         return finding.explanation

@@ -1,4 +1,4 @@
-"""One model in all groups: each fitted by itself, then together with what they share."""
+"""One model in all groups: each is fitted on its own, then together with what they share."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,11 +28,11 @@ class JointFit:
 
     members: tuple[Judged, ...]
     points: tuple[Point, ...]  # of each group, fitted by itself
-    fits: tuple[GroupFit, ...]  # what the logs of each group show by themselves
-    all: Together  # values and covariances with what is shared
+    fits: tuple[GroupFit, ...]  # what the logs of each group show on their own
+    all: Together  # values and covariances, including what is shared
 
     def model(self, group: int) -> Model:
-        """Return the model of a group, with what it shares."""
+        """Return the model of a group, including what it shares."""
         return _with_values(self.points[group].model, self.all.value[group])
 
     def held_out(self, left_out: frozenset[int] = frozenset()) -> tuple[Array, ...]:
@@ -41,7 +41,7 @@ class JointFit:
         Parameters
         ----------
         left_out : frozenset of int
-            Causes that were fitted with the others and predict nothing.
+            Causes that were fitted with the others but predict nothing.
         """
 
         def predicted(j: Judged, point: Point, values: Array) -> Array:
@@ -69,7 +69,7 @@ def fit_in_all(
 
     Parameters
     ----------
-    free : ndarray of bool, shape (k,), optional
+    The parameters that differ by group; without it they are determined.
         The parameters that differ by group; without it they are found.
     """
     points = [
@@ -84,7 +84,7 @@ def fit_in_all(
 
 
 def units_of(model: Model) -> list[tuple[int, ...]]:
-    """Return the parameters that are free only together: both parts of a wave."""
+    """Return the parameters that can only be free together: both parts of a wave."""
     units: list[tuple[int, ...]] = []
     for f, mine in zip(model.fitted, model.slices, strict=True):
         own = tuple(range(mine.start, mine.stop))
@@ -98,7 +98,7 @@ def _with_values(model: Model, values: Array) -> Model:
 
 
 def _trained(problem: Problem, point: Point, test: int) -> Array:
-    """Return the parameters of one group by all of its blocks but those of a fold."""
+    """Return the parameters of one group, fitted to all of its blocks except those of a fold."""
     train = problem.stack.fold != test
     if not train.any():
         return point.model.theta()
@@ -108,8 +108,8 @@ def _trained(problem: Problem, point: Point, test: int) -> Array:
 def _known(problem: Problem, point: Point) -> GroupFit:
     """Return what the logs of one group show of the parameters of a model.
 
-    Where the estimates of single logs scatter more than their blocks say, the logs count: one log's
-    own precision says nothing about the next log.
+    If the estimates of single logs scatter more than their blocks suggest, the logs count: the
+    precision of one log does not tell how far the next log will be off.
     """
     model = point.model
     columns = problem.accepted(point)
@@ -131,7 +131,7 @@ def _known(problem: Problem, point: Point) -> GroupFit:
 
 
 def _between_logs(problem: Problem, point: Point, columns: Array) -> tuple[Array, int]:
-    """Return the variances of the parameters by the scatter of single logs, and their number."""
+    """Return the parameters' variances from the scatter of single logs, and the number of logs."""
     stack = problem.stack
     run_of_block = np.full(stack.n_blocks, -1, dtype=np.int64)
     run_of_block[stack.block] = run_of_spans([problem.stage.log])[

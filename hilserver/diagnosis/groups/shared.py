@@ -1,8 +1,8 @@
 """What groups of logs share: each stage of all of them as one model, fitted together.
 
-Every group is examined by itself: its data faults, its noise, the causes its logs show. The causes
-of all groups are one model, which is fitted to all of them; each of its parameters is shared by the
-groups, or free where they differ.
+Every group is examined on its own: its data faults, its noise, the causes its logs show. The causes
+of all groups form one model, which is fitted to all of them; each of its parameters is shared by
+the groups, or free where they differ.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from hilserver.diagnosis.schema.findings import Detectable, Gain, NotJudged
 
 
 def answers_in_groups(members: Sequence[Member], seed: int) -> list[Answer]:
-    """Return what each stage of all groups says."""
+    """Return the answer of each stage of all groups."""
     answers = []
     for stage in STAGES:
         if judged := {m.name: m.judged[stage] for m in members if stage in m.judged}:
@@ -82,7 +82,7 @@ def gains_in_groups(
 def smallest_in_groups(
     members: Sequence[Member], seed: int
 ) -> tuple[list[Detectable], list[NotJudged]]:
-    """Return what the group that shows a cause best would have shown of it."""
+    """Return the smallest effect per cause, from the group that would have shown it best."""
     sizes: dict[str, Detectable] = {}
     unseen: dict[str, NotJudged] = {}
     for m in members:

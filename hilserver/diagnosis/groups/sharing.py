@@ -1,8 +1,8 @@
-"""Which parameters all groups share, and which each has for itself.
+"""Which parameters all groups share, and which are free by group.
 
-Every group is fitted by itself; its estimate and robust covariance say all that its logs know of
-the parameters. Together they are generalised least squares with one unknown for a shared parameter
-and one per group for a free one, so that each split of the parameters is a small solve.
+Every group is fitted on its own; its estimate and robust covariance contain all that its logs know
+of the parameters. Combining them is generalised least squares with one unknown per shared parameter
+and one per group for a free one, so that each way to split the parameters is a small solve.
 """
 
 from collections.abc import Sequence
@@ -16,16 +16,16 @@ from hilserver.arrays import Array, Indices, Mask
 
 @dataclass(frozen=True)
 class GroupFit:
-    """The parameters of one group, fitted by itself."""
+    """The parameters of one group, fitted on its own."""
 
     value: Array  # shape (k,)
-    known: Mask  # shape (k,): whether its logs say anything of a parameter
+    known: Mask  # shape (k,): whether its logs show a parameter at all
     covariance: Array  # shape (k, k): robust; only the known rows and columns count
     dof: Array  # shape (k,): degrees of freedom of each variance
 
     @property
     def weight(self) -> Array:
-        """Inverse of the covariance without its bias; zero for what is not known.
+        """Inverse of the covariance without its bias; zero for parameters that are not known.
 
         The inverse of a covariance from few blocks is too large on average (Wishart).
         """
@@ -33,7 +33,7 @@ class GroupFit:
         known = np.flatnonzero(self.known)
         if len(known):
             place = np.ix_(known, known)
-            dof = float(self.dof[known].max())  # runs make single variances larger, no more
+            dof = float(self.dof[known].max())  # runs only make single variances larger
             out[place] = _inverse(self.covariance[place]) * max(1.0 - (len(known) + 1) / dof, 0.1)
         return out
 
@@ -43,11 +43,11 @@ class Together:
     """Parameters of all groups, some of them shared."""
 
     value: Array  # shape (groups, k)
-    # shape (groups, k, k): of each group's parameters, what the others know of shared ones included
+    # shape (groups, k, k): of each group's parameters, with what the others know of shared ones
     covariance: Array
-    misfit: float  # squared distance of the groups' own estimates, by their covariances
+    misfit: float  # squared distance to the groups' own estimates, weighted by their covariances
     free: Mask  # shape (k,)
-    places: Indices  # shape (groups, k): which unknown each parameter of a group is
+    places: Indices  # shape (groups, k): index of the unknown for each parameter of a group
     unknowns: Array  # shape (m, m): covariance of all unknowns; 0 for what no group shows
 
 
@@ -65,7 +65,7 @@ def together(fits: Sequence[GroupFit], free: Mask) -> Together:
     best = covariance @ target
     value = np.stack([best[place] for place in places])
     known = np.stack([fit.known for fit in fits])
-    for j in np.flatnonzero(free):  # a group that does not show it gets the others' mean
+    for j in np.flatnonzero(free):  # a group that does not show it gets the mean of the others
         if known[:, j].any():
             value[~known[:, j], j] = value[known[:, j], j].mean()
     misfit = 0.0
@@ -77,7 +77,7 @@ def together(fits: Sequence[GroupFit], free: Mask) -> Together:
 
 
 def _places(group: int, free: Mask) -> Indices:
-    """Return which unknown each parameter of a group is."""
+    """Return the index of the unknown for each parameter of a group."""
     n_shared, n_free = int((~free).sum()), int(free.sum())
     place = np.empty(len(free), dtype=np.int64)
     place[~free] = np.arange(n_shared)
@@ -86,7 +86,7 @@ def _places(group: int, free: Mask) -> Indices:
 
 
 def _inverse(matrix: Array) -> Array:
-    """Invert a covariance or an information whose units differ widely; 0 where it is 0."""
+    """Invert a covariance or an information matrix of widely different units; 0 where it is 0."""
     scale = np.sqrt(np.diag(matrix))
     used = np.flatnonzero(scale > 0.0)
     out = np.zeros_like(matrix)
@@ -102,15 +102,15 @@ def free_parameters(
 ) -> Mask:
     """Return which parameters differ by group.
 
-    All are shared at first. The one that differs most clearly becomes free, until no other does at
+    At first all are shared. The one that differs most clearly becomes free, until no other does at
     the family-wise `level`; one that others have made superfluous becomes shared again.
 
     Parameters
     ----------
     units : sequence of sequences of int
-        Parameters that are free only together, as the two parts of a wave.
+        Parameters that can only be free together, such as the two parts of a wave.
     least : ndarray, shape (k,)
-        Smaller differences are not worth a word.
+        Smaller differences are not worth reporting.
     """
     free = np.zeros(len(least), dtype=bool)
     while True:
@@ -133,7 +133,7 @@ def free_parameters(
 
 
 def _test(fits: Sequence[GroupFit], unit: Sequence[int], free: Mask) -> tuple[float, Array]:
-    """Return the p of no difference of some parameters, and how far their values lie apart."""
+    """Return the p of some parameters not differing, and how far their values lie apart."""
     mine = list(unit)
     knowing = [fit for fit in fits if fit.known[mine].all()]
     if len(knowing) < 2:
