@@ -29,7 +29,6 @@ _REPORTING = _Modes.Reporting
 MAX_SELECTED = 500  # select clauses of an event item
 MAX_LINKS = 1000  # from items that trigger to those that they trigger, in one subscription
 GIVE_WAY_EVERY = 50  # items: so many are looked at without a pause
-_ALL = slice(None)
 
 
 class MonitoredItems:
@@ -177,9 +176,9 @@ class MonitoredItems:
         was, item.mode = item.mode, mode
         self.ready.pop(item_id, None)
         self._rearrange()
-        if mode == _Modes.Disabled:
-            item.forget()
-        elif isinstance(item, ValueItem) and was == _Modes.Disabled:
+        if _Modes.Disabled in (was, mode):
+            item.forget()  # when it is switched on, too: a look under way may have taken a value
+        if isinstance(item, ValueItem) and was == _Modes.Disabled != mode:
             self._look_at([item], time.monotonic())
         else:
             self._note(item)
@@ -214,22 +213,19 @@ class MonitoredItems:
 
     # --- sampling ---------------------------------------------------------------------------------
 
-    def after_frame(self, now_s: float, part: slice = _ALL) -> int:
-        """Look at what is queued change by change; return how many items these are."""
-        self._look_at(self._each_frame[part], now_s)
-        return len(self._each_frame)
+    def after_frame(self, now_s: float) -> Portions:
+        """Look at what is queued change by change."""
+        return self._in_portions(self._each_frame, now_s)
 
-    def before_publishing(self, now_s: float, part: slice = _ALL) -> int:
+    def before_publishing(self, now_s: float) -> Portions:
         """Look at all that is due, or nearer to this publishing than to the next."""
-        self._look_at(self._all[part], now_s, self._publishing_ms() / 2e3)
-        return len(self._all)
+        return self._in_portions(self._all, now_s, self._publishing_ms() / 2e3)
 
-    def portions(self, look: Callable[[float, slice], int], now_s: float) -> Portions:
-        """Look at many items in portions; what triggers others comes with them in one."""
-        size = max(1, len(self)) if self._has_links else GIVE_WAY_EVERY
-        first = 0
-        while first < look(now_s, slice(first, first + size)):
-            first += size
+    def _in_portions(self, items: list[ValueItem], now_s: float, slack_s: float = 0.0) -> Portions:
+        """Look at items as they were listed at first; what triggers others comes with them."""
+        size = max(1, len(items)) if self._has_links else GIVE_WAY_EVERY
+        for first in range(0, len(items), size):
+            self._look_at(items[first : first + size], now_s, slack_s)
             yield
 
     @property

@@ -120,10 +120,11 @@ class Subscription:
     def turn(self) -> bool:
         """Sample, and send a message if it is time; whether there is more to do now."""
         if self._work is None:
+            work = self._sample()
             if not self._events and len(self.items) <= GIVE_WAY_EVERY:
-                self._sample_few()
+                deque(work, 0)  # in one go: no frame comes in between
                 return self._is_owed and self._send()
-            self._work = self._sample()
+            self._work = work
         try:
             advance(self._work)
         except StopIteration:
@@ -134,27 +135,17 @@ class Subscription:
             raise
         return True
 
-    def _sample_few(self) -> None:
-        now_s = time.monotonic()
-        if self._has_frame:
-            self._has_frame = False
-            self.items.after_frame(now_s)
-        if self._is_due:
-            self._is_due = False
-            self.items.before_publishing(now_s)
-            self._cycle()
-
     def _sample(self) -> Portions:
-        """Do the same in portions, and let the events pass that wait."""
+        """Let the events pass that wait, and look at all that is due, in portions."""
         while self._events:
             yield from self.items.take_event(self._events.popleft())
         now_s = time.monotonic()
         if self._has_frame:
             self._has_frame = False
-            yield from self.items.portions(self.items.after_frame, now_s)
+            yield from self.items.after_frame(now_s)
         if self._is_due:
             self._is_due = False
-            yield from self.items.portions(self.items.before_publishing, now_s)
+            yield from self.items.before_publishing(now_s)
             self._cycle()
 
     def _cycle(self) -> None:

@@ -1,6 +1,7 @@
 """What UaExpert users would trip over: dead bands, queues, sampling, modification, pages."""
 
 import asyncio
+import time
 from typing import Any
 
 import pytest
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 from hilserver.opcua.deadband import ChangeFilter, change_filter
 from hilserver.opcua.encoding import FixedDataValue
 from hilserver.opcua.items import ValueItem
+from hilserver.opcua.monitored_items import GIVE_WAY_EVERY
 from tests.io.opcua_server.rig import Rig, RobotClient
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -243,6 +245,28 @@ async def test_a_sampled_item_is_sent_when_the_one_that_triggers_it_is(
     assert notes.values == [0.0]
     rig.set(NODE, 0.5)
     assert sorted((await notes.wait(3 if size == 1 else 4))[1:]) in ([0.5, 2.0], [0.5, 1.0, 2.0])
+    await subscription.delete()
+
+
+async def test_what_changes_during_a_look_in_portions_hides_no_item(
+    rig: Rig, client: RobotClient
+) -> None:
+    rig.set(NODE, 1.0)
+    subscription = await client.create_subscription(3_000_000, Notes())
+    wanted = [item(client, QueueSize=1, SamplingInterval=0.0)] * (2 * GIVE_WAY_EVERY)
+    first, *others = await subscription.create_monitored_items(wanted)
+    service = rig.server._server.iserver.subscription_service
+    items = service.subscriptions[subscription.subscription_id].items
+    rig.set(NODE, 2.0)
+    look = items.before_publishing(time.monotonic())
+    next(look)
+    items.delete(first)
+    items.set_mode(others[-1], ua.MonitoringMode.Disabled)
+    assert list(look) == [None]
+    assert {items.get(number).seen.Value.Value for number in others[:-1]} == {2.0}
+    assert others[-1] not in items.ready
+    items.set_mode(others[-1], ua.MonitoringMode.Reporting)
+    assert others[-1] in items.ready
     await subscription.delete()
 
 
