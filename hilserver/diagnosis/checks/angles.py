@@ -1,16 +1,20 @@
 """Wheel angles: those that jump back are made continuous, those that stand alone become speeds."""
 
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from hilserver.diagnosis.schema.findings import Finding
-from hilserver.diagnosis.thresholds import UNITY
+from hilserver.diagnosis.thresholds import FEWEST_CHANGES
 from hilserver.measured.channels import SPEEDS
 from hilserver.measured.data import Channel, MeasuredLog
+from hilserver.measured.resolution import step_of
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RAD_S_PER_RPM, RPM_PER_RAD_S
+
+TURN_RAD: Final = 2.0 * np.pi
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
@@ -21,7 +25,7 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
     speed_of = dict(zip((f"wheel.{wheel}.angle_rad" for wheel in WHEELS), SPEEDS, strict=True))
     notices: list[str] = []
     for name in (n for n in speed_of if n in log):
-        size = _wrap(log[name], UNITY * robot.max_rpm * RAD_S_PER_RPM)
+        size = _wrap(log[name], robot.max_rpm * RAD_S_PER_RPM)
         if size:
             log = log.with_channels({name: _unwrap(log[name], size)})
             notices.append(f"{name}: the angle wraps at {size:.4g} rad; it was made continuous")
@@ -35,22 +39,29 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
 
 
 def _wrap(channel: Channel, fastest_rad_s: float) -> float:
-    """Return by how much the angle jumps back; 0 if it does not."""
+    """Return by how much the angle jumps back; 0 if it does not.
+
+    A jump is no turn of the wheel and crosses most of the range that all readings lie in. Its size
+    is that of a turn or of a counter of whole bits where the jumps do not say otherwise.
+    """
     inside = np.diff(channel.span) == 0
     step, dt = np.diff(channel.values)[inside], np.diff(channel.t_s)[inside]
-    jumps = np.flatnonzero(np.abs(step) > fastest_rad_s * dt + 1.0)
-    jumps = jumps[(jumps > 0) & (jumps < len(step) - 1)]
-    if not len(jumps):
+    range_rad = float(np.ptp(channel.values))
+    jumps = np.abs(step) > np.maximum(fastest_rad_s * dt, 0.5 * range_rad)
+    calm = step[~jumps]
+    if not jumps.any() or len(calm) < FEWEST_CHANGES:
         return 0.0
-    extra = step[1:-1] - 0.5 * (step[:-2] + step[2:])  # what a steady turn does not explain
-    sizes = np.abs(extra[jumps - 1])
+    steady = np.interp(np.flatnonzero(jumps), np.flatnonzero(~jumps), calm)
+    sizes = np.abs(step[jumps] - steady)
     size = float(np.median(sizes))
-    near = np.unique(np.concatenate([jumps - 2, jumps - 1, jumps]).clip(0, len(extra) - 1))
-    usual = np.abs(np.delete(extra, near))
-    unsure = 3.0 * float(np.quantile(usual, 0.9)) / np.sqrt(len(jumps)) if usual.size else 0.0
-    if abs(size - 2.0 * np.pi) <= unsure + 1e-9:
-        size = 2.0 * np.pi
-    return size if np.all(np.abs(sizes / size - 1.0) < 0.2) else 0.0
+    if not np.all(np.abs(sizes - size) < 0.2 * size):
+        return 0.0
+    usual = np.abs(calm[1:-1] - 0.5 * (calm[:-2] + calm[2:]))  # what a steady turn does not explain
+    unsure = 3.0 * float(np.quantile(usual, 0.9)) / np.sqrt(len(sizes)) + 1e-9
+    quantum, _ = step_of(channel.values)
+    bits = quantum * np.exp2(np.rint(np.log2(size / quantum))) if quantum else TURN_RAD
+    likely = ((TURN_RAD, unsure), (bits, unsure + quantum))
+    return next((whole for whole, beside in likely if abs(size - whole) <= beside), size)
 
 
 def _unwrap(channel: Channel, size: float) -> Channel:
