@@ -88,6 +88,8 @@ async def activate_session(processor: Any, token: Any, params: Any) -> ua.Activa
         nonce=session.nonce,
         address=session.visitor.address,
     )
+    if not session.is_open:  # it has ended meanwhile
+        raise ServiceError(_Codes.BadSessionIdInvalid)
     if is_moved:
         if user != session.user:
             raise ServiceError(_Codes.BadUserAccessDenied)
