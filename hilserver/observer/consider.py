@@ -1,4 +1,4 @@
-"""How well a model's parameters are known: directions in which all of them move together."""
+"""How well a model's parameters are known: directions in which they vary together."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -16,7 +16,7 @@ from hilserver.plant.terms import TERMS
 
 BLOCKS: Final = ("kinematics", "navigation", "inertial")
 ENCODERS: Final = ("encoder_scale.a", "encoder_scale.wheel")
-"""Terms that the observer sees: those of these blocks, and of the encoders."""
+"""Terms that the observer takes into account: those of these blocks, and of the encoders."""
 LEAST_SHARE: Final = 1e-6  # share of the largest variance below which a direction is left out
 
 
@@ -34,9 +34,9 @@ def directions(
     robot : RobotParameters
         With the terms of the model.
     names : sequence of str
-        What was fitted together; what is no term that the observer sees is left out.
+        What was fitted together; all but the terms that the observer uses are left out.
     covariance : ndarray, shape (n, n)
-        Of these, in their units.
+        Their covariance, in their units.
     """
     seen = [i for i, n in enumerate(names) if _is_seen(n)]
     if not seen:
@@ -54,10 +54,10 @@ def directions(
 
 
 def alternatives(robot: RobotParameters, groups: Sequence[Mapping[str, float]]) -> list[Parameters]:
-    """Return what else the model could be, where a diagnosis cannot tell causes apart.
+    """Return directions towards models that a diagnosis cannot distinguish from the present one.
 
-    Any of a group is as likely as the one that the model has, so that the mean square of the error
-    is half the square of what changes with the other: a direction of 1/sqrt(2) of it.
+    The other cause of a group is as likely as the one in the model, so the mean square of the error
+    is half the square of the change to the other: a direction of 1/sqrt(2) of this change.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def alternatives(robot: RobotParameters, groups: Sequence[Mapping[str, float]]) 
 
 
 def _moved(robot: RobotParameters, by: Mapping[str, float]) -> Parameters:
-    """Return the parameters with terms moved; what lies outside its range moves the other way."""
+    """Return the parameters with terms moved, within their ranges; the other way if invalid."""
     last: PlantError | None = None
     for sign in (1.0, -1.0):
         terms = dict(robot.terms)
@@ -103,7 +103,7 @@ def _moved(robot: RobotParameters, by: Mapping[str, float]) -> Parameters:
 
 
 def constants(figures: Figures, moved: Sequence[Parameters]) -> NDArray[np.float64]:
-    """Return what the filter's kernels take as `c`."""
+    """Return the array `c` of the filter's kernels."""
     c = np.zeros(N_FIGURES + len(moved) * N_PARAMETERS)
     c[:N_FIGURES] = figures.numbers
     known = Figures.of(c)

@@ -1,7 +1,7 @@
-"""Samples taken in: what a reading says of the state, and which readings are believed.
+"""Corrects the estimate with samples, and rejects samples that are too far off.
 
-Uncertain parameters are considered, not estimated (Schmidt's filter): the gain is that of the state
-alone, so their variance stays and keeps what depends on them uncertain.
+Uncertain parameters are considered, not estimated (Schmidt's filter): only the state has a gain, so
+their variance stays and keeps what depends on them uncertain.
 """
 
 import math
@@ -41,13 +41,13 @@ from hilserver.plant.layout import Parameters
 from hilserver.plant.pose import wrap
 
 GATE_1, GATE_2 = 15.137, 18.421
-"""Innovations of one and of two values beyond which 1 of 10,000 good samples lies."""
-UNKNOWN_M2, UNKNOWN_RAD2 = 1e6, 1e2  # variances of a place and a heading that nothing is known of
+"""Normalised squared innovations (1 and 2 values) that 1 of 10,000 good samples exceeds."""
+UNKNOWN_M2, UNKNOWN_RAD2 = 1e6, 1e2  # variances of an unknown place and an unknown heading
 
 
 @part
 def _weigh(m: Moment, n: int, row: int, h: Head) -> None:
-    """Write the covariance of state and directions with a reading to `h.weight`."""
+    """Write the covariance of state and directions with a reading to `h`."""
     for i in range(N_ESTIMATED):
         total = 0.0
         for j in range(N_ESTIMATED):
@@ -64,7 +64,7 @@ def _weigh(m: Moment, n: int, row: int, h: Head) -> None:
 
 @part
 def _spread(n: int, row: int, h: Head) -> float:
-    """Return the covariance of what was weighed with the reading of `row`."""
+    """Return the covariance of the weighed reading with that of `row`, without noise."""
     total = 0.0
     for i in range(N_ESTIMATED):
         total += h.rows[row, i] * h.weight[i]
@@ -75,7 +75,7 @@ def _spread(n: int, row: int, h: Head) -> float:
 
 @part
 def _correct(m: Moment, n: int, h: Head, innovation: float, variance: float) -> None:
-    """Take in the reading that was weighed."""
+    """Apply the reading that was weighed."""
     share = 1.0 / variance
     for i in range(N_ESTIMATED):
         gain = h.weight[i] * share
@@ -88,7 +88,7 @@ def _correct(m: Moment, n: int, h: Head, innovation: float, variance: float) -> 
 
 @part
 def forget(m: Moment, place: int, variance: float) -> None:
-    """Let a state be unknown."""
+    """Make a state unknown, uncorrelated with all others."""
     for i in range(N_ESTIMATED):
         m.covariance[place, i] = m.covariance[i, place] = 0.0
     for j in range(m.cross.shape[1]):
@@ -98,7 +98,7 @@ def forget(m: Moment, place: int, variance: float) -> None:
 
 @part
 def take_gyro(p: Parameters, c: Any, h: Head, m: Moment, dt: float) -> None:
-    """Take in the turn rate that the gyro shows."""
+    """Correct with the turn rate that the gyro shows."""
     figures = record_at(c, 0, FIGURES)
     n = int(figures.considered)
     gyro_row(p, h.rows[0])
@@ -111,7 +111,7 @@ def take_gyro(p: Parameters, c: Any, h: Head, m: Moment, dt: float) -> None:
 
 @part
 def take_yaw(p: Parameters, c: Any, h: Head, m: Moment, is_new: bool) -> None:
-    """Take in a heading unless it is too far off."""
+    """Correct with a heading unless it is too far off."""
     figures = record_at(c, 0, FIGURES)
     n = int(figures.considered)
     if m.refused_yaw + 1.0 >= figures.readmit_after:
@@ -137,7 +137,7 @@ def take_yaw(p: Parameters, c: Any, h: Head, m: Moment, is_new: bool) -> None:
 
 @part
 def take_position(p: Parameters, c: Any, h: Head, m: Moment, is_new: bool) -> None:
-    """Take in a position unless it is too far off."""
+    """Correct with a position unless it is too far off."""
     figures = record_at(c, 0, FIGURES)
     n, noise = int(figures.considered), figures.position_sd * figures.position_sd
     if m.refused_position + 1.0 >= figures.readmit_after:
@@ -171,7 +171,7 @@ def take_position(p: Parameters, c: Any, h: Head, m: Moment, is_new: bool) -> No
 
 @part
 def begin(c: Figures, m: Moment) -> None:
-    """Let nothing be known of the pose, and of the rest what the figures say."""
+    """Begin with an unknown pose and, for the rest, the variances of the figures."""
     for i in range(N_ESTIMATED):
         m.estimate[i] = 0.0
         forget(m, i, 0.0)

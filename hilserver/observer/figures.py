@@ -1,7 +1,7 @@
-"""How noisy the sensors are: what a diagnosis has found, or what the configured sensors say.
+"""How noisy the sensors are, as found by a diagnosis or from their configuration.
 
-Nobody sets a covariance by hand: every number here is a sensor's own, or the size of a cause at
-which a diagnosis has to name it.
+No covariance is set by hand: every number here is a sensor's own, or the size of a cause at which a
+diagnosis has to name it.
 """
 
 import math
@@ -16,14 +16,14 @@ from hilserver.plant.terms import TERMS
 from hilserver.plant.units import RAD_S_PER_RPM
 
 WANDER_S: Final = 60.0
-"""Time in which slip, rotation gain and gyro bias may wander by what a diagnosis has to name."""
+"""Time in which slip, rotation gain and gyro bias may drift by what a diagnosis has to name."""
 INSTANT_SD: Final = 1.0 / math.sqrt(24.0)
-"""Share of a step by which all jumps of the wheels are early or late: half of what an unknown
-instant has, see `motion.BEND`."""
-READMIT_AFTER: Final = 10  # samples refused one after another until the robot counts as carried
+"""Share of a step by which all jumps of the wheels are early or late together: half the variance of
+an unknown instant, see `motion.BEND`."""
+READMIT_AFTER: Final = 10  # consecutive refused samples until the robot counts as carried
 OF_SPEED: Final = ("wheel_radius", "traction_slip", "longitudinal_slip", "acceleration_slip")
 OF_TURNING: Final = ("rotation_gain", "rotation_gain_speed", "friction_anisotropy.ratio")
-"""Terms that say how the robot slips: where a model has one of them, nothing wanders beside it."""
+"""Terms of slip: if a model has one, the state of the same kind is neither uncertain nor drifts."""
 _LEAST_RPM: Final = 0.01
 _LEAST_M: Final = 1e-3
 _LEAST_RAD: Final = 1e-4
@@ -31,26 +31,26 @@ _LEAST_RAD: Final = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """What a channel shows beside its quantity, in its unit."""
+    """Noise of a channel, in its unit."""
 
-    white: float = 0.0  # standard deviation of what is new in every sample
-    slow: float = 0.0  # of what is correlated in time, over `tau_s`
+    white: float = 0.0  # standard deviation of the part that is independent in every sample
+    slow: float = 0.0  # of the part that is correlated in time, over `tau_s`
     tau_s: float = 1.0
-    step: float = 0.0  # readings are multiples of it; 0: not rounded
+    step: float = 0.0  # resolution: readings are multiples of it; 0: not rounded
 
     @property
     def of_a_sample(self) -> float:
-        """Standard deviation of what is not correlated in time, rounding included."""
+        """Standard deviation of the part not correlated in time, rounding included."""
         return math.hypot(self.white, self.step / math.sqrt(12.0))
 
     @property
     def drift(self) -> float:
-        """What is correlated in time, as variance of its integral per second."""
+        """The part correlated in time, as variance of its integral per second."""
         return 2.0 * self.slow * self.slow * self.tau_s
 
 
 def configured(robot: RobotParameters) -> dict[str, Noise]:
-    """Return the figures of the sensors of a configuration, by channel."""
+    """Return the noise of the configured sensors by channel."""
     nav, terms = robot.nav, robot.terms
     place = Noise(nav.white_noise_m, nav.correlated_noise_m, nav.correlation_s)
     speed = Noise(step=terms.get("encoder_quantization") or 0.0)
@@ -93,13 +93,13 @@ def figures(
     Parameters
     ----------
     noise : mapping of Noise
-        By channel; what is missing has the figures of the configured sensors.
+        By channel; a missing one has the noise of the configured sensor.
     unknown : mapping of float, optional
-        Largest size of a cause that a diagnosis has left unseen, by cause. Without a diagnosis all
-        may have the size at which one has to name them, and wander.
+        By cause, the largest size that a diagnosis may have missed. Without a diagnosis all
+        may have the size at which one has to name them, and drift.
     wanders : bool
-        The diagnosis found what it has no name for: what it left unseen is bounded as a constant
-        alone, and what wanders may be as large as without a diagnosis.
+        The diagnosis found an unknown structure: `unknown` then bounds only constant effects, and
+        one that drifts may be as large as without a diagnosis.
     """
     shown = configured(robot) | dict(noise)
     c = Figures.zeros()
@@ -122,7 +122,7 @@ def figures(
 def _leave_unknown(
     c: Figures, robot: RobotParameters, unknown: Mapping[str, float] | None, *, wanders: bool
 ) -> None:
-    """Say how far gyro bias, slip and rotation gain may be off, and how they wander."""
+    """Set how far gyro bias, slip and rotation gain may be off, and how fast they drift."""
     on = {name for name, value in robot.terms.items() if value not in (None, TERMS[name].null)}
     for name, cause, covered_by in (
         ("bias", "gyro_bias", ("gyro_bias",)),

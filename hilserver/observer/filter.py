@@ -1,7 +1,7 @@
-"""The filter: one moment after another, and what comes late at its place among them.
+"""The filter: processes one moment after another, and late samples at the moment they belong to.
 
-A sample that is older than the newest moment is put to the moment that it belongs to, and what
-followed is done again, so that the estimate is the one that a filter without latency would have.
+A sample older than the newest moment is assigned to its own moment, and all later moments are
+computed again, so that the estimate is that of a filter without latency.
 """
 
 from typing import Any
@@ -27,14 +27,14 @@ _SAME_S = 1e-9
 
 @part
 def moment(f: Any, age: int) -> Any:
-    """Return the moment that lies `age` steps behind the newest."""
+    """Return the moment `age` steps before the newest."""
     row = (int(record_at(f, 0, HEAD).newest) - age) % MOMENTS
     return record_at(f, N_HEAD + row * N_MOMENT, MOMENT)
 
 
 @part
 def read(m: Moment, time: float, wheels: Any) -> None:
-    """Write when a moment is [s] and what the wheels do then, as in `open_moment`."""
+    """Write the time of a moment [s] and its wheel readings, as in `open_moment`."""
     m.time, m.left, m.right, m.angle_left = time, wheels[0], wheels[1], wheels[2]
     m.apart_left, m.apart_right = wheels[3], wheels[4]
 
@@ -67,9 +67,9 @@ def open_moment(c: Any, f: Any, time: float, wheels: Any) -> None:
 
 @part
 def age_of(f: Any, time: float) -> int:
-    """Return how many steps back the moment of a sample lies, the first one not before it.
+    """Return how many steps back a sample's moment is: the first moment that is not before it.
 
-    -1 if it is too old, or newer than the newest moment; too old is counted.
+    -1 if it is too old, which is counted, or newer than the newest moment.
     """
     h = record_at(f, 0, HEAD)
     newest = moment(f, 0).time
@@ -87,7 +87,7 @@ def age_of(f: Any, time: float) -> int:
 
 @part
 def add_gyro(f: Any, time: float, rate: float) -> None:
-    """Add what the gyro showed at a time [s, rad/s]."""
+    """Add a gyro reading [rad/s] of a time [s]."""
     age = age_of(f, time)
     if age >= 0:
         m = moment(f, age)
@@ -96,7 +96,7 @@ def add_gyro(f: Any, time: float, rate: float) -> None:
 
 @part
 def add_position(f: Any, time: float, x: float, y: float) -> None:
-    """Add a position of the tag [m] and when it was there [s]."""
+    """Add a position of the tag [m] of a time [s]."""
     age = age_of(f, time)
     if age >= 0:
         m = moment(f, age)
@@ -106,7 +106,7 @@ def add_position(f: Any, time: float, x: float, y: float) -> None:
 
 @part
 def add_yaw(f: Any, time: float, yaw: float) -> None:
-    """Add a heading of the tag [rad] and when the robot had it [s]."""
+    """Add a heading of the tag [rad] of a time [s]."""
     age = age_of(f, time)
     if age >= 0:
         m = moment(f, age)
@@ -115,7 +115,7 @@ def add_yaw(f: Any, time: float, yaw: float) -> None:
 
 @part
 def close_moment(p: Parameters, c: Any, f: Any) -> None:
-    """Compute the newest moment, and before it again what a late sample has changed."""
+    """Compute the newest moment, after recomputing those that a late sample changed."""
     h = record_at(f, 0, HEAD)
     for age in range(int(h.redo), -1, -1):
         now = moment(f, age)

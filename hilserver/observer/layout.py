@@ -1,8 +1,8 @@
-"""Where the numbers of the observer lie: what it knows `c`, and all that its future depends on.
+"""The layout of the observer's numbers: its constants `c`, and all that its future depends on.
 
 `c` is `Figures`, followed by one `plant.layout.Parameters` for each direction in which the
-parameters are uncertain. The filter's own numbers are a `Head`, followed by a ring of `Moment`s,
-the newest over the oldest; a copy is a snapshot.
+parameters are uncertain. The filter's own numbers are a `Head`, followed by a ring of `Moment`s in
+which the newest replaces the oldest; a copy is a snapshot.
 """
 
 from typing import Annotated, Final
@@ -14,19 +14,19 @@ from hilserver.compiled.records import Record
 from hilserver.plant.layout import Parameters
 
 X, Y, YAW, V, OM, BIAS, OU_X, OU_Y, OU_YAW, SLIP, GAIN = range(11)
-"""States: pose [m, m, rad, not wrapped], speed [m/s], turn rate [rad/s], what the gyro shows too
-much [rad/s], the navigation's correlated errors [m, m, rad], and what speed and turn rate have too
-much by the wheels, relative."""
+"""States: pose [m, m, rad, not wrapped], speed [m/s], turn rate [rad/s], bias of the gyro [rad/s],
+the navigation's correlated errors [m, m, rad], and the relative deviations of speed and turn rate
+from those of the wheels."""
 N_ESTIMATED: Final = 11
 MOST_DIRECTIONS: Final = 12  # directions in which uncertain parameters are considered
 CONSIDERED: Final = MOST_DIRECTIONS + 1
-"""With the instant, in a step, at which the wheels follow their set-points."""
-MOMENTS: Final = 128  # past states that are kept: what is older than they are cannot be taken in
-OLDEST_S: Final = 1.0  # what is older is not taken in either
+"""These, and the instant within a step at which the wheels follow their set-points."""
+MOMENTS: Final = 128  # past states that are kept; older samples are not accepted
+OLDEST_S: Final = 1.0  # maximum age of a sample
 SILENT_S: Final = 1.0
-"""After so long without a sample of the navigation the robot runs on dead reckoning."""
+"""Time without a sample of the navigation after which the robot runs on dead reckoning."""
 
-NO_FIX, CONVERGING, TRACKING, DEAD_RECKONING = range(4)  # what `estimate.state` says
+NO_FIX, CONVERGING, TRACKING, DEAD_RECKONING = range(4)  # values of `estimate.state`
 
 Vector = Annotated[NDArray[np.float64], N_ESTIMATED]
 Square = Annotated[NDArray[np.float64], (N_ESTIMATED, N_ESTIMATED)]
@@ -35,16 +35,16 @@ Cross = Annotated[NDArray[np.float64], (N_ESTIMATED, CONSIDERED)]
 
 
 class Figures(Record):
-    """How noisy the sensors are and how well what is estimated is known beforehand."""
+    """How noisy the sensors are, and how uncertain the states are at the start."""
 
     directions: float  # of uncertain parameters in use
-    considered: float  # with that of the wheels' instant, if it has a share
-    instant_sd: float  # share of a step by which all jumps of the wheels are early or late
-    nav_period: float  # [s] of the slice that its latency is counted in
+    considered: float  # the same, plus one for the wheels' instant if `instant_sd` > 0
+    instant_sd: float  # see `figures.INSTANT_SD`
+    nav_period: float  # [s] of the slice in which its latency is counted
     imu_period: float  # [s]
-    readmit_after: float  # samples refused one after another until the robot counts as carried
+    readmit_after: float  # consecutive refused samples until the robot counts as carried
     wheel_sd: float  # [rad/s] of the mean speed of a side, one sample
-    wheel_drift: float  # [rad2/s]: the part correlated in time, as variance of the angle per second
+    wheel_drift: float  # [rad2/s]: the part correlated in time, as variance of the angle per s
     gyro_sd: float  # [rad/s]
     gyro_drift: float  # [rad2/s]
     position_sd: float  # [m] of one sample
@@ -62,28 +62,28 @@ class Figures(Record):
 
 
 class Head(Record):
-    """What is newest, what was counted, and room to compute in."""
+    """Place of the newest moment, counters, and work space."""
 
     newest: float  # row of the ring
     count: float  # moments in the ring
-    redo: float  # moments that a late sample makes due again
+    redo: float  # how many past moments to compute again, for a late sample
     accepted: float  # samples of position and yaw
     rejected: float  # by their innovation
-    readmitted: float  # times that the robot was found elsewhere
-    late: float  # samples too old to be taken in
-    restarts: float  # times that a number was no longer finite, so that all was begun anew
+    readmitted: float  # times that the robot was found in another place
+    late: float  # samples that were too old
+    restarts: float  # restarts because a number was no longer finite
     seen_gyro: float  # counter of its last sample
     seen_position: float
-    rows: Annotated[NDArray[np.float64], (2, N_ESTIMATED)]  # of a sensor by state
+    rows: Annotated[NDArray[np.float64], (2, N_ESTIMATED)]  # derivatives of a sensor by state
     shared: Annotated[NDArray[np.float64], (2, CONSIDERED)]  # and by direction
     weight: Vector  # covariance of the state with one reading
     weight_shared: Directions
-    noise: Annotated[NDArray[np.float64], (5, N_ESTIMATED)]  # what the wheels' noise does to a step
-    push: Cross  # what a direction does to a step
+    noise: Annotated[NDArray[np.float64], (5, N_ESTIMATED)]  # effect of the wheels' noise on a step
+    push: Cross  # effect of each direction on a step
 
 
 class Moment(Record):
-    """The robot at one moment: what was read for it, and what is known with that."""
+    """The robot at one moment: its readings, and the estimate from them."""
 
     time: float  # [s]
     left: float  # mean speed that the left wheels' encoders show [rad/s]
@@ -91,27 +91,27 @@ class Moment(Record):
     angle_left: float  # [rad]
     apart_left: float  # [rad/s]: front minus rear wheel of a side
     apart_right: float
-    bend_left: float  # [rad/s]: change of slope times the step, against the step before
+    bend_left: float  # [rad/s]: change of slope from the step before, times the step
     bend_right: float
-    turning: float  # [rad/s2]: rate of the turn rate in the step
+    turning: float  # [rad/s2]: angular acceleration in the step
     has_gyro: float
     gyro: float  # [rad/s]
-    gyro_back: float  # [s]: the sample is so much older than the moment
+    gyro_back: float  # [s]: how much older the sample is than the moment
     has_position: float
     position: Annotated[NDArray[np.float64], 2]  # [m]
     position_back: float  # [s]
     has_yaw: float
     yaw: float  # [rad]
     yaw_back: float  # [s]
-    fixed_position: float  # flag: a position has been taken in
+    fixed_position: float  # flag: a position has been accepted
     fixed_yaw: float
-    refused_position: float  # samples one after another
+    refused_position: float  # consecutive samples
     refused_yaw: float
-    last_fix: float  # [s] of the last sample that was taken in
-    nis: float  # of the last sample by its number of values: 1 on average
+    last_fix: float  # [s] of the last accepted sample
+    nis: float  # of the last sample, divided by its number of values: 1 on average
     estimate: Vector
     covariance: Square
-    cross: Cross  # covariance of the state with the directions, of which each has variance 1
+    cross: Cross  # covariance of the state with the directions, each of variance 1
 
 
 class Shown(Record):
@@ -123,7 +123,7 @@ class Shown(Record):
     linear: float  # [m/s]
     angular: float  # [rad/s]
     gyro_bias: float  # [rad/s]
-    deviations: Annotated[NDArray[np.float64], 6]  # of these
+    deviations: Annotated[NDArray[np.float64], 6]  # standard deviations of these six
     x_y: float  # covariances [m2], [m rad]
     x_yaw: float
     y_yaw: float

@@ -13,7 +13,7 @@ SAMPLES: Final = ("accepted", "rejected", "late")
 
 
 def counted(numbers: NDArray[np.float64]) -> Head:
-    """Return what a filter has counted by now, from its numbers."""
+    """Return the counters of a filter, from its numbers."""
     return Head.of(numbers[:N_HEAD].copy())
 
 

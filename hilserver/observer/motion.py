@@ -35,15 +35,15 @@ from hilserver.plant.pose import shift as of_arc
 from hilserver.plant.pose import sinc
 from hilserver.plant.robot import SLOPE_REST_RAD_S
 
-_FLAT_RAD = 1e-3  # below, the derivative of sinc is its first term
+_FLAT_RAD = 1e-3  # below this, the derivative of sinc is its first term
 BEND = 1.0 / math.sqrt(48.0)
-"""Standard deviation of a chord's mean by a bend, where a wheel jumps at some instant of a step.
+"""Standard deviation of the mean over a step, per unit of bend, if a wheel jumps within the step.
 
-A jump by J leaves the variance J2 / 12 of the step's mean. Half of it all jumps have in common, as
-commands and samples keep step (`figures.INSTANT_SD`). Each jump's own half shows as two bends, J
-and -J.
+A jump by J at an unknown instant gives the step's mean the variance J2 / 12. Half of this is common
+to all jumps, as commands and samples keep step (`figures.INSTANT_SD`). The half of its own appears
+in two bends, J and -J.
 """
-CLEAR = 3.0  # deviations of a bend that noise alone has; what is within them is none
+CLEAR = 3.0  # standard deviations of noise up to which a bend is ignored
 
 
 @part
@@ -55,7 +55,7 @@ def _dsinc(half: float) -> float:
 
 @part
 def bend(time: float, left: float, right: float, before: Moment, now: Moment) -> None:
-    """Write how the wheels' speeds bend at the moment before; an older one had these [s, rad/s]."""
+    """Write the bend of the wheel speeds at `before`, given an earlier sample [s, rad/s]."""
     ratio = (now.time - before.time) / (before.time - time)
     now.bend_left = now.left - before.left - ratio * (before.left - left)
     now.bend_right = now.right - before.right - ratio * (before.right - right)
@@ -63,7 +63,7 @@ def bend(time: float, left: float, right: float, before: Moment, now: Moment) ->
 
 @part
 def wheel_velocity(p: Parameters, before: Moment, now: Moment) -> tuple[float, float]:
-    """Return speed [m/s] and turn rate [rad/s] that the wheels of a moment make."""
+    """Return the speed [m/s] and turn rate [rad/s] that the wheels of a moment produce."""
     inside = in_region(p, before.estimate[X], before.estimate[Y])
     dt, (left, right) = now.time - before.time, _sides(p, now)
     left_before, right_before = _sides(p, before)
@@ -74,7 +74,7 @@ def wheel_velocity(p: Parameters, before: Moment, now: Moment) -> tuple[float, f
 
 @part
 def _turned(p: Parameters, front: int, mean: float, apart: float) -> tuple[float, float]:
-    """Return mean and difference of a side's wheels [rad/s] from those of its encoders."""
+    """Return mean and difference of a side's wheel speeds [rad/s] from those of its encoders."""
     ahead = (mean + 0.5 * apart) / p.encoder_gain[front]
     behind = (mean - 0.5 * apart) / p.encoder_gain[front + 1]
     return 0.5 * (ahead + behind), ahead - behind
@@ -88,7 +88,7 @@ def _sides(p: Parameters, m: Moment) -> tuple[float, float]:
 
 @part
 def rolled(p: Parameters, m: Moment) -> float:
-    """Return the speed to the left [m/s] that mecanum wheels make; of others none."""
+    """Return the speed to the left [m/s] from mecanum wheels; 0 for other wheels."""
     left = p.radius_left * _turned(p, 0, m.left, m.apart_left)[1]
     right = p.radius_right * _turned(p, 2, m.right, m.apart_right)[1]
     return float(-0.25 * p.mecanum * p.roller_keep * (left + right))
@@ -96,7 +96,7 @@ def rolled(p: Parameters, m: Moment) -> float:
 
 @part
 def share_closed(p: Parameters, dt: float) -> float:
-    """Return how far the body follows its wheels in `dt` [s]; 1 without `body_lag`."""
+    """Return the share by which the body catches up with its wheels in `dt` [s]; 1 without lag."""
     return 1.0 if p.body_lag == 0.0 else -math.expm1(-dt / p.body_lag)
 
 
@@ -133,7 +133,7 @@ def shift_by(
 
 @part
 def move_on(p: Parameters, c: Figures, before: Moment, now: Moment, out: Any) -> None:
-    """Write the state that follows from the moment before to `out`, shape (N_ESTIMATED,)."""
+    """Write the state predicted from the moment before to `out`, shape (N_ESTIMATED,)."""
     x, dt = before.estimate, now.time - before.time
     v_wheels, om_wheels = wheel_velocity(p, before, now)
     closed = share_closed(p, dt)
@@ -160,7 +160,7 @@ def _kept(dt: float, tau: float) -> float:
 
 @part
 def _transform(m: Any, k: int, n: int, f: Any) -> None:
-    """Replace columns k to n of `m` by F times them; `f` as `predict` makes it."""
+    """Multiply columns k to n of `m` by F, given as `f` from `transition`."""
     for j in range(k, n):
         v, om, slip, gain = m[V, j], m[OM, j], m[SLIP, j], m[GAIN, j]
         m[X, j] += f[0] * m[YAW, j] + f[1] * v + f[2] * om + f[3] * slip + f[4] * gain
@@ -175,14 +175,14 @@ def _transform(m: Any, k: int, n: int, f: Any) -> None:
 
 @part
 def transition(p: Parameters, c: Figures, before: Moment, now: Moment) -> Any:
-    """Return the entries of F = d `move_on` / d state that are neither 0 nor 1, and of the mean.
+    """Return the entries of F = d `move_on` / d state that are not 0 or 1, then those of the means.
 
     Returns
     -------
     tuple of float
         Rows x and y by yaw, v, om, slip, gain; yaw by om, gain; v and om by themselves, by slip, by
-        gain; the correlated errors of position and yaw by themselves; then x, y by the speed of the
-        moment, and by its turn rate.
+        gain; the correlated errors of position and yaw by themselves; then x, y by the moment's
+        speed, and by its turn rate.
     """
     x, dt = before.estimate, now.time - before.time
     v_wheels, om_wheels = wheel_velocity(p, before, now)
@@ -207,11 +207,11 @@ def transition(p: Parameters, c: Figures, before: Moment, now: Moment) -> Any:
 
 @part
 def _wheel_noise(p: Parameters, c: Figures, before: Moment, now: Moment, f: Any, h: Head) -> None:
-    """Write what one standard deviation of the wheels' noise does to the step.
+    """Write the effect of one standard deviation of the wheels' noise on the step.
 
-    Rows 0 and 1: noise of either side's reading. Rows 2 and 3: what the wheels did between two
-    readings, which changes the means of speed and of turn rate alone. Row 4: to the side, where the
-    difference of two readings has twice the noise of their mean.
+    Rows 0 and 1: noise of either side's reading. Rows 2 and 3: motion of the wheels between two
+    readings, which changes only the means of speed and turn rate. Row 4: noise to the side, where
+    the difference of two readings has twice the noise of their mean.
     """
     dt = now.time - before.time
     sd = math.sqrt(c.wheel_sd * c.wheel_sd + c.wheel_drift / dt) * share_closed(p, dt)
@@ -237,14 +237,14 @@ def _wheel_noise(p: Parameters, c: Figures, before: Moment, now: Moment, f: Any,
 
 @part
 def _noise_row(row: Any, f: Any, dt: float, dv: float, dom: float) -> None:
-    """Write what a change of the newer of both velocities does to the pose."""
+    """Write the effect on the pose of a change of the newer of both velocities."""
     row[X], row[Y] = f[17] * dv + f[19] * dom, f[18] * dv + f[20] * dom
     row[YAW], row[V], row[OM] = 0.5 * dt * dom, 0.0, 0.0
 
 
 @part
 def _pushes(c: Any, before: Moment, now: Moment, h: Head) -> None:
-    """Write what each direction of uncertain parameters does to the step, one deviation of it."""
+    """Write the effect on the step of one deviation of each direction of uncertain parameters."""
     figures = record_at(c, 0, FIGURES)
     for j in range(int(figures.directions)):
         other = record_at(c, N_FIGURES + j * N_PARAMETERS, PARAMETERS)
@@ -257,7 +257,7 @@ def _pushes(c: Any, before: Moment, now: Moment, h: Head) -> None:
 
 @part
 def _push_instant(c: Figures, before: Moment, now: Moment, h: Head) -> None:
-    """Write what one deviation of the wheels' instant does: the pose is that of a little later."""
+    """Write the effect of one deviation of the wheels' instant: the pose of a little later."""
     j, late = int(c.directions), c.instant_sd * (now.time - before.time)
     dv = late * (now.estimate[V] - before.estimate[V])
     for i in range(OM + 1):
@@ -295,7 +295,7 @@ def predict(p: Parameters, c: Any, h: Head, before: Moment, now: Moment) -> None
     c : ndarray
         `Figures`, followed by the parameters at one deviation of each direction.
     before, now : Moment
-        `now` has its time and wheel speeds; the rest is written.
+        `now` has its time and wheel speeds; estimate and covariance are written.
     """
     figures, dt = record_at(c, 0, FIGURES), now.time - before.time
     n = int(figures.considered)

@@ -23,33 +23,33 @@ from hilserver.plant.layout import PARAMETERS, Parameters
 
 Array = NDArray[np.float64]
 N_SHOWN: Final = Shown.n_words
-GYRO, POSITION, HEADING = range(3)  # what a row of the samples is
+GYRO, POSITION, HEADING = range(3)  # kinds of rows of the samples
 
 
 @dataclass(frozen=True)
 class Series:
-    """What was measured of one stretch, on one clock."""
+    """Measurements of one stretch, on one clock."""
 
-    # shape (n, 6); time [s], mean speeds that the left and the right encoders show [rad/s], angle
+    # shape (n, 6); time [s], mean speeds of the left and the right encoders [rad/s], angle
     # of the left wheels [rad], front minus rear wheel on the left and on the right [rad/s]
     wheels: Array
     # shape (m, 4); `GYRO`, `POSITION` or `HEADING`, time at which the quantity had the value [s],
-    # and its one or two values; in the order of time
+    # and its one or two values; ordered by time
     samples: Array
 
 
 @dataclass(frozen=True)
 class Course:
-    """What is known at each moment."""
+    """The estimate at each moment."""
 
     t_s: Array  # shape (n,)
     shown: Array  # shape (n, Shown.n_words); the signals estimate.*
     estimate: Array  # shape (n, N_ESTIMATED)
     covariance: Array  # shape (n, N_ESTIMATED, N_ESTIMATED)
-    # shape (n,); of a sample of the navigation that came at this moment, by its number of values;
-    # else NaN
+    # shape (n,); of a sample of the navigation that came at this moment, divided by its number of
+    # values; else NaN
     innovations: Array
-    head: Head  # what was counted
+    head: Head  # counters
 
 
 @part

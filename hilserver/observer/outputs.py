@@ -1,4 +1,4 @@
-"""What the filter shows of its newest moment: the signals estimate.*."""
+"""Shows the newest moment of the filter as the signals estimate.*."""
 
 import math
 from typing import Any
@@ -27,14 +27,14 @@ from hilserver.plant.kernels import part
 from hilserver.plant.pose import wrap
 
 BETTER = 0.9
-"""Share of a sample's variance below which a pose is known better than the sample says it."""
+"""Share of a sample's variance below which the pose counts as known better than by the sample."""
 
 
 @part
 def _state(c: Figures, m: Moment) -> int:
     """Return whether a pose is known, and from what.
 
-    It converges until it is known better than one sample of the navigation says it.
+    The state is CONVERGING until the pose is known better than by one sample of the navigation.
     """
     if m.fixed_position == 0.0 or m.fixed_yaw == 0.0:
         return NO_FIX
@@ -48,7 +48,7 @@ def _state(c: Figures, m: Moment) -> int:
 
 @part
 def show(c: Any, f: Any, out: Shown) -> None:
-    """Write what is known now."""
+    """Write the present estimate."""
     m, head = moment(f, 0), record_at(f, 0, HEAD)
     x, p = m.estimate, m.covariance
     out.x, out.y, out.yaw = x[X], x[Y], wrap(x[YAW])

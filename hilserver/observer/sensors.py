@@ -1,6 +1,6 @@
-"""What the sensors show of a state, and how that changes with it.
+"""The measurement model: what the sensors show in a state, and its derivatives.
 
-A sample may be older than the moment that it is taken in with, by less than a step: `back` [s].
+A sample may be older, by less than a step, than the moment it is assigned to: `back` [s].
 """
 
 import math
@@ -31,7 +31,7 @@ from hilserver.plant.layout import PARAMETERS, Parameters
 
 @part
 def show_position(p: Parameters, x: Any, aside: float, back: float) -> tuple[float, float]:
-    """Return what the tag shows of the position [m]; `aside` [m/s] is the speed to the left."""
+    """Return the position [m] that the tag shows; `aside` [m/s] is the speed to the left."""
     dx, dy = shift(p, x[YAW], x[V], x[OM], aside, -back)
     yaw = x[YAW] - x[OM] * back
     cos, sin = math.cos(yaw), math.sin(yaw)
@@ -71,7 +71,7 @@ def position_rows(p: Parameters, x: Any, aside: float, back: float, rows: Any) -
 
 @part
 def show_yaw(p: Parameters, x: Any, back: float) -> float:
-    """Return what the tag shows of the heading [rad], not wrapped."""
+    """Return the heading [rad] that the tag shows, not wrapped."""
     yaw = x[YAW] - x[OM] * back
     once = p.distortion_1 * math.sin(yaw + p.distortion_phase_1)
     twice = p.distortion_2 * math.sin(2.0 * yaw + p.distortion_phase_2)
@@ -93,7 +93,7 @@ def yaw_row(p: Parameters, x: Any, back: float, row: Any) -> None:
 
 @part
 def show_gyro(p: Parameters, x: Any, back: float, turning: float) -> float:
-    """Return what the gyro shows of a turn rate [rad/s] that changes by `turning` [rad/s2]."""
+    """Return the turn rate [rad/s] that the gyro shows, if it changes by `turning` [rad/s2]."""
     return float(p.gyro_gain * (x[OM] - back * turning) + p.gyro_bias + x[BIAS])
 
 
@@ -107,7 +107,7 @@ def gyro_row(p: Parameters, row: Any) -> None:
 
 @part
 def position_shared(p: Parameters, c: Any, m: Moment, h: Head) -> None:
-    """Write what one deviation of each direction changes of a position to `h.shared`."""
+    """Write the effect of one deviation of each direction on a position to `h.shared`."""
     figures = record_at(c, 0, FIGURES)
     x, back = m.estimate, m.position_back
     px, py = show_position(p, x, rolled(p, m), back)
@@ -121,7 +121,7 @@ def position_shared(p: Parameters, c: Any, m: Moment, h: Head) -> None:
 
 @part
 def yaw_shared(p: Parameters, c: Any, x: Any, back: float, h: Head) -> None:
-    """Write what one deviation of each direction changes of a heading to `h.shared`."""
+    """Write the effect of one deviation of each direction on a heading to `h.shared`."""
     figures = record_at(c, 0, FIGURES)
     shown = show_yaw(p, x, back)
     h.shared[0, int(figures.directions)] = 0.0
@@ -133,7 +133,7 @@ def yaw_shared(p: Parameters, c: Any, x: Any, back: float, h: Head) -> None:
 
 @part
 def gyro_shared(p: Parameters, c: Any, m: Moment, h: Head) -> None:
-    """Write what one deviation of each direction changes of the gyro's reading to `h.shared`."""
+    """Write the effect of one deviation of each direction on a gyro reading to `h.shared`."""
     figures, back = record_at(c, 0, FIGURES), m.gyro_back
     shown = show_gyro(p, m.estimate, back, m.turning)
     h.shared[0, int(figures.directions)] = 0.0

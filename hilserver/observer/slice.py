@@ -1,4 +1,4 @@
-"""The observer as a time slice: what has come in since the last run, and what is known now."""
+"""The observer as a time slice: takes new readings and shows the present estimate."""
 
 import math
 from typing import Any
@@ -39,7 +39,7 @@ def begin_run(c: Any, f: Any, time: float, speed: Any, angle_left: float) -> Non
 
 @part
 def new_gyro(p: Parameters, c: Any, f: Any, count: float, time: float, rate: float) -> None:
-    """Add the gyro's reading [rad/s] if its counter has moved; `time` [s] is when it came."""
+    """Add the gyro's reading [rad/s], which came at `time` [s], if its counter has changed."""
     h = record_at(f, 0, HEAD)
     if count != h.seen_gyro:
         h.seen_gyro = count
@@ -50,7 +50,7 @@ def new_gyro(p: Parameters, c: Any, f: Any, count: float, time: float, rate: flo
 def new_pose(
     p: Parameters, c: Any, f: Any, count: float, time: float, x: float, y: float, yaw: float
 ) -> None:
-    """Add what the navigation shows if its counter has moved; `time` [s] is when it came."""
+    """Add the navigation's sample, which came at `time` [s], if its counter has changed."""
     h, period = record_at(f, 0, HEAD), record_at(c, 0, FIGURES).nav_period
     if count != h.seen_position:
         h.seen_position = count
@@ -60,7 +60,7 @@ def new_pose(
 
 @part
 def when(stamp: float, now: float) -> float:
-    """Return the time of a sample [s]: its stamp, or now where that cannot be."""
+    """Return the time of a sample [s]: its stamp, or now if the stamp is implausible."""
     return stamp if now - OLDEST_S <= stamp <= now else now
 
 
@@ -75,7 +75,7 @@ def _is_sound(f: Any) -> bool:
 
 @part
 def end_run(p: Parameters, c: Any, f: Any, is_read: bool, out: Shown, codes: Any) -> None:
-    """Take in what has come, and show what is known; without a fix it is Uncertain.
+    """Process the new readings and show the estimate, which is Uncertain without a fix.
 
     Parameters
     ----------

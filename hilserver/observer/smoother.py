@@ -1,7 +1,7 @@
-"""Backwards over what the filter has found: every moment with what came after it, too.
+"""The smoother: runs backwards over the filter's result, so each moment also uses later samples.
 
-The smoother of Rauch, Tung and Striebel. What uncertain parameters add to the covariance is carried
-along as the filter has it.
+The smoother of Rauch, Tung and Striebel. The part of the covariance that is due to uncertain
+parameters is kept as the filter has it.
 """
 
 from typing import Any
@@ -41,7 +41,7 @@ _REGULAR = 1e-14
 def _predicted(
     numbers: Any, c: Any, h: Head, wheels: Any, k: int, x: Any, m: Any, a: Moment, b: Moment
 ) -> Any:
-    """Predict moment k + 1 into `b` from what is known at k; return the entries of F."""
+    """Predict moment k + 1 into `b` from the estimate at k; return the entries of F."""
     p = record_at(numbers, 0, PARAMETERS)
     read(a, wheels[k, 0], wheels[k, 1:])
     read(b, wheels[k + 1, 0], wheels[k + 1, 1:])
@@ -56,7 +56,7 @@ def _predicted(
 
 
 def _dense(f: tuple[float, ...]) -> Array:
-    """Return F from what `motion.transition` says of it."""
+    """Return F as a matrix, from the entries of `motion.transition`."""
     m, by = np.eye(N_ESTIMATED), [YAW, V, OM, SLIP, GAIN]
     m[X, by], m[Y, by] = f[0:5], f[5:10]
     m[YAW, [OM, GAIN]] = f[10:12]
@@ -75,7 +75,7 @@ def smooth(
     Parameters
     ----------
     first : int
-        At which the pose is known; what lies before it stays as the filter has it.
+        First moment at which the pose is known; earlier ones stay as the filter has them.
 
     Returns
     -------
