@@ -1,8 +1,8 @@
-"""The process image: one shared-memory arena between the plant and everybody else, as in a PLC.
+"""The process image: one shared-memory arena between the plant and everything else, as in a PLC.
 
-Inputs are latched at the start of a tick, outputs are published at its end. Nobody waits for
-anybody: the plant writes complete frames into a ring, readers take the last complete one; sources
-push rows into queues that the plant drains at the next tick.
+Inputs are latched at the start of a tick, outputs are published at its end. Neither side waits: the
+plant writes complete frames into a ring, of which readers take the newest; sources push rows into
+queues that the plant drains at the next tick.
 """
 
 from typing import TYPE_CHECKING

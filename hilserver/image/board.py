@@ -1,7 +1,7 @@
-"""The board: figures of the daemon as one JSON text in shared memory, for whoever attaches.
+"""The board: figures of the daemon as one JSON text in shared memory, for any process to attach.
 
-Peers, faults, events and the like are no signals and change slowly. The daemon writes them as a
-whole; a reader takes the text when its check sum fits, and looks again later when it does not.
+Peers, faults, events and the like are not signals and change slowly. The daemon writes them as a
+whole; a reader takes the text if its checksum fits, and otherwise tries again later.
 """
 
 import json
@@ -15,7 +15,7 @@ from hilserver.image.reader import ImageReader
 
 REGION = "board"
 WORDS = 32_768
-_HEAD_WORDS = 3  # number of the text, bytes, check sum
+_HEAD_WORDS = 3  # number of the text, bytes, checksum
 
 
 class Board:
@@ -26,7 +26,7 @@ class Board:
         self._bytes = self._words[_HEAD_WORDS:].view(np.uint8)
 
     def show(self, content: dict[str, Any]) -> bool:
-        """Replace the text; False when it is too long for the region."""
+        """Replace the text; False if it is too long for the region."""
         text = json.dumps(content, allow_nan=False, separators=(",", ":")).encode()
         if len(text) > len(self._bytes):
             return False
@@ -47,7 +47,7 @@ class BoardReader:
 
     @property
     def content(self) -> dict[str, Any]:
-        """The newest text that was complete, empty before the first."""
+        """The newest complete text, empty before the first."""
         number = int(self._words[0])
         if number != self._seen:
             n_bytes, check_sum = int(self._words[1]), int(self._words[2])

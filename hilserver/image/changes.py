@@ -1,8 +1,8 @@
-"""Changes of the parameters on their way into the step, and what a recorder reads of them.
+"""The queue of parameter changes for the step, which recorders read as well.
 
 The region is a queue with one producer, the event loop, and one consumer, the latch. A row holds
-everything that the parameters consist of, packed, so that nothing is computed where time counts.
-Rows stay readable behind the consumer until as many changes have come as half of the queue holds.
+all parameters, packed, so that nothing is computed on the paced path. Rows stay readable after the
+consumer took them, for as many changes as half of the queue holds.
 """
 
 from typing import Any, Final
@@ -21,25 +21,25 @@ MOST_WAITING: Final = ROWS // 2
 
 # --- a row: its head, then the packed numbers -----------------------------------------------------
 NUMBER: Final = 0  # of the change; 0 while it is being written
-DUE: Final = 1  # tick from which on it may act
+DUE: Final = 1  # first tick in which it may act
 TAKEN: Final = 2  # tick in which it has acted, -1 before
 PACKED: Final = 4
 NOW: Final = -1
 
 
 def words_needed(packed: int) -> int:
-    """Return the length of the region for changes of so many packed numbers [words]."""
+    """Return the length of the region [words] for changes of `packed` numbers each."""
     return ROWS * (PACKED + packed)
 
 
 @kernel("void(int64, int64[::1])")
 def show_changes(head: int, words: Any) -> None:
-    """Show all rows before `head` to the plant, at once."""
+    """Make all rows before `head` visible to the plant, at once."""
     store_release(words, word.CHANGES_HEAD, head)
 
 
 class Changes:
-    """The queue as Python sees it: in the daemon to post, in a recorder to read."""
+    """The queue from Python: the daemon posts, a recorder reads."""
 
     def __init__(self, image: ImageReader) -> None:
         self._image = image
@@ -48,7 +48,7 @@ class Changes:
 
     @property
     def length(self) -> int:
-        """How many numbers a change packs."""
+        """Numbers in a packed change."""
         return self._words.shape[1] - PACKED
 
     @property
@@ -58,15 +58,15 @@ class Changes:
         return MOST_WAITING - (control.changes_head - control.changes_tail)
 
     def post(self, number: int, packed: NDArray[np.float64], due: int = NOW) -> bool:
-        """Hand a change to the plant; False when it has not taken the last ones.
+        """Post a change to the plant; False if too many wait already.
 
         Parameters
         ----------
         number : int
-            Of the change, above 0; `internal.edition` shows it once it acts.
+            Number of the change, above 0; `internal.edition` shows it once it acts.
         packed : ndarray of float64, shape (length,)
         due : int
-            Tick from which on it may act; those behind it wait, too.
+            First tick in which it may act; changes behind it wait, too.
         """
         if self.room < 1:
             return False
@@ -85,7 +85,7 @@ class Changes:
         return int(self._words[found[0], TAKEN]) if found.size else None
 
     def find(self, number: int, tick: int) -> NDArray[np.float64] | None:
-        """Return what change `number` packed that acted in `tick`; None if it is not there."""
+        """Return the packed numbers of change `number` that acted in `tick`; None if not there."""
         found = np.flatnonzero((self._words[:, NUMBER] == number) & (self._words[:, TAKEN] == tick))
         for row in found.tolist():
             packed: NDArray[np.float64] = self._values[row, PACKED:].copy()

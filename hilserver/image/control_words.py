@@ -1,4 +1,4 @@
-"""The control words as Python sees them: plain attributes of an image."""
+"""The control words in Python: plain attributes of an image."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,7 +7,7 @@ from hilserver.image import word
 
 
 class ControlWords:
-    """What daemon and plant say to each other beside the signals: ``STATE`` in `word` is `state`.
+    """What daemon and plant exchange besides signals; ``STATE`` in `word` is the attribute `state`.
 
     Setting a word of a read-only arena raises a ValueError.
     """

@@ -1,7 +1,7 @@
-"""Where things lie in the arena.
+"""The layout of the arena.
 
-The arena is one file in shared memory, seen as float64 and as int64 at once. Its first words are
-the control words, see `word`; a JSON text that names every signal and region follows, then the
+The arena is one file in shared memory, viewed both as float64 and as int64. It begins with the
+control words, see `word`; a JSON text that names every signal and region follows, then the
 regions.
 """
 
@@ -23,7 +23,7 @@ REQUEST_RESTART = 4
 
 ROW_WORDS = 4  # tick, slot, value, status
 FRAME_HEADER_WORDS = 4  # sequence, tick, planned_ns, rows of `now` latched so far
-READ_TRIES = 8  # of the newest frame, while the writer comes round
+READ_TRIES = 8  # of the newest frame, which the writer may overwrite meanwhile
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Layout:
 
 
 def padded(length: int) -> int:
-    """Return the words that a region takes: each begins at a cache line."""
+    """Return the words that a region occupies; each begins at a cache line."""
     return length + (-length) % 8
 
 
@@ -65,11 +65,11 @@ def make_layout(
     n_slots : int
         Scalars in a frame.
     ring_length : int
-        Published frames that are kept, a power of two.
+        Number of published frames that are kept, a power of two.
     queue_rows : int
         Capacity of each input queue, a power of two.
     live, fixed : dict of int
-        Words of further regions by name: those in `live` belong to the snapshot.
+        Words of further regions by name; those in `live` are part of a snapshot.
     """
     for name, number in (("ring_length", ring_length), ("queue_rows", queue_rows)):
         if number < 1 or number & (number - 1):
@@ -98,7 +98,7 @@ def make_layout(
 
 
 def describe(table: SignalTable, layout: Layout, run: Mapping[str, Any]) -> bytes:
-    """Return the JSON text of the header: what another process needs to read the arena."""
+    """Return the JSON text of the header, which another process needs to read the arena."""
     signals: list[dict[str, Any]] = [
         {
             "name": s.name,
@@ -112,7 +112,7 @@ def describe(table: SignalTable, layout: Layout, run: Mapping[str, Any]) -> byte
     ]
     regions = {name: [region.base, region.length] for name, region in layout.regions.items()}
     text = json.dumps({"signals": signals, "regions": regions, "run": dict(run)}).encode()
-    if len(text) > JSON_WORDS * 8:  # without its largest part: a replay then needs -c
+    if len(text) > JSON_WORDS * 8:  # leave out the largest part; a replay then needs -c
         rest = {key: value for key, value in run.items() if key != "configuration"}
         text = json.dumps({"signals": signals, "regions": regions, "run": rest}).encode()
     if len(text) > JSON_WORDS * 8:

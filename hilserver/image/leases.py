@@ -1,8 +1,8 @@
-"""Who drives, as the step sees it: a row of commands per kind of source, and how long it holds.
+"""Who drives, inside the step: a row of commands per kind of source, and leases that limit it.
 
-A source writes into the row of its kind, through the queues; its index behind the last slot of a
-frame says where. The step takes the row of the kind that has control. What is taken is a lease: it
-lapses by the policy of the source that holds it, in the step, whatever has become of Python.
+A source writes to the row of its kind, through the queues; indices beyond the last slot of a frame
+address these rows. The step takes the row of the kind that has control, under a lease. The lease
+lapses in the step, by the policy of the source that holds it, even if Python hangs or has died.
 """
 
 import math
@@ -18,23 +18,23 @@ from hilserver.status import GOOD
 
 REGION: Final = "leases"
 KINDS: Final = 6
-ROW: Final = 16  # words of a row: the set-points, mode and enable are its first
-FIRST_OFFERING: Final = 3  # kinds from here on say what they want whether or not they have control
+ROW: Final = 16  # words of a row; set-points, mode and enable come first
+FIRST_OFFERING: Final = 3  # kinds from here on make offers even without control
 NO_KIND: Final = -1
 
 
 class Lease(Record):
-    """What one source holds."""
+    """The lease of one source."""
 
-    renewed: int  # not 0: a row of this tick has renewed it; 1 + age of what renewed it [ns]
-    since: int  # when what renewed it last came in [ns]; 0: nothing is held
+    renewed: int  # not 0: renewed by a row in this tick; 1 + age of the renewal [ns]
+    since: int  # when the last renewal arrived [ns]; 0: no lease is held
     limit: int  # [ns]; 0: it never lapses
     policy: int
     kind: int
     lapsed: int  # 1: not renewed in time
-    stalled: int  # ticks that the event loop had been silent when it lapsed
-    lapses: int  # how often that has changed what is driven
-    waited: int  # how long what renewed it last had waited for us [ns]
+    stalled: int  # ticks for which the event loop had been silent when it lapsed
+    lapses: int  # how many lapses changed a command
+    waited: int  # how long the last renewal had waited for the step [ns]
 
 
 class Driving(Record):
@@ -42,9 +42,9 @@ class Driving(Record):
 
     owner: float  # number of the kind that has control
     end: int  # writing it ends every lease
-    down: int  # ticks until what was driven before has come to zero
-    up: int  # ticks until the row counts in full
-    ramp: int  # ticks of either
+    down: int  # ticks until the previous commands have ramped to zero
+    up: int  # ticks until the new row counts in full
+    ramp: int  # duration of either ramp [ticks]
     count: int  # leases in use
     free: Annotated[NDArray[np.int64], 10]
     values: Annotated[NDArray[np.float64], (KINDS, ROW)]
@@ -69,13 +69,13 @@ POLICIES: Final = {
 
 
 def words_needed(n_sources: int) -> int:
-    """Return the length of the region for so many leases [words]."""
+    """Return the length of the region for `n_sources` leases [words]."""
     return FIRST_LEASE + n_sources * LEASE_WORDS
 
 
 @kernel()
 def driving(words: Any) -> Any:
-    """Return who drives; an image without leases has no such words."""
+    """Return the region's record; an image without leases has none."""
     return record_at(words, words[word.LEASES], DRIVING)
 
 
@@ -87,7 +87,7 @@ def lease_at(number: int, words: Any) -> Any:
 
 @kernel()
 def _clear(kind: int, words: Any) -> None:
-    """Nothing is commanded in a row, nobody holds it."""
+    """Clear the commands of a row and its leases."""
     d = driving(words)
     for i in range(words[word.SETPOINT_SLOTS]):
         d.values[kind, i] = 0.0
@@ -99,18 +99,18 @@ def _clear(kind: int, words: Any) -> None:
 
 @kernel()
 def _take(kind: int, values: Any, words: Any) -> None:
-    """Hand control over: what drives is ramped to zero, then the new row counts."""
+    """Hand control over: ramp the present set-points to zero, then up to those of the new row."""
     d, frame, n = driving(words), words[word.FRAME_BASE], words[word.SETPOINT_SLOTS]
     moving = False
     for i in range(n):
         moving |= values[frame + i] != 0.0
     before = int(d.owner)
-    if 0 <= before < FIRST_OFFERING:  # should it drive again, then by what it says from then on
+    if 0 <= before < FIRST_OFFERING:  # old commands must not act if it drives again
         _clear(before, words)
         d.values[before, n] = 0.0
         d.values[before, n + 1] = 1.0
     d.owner = kind
-    for number in range(d.count):  # what it offered may have lapsed long ago
+    for number in range(d.count):  # its lease may have lapsed while it only made offers
         lease = lease_at(number, words)
         if lease.kind == kind:
             lease.lapsed = 0
@@ -120,7 +120,7 @@ def _take(kind: int, values: Any, words: Any) -> None:
 
 @kernel()
 def end_leases(words: Any) -> None:
-    """End every lease: nothing is commanded until a source does so anew."""
+    """End every lease: nothing is commanded until a source sends a new command."""
     if words[word.LEASES] == 0:
         return
     d = driving(words)
@@ -132,7 +132,7 @@ def end_leases(words: Any) -> None:
 
 @kernel()
 def adopt_outcome(now_ns: int, values: Any, words: Any) -> None:
-    """Let whoever has control command what a state commands that was restored."""
+    """Give the source in control the commands of a restored state."""
     d, frame = driving(words), words[word.FRAME_BASE]
     if words[word.LEASES] == 0 or d.owner < 0.0:
         return
@@ -148,7 +148,7 @@ def adopt_outcome(now_ns: int, values: Any, words: Any) -> None:
 
 @kernel()
 def apply_lease(index: int, value: float, status: int, values: Any, words: Any) -> None:
-    """Apply a row that is meant for the region; NaN leaves the value."""
+    """Apply an input row addressed to this region; NaN leaves the value."""
     if index == OWNER:
         _take(int(value), values, words)
     elif index == END:
@@ -161,7 +161,7 @@ def apply_lease(index: int, value: float, status: int, values: Any, words: Any) 
 
 @kernel()
 def command(kind: int, column: int, value: float, status: int, words: Any) -> None:
-    """Write one command into the row of a kind; NaN leaves the value."""
+    """Write one command to the row of a kind; NaN leaves the value."""
     d = driving(words)
     if not math.isnan(value):
         d.values[kind, column] = value
@@ -172,7 +172,7 @@ def command(kind: int, column: int, value: float, status: int, words: Any) -> No
 
 @kernel()
 def show_outcome(values: Any, words: Any) -> None:
-    """Write into the frame what the row in control commands: set-points, mode, enable."""
+    """Write the commands of the row in control to the frame: set-points, mode, enable."""
     d, frame, status = driving(words), words[word.FRAME_BASE], words[word.STATUS_BASE]
     n, kind = words[word.SETPOINT_SLOTS], int(d.owner)
     down, up = d.down, d.up

@@ -1,4 +1,4 @@
-"""The process image as the daemon has it: make it, push rows."""
+"""The daemon's side of the process image: creates it and pushes rows."""
 
 import os
 from collections.abc import Iterable, Mapping
@@ -17,7 +17,7 @@ from hilserver.status import GOOD
 
 
 class Row(NamedTuple):
-    """One write on its way to the plant; a value of NaN leaves the value and sets the status."""
+    """One write for the plant; a value of NaN leaves the value and sets only the status."""
 
     slot: int
     value: float
@@ -26,20 +26,20 @@ class Row(NamedTuple):
 
 
 class ProcessImage(ImageReader):
-    """The daemon's own image: owner of the memory, producer of the input rows.
+    """The daemon's own image, which owns the memory and produces the input rows.
 
     Parameters
     ----------
     name : str
-        Name in shared memory; one daemon each. Empty: for this process alone.
+        Name in shared memory, for one daemon only. Empty: private to this process.
     live, fixed : mapping of int
-        Words of the plant's regions: `live` ones belong to snapshots.
+        Words of the plant's regions; those in `live` are part of a snapshot.
     base_period_ns : int
         Base period of the scheduler.
     ring_length, queue_rows : int
-        Frames kept and rows that fit into each input queue; powers of two.
+        Number of frames kept, and rows per input queue; powers of two.
     run : mapping, optional
-        Where the values come from (version, configuration, ...), for recorders.
+        Origin of the values (version, configuration, ...), for recorders.
     """
 
     def __init__(
@@ -99,38 +99,38 @@ class ProcessImage(ImageReader):
     def _describe(self, words: NDArray[np.int64]) -> None:
         text = lay.describe(self._table, self.layout, self._run)
         start = lay.N_CONTROL_WORDS * 8
-        words[word.JSON_BYTES] = 0  # readers take an empty description for one in the making
+        words[word.JSON_BYTES] = 0  # to readers an empty description is not complete yet
         words.view(np.uint8)[start : start + len(text)] = np.frombuffer(text, dtype=np.uint8)
         words[word.JSON_BYTES] = len(text)
 
     def tell(self, **run: Any) -> None:
-        """Add to what recorders read about the run, once it is known."""
+        """Add to the description of the run, for recorders."""
         self._run |= run
         self._describe(self.words)
 
     @property
     def frame_values(self) -> NDArray[np.float64]:
-        """The working frame; the plant's own while it runs."""
+        """The working frame; only the plant may write it while it runs."""
         region = self.layout.regions["frame"]
         return self.values[region.base : region.base + region.length]
 
     @property
     def frame_status(self) -> NDArray[np.int64]:
-        """Status codes of the working frame; the plant's own while it runs."""
+        """Status codes of the working frame; only the plant may write them while it runs."""
         region = self.layout.regions["status"]
         return self.words[region.base : region.base + region.length]
 
     @property
     def pushed_rows(self) -> int:
-        """Rows handed to the plant so far; a frame with as many `latched_rows` contains them."""
+        """Rows pushed so far; a frame with as many `latched_rows` contains them."""
         return self.control.now_head
 
     def push(self, rows: Iterable[Row]) -> bool:
-        """Hand rows to the next tick, all together; False if the queue has no room."""
+        """Push rows for the next tick, all together; False if the queue has no room."""
         return self._push(rows, word.NOW_BASE)
 
     def push_timed(self, rows: Iterable[Row]) -> bool:
-        """Hand rows to the ticks they name (rising); False if the queue has no room."""
+        """Push rows for the ticks they name (rising); False if the queue has no room."""
         return self._push(rows, word.TIMED_BASE)
 
     def push_timed_table(self, table: NDArray[np.float64]) -> bool:

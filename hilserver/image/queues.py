@@ -2,8 +2,8 @@
 
 ``now`` holds rows for the next tick, ``timed`` rows for given, rising ticks (scenario, replay).
 One producer (the daemon's event loop), one consumer (the plant's tick), no lock: a group of rows is
-written first and shown by one store of the head, so that a tick latches all of it or nothing.
-A row whose value is NaN changes the status alone; no NaN gets into a frame.
+written first and made visible by one store of the head, so that a tick latches all of it or none.
+A row with the value NaN changes only the status; no NaN gets into a frame.
 """
 
 import math
@@ -51,7 +51,7 @@ def _apply(place: int, values: Any, words: Any) -> None:
         return
     if lease > 0 and slot < words[word.SETPOINT_SLOTS] + 2 and words[word.STATE] >= 0:
         kind = int(driving(words).owner)
-        if kind >= 0:  # it is meant for whoever drives
+        if kind >= 0:  # for the row of the source in control
             command(kind, slot, value, status, words)
         return
     if not math.isnan(value):

@@ -1,7 +1,7 @@
-"""The process image as everybody else sees it: frames, read without a compiler.
+"""Reads frames of the process image without compiled code, for all other processes.
 
-A process that only watches (page, recorder, teleop) shall not carry numba, which takes 70 MB and
-most of a second. What `ring` does with atomic instructions stands here with `fence`.
+A process that only watches (page, recorder, teleop) should not load numba, which takes 70 MB and
+most of a second. Here `fence` replaces the atomic instructions of `ring`.
 """
 
 import json
@@ -21,11 +21,11 @@ from hilserver.image.shared_file import map_read_only
 
 
 def fence() -> None:
-    """Order all loads before it against all after it, on ARM, too.
+    """Order all loads before it before all loads after it, on ARM, too.
 
-    Nothing before a release is moved behind it, nothing after an acquisition before it, and an
-    acquisition never before the release of the same lock. The interpreter's own code is opaque to
-    the compiler.
+    Nothing before a release moves after it, nothing after an acquisition moves before it, and an
+    acquisition never moves before the release of the same lock. The compiler cannot see into the
+    interpreter's own code.
     """
     lock = Lock()
     lock.acquire()
@@ -38,7 +38,7 @@ class Frame:
     """All signals of one tick."""
 
     number: int  # how many frames were published before this one
-    tick: int  # the tick that made the values
+    tick: int  # the tick that computed the values
     planned_ns: int  # planned start of that tick, CLOCK_MONOTONIC
     latched_rows: int  # input rows latched up to this frame, see `ProcessImage.pushed_rows`
     values: NDArray[np.float64]  # shape (n_slots,)
@@ -49,7 +49,7 @@ class ImageReader:
     """Reads frames of an arena, in the daemon or, through `attach`, in any other process."""
 
     def __init__(self, buffer: Any) -> None:
-        # the whole arena, seen as either
+        # the whole arena, viewed as either type
         self.values: NDArray[np.float64] = np.frombuffer(buffer, dtype=np.float64)
         self.words: NDArray[np.int64] = np.frombuffer(buffer, dtype=np.int64)
         self.control = ControlWords(self.words)  # its first words, by name
@@ -72,7 +72,7 @@ class ImageReader:
 
     @property
     def description(self) -> dict[str, Any]:
-        """Signals and regions as the header names them."""
+        """Signals and regions as named in the header."""
         start, n_bytes = lay.N_CONTROL_WORDS * 8, self.control.json_bytes
         text = self.words.view(np.uint8)[start : start + n_bytes].tobytes()
         description: dict[str, Any] = json.loads(text)
@@ -85,12 +85,12 @@ class ImageReader:
 
     @property
     def live(self) -> NDArray[np.int64]:
-        """What a snapshot holds, in one piece; the plant's own while it runs."""
+        """The content of a snapshot, in one piece; only the plant may write it while it runs."""
         return self._state_at(self.control.live_base)
 
     @property
     def shadow(self) -> NDArray[np.int64]:
-        """The copy of `live` that the plant saves to, or loads, between two ticks."""
+        """The copy of `live` that the plant saves to, or loads from, between two ticks."""
         return self._state_at(self.control.shadow_base)
 
     def _state_at(self, base: int) -> NDArray[np.int64]:
@@ -103,7 +103,7 @@ class ImageReader:
             frame = self.frame(number)
             if frame is not None or number < 0:
                 return frame
-        return None  # the writer went round the whole ring in each try
+        return None  # in each try the writer overwrote the frame
 
     def frame(self, number: int) -> Frame | None:
         """Return frame `number` while it is in the ring, else None."""
@@ -122,7 +122,7 @@ class ImageReader:
         return Frame(number, tick, planned_ns, latched, values, status)
 
     def rows(self, first: int, most: int) -> NDArray[np.int64]:
-        """Copy frames from `first` on until one is not there (yet, or any more).
+        """Copy frames from `first` on, up to one that is not there yet or no longer there.
 
         Returns
         -------
@@ -146,7 +146,7 @@ class ImageReader:
 
 @dataclass(frozen=True, slots=True)
 class FrameBatch:
-    """Frames that follow each other without a gap."""
+    """Successive frames without a gap."""
 
     first: int  # number of the first frame, see `Frame.number`
     # shape (n, 3 + n_slots); tick, planned start [ns], rows latched, and the OPC UA status codes
@@ -158,7 +158,7 @@ class FrameBatch:
 
     @property
     def ticks(self) -> NDArray[np.int64]:
-        """Ticks that made the frames, shape (n,)."""
+        """Ticks of the frames, shape (n,)."""
         return self.words[:, 0]
 
     @property
@@ -177,17 +177,17 @@ class FrameBatch:
         return np.arange(self.first, self.first + len(self), dtype=np.int64)
 
     def kept(self, rows: NDArray[np.bool_]) -> "FrameBatch":
-        """Return some of the frames; they are numbered anew from the first on."""
+        """Return some of the frames, renumbered from the first."""
         return FrameBatch(self.first, self.words[rows], self.values[rows])
 
     @property
     def n_bytes(self) -> int:
-        """Memory that the frames take."""
+        """Memory used by the frames."""
         return self.words.nbytes + self.values.nbytes
 
 
 def to_batch(frames: Sequence[Frame]) -> FrameBatch:
-    """Put frames together that follow each other, one at least."""
+    """Join successive frames, at least one."""
     heads = [(frame.tick, frame.planned_ns, frame.latched_rows) for frame in frames]
     status = np.stack([frame.status for frame in frames])
     words = np.concatenate([np.array(heads, dtype=np.int64), status], axis=1)
@@ -195,7 +195,7 @@ def to_batch(frames: Sequence[Frame]) -> FrameBatch:
 
 
 def read_frames(reader: ImageReader, first: int, limit: int) -> FrameBatch:
-    """Copy up to `limit` frames from `first` on; fewer when the ring has no more, maybe none."""
+    """Copy up to `limit` frames from `first` on; fewer, or none, if the ring has no more."""
     rows, n_slots = reader.rows(first, limit), reader.n_slots
     values = rows[:, 4 : 4 + n_slots].copy().view(np.float64)
     return FrameBatch(first, np.delete(rows[:, 1:], np.s_[3 : 3 + n_slots], axis=1), values)

@@ -1,8 +1,8 @@
-"""Snapshot and restore of everything that lives, in one copy between two ticks.
+"""Snapshot and restore of all live regions, in one copy between two ticks.
 
 The daemon fills or reads the shadow copy and posts a request; the plant's next latch serves it.
-A restart ends every lease besides: nobody drives on by what was commanded before.
-The live regions lie in one piece, so that a request costs one copy of some ten kilobytes.
+A restart also ends every lease, so that no earlier command continues to act. The live regions are
+in one piece, so a request costs one copy of some ten kilobytes.
 """
 
 from typing import Any
@@ -15,7 +15,7 @@ from hilserver.image.layout import REQUEST_LOAD, REQUEST_RESTART
 
 @kernel("int64(int64, int64, int64[::1])")
 def post_request(kind: int, tick: int, words: Any) -> int:
-    """Ask the plant to save its state to the shadow copy or to load from it; return the number."""
+    """Ask the plant to save its state to the shadow copy, or load it; return the number."""
     words[word.REQUEST_KIND] = kind
     words[word.REQUEST_TICK] = tick
     number = words[word.REQUEST] + 1
@@ -31,13 +31,13 @@ def is_done(number: int, words: Any) -> bool:
 
 @kernel()
 def serve_request(tick: int, words: Any) -> int:
-    """Serve the pending request, if any; return the tick to go on with."""
+    """Serve the pending request, if any; return the tick to continue with."""
     return int(serve(load_acquire(words, word.REQUEST), tick, words))
 
 
 @kernel()
 def serve(number: int, tick: int, words: Any) -> int:
-    """Serve request `number` if it is pending; return the tick to go on with."""
+    """Serve request `number` if it is pending; return the tick to continue with."""
     if number == words[word.REQUEST_DONE]:
         return tick
     live, shadow = words[word.LIVE_BASE], words[word.SHADOW_BASE]

@@ -1,9 +1,9 @@
 """The ring of published frames: one writer that never waits, readers that never see half a frame.
 
 Each frame starts with its sequence word: odd while it is being written, even when it is complete
-(``2 * number + 2`` for frame ``number``). A reader takes the newest complete frame, copies it and
-looks at the sequence word again: had the writer come round meanwhile, the copy is dropped. The
-readers here are for kernels; `reader` is for everybody else.
+(``2 * number + 2`` for frame ``number``). A reader copies the newest complete frame and checks the
+sequence word again: if the writer has overwritten the frame meanwhile, the copy is dropped. The
+readers here are for kernels; all other readers are in `reader`.
 """
 
 from typing import Any
@@ -43,7 +43,7 @@ def publish_frame(tick: int, planned_ns: int, values: Any, words: Any) -> None:
 
 @kernel()
 def copy_frame(number: int, values: Any, words: Any, out_values: Any, out_words: Any) -> int:
-    """Copy frame `number`; return 0, or -1 if the writer has been there since.
+    """Copy frame `number`; return 0, or -1 if the writer has overwritten it.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def copy_frame(number: int, values: Any, words: Any, out_values: Any, out_words:
 def copy_latest(values: Any, words: Any, out_values: Any, out_words: Any) -> int:
     """Copy the newest complete frame; return its number, -1 before the first, -2 if overrun.
 
-    -2 needs a writer that goes round the whole ring within one copy, `READ_TRIES` times.
+    -2 occurs only if the writer fills the whole ring during one copy, `READ_TRIES` times in a row.
     """
     for _ in range(READ_TRIES):
         head = load_acquire(words, word.RING_HEAD)

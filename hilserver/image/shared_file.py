@@ -20,10 +20,10 @@ _OPEN_TRIES = 5
 
 
 def sweep(now_s: float | None = None) -> int:
-    """Remove what killed daemons with made-up names left behind; return how many files.
+    """Remove files that killed daemons with made-up names left behind; return how many.
 
-    A file whose lock can be had has no owner any more. Young files are spared: their owner may be
-    between making and locking them.
+    A file that can be locked has no owner any more. Young files are spared, as their owner may have
+    made them but not locked them yet.
     """
     limit_s = (time.time() if now_s is None else now_s) - _YOUNG_S
     removed = 0
@@ -35,10 +35,10 @@ def sweep(now_s: float | None = None) -> int:
 
 
 def _remove_left_behind(path: Path) -> bool:
-    """Remove what a killed daemon of the same user left behind; return whether there was any.
+    """Remove a file that a killed daemon of the same user left; return whether there was one.
 
-    BlockingIOError if its owner is alive; PermissionError if it belongs to another user: a daemon
-    that adopted it would hand its memory over.
+    BlockingIOError if its owner is alive; PermissionError if it belongs to another user, who could
+    otherwise read the memory of a daemon that adopts it.
     """
     try:
         fd = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -51,7 +51,7 @@ def _remove_left_behind(path: Path) -> bool:
         if found.st_uid != os.geteuid():
             raise PermissionError(errno.EPERM, f"belongs to another user (id {found.st_uid})")
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        # Without a link it was removed meanwhile, and the path may lead to somebody's new file.
+        # without a link it was removed meanwhile, and the path may be another daemon's new file
         if os.fstat(fd).st_nlink:
             path.unlink()
         return True
@@ -60,14 +60,14 @@ def _remove_left_behind(path: Path) -> bool:
 
 
 def _make_locked(path: Path) -> int:
-    """Return a descriptor of a new, locked file at `path`; nothing that is there is adopted."""
+    """Return a descriptor of a new, locked file at `path`; an existing one is never adopted."""
     for _ in range(_OPEN_TRIES):
         _remove_left_behind(path)
         with contextlib.suppress(FileExistsError, BlockingIOError):
             fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
             try:
                 fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                os.fchmod(fd, 0o600)  # whatever the umask took away
+                os.fchmod(fd, 0o600)  # whatever the umask is
                 if os.fstat(fd).st_nlink > 0:
                     return fd
             except BaseException:
@@ -80,8 +80,8 @@ def _make_locked(path: Path) -> int:
 class SharedFile:
     """An owned, exclusively locked file in shared memory; removed by `close`.
 
-    A file that a killed daemon of the same user left behind has no lock and is replaced; any other
-    that is there is refused.
+    A file that a killed daemon of the same user left behind is not locked and is replaced; any
+    other existing file is refused.
     """
 
     def __init__(self, name: str, n_bytes: int) -> None:
@@ -98,7 +98,7 @@ class SharedFile:
             ) from None
         self._revoke = on_forced_end(self.path.unlink)
         try:
-            # A hole would end in a bus error when shared memory is full.
+            # writing to a hole would be a bus error if shared memory is full
             os.posix_fallocate(self._fd, 0, n_bytes)
             self.map = mmap.mmap(self._fd, n_bytes)
         except OSError as error:
@@ -121,13 +121,13 @@ class SharedFile:
 
 
 class OwnMemory:
-    """Memory that no other process sees, for an image that nobody else asks for."""
+    """Private memory, for an image that no other process reads."""
 
     def __init__(self, n_bytes: int) -> None:
         self.map = mmap.mmap(-1, n_bytes)
 
     def close(self) -> None:
-        """Free it once nothing looks at it any more."""
+        """Free the memory once no view of it is left."""
         with contextlib.suppress(BufferError):
             self.map.close()
 

@@ -1,4 +1,4 @@
-"""How a recorder asks the daemon for a copy of the state, without writing into the image.
+"""How a recorder asks the daemon for a copy of the state, without writing to the image.
 
 The recorder makes an empty file beside the image. The daemon finds it, removes it and has the
 plant copy its state into the shadow region between two ticks; the recorder reads it there.
@@ -22,12 +22,12 @@ def _path(name: str) -> Path:
 def ask_for_state(name: str) -> None:
     """Ask the daemon of the image `name` for a copy of its state."""
     flags = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
-    with contextlib.suppress(OSError):  # not asked: the recording lacks a state, and says so
+    with contextlib.suppress(OSError):  # if it fails, the recording lacks a state and reports it
         os.close(os.open(_path(name), flags, 0o600))
 
 
 def take_request(name: str) -> bool:
-    """Return whether somebody with the daemon's rights asked; the request is then taken."""
+    """Return whether a process of the daemon's user asked, and remove the request."""
     path = _path(name)
     try:
         mine = path.lstat().st_uid == os.geteuid()
@@ -38,7 +38,7 @@ def take_request(name: str) -> bool:
 
 
 class ShadowReader:
-    """Notices when the shadow region got a new state, and copies it."""
+    """Notices a new state in the shadow region and copies it."""
 
     def __init__(self, reader: ImageReader) -> None:
         self._reader = reader
@@ -47,8 +47,8 @@ class ShadowReader:
     def take(self) -> tuple[int, int, NDArray[np.int64]] | None:
         """Return kind, tick and state of the newest served request, None if there is no new one.
 
-        The state that a restore brought is as good as one that was saved: the plant went on from
-        it. A copy during which the next request began is dropped; that one comes soon.
+        A restored state serves as well as a saved one, because the plant continued from it. If the
+        next request began during the copy, the copy is dropped; the next state comes soon.
         """
         control = self._reader.control
         done = control.request_done
@@ -63,6 +63,6 @@ class ShadowReader:
 
 
 def live_state(reader: ImageReader) -> NDArray[np.int64] | None:
-    """Return the state before the first tick, None once there was one."""
+    """Return the state before the first tick; None once a tick has run."""
     state = reader.live.copy()
     return state if reader.head == 0 else None

@@ -1,8 +1,8 @@
-"""Stop as a word in shared memory: any process of the daemon's user may press, the step obeys.
+"""Stop as a word in shared memory: any process of the daemon's user may press it, the step obeys.
 
-The word holds when it was pressed last. It is in force until the daemon notes the same number as
-acknowledged, which it does on Reset only: a press can be neither lost nor taken for an older one,
-and needs nothing of the daemon but its paced loop.
+The word is the time of the last press. It is in force until the daemon writes the same number as
+acknowledged, which it does only on Reset: a press can be neither lost nor mistaken for an older
+one, and depends on nothing in the daemon but its paced loop.
 """
 
 import ctypes
@@ -21,7 +21,7 @@ _BYTES = lay.N_CONTROL_WORDS * 8
 def press_stop(name: str) -> int:
     """Press Stop of the daemon with the image `name`; the ramp begins with its next tick.
 
-    Returns the number that is in force now: when it was pressed [ns], CLOCK_MONOTONIC. FailedError
+    Returns the number now in force: the time of the press [ns], CLOCK_MONOTONIC. FailedError
     if there is no such image, or it has another version.
     """
     try:
