@@ -1,4 +1,4 @@
-"""The battery's voltage at every tick, from a sensor with noise."""
+"""The battery's voltage at every tick, from a noisy sensor."""
 
 from typing import Final
 
@@ -12,16 +12,16 @@ from hilserver.plant.units import NOMINAL_V
 
 SMOOTHING_S: Final = 2.0
 LATELY_S: Final = 0.02
-"""A voltage is used where the load did not change for so long: the sensor may lag."""
-STEADY_PCT: Final = 5.0  # sum of the duties that it did not change by
+"""A voltage is used if the load did not change for this long: the sensor may lag."""
+STEADY_PCT: Final = 5.0  # largest change of the sum of the duties
 
 
 def voltage(log: MeasuredLog, segments: Segments, load: Array) -> Array:
     """Return the battery voltage at every tick, without the noise of its sensor.
 
-    Noise on the voltage would drive the simulated loop. So the voltage is taken apart: what follows
-    the load at once (the simulated sum of the duties), and what is left, smoothed. The simulation's
-    own battery has no noise, and keeps its voltage from one run of its slice to the next.
+    Noise on the voltage would drive the simulated loop. So the voltage is split into what follows
+    the load at once (the simulated sum of the duties) and the rest, which is smoothed. The battery
+    of a simulation has no noise, and keeps its voltage between two runs of its slice.
     """
     if log.on_ticks:
         return _held(log, segments)
@@ -47,7 +47,7 @@ def voltage(log: MeasuredLog, segments: Segments, load: Array) -> Array:
 
 
 def _held(log: MeasuredLog, segments: Segments) -> Array:
-    """Return the last voltage before every tick: the battery runs behind the drive of its tick."""
+    """Return the last voltage before every tick: the battery runs after the drive in each tick."""
     volts = np.full(segments.ticks, NOMINAL_V)
     for i, span in enumerate(segments.span):
         t, v = log[VOLTAGE].of(int(span))

@@ -45,20 +45,20 @@ FULL_DUTY_PCT: Final = 100.0
 SETTLING_S: Final = 1.0
 MOVING_RPM: Final = 1.0
 ON_TIME: Final = 1e-3
-"""Share of a tick that a stamp may lie beside it: seconds since 1970 are rounded to 2.4e-7 s."""
+"""Share of a tick by which a stamp may miss it: seconds since 1970 are rounded to 2.4e-7 s."""
 
 
 class DriveStage(Stage):
-    """The drive of one log: what the base plant and its variations say of speed and duty.
+    """The drive of one log: speed and duty according to the base plant and its variations.
 
     Attributes
     ----------
     segments : Segments
-        The spans of the log, uncut: the drive's state goes on.
+        The spans of the log, uncut: the drive's state continues.
     stack : Stack
         Measured speeds and duties.
     settled_s : ndarray, shape (segments,)
-        From when on the unknown start of the loops no longer matters.
+        Time from which the unknown start of the loops no longer matters.
     """
 
     name = "drive"
@@ -78,7 +78,7 @@ class DriveStage(Stage):
         self._rounded = any(step_of(log[n].values)[0] > 0.0 for n in SPEEDS if n in log)
         self._inputs, self._row = self._latched()
         self._speed_0 = self._start()
-        self._spare: list[tuple[Array, Array]] = []  # for one run of each thread
+        self._spare: list[tuple[Array, Array]] = []  # one per thread, for its run
         self._last: tuple[Stack, dict[str, float], Array] | None = None
         self._volts = np.full(self.segments.ticks, NOMINAL_V)
         if log.on_ticks:
@@ -100,7 +100,7 @@ class DriveStage(Stage):
         return speed, seen, duty
 
     def _run(self, terms: Mapping[str, float], speed: Array, seen: Array, duty: Array) -> None:
-        """Write what `simulate` returns; of one array for both speeds the shown one stays."""
+        """Write what `simulate` returns; with one array for both speeds, the shown one remains."""
         robot = robot_with(self.robot, {k: v for k, v in terms.items() if "shift." not in k})
         p, phase = pack(robot), terms.get("shift.control_phase", 0.0)
         run_drive(
@@ -140,9 +140,9 @@ class DriveStage(Stage):
     ) -> Array:
         """Return what the stack's samples would be.
 
-        Where the log itself is rounded, its steps are not those of the loop; what the loop
-        makes of them shows these. With `keep` the run is remembered: predictions that differ from
-        it in what the log makes of speeds alone are cheap then.
+        If the log itself is rounded, its steps are not those of the loop, which show only in how
+        the loop responds. With `keep` the run is remembered: predictions that differ from it only
+        in what the log makes of the speeds are then cheap.
         """
         del poses
         own = {name: value for name, value in terms.items() if name not in SCALES}
@@ -159,7 +159,7 @@ class DriveStage(Stage):
         return shown
 
     def _shown(self, terms: Mapping[str, float]) -> Array:
-        """Run the drive in the arrays of a run before: fresh ones cost half as much as the run."""
+        """Run the drive in the arrays of an earlier run: new ones cost half as much as a run."""
         held = terms.get(SPEED_STEP, 0.0) > 0.0
         try:
             seen, duty = self._spare.pop()
@@ -190,10 +190,10 @@ class DriveStage(Stage):
         return out
 
     def process_only(self, duty: Array) -> Array:
-        """Return the speeds that the process makes of a dense duty, shape (ticks, 4): cut point B.
+        """Return the speeds of the process alone under a dense duty, shape (ticks, 4): cut point B.
 
-        The duty is taken as it is: a measured one has gone through the limit already. The battery's
-        voltage is that of the whole chain, and counts only if the plant has a `battery_sag`.
+        The duty is taken as it is: a measured one has already passed the limit. The voltage of
+        the battery is that of the whole chain and matters only if the plant has a `battery_sag`.
         """
         seen = np.empty((self.segments.ticks, 4))
         run_process(
@@ -218,7 +218,7 @@ class DriveStage(Stage):
         return np.asarray(changed)
 
     def since(self, happens: Mask) -> Array:
-        """Return the time since something happened last, or infinity, at every tick; in seconds."""
+        """Return the time [s] since something last happened, or infinity, at every tick."""
         tick = np.arange(self.segments.ticks)
         last = np.maximum.accumulate(np.where(happens, tick, -1))
         begin = np.repeat(self.segments.first[:-1], np.diff(self.segments.first))
@@ -231,7 +231,7 @@ class DriveStage(Stage):
     def _unknown_s(self) -> Array:
         """Return how long at the start of each segment the commands to the drive are unknown.
 
-        Without any set-point that is all of it. A machine at rest was commanded to stand still.
+        Without set-points this is the whole segment. A machine at rest was commanded to stay so.
         """
         skips_s = np.full(len(self.segments), 0.0 if self._at_rest() else SETTLING_S)
         for i, span in enumerate(self.segments.span.tolist()):
@@ -301,7 +301,7 @@ class DriveStage(Stage):
         return np.array(rows), index
 
     def _placed(self) -> tuple[Array, Indices]:
-        """Return the inputs, changes moved to the tick that fits the wheels best."""
+        """Return the inputs, with changes moved to the tick that fits the wheels best."""
         ticks = self.segments.ticks
         is_row, measured = np.zeros(ticks, dtype=np.bool_), np.full((ticks, 8), np.nan)
         for name in (*INPUTS, *SPEEDS, *DUTIES):

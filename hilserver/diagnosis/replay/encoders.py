@@ -1,4 +1,4 @@
-"""Wheel speeds of a log that are not those of the wheels."""
+"""Wheel speeds in a log that are not the true speeds of the wheels."""
 
 from collections.abc import Mapping
 
@@ -13,7 +13,7 @@ from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
 
 Driven = tuple[DriveStage, Array, Array]
-"""A drive, and of its wheels at every tick the speed and what encoders of the right scale show."""
+"""A drive; for its wheels at every tick the speed, and what correctly scaled encoders show."""
 
 
 def driven(drive: DriveStage, terms: Mapping[str, float]) -> Driven:
@@ -29,7 +29,7 @@ def _gains(robot: RobotParameters, terms: Mapping[str, float]) -> Array:
 
 
 def as_turned(log: MeasuredLog, robot: RobotParameters, terms: Mapping[str, float]) -> MeasuredLog:
-    """Return the log with the speeds at which the wheels turned, whatever their encoders show."""
+    """Return the log with the true speeds of the wheels, whatever their encoders show."""
     turned = {}
     for (name, scale), gain in zip(SPEED_SCALES.items(), _gains(robot, terms), strict=True):
         factor = terms.get(scale, 1.0) * float(gain)

@@ -1,4 +1,4 @@
-"""Which causes a log can judge by its channels, and why others are not judged."""
+"""Which causes a log can judge with its channels, and why others are not judged."""
 
 from collections.abc import Callable, Mapping
 from typing import Final
@@ -16,7 +16,7 @@ NO_STAGE: Final[Mapping[StageName, str]] = {
     "pose": "no pose and no turn rate in the log, or no wheel speed of both sides"
     " (of a mecanum robot: of every wheel)",
 }
-"""Why causes are not judged whose stage the log does not allow."""
+"""Why causes are not judged if the log does not allow their stage."""
 
 
 HOLDS: Final[Mapping[Need, Callable[[MeasuredLog], bool]]] = {
@@ -42,7 +42,7 @@ def judged_candidates(stage: Stage) -> tuple[list[Candidate], dict[str, str]]:
 
 
 def splits(log: MeasuredLog, candidate: Candidate) -> bool:
-    """Return whether a region of the floor holds a fair part of the drive, but not all of it."""
+    """Return whether a region of the floor contains a fair part of the drive, but not all."""
     if candidate.region is None:
         return True
     x_min, x_max, y_min, y_max = candidate.region

@@ -1,4 +1,4 @@
-"""Compiled free runs of the daemon's own drive over whole logs; `pose_kernels` has the rest.
+"""Compiled free runs of the daemon's own drive over whole logs; the rest is in `pose_kernels`.
 
 Segments lie one after the other in all arrays: segment i covers the rows ``first[i]`` to
 ``first[i + 1] - 1``, one row per plant tick.
@@ -38,15 +38,15 @@ def run_drive(
     Parameters
     ----------
     x0, x
-        State before each segment; one to compute with.
+        State before each segment; one as working memory.
     inputs : ndarray, shape (rows, Inputs.n_words)
-        Distinct inputs; ``input_row[k]`` is the row that is latched at tick k.
+        Distinct inputs; ``input_row[k]`` is the row latched at tick k.
     volts : ndarray, shape (ticks,)
         Battery voltage.
     speed_0 : ndarray, shape (segments, 4)
-        Wheel speeds [rpm] that each segment starts with, in balance.
+        Wheel speeds [rpm] with which each segment starts, in balance.
     speed, seen, duty : ndarray, shape (ticks, 4)
-        Written: true speed, speed as the encoder shows it, duty.
+        Output: true speed, speed as the encoder shows it, duty.
     """
     for s in range(first.size - 1):
         assign(x, x0)
@@ -92,7 +92,7 @@ def _drive_to(p: Parameters, x: State, y: Outputs, inputs: Any, first: int, end:
 
 @kernel()
 def _miss(p: Parameters, y: Outputs, measured: Any, i: int) -> float:
-    """Return by how much a wheel misses what was measured, squared [rpm^2]."""
+    """Return the squared difference between a wheel and its measurement [rpm^2]."""
     speed = y.speed[i] - measured[i]
     duty = (y.duty[i] - measured[4 + i]) / max(p.k_p, 1e-9)
     return (0.0 if np.isnan(speed) else speed * speed) + (0.0 if np.isnan(duty) else duty * duty)
@@ -109,9 +109,9 @@ def _place(
     at: int,
     measured: Any,
 ) -> None:
-    """Place the change that stands in row `at`, at one of the ticks `first` to `at`.
+    """Place the change that is in row `at` at one of the ticks `first` to `at`.
 
-    Wheels are placed by themselves, as long as nothing but their own set-points changes.
+    Wheels are placed independently, as long as nothing but their own set-points changes.
     """
     before, after = inputs[first - 1].copy(), inputs[at].copy()
     alone = True
@@ -153,21 +153,21 @@ def place_inputs(
 ) -> None:
     """Move changes of the inputs to the ticks at which they fit the measured wheels best.
 
-    A table tells that an input changed between two rows, not at which tick. The wheels answer
-    within milliseconds, so what they show in the row where the new value stands first tells it.
+    A table shows that an input changed between two rows, but not at which tick. The wheels respond
+    within milliseconds, so their values in the first row with the new input reveal it.
 
     Parameters
     ----------
     x0, x, trial
-        State before each segment; two to compute with.
+        State before each segment; two as working memory.
     inputs : ndarray, shape (ticks, Inputs.n_words)
-        Changed in place: a change stands in its row before, at its own tick afterwards.
+        Changed in place: first a change is in its row, afterwards at its own tick.
     speed_0
         As for `run_drive`.
     is_row : ndarray of bool, shape (ticks,)
-        Which ticks the table has a row of.
+        Which ticks have a row of the table.
     measured : ndarray, shape (ticks, 8)
-        Speeds [rpm] and duties [%] in the rows, NaN where there is none.
+        Speeds [rpm] and duties [%] in the rows, NaN where there are none.
     """
     for s in range(first.size - 1):
         assign(x, x0)
@@ -199,11 +199,11 @@ def run_process(
     Parameters
     ----------
     duty : ndarray, shape (ticks, 4)
-        Of the controller; friction and dead zone of a plant that has them come after it.
+        Of the controller; friction and dead zone, if the plant has them, come after it.
     x0, x, volts, speed_0
         As for `run_drive`.
     seen : ndarray, shape (ticks, 4)
-        Written: speed as the encoder shows it.
+        Output: speed as the encoder shows it.
     """
     for s in range(first.size - 1):
         assign(x, x0)

@@ -33,7 +33,7 @@ class Model:
 
     @property
     def terms(self) -> dict[str, float]:
-        """All terms by name, those of the plant and the corrections of stamps and fields."""
+        """All terms by name: those of the plant and the corrections of stamps and fields."""
         values: dict[str, float] = {}
         for f in self.fitted:
             values.update(f.terms)
@@ -52,7 +52,7 @@ class Model:
 
     @property
     def of_the_machine(self) -> frozenset[int]:
-        """Places of the causes that a patch can hold; the others correct the log."""
+        """Indices of the causes that a patch can hold; the others correct the log."""
         by_place = enumerate(self.fitted)
         return frozenset(i for i, f in by_place if f.terms.keys().isdisjoint(OF_THE_LOG))
 
@@ -61,7 +61,7 @@ class Model:
         return np.array([v for f in self.fitted for v in f.theta])
 
     def borders(self) -> tuple[Array, Array]:
-        """Return the least and the greatest value of every parameter."""
+        """Return the lower and the upper bound of every parameter."""
         low = np.array([v for f in self.fitted for v in f.candidate.low])
         high = np.array([v for f in self.fitted for v in f.candidate.high])
         return low, high
@@ -76,13 +76,13 @@ class Model:
         )
 
     def plus(self, candidate: Candidate, theta: tuple[float, ...]) -> "Model":
-        """Return the model with one more cause, in the place of those that share a term with it."""
+        """Return the model with one more cause, which replaces those that share a term with it."""
         new = Fitted(candidate, theta)
         others = (f for f in self.fitted if new.terms.keys().isdisjoint(f.terms))
         return Model((*others, new))
 
     def without(self, *causes: int) -> "Model":
-        """Return the model without some of its causes, by their places."""
+        """Return the model without some of its causes, given by index."""
         return Model(tuple(f for i, f in enumerate(self.fitted) if i not in causes))
 
     def swapped(self, index: int, candidate: Candidate, theta: tuple[float, ...]) -> "Model":
@@ -93,5 +93,5 @@ class Model:
 
 
 def robot_with(robot: RobotParameters, terms: Mapping[str, float]) -> RobotParameters:
-    """Return the plant with the terms of a model added to those it has."""
+    """Return the plant with the terms of a model added to its own."""
     return replace(robot, terms={**robot.terms, **terms})

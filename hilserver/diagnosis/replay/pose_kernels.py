@@ -23,12 +23,12 @@ from hilserver.plant.pose import sinc, wrap
 from hilserver.plant.robot import SIDE, drive_on_with_terms, follow_wheels
 
 EXACT_EVERY: Final = 64
-"""Ticks after which a direction is computed from its heading again: rounding must not add up."""
+"""Ticks after which a direction is recomputed from its heading, so that rounding cannot add up."""
 
 
 @kernel()
 def _turn_apart(x: State, apart: Any, k: int) -> None:
-    """Let the front wheels turn by the difference to the rear ones: `sideways` asks no more."""
+    """Let the front wheels turn by the difference to the rear ones: `sideways` needs no more."""
     x.speed[0] = apart[0, k]
     x.speed[2] = apart[1, k]
 
@@ -52,16 +52,16 @@ def run_pose(
     Parameters
     ----------
     which : ndarray of int64
-        Segments to run; the rows of the others stay as they are.
+        Segments to run; the rows of the others are left unchanged.
     left, right : ndarray, shape (ticks,)
         Sum of the speeds of the two wheels of a side [rpm].
     apart : ndarray, shape (2, ticks) or (2, 0)
-        Front minus rear wheel of the left and of the right side [rpm]; read of mecanum wheels only.
+        Front minus rear wheel of the left and the right side [rpm]; used for mecanum wheels only.
     pose_0 : ndarray, shape (segments, 3)
     angle_0 : ndarray, shape (segments,)
         Mean angle of the left wheels at the start [rad].
     pose : ndarray, shape (ticks, 4)
-        Written: x [m], y [m], yaw [rad] not wrapped, turn rate [rad/s].
+        Output: x [m], y [m], yaw [rad] not wrapped, turn rate [rad/s].
     """
     suffice = speeds_suffice(p) and p.slope_x == 0.0 and p.slope_y == 0.0
     for s in which:
@@ -78,7 +78,7 @@ def run_pose(
 def _velocities(p: Parameters, inside: bool, w_l: Any, w_r: Any, out: Any) -> None:
     """Write the mean velocities of every tick (forward, lateral, turn), and the shown turn rate.
 
-    They do not wait for each other, so the processor computes several at once.
+    They do not depend on each other, so the processor computes several at once.
     """
     dt, q = p.dt, of_speeds(p)
     for k in range(w_l.size - 1):
@@ -93,16 +93,16 @@ def _velocities(p: Parameters, inside: bool, w_l: Any, w_r: Any, out: Any) -> No
 
 @kernel()
 def _run_by_speeds(p: Parameters, pose_0: Any, left: Any, right: Any, pose: Any) -> None:
-    """Run one segment by place and wheel speeds alone, as `_run_segment` does.
+    """Run one segment from place and wheel speeds alone, as `_run_segment` does.
 
-    Headings are the same to the bit. Directions are turned on with them, for a sine and a cosine of
-    every tick would be most of the work; so positions are the same but for rounding.
+    Headings are the same to the bit. Directions are rotated along with them, since a sine and a
+    cosine per tick would be most of the work; so positions differ by rounding.
     """
     n, patch = left.size, p.surface_gain != 1.0 or p.surface_speed != 1.0
     w_l, w_r = np.empty(n + 1), np.empty(n + 1)
     w_l[:n], w_r[:n] = left * SIDE, right * SIDE
     w_l[n], w_r[n] = w_l[n - 1], w_r[n - 1]
-    both = np.empty((2, 4, n))  # beside the patch and on it
+    both = np.empty((2, 4, n))  # off the patch and on it
     _velocities(p, False, w_l, w_r, both[0])
     if patch:
         _velocities(p, True, w_l, w_r, both[1])
@@ -140,7 +140,7 @@ def _run_segment(
     y: Outputs,
     pose: Any,
 ) -> None:
-    """Run one segment from the pose of `x` on; see `run_pose`."""
+    """Run one segment starting from the pose of `x`; see `run_pose`."""
     dt, is_mecanum, lateral, turned = p.dt, p.mecanum != 0.0, 0.0, x.pose[2]
     for k in range(first, last + 1):
         following = min(k + 1, last)
@@ -181,7 +181,7 @@ def sample_tag(
 ) -> None:
     """Write what the navigation tag shows for a pose, with the plant's own sensor; shape (n, 3).
 
-    Ages are in ``at_position`` and ``at_yaw`` already, so the sensor's own are set to nothing. Yaw
+    Ages are already in ``at_position`` and ``at_yaw``, so the sensor's own are set to zero. Yaw
     is not wrapped.
     """
     p.nav_delay = 0.0

@@ -36,28 +36,28 @@ from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RAD_S_PER_RPM
 
 LEAD_S: Final = 0.7
-"""Simulated before a segment begins: what the navigation shows late happened there."""
+"""Simulated before a segment begins: what the navigation shows late happened then."""
 STRIDES: Final = (2, 10)
-"""Plant slices per step of the pose: its arc is exact for a constant velocity, so 2 ms do; ...
+"""Plant slices per step of the pose: 2 ms suffice, as its arc is exact for a constant velocity; ...
 
 ... except for samples that the plant itself took at its ticks.
 """
 SLOW_ROWS_S: Final = 0.04
-"""... and 10 ms where wheel speeds in slower rows are all that was recorded."""
-RUNS_KEPT: Final = 2  # that of a model, and of a step away from it that was tried
+"""... and 10 ms if only wheel speeds in slower rows were recorded."""
+RUNS_KEPT: Final = 2  # that of a model, and of a step tried from it
 _SENSORS: Final = Parameters.where("seed").start
-"""Of the parameters, those from here on do not change how the robot moves."""
+"""The parameters from here on do not change how the robot moves."""
 HEADING, TURN = "pose.yaw_rad", "velocity.angular_rad_s"
 FORWARD, LATERAL = "velocity.linear_m_s", "velocity.lateral_m_s"
 
 
 class PoseStage(Stage):
-    """The kinematics of one log: what they make of the measured wheel speeds.
+    """The kinematics of one log: the motion that results from the measured wheel speeds.
 
     Parameters
     ----------
     jobs : int
-        Threads that the segments of a run are shared by; no digit depends on it.
+        Threads that share the segments of a run; they do not change any digit.
 
     Attributes
     ----------
@@ -70,9 +70,9 @@ class PoseStage(Stage):
     apart : ndarray, shape (2, ticks) or (2, 0)
         Front minus rear wheel of both sides [rpm], which moves a mecanum robot to the side.
     begins_anew : bool
-        Place and heading begin anew with every segment: the room is not known.
+        Place and heading begin anew with every segment: their frame is not known.
     encoders : mapping of int to ndarray, shape (ticks,)
-        By wheel its share in these, where nothing but the pose can judge its encoder.
+        By wheel: its share in these, if only the pose can judge its encoder.
     """
 
     name = "pose"
@@ -129,8 +129,8 @@ class PoseStage(Stage):
     def _settling_s(self) -> Array:
         """Return how long in each segment the wheels depend on how they were interpolated.
 
-        What the wheels' loops remember at the start of a recording is not in it. Beside noise that
-        does not matter, but a simulation without any shows it.
+        The initial state of the wheels' loops is not in the recording. With noise that does not
+        matter, but a simulation without noise shows it.
         """
         wait_s = np.zeros(len(self.segments))
         if self.drive is not None:
@@ -141,7 +141,7 @@ class PoseStage(Stage):
         return wait_s
 
     def _is_driven(self, span: int) -> bool:
-        """Return whether it is known in a span how the wheels turned."""
+        """Return whether it is known how the wheels turned in a span."""
         if self.drive is not None and self.drive.has_setpoints(span):
             return True
         log = self.log
@@ -172,7 +172,7 @@ class PoseStage(Stage):
 
     @property
     def lateral_m_s(self) -> Array:
-        """Speed to the left [m/s] as nominal wheels make it, shape (ticks,); of tyres none."""
+        """Speed to the left [m/s] that nominal wheels make, shape (ticks,); none with tyres."""
         if not self.apart.size:
             return np.zeros(self.segments.ticks)
         rim_m_s_per_rpm = RAD_S_PER_RPM * self.robot.wheel_radius_m
@@ -185,7 +185,7 @@ class PoseStage(Stage):
         Parameters
         ----------
         driven : bool
-            The drive's stage replays wheels whose speed is not measured.
+            Whether the drive's stage replays wheels whose speed is not measured.
         """
         moved = driven or tell_motion(robot, lambda name: name in log)
         return moved and (log.has(*POSITION) or YAW in log or GYRO in log)
@@ -201,7 +201,7 @@ class PoseStage(Stage):
         return p
 
     def _run(self, p: Parameters, poses: Array, which: Indices, *, keep: bool = False) -> Array:
-        """Run some segments, or return a kept run of theirs if only sensors have changed since."""
+        """Run some segments, or return their kept run if only sensors have changed since."""
         key = (p.numbers[:_SENSORS].tobytes(), poses.tobytes(), which.tobytes())
         for known, dense in list(self._kept):
             if known == key:
@@ -222,7 +222,7 @@ class PoseStage(Stage):
         return dense
 
     def _turned(self, p: Parameters) -> tuple[Array, Array, Array]:
-        """Return sums and differences of the speeds at which wheels turn, not their encoders."""
+        """Return sums and differences of the true speeds of the wheels, not of their encoders."""
         sides, apart = [self.left, self.right], self.apart
         for wheel, share in self.encoders.items():
             turns = self._encoder_gain[wheel] / p.encoder_gain[wheel]
@@ -237,8 +237,8 @@ class PoseStage(Stage):
     def predict(self, terms: Mapping[str, float], poses: Array, *, keep: bool = False) -> Array:
         """Return what the stack's samples would be; yaw follows the measured turns.
 
-        With `keep` the run is remembered: predictions that differ from it in sensors alone are
-        cheap then.
+        With `keep` the run is remembered: predictions that differ from it only in sensors are then
+        cheap.
         """
         inner = {k: v for k, v in terms.items() if not k.startswith("shift.")}
         p = self._pack(inner)
@@ -291,12 +291,12 @@ class PoseStage(Stage):
         }
 
     def forward_m_s(self) -> Array:
-        """Return the speed ahead that the wheels ask for, at every tick."""
+        """Return the forward speed that the wheels ask for, at every tick."""
         rim_m_s_per_rpm = RAD_S_PER_RPM * self.robot.wheel_radius_m
         return 0.25 * rim_m_s_per_rpm * (self.left - self.right)
 
     def difference(self, samples: Array, others: Array) -> Array:
-        """Return samples minus others; yaw along the shorter way."""
+        """Return samples minus others; yaw the shorter way round."""
         out = samples - others
         if self.has_yaw:
             edge = self.stack.edges[YAW]
@@ -304,7 +304,7 @@ class PoseStage(Stage):
         return out
 
     def nuisance(self, predicted: Array, poses: Array) -> Array | None:
-        """Return how the prediction moves with the initial pose of its segment, shape (n, 3)."""
+        """Return the prediction's derivative by the initial pose of its segment, shape (n, 3)."""
         if not self.free_pose:
             return None
         columns = np.zeros((len(self.stack), 3))
@@ -372,7 +372,7 @@ class PoseStage(Stage):
 
 
 def tell_motion(robot: RobotParameters, is_there: Callable[[str], bool]) -> bool:
-    """Return whether the speeds that are there suffice: one of each side, of mecanum wheels all.
+    """Return whether the known speeds suffice: one per side, for mecanum wheels all of them.
 
     A side without a speed would stand still.
     """

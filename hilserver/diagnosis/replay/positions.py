@@ -1,4 +1,4 @@
-"""What is known of the navigation's positions before anything is replayed."""
+"""What is known of the navigation's positions before any replay."""
 
 from typing import Final
 
@@ -12,13 +12,13 @@ from hilserver.measured.data import MeasuredLog
 
 SAME_START_M: Final = 0.01
 FEWEST_STARTS: Final = 4
-FEW: Final = 0.02  # share of the samples that a driven place may leave out on each side
+FEW: Final = 0.02  # share of the samples that the driven area may leave out on each side
 
 
 def begins_anew(log: MeasuredLog) -> bool:
     """Return whether the navigation's frame begins anew with every segment.
 
-    Place and heading in the room are not known then.
+    Then place and heading in the room are not known.
     """
     if not log.has(*POSITION) or len(log.spans) < FEWEST_STARTS:
         return False
@@ -31,7 +31,7 @@ def begins_anew(log: MeasuredLog) -> bool:
 
 
 def driven_place(log: MeasuredLog) -> Region | None:
-    """Return where the robot drove, x_min, x_max, y_min, y_max, but for a few samples."""
+    """Return the area the robot drove in, x_min, x_max, y_min, y_max, except for a few samples."""
     if not log.has(*POSITION):
         return None
     x, y = (log[n].values for n in POSITION)
@@ -42,8 +42,8 @@ def driven_place(log: MeasuredLog) -> Region | None:
 def paired(log: MeasuredLog) -> MeasuredLog:
     """Return the log with only those positions that have both coordinates.
 
-    Where they come in rows of their own, the second is taken between its samples when the first
-    came; not where it was away for more than a row or two.
+    If they come in separate rows, the second is interpolated at the time of the first, unless it
+    was missing for more than a row or two.
     """
     if not log.has(*POSITION):
         return log

@@ -12,7 +12,7 @@ from hilserver.arrays import Array, Indices, Mask
 from hilserver.measured.clock import Segments
 from hilserver.measured.data import MeasuredLog
 
-FOLD_RUNS: Final = 6  # from so many runs, or else segments, on they are held out whole
+FOLD_RUNS: Final = 6  # with this many runs, or else segments, they are held out whole
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Stack:
     """The measured samples of one stage."""
 
     channels: tuple[str, ...]
-    edges: Mapping[str, slice]  # where each channel lies
+    edges: Mapping[str, slice]  # position of each channel
     segment: Indices  # shape (n,)
     # shape (n,)
     t_s: Array
@@ -31,19 +31,19 @@ class Stack:
     high: Indices
     block: Indices  # shape (n,): unit of the sign flips; blocks do not cross segments
     n_blocks: int
-    # shape (n_blocks,): 0 or 1: which half a block belongs to in held-out tests; a log's own
+    # shape (n_blocks,): 0 or 1: the half that a block belongs to in held-out tests; the log's own
     # blocks, else runs, segments or stretches, in turn
     fold: Indices
-    # shape (n_blocks,): the same, but long stretches of few segments: those that selection leaves
-    # out are as long as a free run
+    # shape (n_blocks,): the same, but with long stretches if there are few segments: those that
+    # selection leaves out are as long as a free run
     half: Indices
-    stretch: Indices  # shape (n,): what lies in one is continuous in time
+    stretch: Indices  # shape (n,): samples in one are continuous in time
 
     def __len__(self) -> int:
         return len(self.values)
 
     def runs(self) -> Iterator[tuple[str, int, slice]]:
-        """Yield channel, segment and place of every stretch that is continuous in time."""
+        """Yield channel, segment and slice of every stretch that is continuous in time."""
         for name in self.channels:
             edge = self.edges[name]
             segment = self.segment[edge]
@@ -55,19 +55,19 @@ class Stack:
 
     @property
     def pieces(self) -> Indices:
-        """The stretch of a half that each sample lies in, shape (n,); none crosses a segment."""
+        """The stretch of one half that each sample is in, shape (n,); none crosses a segment."""
         unit = self._units[self.block]
         return np.asarray(self.segment * (1 + int(unit.max(initial=0))) + unit)
 
     @property
     def _units(self) -> Indices:
-        """Number of the stretch of one half that each block lies in."""
+        """Number of the stretch of one half that each block is in."""
         return np.concatenate([[0], np.cumsum(np.diff(self.half) != 0)])
 
     def without(self, half: int) -> tuple["Stack", Indices]:
-        """Return the blocks outside a half as a stack with folds of its own, and its samples here.
+        """Return the blocks outside a half as a stack with its own folds, and its samples here.
 
-        What one half held out between two of its stretches is a gap: no noise runs across it.
+        What the half held out between two of its stretches is a gap: no noise continues across it.
         """
         kept = self.half != half
         _, unit = np.unique(self._units[kept], return_inverse=True)
@@ -122,7 +122,7 @@ def make_stack(
     block_s : float
         Length of the sign-flip blocks.
     skip_s : float or ndarray, shape (segments,)
-        Left out at the start of each segment.
+        Time left out at the start of each segment.
     usable : ndarray of bool, shape (segments,), optional
         Segments that take part.
     """
@@ -174,8 +174,8 @@ def _blocks(
     inside = ((t_s - segments.start_s[segment]) / length[segment] * per[segment]).astype(np.int64)
     block = start[segment] + np.clip(inside, 0, per[segment] - 1)
     owner = np.repeat(np.arange(len(segments)), per)
-    # The segments of one run share its floor, its beginning and its course, so where there are
-    # several runs, whole ones are held out.
+    # Segments of one run share its floor, its beginning and its course. So if there are several
+    # runs, whole ones are held out.
     runs, run = np.unique(segments.span, return_inverse=True)
     n = int(start[-1])
     if len(runs) >= FOLD_RUNS:

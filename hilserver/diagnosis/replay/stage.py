@@ -1,4 +1,4 @@
-"""What a regression needs of a replay, whichever part of the machine it replays."""
+"""What a regression needs from a replay, whichever part of the machine is replayed."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -22,18 +22,18 @@ NO_POSES: Final = np.zeros((0, 3))
 class Stage(ABC):
     """The replay of one part of the machine, from what the log holds of its input."""
 
-    name: ClassVar[StageName]  # as candidates call it
-    block: ClassVar[Block]  # where an error without a cause's name arises
-    # its sensors have no memory: what neighbouring samples share is a misfit, and no noise
+    name: ClassVar[StageName]  # the name that candidates use
+    block: ClassVar[Block]  # where an error arises that no cause explains
+    # its sensors have no memory: what neighbouring samples share is a misfit, not noise
     memoryless: ClassVar[bool]
-    # it predicts nothing where the log does not hold the set-points that the machine got
+    # it predicts nothing where the log does not hold the set-points that the machine received
     follows_setpoints: ClassVar[bool]
-    needs: ClassVar[tuple[Need, ...]]  # what its causes may need of the log
+    needs: ClassVar[tuple[Need, ...]]  # what its causes may need in the log
     # channels whose errors are reported sample by sample, by the name of the quantity
     quantities: ClassVar[Mapping[str, tuple[str, ...]]]
     log: MeasuredLog
     robot: RobotParameters
-    segments: Segments  # pieces of the log that begin anew
+    segments: Segments  # pieces of the log with a new start
     stack: Stack  # measured samples of the channels that it predicts
 
     @abstractmethod
@@ -49,15 +49,15 @@ class Stage(ABC):
         poses : ndarray, shape (segments, 3)
             Initial poses; empty where there are none.
         keep : bool
-            The next predictions will differ from this one in sensors alone.
+            Whether the next predictions will differ from this one only in sensors.
         """
 
     @abstractmethod
     def signals(self, terms: Mapping[str, float], poses: Array) -> Mapping[str, Array]:
-        """Return what the replay itself does, by signal, at every tick and without noise."""
+        """Return the signals of the replay itself, at every tick and without noise."""
 
     def difference(self, samples: Array, others: Array) -> Array:
-        """Return samples minus others; angles along the shorter way."""
+        """Return samples minus others; angles the shorter way round."""
         return samples - others
 
     def start_poses(self, terms: Mapping[str, float]) -> Array:
@@ -66,7 +66,7 @@ class Stage(ABC):
         return NO_POSES
 
     def nuisance(self, predicted: Array, poses: Array) -> Array | None:
-        """Return how the prediction moves with the initial poses, shape (n, 3), if these are free.
+        """Return the derivative of the prediction by the initial poses, if free; shape (n, 3).
 
         Their columns are projected out of every fit.
         """

@@ -1,4 +1,4 @@
-"""The wheels between their samples: speed at every tick, and the angle that it adds up to."""
+"""The wheels between their samples: speed at every tick, and the angle that results from it."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -52,17 +52,17 @@ class WheelSpeeds:
 
     @cached_property
     def shares(self) -> dict[int, Array]:
-        """By wheel what adds up to the sum of its side; beside a measured one another has none."""
+        """By wheel: its part of the sum of its side; none if unmeasured beside a measured one."""
         chosen = [[w for w in side if SPEEDS[w] in self.log] or list(side) for side in SIDES]
         return {w: 2.0 / len(side) * self._wheel(w) for side in chosen for w in side}
 
     def _wheel(self, wheel: int) -> Array:
         """Return one wheel's speed at every tick.
 
-        The closed loop's own model interpolates: simulated speed plus the interpolated difference
-        to the measured one, of its noise only the slow part. What encoders show may be late or in
-        steps: the difference is to what they would show of the simulated wheels. Without set-points
-        a smooth curve goes through the samples.
+        The model of the closed loop interpolates: simulated speed plus the interpolated difference
+        to the measured one, of whose noise only the slow part is used. Encoders may be late or have
+        steps, so the difference is to what they would show of the simulated wheels. Without
+        set-points a smooth curve goes through the samples.
         """
         dense = np.zeros(self.segments.ticks)
         for i in range(len(self.segments)):
@@ -109,7 +109,7 @@ def angles_at_starts(left: Array, segments: Segments) -> Array:
             first, end = int(rows[i - 1]), int(rows[i])
             steps = (segments.start_s[i] - segments.start_s[i - 1]) / segments.period_s
             n = min(int(steps), end - first - 1)
-            # the part of a step counts: rounded, it would add up to a drift of the phase
+            # part of a step counts, too: rounded, it would add up to a drift of the phase
             whole = float(left[first : first + n].sum())
             turned = (whole + (steps - n) * float(left[first + n])) * step
             angle[i] = angle[i - 1] + turned
@@ -119,9 +119,9 @@ def angles_at_starts(left: Array, segments: Segments) -> Array:
 
 
 def neighbours(log: MeasuredLog) -> list[list[int]]:
-    """Return each span with those before and behind it that the same drive goes on in.
+    """Return each span with the adjacent ones in which the same drive continues.
 
-    Only spans of one block count: between blocks time runs on although the drive does not.
+    Only spans of one block count: between blocks time runs on, but the drive does not.
     """
     spans = log.spans
     joined = [
@@ -139,7 +139,7 @@ def neighbours(log: MeasuredLog) -> list[list[int]]:
 def beyond_rounding(difference: Array, step: float) -> Array:
     """Return the part of a difference that rounding does not explain: beyond half a step.
 
-    The rest stays while a wheel keeps its speed, and would turn a robot that drives straight on.
+    Rounding stays as long as a wheel keeps its speed, and would turn a robot that drives straight.
     """
     return np.asarray(np.sign(difference) * np.maximum(np.abs(difference) - 0.5 * step, 0.0))
 
@@ -147,9 +147,9 @@ def beyond_rounding(difference: Array, step: float) -> Array:
 def steadied(t_s: Array, difference: Array) -> Array:
     """Return the slow part of what the drive's model leaves, if the rest of it is noise.
 
-    An encoder's noise in the speeds would make turns and ways of its own: a cause that only moves
-    them between the samples, or takes them out where the robot does not turn, would explain them.
-    What has a memory is no noise, and stays.
+    An encoder's noise in the speeds would cause turns and distances of its own. A cause that only
+    shifts them between the samples, or removes them while the robot does not turn, would explain
+    them. What has a memory is not noise, and is kept.
     """
     n = round(STEADY_WINDOW_S * (len(t_s) - 1) / max(float(np.ptp(t_s)), 1e-9)) if len(t_s) else 0
     if n < 3 or len(t_s) < 2 * n:
@@ -163,7 +163,7 @@ def steadied(t_s: Array, difference: Array) -> Array:
 
 
 def _read(dense: Array, at: Array, last: int) -> Array:
-    """Read a dense array between its rows, held at its ends."""
+    """Read a dense array between its rows, constant beyond its ends."""
     at = np.clip(at, 0.0, last)
     low = np.minimum(at.astype(np.int64), max(last - 1, 0))
     return np.asarray(dense[low] + (at - low) * (dense[np.minimum(low + 1, last)] - dense[low]))
