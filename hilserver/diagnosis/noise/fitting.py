@@ -1,7 +1,7 @@
 """The noise of one channel, fitted to residuals that may hold outliers and slow misfits.
 
-The samples are cut into windows of at most 12 s, each with a free level and slope, so that what
-drifts slowly (an error of the model) is no noise. Variances and correlation time maximise the
+The samples are cut into windows of at most 12 s, each with a free level and slope, so that slow
+drift (an error of the model) does not count as noise. Variances and correlation time maximise the
 exact restricted likelihood (REML) of the windows; gross outliers are left out by their innovation.
 """
 
@@ -32,13 +32,13 @@ _LAGS = 40
 def fit_noise(residuals: Iterable[tuple[Array, Array]]) -> NoiseModel:
     """Fit white + Ornstein-Uhlenbeck noise with tails.
 
-    Residuals of a perfect replay, which do not differ, have next to no noise at all. Of fewer than
-    8 nobody knows what is noise: all of it counts as such.
+    Residuals of a perfect replay, which are all equal, have next to no noise. With fewer than 8
+    samples noise cannot be separated, so all of it counts as noise.
 
     Parameters
     ----------
     residuals : iterable of (t_s, r)
-        Per span, shape (n,) each; stamps rise at any distances.
+        Per span, shape (n,) each; stamps rise, at any intervals.
     """
     residuals = list(residuals)
     windows = Windows.cut(residuals)
@@ -59,10 +59,10 @@ def fit_noise(residuals: Iterable[tuple[Array, Array]]) -> NoiseModel:
 def short_noise(residuals: Sequence[Array]) -> tuple[NoiseModel, float]:
     """Return white noise with the information of the residuals of short segments, and their scale.
 
-    In a segment of a second or two slow noise looks like what the model misses: a
-    correlation fitted there would swallow the effect that is looked for. So the samples count as
-    white, with the scale of Student's t, and their variance is raised by what their correlation
-    takes from their number.
+    In a segment of a second or two, slow noise looks like the model's own error: a fitted
+    correlation would swallow the effect that is looked for. So the samples count as white, with
+    the scale of Student's t, and their variance is raised by as much as their correlation lowers
+    the effective number of samples.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def short_noise(residuals: Sequence[Array]) -> tuple[NoiseModel, float]:
     -------
     NoiseModel
     float
-        Scale of a sample, for `robust_weights`; 0: they do not differ, and count alike.
+        Scale of a sample, for `robust_weights`; 0 if all are equal and count alike.
     """
     square = np.square(np.concatenate(residuals)) if residuals else np.zeros(0)
     if len(square) < 8 or not square.max() > 0.0:
@@ -95,7 +95,7 @@ def short_noise(residuals: Sequence[Array]) -> tuple[NoiseModel, float]:
 
 
 def _size(residuals: Sequence[Array]) -> float:
-    """Return the root of the mean square of what is finite, above 0."""
+    """Return the root mean square of the finite values, above 0."""
     values = np.concatenate([np.zeros(0), *residuals])
     values = values[np.isfinite(values)]
     return max(float(np.linalg.norm(values)) / math.sqrt(max(len(values), 1)), _FALLBACK_SD)
@@ -105,12 +105,12 @@ def robust_weights(samples: Array) -> Array:
     """Return the weights of Student's t distribution for samples of short segments.
 
     With ``(dof + 1) / (dof - 2 + z^2)`` the weighted samples have variance 1 again, and none counts
-    more than about ``sqrt(dof + 1)`` standard deviations.
+    for more than about ``sqrt(dof + 1)`` standard deviations.
 
     Parameters
     ----------
     samples : ndarray
-        By their scale, see `short_noise`.
+        Divided by their scale, see `short_noise`.
     """
     return np.asarray((SHORT_DOF + 1.0) / (SHORT_DOF - 2.0 + np.square(samples)))
 
@@ -150,7 +150,7 @@ def _fit(windows: Windows, start: NoiseModel | None) -> NoiseModel:
 
 
 def _tail_dof(innovations: Array) -> float:
-    """Return the degrees of freedom of largest likelihood, scale free; infinite if normal."""
+    """Return the degrees of freedom of maximum likelihood, at any scale; infinite if normal."""
     square = np.square(innovations[innovations != 0.0][:SAMPLES_MAX])
     if len(square) < 50:
         return math.inf

@@ -1,4 +1,4 @@
-"""Noise of channels that need no likelihood: white ones, and those without any memory."""
+"""Noise of channels that need no likelihood: white ones, and those without memory."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -17,13 +17,13 @@ from hilserver.diagnosis.thresholds import (
     OUTLIERS_IN_A_ROW,
 )
 
-AROUND_S: Final = 1.05  # width of the median that a spike leaves
+AROUND_S: Final = 1.05  # width of the median from which a spike stands out
 WITHIN_3_SD = 0.97334
-"""Variance of a normal variable that lies within three deviations, by that of all."""
+"""Variance of a normal variable within three deviations, as a share of the full variance."""
 
 
 def isolated(white: Array) -> Mask:
-    """Return which samples are outliers: far off, and only few in a row."""
+    """Return which samples are outliers: far off, and only a few in a row."""
     bad = np.abs(white) > OUTLIER_SD
     edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(np.int8)))
     out = np.zeros(len(bad), dtype=bool)
@@ -53,7 +53,7 @@ def deviation_from_median(t_s: Array, residual: Array) -> Array:
 
 
 def plain_noise(parts: Sequence[tuple[Array, Array]]) -> NoiseModel | None:
-    """Return white noise where the residuals show no correlation at all; None elsewhere."""
+    """Return white noise if the residuals show no correlation at all, else None."""
     pieces = [r for _, r in parts if len(r) > 20]
     if not pieces:
         return None
@@ -73,8 +73,8 @@ def plain_noise(parts: Sequence[tuple[Array, Array]]) -> NoiseModel | None:
 def noise_of_neighbours(parts: Sequence[tuple[Array, Array]]) -> NoiseModel:
     """Return the white noise that neighbouring samples show.
 
-    The drive's sensors have no memory: what is correlated there is an effect, and at every moment
-    but the transients it is the same in two neighbours.
+    The drive's sensors have no memory: what is correlated there is an effect, and except in
+    transients it is the same for two neighbours.
     """
     steps = np.concatenate([np.diff(r) for _, r in parts])
     sd = 1.4826 * float(np.median(np.abs(steps))) / np.sqrt(2.0) if len(steps) else 0.0

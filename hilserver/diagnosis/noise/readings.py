@@ -1,10 +1,10 @@
 """What a sensor shows of a quantity: rounded to its resolution and held at its limits.
 
-A reading is ``y = clip(round(x + e))``. Where the noise e is smaller than the step q, the error of
+A reading is ``y = clip(round(x + e))``. If the noise e is smaller than the step q, the error of
 rounding depends on the quantity itself: with a sawtooth's Fourier series its mean over the noise is
 ``sum_k (-1)^k q/(pi k) exp(-2 pi^2 k^2 s^2/q^2) sin(2 pi k x/q)`` (Widrow and Kollar, Quantization
-Noise, 2008), so it lasts as long as the quantity does. At a limit the mean reading stands short of
-it, as the mean of a censored normal does (Tobin 1958).
+Noise, 2008), so it lasts as long as the quantity does. At a limit the mean reading stays below it,
+as the mean of a censored normal does (Tobin 1958).
 """
 
 import math
@@ -22,8 +22,8 @@ from hilserver.diagnosis.thresholds import FEWEST_SAMPLES, NEGLIGIBLE, READING_C
 from hilserver.measured.resolution import step_of
 
 NOISE_BY_STEP: Final = (0.02, 50.0)
-"""Where a noise is looked for: below rounding hides it, above nothing shows the rounding."""
-LATER_S: Final = 0.1  # rounding that lasts is still alike
+"""Range in which noise is searched: below, rounding hides it; above, nothing shows the rounding."""
+LATER_S: Final = 0.1  # lasting errors of rounding are still alike
 FLOOR_SD = 1e-6  # deviation that a channel without any noise is given
 HARMONICS = np.arange(1, 6)
 
@@ -32,31 +32,31 @@ HARMONICS = np.arange(1, 6)
 class Reading:
     """How a channel shows a quantity."""
 
-    step: float = 0.0  # readings differ by whole multiples of it; 0: they are not rounded
+    step: float = 0.0  # readings differ by whole multiples of it; 0 if not rounded
     origin: float = 0.0  # one of the readings
     limit: float = math.inf  # largest reading, either sign
 
     @classmethod
     def of(cls, values: Array, limit: float = math.inf) -> "Reading":
-        """Return how a channel is rounded; its limit need be no multiple of its step."""
+        """Return how a channel is rounded; its limit need not be a multiple of its step."""
         return cls(*step_of(values[np.abs(values) < limit]), limit)
 
     def mean(self, exact: Array, noise: NoiseModel | None) -> Array:
-        """Return the mean reading of a quantity, less what rounding adds to it, shape (n,).
+        """Return the mean reading of a quantity, without what rounding adds, shape (n,).
 
         Parameters
         ----------
         exact : ndarray, shape (n,)
             The quantity.
         noise : NoiseModel or None
-            Of the channel; None: not known yet.
+            Of the channel; None if not known yet.
         """
         shown = np.clip(exact, -self.limit, self.limit)
         if noise is None or math.isinf(self.limit):
             return shown
         sd = math.sqrt(max(noise.sd**2 - self.step**2 / 12.0 - FLOOR_SD**2, 0.0))
         if sd < FLOOR_SD:
-            return shown  # a simulated sensor: its noise model is there to divide by
+            return shown  # a simulated sensor: its noise model only serves as divisor
         short = self._short(sd)
         for side in (1.0, -1.0):
             away = np.abs(side * exact - self.limit) / sd
@@ -67,7 +67,7 @@ class Reading:
         return shown
 
     def _short(self, sd: float) -> float:
-        """Return how far the mean reading of a quantity at the limit stands short of it."""
+        """Return how far the mean reading of a quantity at the limit is below it."""
         if self.step < 0.5 * sd:
             return sd / math.sqrt(2.0 * math.pi)
         cells = np.arange(int(6.0 * sd / self.step) + 1) + 0.5
@@ -75,7 +75,7 @@ class Reading:
 
 
 def lasting(noise_sd: float, step: float) -> float:
-    """Return the variance of the mean error of rounding over all places between two steps."""
+    """Return the variance of the mean rounding error over all places between two steps."""
     size = (
         step / (math.pi * HARMONICS) * np.exp(-2.0 * (math.pi * HARMONICS * noise_sd / step) ** 2)
     )
@@ -85,20 +85,20 @@ def lasting(noise_sd: float, step: float) -> float:
 def noise_of_readings(
     parts: Sequence[tuple[Array, Array, Array]], reading: Reading
 ) -> NoiseModel | None:
-    """Return the noise of rounded readings: white, and what of the rounding lasts.
+    """Return the noise of rounded readings: white, plus the part of the rounding that lasts.
 
-    Neighbouring readings of a quantity that hardly moves show the noise before the rounding, and
-    the quantity itself how long the error of rounding lasts. What the model misses enters neither.
+    Neighbouring readings of a quantity that hardly moves show the noise before rounding, and the
+    quantity itself shows how long the error of rounding lasts. Errors of the model do not matter.
 
     Parameters
     ----------
     parts : sequence of (t_s, exact, reading), shape (n,) each
-        Of each stretch: the quantity as the model has it, and what was read.
+        For each stretch: the quantity according to the model, and the readings.
 
     Returns
     -------
     NoiseModel or None
-        None where too few samples are calm.
+        None if too few samples are calm.
     """
     step = reading.step
     moved = np.concatenate([np.diff(exact) for _, exact, _ in parts])
@@ -128,7 +128,7 @@ def noise_of_readings(
 
 
 def _mean_error(exact: Array, reading: Reading, noise_sd: float) -> Array:
-    """Return the mean error of rounding at each value of a quantity."""
+    """Return the mean rounding error at each value of a quantity."""
     turn = 2.0 * math.pi * (exact - reading.origin) / reading.step
     error = np.zeros(len(exact))
     for k in HARMONICS.tolist():
@@ -139,7 +139,7 @@ def _mean_error(exact: Array, reading: Reading, noise_sd: float) -> Array:
 
 
 def _memory(parts: Sequence[tuple[Array, Array]]) -> tuple[float, float]:
-    """Return variance and correlation time of what of a series lasts from sample to sample."""
+    """Return variance and correlation time of the part of a series that outlasts a sample."""
     period_s = float(np.median(np.concatenate([np.diff(t) for t, _ in parts])))
     far = max(round(LATER_S / max(period_s, 1e-6)), 3)
     together = []

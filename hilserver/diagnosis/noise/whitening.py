@@ -3,7 +3,7 @@
 One channel's noise is white plus an Ornstein-Uhlenbeck process: ``r_k = x(t_k) + e_k`` with
 ``cov(x(t), x(s)) = ou_sd^2 exp(-|t - s| / ou_tau_s)``. Its Kalman filter turns samples at any
 stamps into independent innovations of variance 1, in one pass. The gains depend on stamps and
-weights alone, so that a residual and its sensitivities go through the same linear operator.
+weights alone, so a residual and its sensitivities pass through the same linear operator.
 """
 
 import math
@@ -34,26 +34,26 @@ class NoiseModel:
 
 @dataclass(frozen=True)
 class Filter:
-    """The Kalman filters of some stretches, one after the other: what each does at every sample."""
+    """The Kalman filters of successive stretches: what each does at every sample."""
 
-    # shape (n,): share of the level that lasts since the sample before, 0 where a stretch begins;
-    # share of a surprise that the level takes up; whitened sample by surprise, 0: it is skipped
+    # shape (n,): share of the level that remains since the last sample, 0 where a stretch begins;
+    # share of an innovation that the level takes up; whitened sample per innovation, 0: skipped
     keep: Array
     gain: Array
     scale: Array
 
     @classmethod
     def empty(cls, n: int) -> "Filter":
-        """Return the filters of `n` samples, which `prepare` fills."""
+        """Return the filters of `n` samples, to be filled by `prepare`."""
         return cls(np.zeros(n), np.zeros(n), np.zeros(n))
 
     def prepare(self, part: slice, model: NoiseModel, t_s: Array, weights: Array) -> None:
-        """Fill in the filter of a noise on one stretch.
+        """Fill in the filter for one stretch of noise.
 
         Parameters
         ----------
         t_s : ndarray, shape (n,)
-            Stamps of all samples, not falling in the stretch. Gaps are missing samples.
+            Stamps of all samples, not decreasing within the stretch. Gaps are missing samples.
         weights : ndarray, shape (n,)
             Of each sample, at least 0. A sample of weight 0 is skipped: output 0, no trace in the
             later ones. Weight w multiplies the variance of its innovation by 1/w.
@@ -61,7 +61,7 @@ class Filter:
         Raises
         ------
         ValueError
-            If both standard deviations of the noise are 0, or one is not a number.
+            If both standard deviations of the noise are 0, or one is NaN.
         """
         if not (model.sd > 0.0 and math.isfinite(model.sd) and model.ou_tau_s > 0.0):
             raise ValueError(f"no noise to whiten with: {model}")
@@ -73,11 +73,11 @@ class Filter:
         fill_gains(t_s[part], weights[part], *variances, *places)
 
     def whiten(self, columns: Array) -> Array:
-        """Whiten columns, shape (n,) or (n, k): each passes the same linear operator."""
+        """Whiten columns, shape (n,) or (n, k): each passes through the same linear operator."""
         table = np.ascontiguousarray(columns if columns.ndim > 1 else columns[:, None], float)
-        if not self.gain.any():  # white as they are
+        if not self.gain.any():  # already white
             white = table * self.scale[:, None]
-            white[self.scale == 0.0] = 0.0  # whatever stands there, also no number
+            white[self.scale == 0.0] = 0.0  # whatever the value, even NaN
             return white.reshape(np.shape(columns))
         out = np.empty_like(table)
         filter_columns(table, self.keep, self.gain, self.scale, out)

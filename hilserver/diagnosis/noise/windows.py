@@ -1,4 +1,4 @@
-"""Residuals cut into windows with a level and a slope each, and their restricted likelihood."""
+"""Residuals cut into windows, each with a level and a slope, and their restricted likelihood."""
 
 import math
 from collections.abc import Iterable
@@ -32,7 +32,7 @@ class Windows:
 
     @classmethod
     def cut(cls, residuals: Iterable[tuple[Array, Array]]) -> "Windows":
-        """Cut spans into equal windows; evenly drop what is too many."""
+        """Cut spans into equal windows; if there are too many, drop some evenly."""
         pieces: list[tuple[Array, Array]] = []
         for stamps, values in residuals:
             good = np.isfinite(values)
@@ -60,12 +60,12 @@ class Windows:
 
     @property
     def samples(self) -> int:
-        """How many there are."""
+        """Number of samples."""
         return len(self.r)
 
     @property
     def step_s(self) -> float:
-        """Median distance of two samples."""
+        """Median time between two samples."""
         return max(float(np.median(np.diff(self.t_s)[np.diff(self.t_s) > 0.0])), 1e-6)
 
     @cached_property
@@ -79,7 +79,7 @@ class Windows:
         return max(_robust_sd(self.r - float(np.median(self.r))), self.spread)
 
     def thinned(self, samples_max: int) -> "Windows":
-        """Return some of the windows, evenly chosen, with their weights."""
+        """Return some of the windows, chosen evenly, with their weights."""
         count = len(self.starts) - 1
         wanted = max(1, min(count, count * samples_max // max(self.samples, 1)))
         chosen = np.unique(np.linspace(0, count - 1, wanted).round().astype(int))
@@ -139,7 +139,7 @@ def _evenly(pieces: list[tuple[Array, Array]]) -> list[tuple[Array, Array]]:
 
 
 def _robust_sd(values: Array) -> float:
-    """Return the trimmed standard deviation; the plain one if nine tenths are equal."""
+    """Return the trimmed standard deviation, or the plain one if nine tenths are equal."""
     square = np.sort(np.square(values))
     kept = square[: max(1, int(_TRIMMED * len(square)))]
     trimmed = math.sqrt(float(kept.mean()) / _TRIMMED_MEAN_SQUARE)
@@ -206,9 +206,9 @@ def gated(
 def restricted(
     t_s: Any, r: Any, weights: Any, starts: Any, white: float, ou: float, tau_s: float, lines: Any
 ) -> tuple[float, float, float]:
-    """Return squared sum, log determinant and freedom with every window's line projected out.
+    """Return squared sum, log determinant and freedom with the windows' lines projected out.
 
-    The lines of smallest variance are written to `lines`.
+    The lines of least variance are written to `lines`.
     """
     total, log_det, freedom = 0.0, 0.0, 0.0
     step, keep = 0.0, 1.0

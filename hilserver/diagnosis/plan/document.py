@@ -1,4 +1,4 @@
-"""``plan.json``: what a manoeuvre can show, what a better one can, and what to record besides."""
+"""``plan.json``: what a manoeuvre can show, what a better one can, and what else to record."""
 
 from typing import Final, Literal
 
@@ -45,7 +45,7 @@ class Prospect(_Model):
 
 
 class Missing(_Model):
-    """What a channel that is not recorded would add to the manoeuvre as planned."""
+    """What a channel that is not recorded would add to the planned manoeuvre."""
 
     channel: str
     signals: tuple[str, ...]

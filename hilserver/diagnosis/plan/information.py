@@ -1,7 +1,7 @@
-"""The information of measurements on every cause, as sums over stretches: Gram matrices.
+"""The information of measurements about every cause, as sums over stretches: Gram matrices.
 
 The whitened sensitivities of a stretch, with its initial pose projected out, have a Gram matrix.
-Those of stretches that each begin with a pose of their own add up, so that the information of a
+Those of stretches that each begin with their own pose add up, so that the information of a
 sequence of pieces is known before the sequence exists; joined pieces share a pose and hold more.
 """
 
@@ -22,7 +22,7 @@ T_NEEDED: Final = 5.5
 Z_APART: Final = RIVAL_CLEAR_Z + DETECTABLE_POWER_SD
 """Standard errors between the deviances of an effect and its best imitation at which a diagnosis
 tells them apart with good power."""
-SEEN: Final = 0.5  # worth of seeing a cause, by the worth of separating it from all others
+SEEN: Final = 0.5  # worth of seeing a cause, relative to separating it from all others
 ENOUGH_TIMES: Final = 3.0
 LINEAR_REACH: Final = 1.5
 """How far a column of an effect that is not linear may be extrapolated, in its own size."""
@@ -50,7 +50,7 @@ def directions_of(library: Library) -> list[Direction]:
         rows = tuple(int(j) for j in np.flatnonzero(library.owner == i)[: min(c.n, 2)])
         names = list(c.terms(tuple(0.5 * s for s in c.step)))
         sizes = tuple(reference(c.cause, n) for n in names[:2])
-        if c.is_limit and sizes[0]:  # a part of it is its reference value divided by that part
+        if c.is_limit and sizes[0]:  # a share of it is its reference value divided by that share
             units: tuple[float, ...] = (sizes[0] ** 2 / c.start[0],)
         elif not c.linear:
             units = (abs(c.start[0] - c.null[0]),)
@@ -98,8 +98,8 @@ def sizes_of(directions: Sequence[Direction], gram: Array, needed: float = T_NEE
 def alike(directions: Sequence[Direction], gram: Array) -> Array:
     """Return the |cos| of any two candidates' sensitivities, shape (m, m).
 
-    Of candidates with two parameters the largest over their directions (canonical correlation):
-    some effect of the one then looks like some effect of the other.
+    For candidates with two parameters it is the largest over their directions (canonical
+    correlation): then some effect of the one looks like some effect of the other.
     """
     m = len(directions)
     # each candidate gets an orthonormal pair of rows; a single parameter leaves the second empty
@@ -126,7 +126,7 @@ def apart(directions: Sequence[Direction], gram: Array) -> Array:
 
     Row i is the truth and column j the rival. What the rival cannot imitate is x deviations long;
     its deviance is then larger by about x^2 with a standard error of 2 x, plus a diagnosis' penalty
-    for every parameter more. 0 where the difference is too small to count; infinite for a truth
+    for every additional parameter. 0 if the difference is too small to count; infinite for a truth
     without a reference size.
     """
     sized = np.array([any(d.sizes) for d in directions])
@@ -152,12 +152,12 @@ def score(directions: Sequence[Direction], gram: Array) -> float:
 
 
 def _worth(times: float) -> float:
-    """Return 1 for what is just enough; more is worth less and less."""
+    """Return 1 for just enough; what exceeds it is worth less and less."""
     return float(np.log2(1.0 + min(max(times, 0.0), ENOUGH_TIMES)))
 
 
 def nearest(directions: Sequence[Direction]) -> dict[str, list[int]]:
-    """Return the candidates that stand for each cause: of several start values, the one nearest.
+    """Return the candidates that represent each cause: of several start values, the nearest one.
 
     A cause with several shapes (regions of the floor, wheels) keeps them all.
     """

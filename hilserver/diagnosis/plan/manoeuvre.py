@@ -1,4 +1,4 @@
-"""A manoeuvre: set-points of the four wheels over time, from a log or a scenario, to a scenario."""
+"""A manoeuvre: set-points of the four wheels over time, from a log or scenario, to a scenario."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,14 +19,14 @@ from hilserver.plant.parameters import RobotParameters
 TWIST: Final = ("twist.linear_m_s", "twist.angular_rad_s")
 ALL_WHEELS: Final = "wheels.setpoints_rpm"
 MODE, ENABLE = "control.mode", "drive.enable"
-AFTER_S: Final = 1.0  # how long a scenario is watched after its last step
+AFTER_S: Final = 1.0  # how long a scenario is observed after its last step
 LONGEST_PLAN_S: Final = 3600.0
 SHORTEST_S: Final = 2.0
 
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """Set-points that hold until the next ones; the robot is at rest before."""
+    """Set-points that hold until the next ones; the robot is at rest beforehand."""
 
     at_s: Array  # shape (k,): rising, the first is 0
     # shape (k, 4): fl, rl, fr, rr with the plant's signs: driving forward is left > 0, right < 0
@@ -34,7 +34,7 @@ class Manoeuvre:
     duration_s: float  # not before the last change
 
     def then(self, other: "Manoeuvre") -> "Manoeuvre":
-        """Return this manoeuvre with another behind it."""
+        """Return this manoeuvre followed by another."""
         return Manoeuvre(
             np.concatenate([self.at_s, self.duration_s + other.at_s]),
             np.vstack([self.setpoints_rpm, other.setpoints_rpm]),
@@ -123,7 +123,7 @@ def of_scenario(
     Raises
     ------
     ConfigError
-        If it is no scenario, has no set-points, or is too long.
+        If it is not a scenario, has no set-points, or is too long.
     """
     scenario = load_scenario(path)
     now: dict[str, float] = dict.fromkeys((*SETPOINTS, *TWIST, MODE), 0.0) | {ENABLE: 1.0}
@@ -164,13 +164,13 @@ def _present(now: Mapping[str, float], robot: RobotParameters) -> Array:
 
 
 def _last_of_each(at_s: Array, rpm: Array, duration_s: float) -> Manoeuvre:
-    """Keep the last of the rows of one time."""
+    """Keep the last of several rows at one time."""
     keep = np.append(np.diff(at_s) > 0.0, True)
     return Manoeuvre(at_s[keep], rpm[keep], duration_s)
 
 
 def as_scenario(spans: Sequence[Manoeuvre], text: str) -> dict[str, Any]:
-    """Return a scenario in plain data that plays manoeuvres one behind the other."""
+    """Return a scenario, as plain data, that plays manoeuvres one after the other."""
     whole = spans[0]
     for span in spans[1:]:
         whole = whole.then(span)

@@ -39,7 +39,7 @@ WHITE: Final = {
 CORRELATED: Final = {**dict.fromkeys(POSITION, (0.05, 0.6)), YAW: (0.015, 2.0)}
 """Standard deviation and correlation time [s] of their Ornstein-Uhlenbeck noise."""
 JITTER_S: Final = 0.002
-"""Of a row's instant: rows that always fall on the same tick of a period hold less information."""
+"""Of a row's time: rows that always fall on the same tick of a period hold less information."""
 SAG_V_PER_S: Final = 0.001
 AT_ONCE_S: Final = 1e6
 
@@ -55,7 +55,7 @@ class Recording:
 
 @dataclass(frozen=True)
 class Studio:
-    """What stays the same for every manoeuvre that is looked at."""
+    """What stays the same for every manoeuvre that is examined."""
 
     robot: RobotParameters
     seed: int
@@ -65,7 +65,7 @@ class Studio:
     def null_log(
         self, spans: Sequence[Manoeuvre], recording: Recording
     ) -> tuple[MeasuredLog, np.random.Generator]:
-        """Return the log of manoeuvres, and the generator that made its noise."""
+        """Return the log of manoeuvres, and the generator that produced its noise."""
         rng = np.random.default_rng(self.seed)
         return null_log(spans, self.robot, recording, rng), rng
 
@@ -137,7 +137,7 @@ def _commands(spans: Sequence[Manoeuvre], begin: Array) -> dict[str, Channel]:
 def _with_truth(
     log: MeasuredLog, robot: RobotParameters, terms: Mapping[str, float]
 ) -> MeasuredLog:
-    """Fill in what the model shows: the drive's own replay first, then the pose of its speeds."""
+    """Fill in what the model shows: first the drive's own replay, then the pose from its speeds."""
     volts = log[VOLTAGE]
     log = log.with_channels({VOLTAGE: volts.with_values(NOMINAL_V - SAG_V_PER_S * volts.t_s)})
     drive = DriveStage(log, robot, block_s=BLOCK_S)

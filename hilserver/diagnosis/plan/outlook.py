@@ -31,7 +31,7 @@ from hilserver.diagnosis.thresholds import GROUP_COSINE, HOPELESS
 
 OTHERWISE = "is not found by its sensitivity; whether a manoeuvre shows it is not planned"
 LEAST_SHOWN = 0.1
-"""A limit that only shows below a tenth of its reference effect is not worth a name."""
+"""A limit that shows only below a tenth of its reference effect is not worth a name."""
 NOT_SEEN = "the manoeuvre does not excite it"
 
 
@@ -47,7 +47,7 @@ class Outlook:
     score: float  # total information, `information.score`
 
     def share(self, cause: str) -> float | None:
-        """Return a cause's smallest detectable size by its reference size."""
+        """Return a cause's smallest detectable size as a share of its reference size."""
         found = self.sizes.get(cause)
         size = None if found is None else reference(cause, cause)
         if found is None or size is None:
@@ -56,12 +56,12 @@ class Outlook:
 
     @property
     def shown(self) -> list[str]:
-        """Causes that show at their reference size, or that have none."""
+        """Causes that are visible at their reference size, or that have none."""
         return [c for c in self.sizes if (share := self.share(c)) is None or share <= 1.0]
 
     @property
     def named(self) -> list[str]:
-        """Causes that show and can be separated from all others."""
+        """Causes that are visible and can be separated from all others."""
         together = {c for group in self.groups for c in group}
         return [c for c in self.shown if c not in together]
 
@@ -115,7 +115,7 @@ def judge(
 
 
 def limits(directions: Sequence[Direction], gram: Array) -> dict[str, Detectable]:
-    """Return the largest limits that would show; `smallest` cannot, as null is no number."""
+    """Return the largest visible limits; `smallest` cannot, as their null is not a number."""
     found: dict[str, Detectable] = {}
     for d, share in zip(directions, sizes_of(directions, gram), strict=True):
         if d.candidate.is_limit and d.sizes[0] and share <= HOPELESS:
@@ -130,8 +130,8 @@ def confused(
 ) -> dict[tuple[str, str], float]:
     """Return the pairs of visible causes that imitate each other, with their |cos|.
 
-    As in a diagnosis, their sensitivities are alike and what is left of one of them at its
-    reference size does not decide.
+    As in a diagnosis, their sensitivities are alike and what remains of one of them at its
+    reference size does not decide between them.
     """
     cosines, z = alike(directions, gram), apart(directions, gram)
     chosen = {c: rows for c, rows in nearest(directions).items() if c in visible}

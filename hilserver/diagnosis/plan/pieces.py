@@ -1,8 +1,8 @@
-"""Standard pieces that a better manoeuvre is put together from.
+"""Standard pieces from which a better manoeuvre is built.
 
-Every piece begins and ends at rest and comes back to where it began, by driving the same way
-backwards or round a circle, so that pieces can follow each other in a room of a known size even if
-the real robot turns or rolls otherwise than its model.
+Every piece begins and ends at rest and returns to where it began, by driving the same way backwards
+or in a circle. So pieces can follow each other in a room of known size even if the real robot turns
+or rolls differently from its model.
 """
 
 import math
@@ -30,7 +30,7 @@ MARGIN_M: Final = 0.4  # kept between the robot's centre and the edge of the roo
 
 @dataclass(frozen=True)
 class Piece:
-    """A piece with its name for people."""
+    """A piece with a readable name."""
 
     name: str
     manoeuvre: Manoeuvre

@@ -1,4 +1,4 @@
-"""A whole plan: the manoeuvre as it is, the better one, and what to record besides."""
+"""A whole plan: the manoeuvre as it is, the better one, and what else to record."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -33,7 +33,7 @@ class Wish:
 
     manoeuvre: Path
     mapping: str | None = None
-    # measured signals of the experiment; None: those of the log, all for a scenario
+    # measured signals of the experiment; None: those of the log; all for a scenario
     channels: tuple[str, ...] | None = None
     rate_hz: float = 50.0
     duration_s: float | None = None  # of the better manoeuvre; None: that of the given one
@@ -143,7 +143,7 @@ def _joined(chosen: Sequence[Piece]) -> Manoeuvre:
 def _inside(
     spans: Sequence[Manoeuvre], robot: RobotParameters, room_m: tuple[float, float]
 ) -> bool:
-    """Return whether the model stays in the room, each span begun in its middle."""
+    """Return whether the model stays in the room when each span begins in its middle."""
     return all(
         np.abs(x).max() <= 0.5 * room_m[0] and np.abs(y).max() <= 0.5 * room_m[1]
         for x, y, _ in path_of(spans, robot)
@@ -157,7 +157,7 @@ def _sides(room_m: tuple[float, float]) -> str:
 def _missing(
     studio: Studio, spans: Sequence[Manoeuvre], recording: Recording, now: Outlook
 ) -> tuple[Missing, ...]:
-    """Return what every channel that is not recorded would add."""
+    """Return what each channel that is not recorded would add."""
     found = []
     for channel, signals in GROUPS.items():
         absent = tuple(n for n in signals if n not in recording.channels)

@@ -1,4 +1,4 @@
-"""Puts together the pieces with the most information in the time there is."""
+"""Combines the pieces with the most information in the available time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -44,8 +44,8 @@ def choose(
 ) -> list[Piece]:
     """Return the pieces with the most information; repetitions are allowed.
 
-    They are added where a second has the most information as long as one fits; then each is
-    exchanged for a better one until none is left.
+    As long as one fits, the piece with the most information per second is added; then each is
+    exchanged for a better one until there is none.
     """
     search = _Search([p.manoeuvre.duration_s for p in found], known, duration_s)
     search.add()
@@ -58,7 +58,7 @@ def choose(
 
 
 class _Search:
-    """The pieces chosen so far and their information together."""
+    """The pieces chosen so far and their joint information."""
 
     def __init__(
         self, lengths_s: Sequence[float], known: Sequence[Information], left_s: float
@@ -81,7 +81,7 @@ class _Search:
         return total
 
     def add(self) -> None:
-        """Add pieces while one fits."""
+        """Add pieces as long as one fits."""
         while len(self.chosen) < MOST_PIECES and (able := self._able(self._left_s)):
             totals = np.array([self._with(i) for i in able])
             rates = (totals - self._now) / self._lengths_s[able]

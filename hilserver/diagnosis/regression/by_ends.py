@@ -1,9 +1,9 @@
-"""Parameters by what a gain is measured with: the errors at the end of free runs.
+"""Parameters fitted to what a gain is measured by: the errors at the end of free runs.
 
-Least squares of all samples follows the whole course of a run, transients as well, whose form no
-cause has exactly. In short segments no noise model says how much of the course that is. What a user
-runs a model for is where a run ends: here that alone is fitted, in absolute errors, which a few
-runs that go wrong altogether do not steer. It uses less of the data, so it scatters more.
+Least squares over all samples follows the whole course of a run, including transients, whose form
+no cause has exactly. In short segments no noise model shows how much of the course that affects.
+Users care where a run ends, so only that is fitted here, in absolute errors, which a few runs that
+go completely wrong do not dominate. This uses less of the data, so it scatters more.
 """
 
 from collections.abc import Mapping
@@ -17,27 +17,27 @@ from hilserver.diagnosis.regression.gain import Windows, missed, windows
 from hilserver.diagnosis.regression.linear import ridge
 from hilserver.diagnosis.regression.problem import Point, Problem
 
-DAMPED_BY_ENDS: Final = 1e-4  # see `linear`: not every parameter shows at the end of a run
+DAMPED_BY_ENDS: Final = 1e-4  # see `linear`: not every parameter affects the end of a run
 MOST_STEPS: Final = 12
-CONVERGED: Final = 1e-3  # share of the cost; a step that gains less is the last
+CONVERGED: Final = 1e-3  # share of the cost; a smaller gain ends the iteration
 
 Misses = Mapping[str, NDArray[Any]]  # by quantity, shape (runs,); a position is x + iy
 
 
 def fit_by_ends(problem: Problem, start: Point, horizon_s: float) -> Point:
-    """Return a model with the parameters whose free runs end nearest to what was measured.
+    """Return a model with the parameters whose free runs end nearest to the measurements.
 
     Parameters
     ----------
     start : Point
-        The model as it is fitted to all samples.
+        The model fitted to all samples.
     horizon_s : float
         Length of the runs.
     """
     runs = windows(problem, horizon_s)
     if runs is None or not start.model.fitted:
         return start
-    # the first model says what a usual miss is, once for all: or the cost would not be one
+    # usual misses are taken from the first model, once: otherwise the cost would change
     ends = _Ends(problem, runs, start.predicted)
     point, least = start, ends.cost(start.predicted)
     for _ in range(MOST_STEPS):
@@ -57,7 +57,7 @@ def fit_by_ends(problem: Problem, start: Point, horizon_s: float) -> Point:
 
 
 class _Ends:
-    """The ends of some free runs; a miss counts by the median one that the first model leaves.
+    """The ends of some free runs; misses count relative to the first model's median miss.
 
     Parameters
     ----------
@@ -75,14 +75,14 @@ class _Ends:
         return {key: one / self.scale[key] for key, one in off.items()}
 
     def cost(self, predicted: Array) -> float:
-        """Return the sum of all misses: squares where they are small, lengths where large."""
+        """Return the sum of all misses: squared if they are small, absolute if large."""
         off = self._off(predicted).values()
         return float(sum(np.sum(np.sqrt(1.0 + np.abs(one) ** 2) - 1.0) for one in off))
 
     def step(self, point: Point) -> Array:
         """Return the step of a model's parameters that lowers the cost most, if all is linear."""
         off = self._off(point.predicted)
-        # of iteratively reweighted least squares, the root: it multiplies misses and effects
+        # root of the weights of iteratively reweighted least squares, for misses and effects
         weight = {key: (1.0 + np.abs(one) ** 2) ** -0.25 for key, one in off.items()}
         sizes = [s for f in point.model.fitted for s in f.candidate.step]
         columns, effects = self.problem.columns(point, point.model).T, []
@@ -93,6 +93,6 @@ class _Ends:
 
 
 def _flat(off: Misses, weight: Mapping[str, Array]) -> Array:
-    """Return all misses in one vector, both coordinates of a position, by their weights."""
+    """Return all misses in one vector, both coordinates of a position, times their weights."""
     parts = [weight[key] * part for key, one in off.items() for part in (one.real, one.imag)]
     return np.concatenate(parts)

@@ -13,9 +13,9 @@ from hilserver.diagnosis.regression.screen import Blocks, Scores, score
 
 RIDGE = 1e-3
 SQUARE: Final = ((1.0, 0.0), (0.0, 1.0), (0.7071, 0.7071), (0.7071, -0.7071))
-"""The directions that a candidate of two parameters is looked at from."""
+"""The directions in which a candidate of two parameters is examined."""
 AT_ONCE: Final = 8
-"""Candidates that are whitened together: the rows of a table, and of memory, are shared."""
+"""Candidates that are whitened together, sharing table rows and memory."""
 
 
 @dataclass
@@ -32,7 +32,7 @@ class Library:
     columns: Columns = field(default_factory=lambda: np.zeros((0, 0), np.float32))
     # shape (blocks, k): sums of their squares
     squares: Columns = field(default_factory=lambda: np.zeros((0, 0), np.float32))
-    norms: list[Array] = field(default_factory=list)  # lengths of columns, where there are several
+    norms: list[Array] = field(default_factory=list)  # lengths of columns, if there are several
 
     def __post_init__(self) -> None:
         stack = self.problem.stack
@@ -43,7 +43,7 @@ class Library:
         self._made_for: tuple[object, object] = (None, None)
 
     def rewhiten(self, point: Point) -> None:
-        """Whiten and project all columns with the problem's present noise."""
+        """Whiten and project all columns with the problem's current noise."""
         problem = self.problem
         bases, begin = problem.bases_at(point), 0
         noise, known = self._made_for
@@ -69,17 +69,17 @@ class Library:
         self.squares, self._made_for = self.blocks.squares(self.columns), (problem.noise, point)
 
     def ridge(self, point: Point, rows: Mask | None = None) -> Array:
-        """Return coefficients of all directions at once for what a model leaves.
+        """Return coefficients of all directions at once for the residual of a model.
 
         Parameters
         ----------
         rows : ndarray of bool, shape (n,), optional
-            Samples that count, in the order of the blocks; all.
+            Samples that count, in the order of the blocks; by default all.
         """
         chosen = slice(None) if rows is None else rows
         columns = self.columns[chosen]
         squares = np.einsum("ij,ij->j", columns, columns).astype(np.float64)
-        norm = np.sqrt(squares) + 1e-30  # in 32 bits its square would vanish
+        norm = np.sqrt(squares) + 1e-30  # its square would underflow in 32 bits
         gram = (columns.T @ columns).astype(np.float64) / np.outer(norm, norm)
         left = point.left[self.blocks.order][chosen].astype(np.float32)
         along = (columns.T @ left).astype(np.float64) / norm
@@ -109,18 +109,18 @@ class Library:
 
 @kernel()
 def lay_out(white: Any, length: Any, place: Any, weight: Any, order: Any, out: Any) -> None:
-    """Write directions of whitened columns, in an order of the samples.
+    """Write directions of whitened columns, with the samples in a given order.
 
     Parameters
     ----------
     length : ndarray, shape (columns,)
-        That columns are divided by.
+        By which columns are divided.
     place : ndarray of int, shape (k,)
-        Of each direction its candidate's first column.
+        First column of the candidate, for each direction.
     weight : ndarray, shape (k, 2)
-        Of this column and the next.
+        Weights of this column and the next.
     out : ndarray, shape (n, k)
-        Written.
+        Output.
     """
     for r in range(len(order)):
         row = white[order[r]]

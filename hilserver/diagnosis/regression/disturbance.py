@@ -1,4 +1,4 @@
-"""What the channels of the pose show of a disturbance of the body's velocity."""
+"""What a disturbance of the body's velocity does to the channels of the pose."""
 
 from collections.abc import Mapping
 from itertools import pairwise
@@ -14,7 +14,7 @@ GRID_S = 0.02
 
 
 class Motion:
-    """Dense motion of the present model on a coarse grid, and the columns of a disturbance."""
+    """Dense motion of the current model on a coarse grid, and the columns of a disturbance."""
 
     def __init__(self, stage: PoseStage, problem: Problem, point: Point) -> None:
         self.stage = stage
@@ -63,7 +63,7 @@ class Motion:
         return self.column(np.zeros_like(d), np.zeros_like(d), d)
 
     def _sampled(self, sources: Mapping[str, Array]) -> Array:
-        """Return what channels show of signals on the grid; the others show nothing."""
+        """Return what channels show of signals on the grid; other channels show nothing."""
         out = np.zeros(len(self.problem.stack))
         for name, edge in self.problem.stack.edges.items():
             if name not in sources:

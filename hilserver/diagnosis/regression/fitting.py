@@ -1,4 +1,4 @@
-"""The fit of a model's parameters: damped Gauss-Newton steps that re-linearise where they must."""
+"""The fit of a model's parameters: damped Gauss-Newton steps, re-linearised where necessary."""
 
 from typing import Final
 
@@ -11,11 +11,11 @@ from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Model
 
 DAMPED: Final = 1e-6  # damping of the steps of a fit, see `linear`
-LEAST_EXPECTED: Final = 0.01  # deviance; a step from which less is expected is not taken
+LEAST_EXPECTED: Final = 0.01  # deviance; a step with a smaller expected gain is not taken
 AS_EXPECTED: Final = 0.1
-"""Share by which a step's gain may miss the linear one, for the same sensitivities to serve on."""
+"""Share by which a step's gain may miss the linear one if the sensitivities are to be reused."""
 ATTEMPTS: Final = 4
-"""Steps that are tried, each without the blocks in which the one before diverged."""
+"""Steps that are tried, each without the blocks in which the previous one diverged."""
 
 
 def fit(
@@ -26,9 +26,9 @@ def fit(
     Parameters
     ----------
     start : Point
-        Gives the initial poses, and the first sensitivities of causes that have their values there.
+        Gives the initial poses, and the first sensitivities of causes with the same values.
     rows : ndarray of bool, shape (blocks,), optional
-        Blocks that count; all.
+        Blocks that count; by default all.
     """
     known = model is start.model and start.noise is problem.noise
     point = start if known else problem.point(model, start.poses, pose_steps=0)
@@ -50,12 +50,12 @@ def fit(
 
 
 def fit_without(problem: Problem, point: Point, *causes: int) -> Point:
-    """Return a model without some of its causes, by their places, the others fitted again."""
+    """Return a model without some of its causes (by index), with the others fitted again."""
     return fit(problem, point.model.without(*causes), point, iterations=3)
 
 
 def _columns_near(problem: Problem, point: Point, start: Point) -> Array:
-    """Return whitened sensitivities: of causes that are alike at the start those that it has."""
+    """Return whitened sensitivities, taken from the start for causes that are the same there."""
     model, theirs = point.model, start.model
     found = np.empty((len(problem.stack), len(model.theta())))
     new: list[int] = []
@@ -71,10 +71,10 @@ def _columns_near(problem: Problem, point: Point, start: Point) -> Array:
 
 
 def _step(problem: Problem, point: Point, raw: Array, used: Mask) -> tuple[Point | None, float]:
-    """Return the point after a step that gains, if any, and the gain that was expected of it.
+    """Return the point after a step that gains, if any, and the gain expected of it.
 
-    A block in which a step does something else than its slope says does not steer the next attempt:
-    a robot that nearly missed the edge of a floor crosses it in one step and not in the other.
+    A block in which a step does not follow its slope does not steer the next attempt: a robot that
+    nearly missed the edge of a floor crosses it in one step and not in the other.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def _attempted(
     used: Mask,
     steering: Mask,
 ) -> tuple[Point | None, float, Mask]:
-    """Return the same for the step that some blocks give, and where it diverged."""
+    """Return the same for the step that some blocks determine, and where it diverged."""
     low, high = point.model.borders()
     keep = slice(None) if steering.all() else steering[problem.stack.block]
     step, expected = ridge(white[keep], point.left[keep], DAMPED), 0.0

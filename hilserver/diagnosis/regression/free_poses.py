@@ -10,19 +10,19 @@ from hilserver.arrays import Array, Indices
 from hilserver.compiled import kernel
 
 RANK: Final = 1e-9
-"""Share of the largest singular value below which a direction of the pose shows nothing."""
+"""Share of the largest singular value below which a direction of the pose has no effect."""
 
 
 @dataclass(frozen=True)
 class FreePoses:
-    """The samples of each segment: the columns of its initial pose touch no others."""
+    """The samples of each segment: the columns of its initial pose affect no others."""
 
     order: Indices  # shape (n,): samples, segment by segment
-    ends: Indices  # shape (segments + 1,): where those of each segment begin and end in `order`
+    ends: Indices  # shape (segments + 1,): where each segment begins and ends in `order`
 
     @classmethod
     def of(cls, segment: Indices, segments: int) -> "FreePoses":
-        """Sort samples by their segment, shape (n,), of so many with and without samples."""
+        """Sort samples by segment, shape (n,); some of the `segments` may have no samples."""
         counts = np.bincount(segment, minlength=segments)
         ends = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
         return cls(np.argsort(segment, kind="stable"), ends)
@@ -45,8 +45,8 @@ class Bases:
 
     of: FreePoses
     unit: Array  # shape (n, 3): rows of the bases
-    # shape (segments, 3, 3): projects onto the directions in a basis that show in its segment,
-    # nearly always all; from what a segment has along its basis to the step of its pose
+    # shape (segments, 3, 3): projects onto the basis directions that have an effect in the segment,
+    # nearly always all; from a segment's components along its basis to the step of its pose
     shown: Array
     solved: Array
 
@@ -69,9 +69,9 @@ class Bases:
 
 @kernel()
 def orthonormal(columns: Any, order: Any, ends: Any, unit: Any, upper: Any) -> None:
-    """Write bases of each segment's columns, and the columns by them (Gram-Schmidt, twice).
+    """Write bases of each segment's columns, and the columns in these bases (Gram-Schmidt, twice).
 
-    A column that the ones before it explain but for rounding has a basis of zeros.
+    A column that the previous ones explain, except for rounding, gets a basis of zeros.
     """
     for s in range(len(ends) - 1):
         rows = order[ends[s] : ends[s + 1]]

@@ -1,7 +1,7 @@
-"""What the extension gains on data that took no part in its fit: one step and free runs.
+"""What the extension gains on data left out of its fit: one step and free runs.
 
-A free run starts at the measured pose of a window and is compared at its end; windows begin at
-every `horizon / 2`. Blocks alternate between training and test, both ways round.
+A free run starts at the measured pose of a window and is compared at its end; windows begin every
+`horizon / 2`. Blocks alternate between training and test, in both directions.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,14 +26,14 @@ HORIZONS_S = (1.0, 2.0, 5.0, 10.0, 20.0)
 
 @dataclass(frozen=True)
 class Errors:
-    """Absolute errors of one quantity and the block each belongs to."""
+    """Absolute errors of one quantity and the block of each."""
 
     values: Array
     block: Indices
 
 
 def crossed(problem: Problem, point: Point, model: Model) -> list[Array]:
-    """Return predictions of both folds by parameters fitted on the other fold.
+    """Return predictions of both folds with parameters fitted on the other fold.
 
     Element f holds the prediction of all samples by the fit without fold f.
     """
@@ -78,14 +78,14 @@ class Windows:
     # shape (n,)
     start: Mapping[str, Indices]
     end: Mapping[str, Indices]
-    horizon_s: float  # their mean length
+    horizon_s: float  # mean length
 
 
 def windows(problem: Problem, horizon_s: float) -> Windows | None:
-    """Return free runs of one length inside segments; whole segments where they are shorter.
+    """Return free runs of one length inside segments, or whole segments if these are shorter.
 
-    An infinite horizon means all segments whole; others stay inside one half of the blocks, and
-    touch nothing that a prediction of it was fitted to.
+    With an infinite horizon these are all segments, whole; otherwise each run stays inside one half
+    of the blocks, and touches nothing that its prediction was fitted to.
     """
     stack = problem.stack
     names = [n for n in TAG if n in stack.edges]
@@ -121,7 +121,7 @@ def windows(problem: Problem, horizon_s: float) -> Windows | None:
 
 
 def _nearest(problem: Problem, name: str, segment: Indices, t_s: Array) -> Indices:
-    """Return the samples of a channel next to some times of some segments."""
+    """Return the samples of a channel nearest to given times of given segments."""
     edge, start_s = problem.stack.edges[name], problem.stage.segments.start_s
     mine = problem.stack.segment[edge]
     own = mine * SEGMENTS_APART_S + problem.stack.t_s[edge] - start_s[mine]
@@ -132,9 +132,9 @@ def _nearest(problem: Problem, name: str, segment: Indices, t_s: Array) -> Indic
 
 
 def missed(problem: Problem, predicted: Array, w: Windows) -> dict[str, NDArray[Any]]:
-    """Return what free runs that start at the measured pose miss at their end.
+    """Return the errors at the end of free runs that start at the measured pose.
 
-    By quantity, shape (runs,): the yaw, wrapped; the position as x + iy.
+    By quantity, shape (runs,): yaw, wrapped; position as x + iy.
     """
     stack, out = problem.stack, {}
     values = stack.values
@@ -224,7 +224,7 @@ def pooled_gains(parts: Sequence[Mapping[str, Pair]], rng: np.random.Generator) 
 
 
 def _together(parts: Sequence[Errors]) -> Errors:
-    """Return errors of several problems; each keeps blocks of its own."""
+    """Return errors of several problems together; each keeps its own blocks."""
     sizes = [int(part.block.max(initial=-1)) + 1 for part in parts]
     begins = np.cumsum([0, *sizes[:-1]])
     return Errors(

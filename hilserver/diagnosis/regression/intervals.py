@@ -1,4 +1,4 @@
-"""Intervals of fitted parameters that hold under autocorrelation: they count blocks."""
+"""Intervals of fitted parameters that are valid under autocorrelation: they count blocks."""
 
 from typing import Final
 
@@ -11,11 +11,11 @@ from hilserver.diagnosis.regression import linear
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.thresholds import INEXACT
 
-ROUNDED: Final = 0.3  # ticks: standard deviation of what is rounded to whole ones
+ROUNDED: Final = 0.3  # ticks: standard deviation of rounding to whole ticks
 
 
 def own_share(cause: str) -> float:
-    """Return the share of its size by which the model's own form of a cause may be off."""
+    """Return the share of its size by which the plant's own form of a cause may be off."""
     return traits_of(cause).abrupt or INEXACT
 
 
@@ -39,14 +39,14 @@ def covariance(problem: Problem, point: Point, columns: Array) -> tuple[Array, i
 def whole_covariance(
     problem: Problem, point: Point, columns: Array | None = None
 ) -> tuple[Array, int]:
-    """Return the covariance of all parameters as fitted, and its degrees of freedom.
+    """Return the covariance of all fitted parameters, and its degrees of freedom.
 
-    What the model's own form may cost is in it, and the rounding of delays to whole ticks.
+    It includes the inexactness of the model's own form and the rounding of delays to whole ticks.
 
     Parameters
     ----------
     columns : ndarray, shape (n, k), optional
-        `Problem.accepted`, where it is known already.
+        `Problem.accepted`, if already known.
     """
     columns = problem.accepted(point) if columns is None else columns
     assert columns is not None
@@ -55,13 +55,13 @@ def whole_covariance(
     share = np.array([own_share(cause) for cause in causes])
     ticks = np.array([ROUNDED * traits_of(cause).whole_ticks for cause in causes])
     variance = np.diag(cov) + (share * point.model.theta()) ** 2
-    if problem.is_short:  # see `halfway`: the variance that it has more (Hausman 1978)
+    if problem.is_short:  # see `halfway`: its additional variance (Hausman 1978)
         variance += linear.ridge(columns, point.left) ** 2  # one distance shows no correlation
     np.fill_diagonal(cov, variance + (ticks * problem.stage.robot.period_s) ** 2)
     return cov, max(dof, 2)
 
 
 def limits(theta: Array, cov: Array, dof: float | Array) -> Array:
-    """Return the limits of 95 % of all parameters, shape (k, 2)."""
+    """Return the 95 % limits of all parameters, shape (k, 2)."""
     half = stats.t.ppf(0.975, dof) * np.sqrt(np.diag(cov))
     return np.stack([theta - half, theta + half], axis=1)

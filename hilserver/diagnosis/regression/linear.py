@@ -1,7 +1,7 @@
 """Least squares on whitened columns: projections, ridge solutions, covariances over blocks.
 
 The sensitivities of causes differ by many orders of magnitude, so everything is solved on columns
-of length one; a `damping` is a share of that length.
+of unit length; a `damping` is a share of that length.
 """
 
 from typing import Final
@@ -10,18 +10,18 @@ import numpy as np
 
 from hilserver.arrays import Array
 
-SHORTEST: Final = 1e-100  # length of a column that shows nowhere
-DAMPING: Final = 1e-9  # keeps a Gram matrix invertible and moves no digit that is reported
+SHORTEST: Final = 1e-100  # length of a column without any effect
+DAMPING: Final = 1e-9  # keeps a Gram matrix invertible and changes no reported digit
 
 
 def scaled(columns: Array) -> tuple[Array, Array]:
-    """Return columns of length one and their lengths; a column of zeros stays one."""
+    """Return columns of unit length and their lengths; a column of zeros stays zero."""
     length = np.maximum(np.sqrt((columns**2).sum(axis=0)), SHORTEST)
     return columns / length, length
 
 
 def basis(columns: Array) -> Array:
-    """Return an orthonormal basis of columns; of none, an empty one."""
+    """Return an orthonormal basis of columns; an empty one without any."""
     return np.linalg.qr(scaled(columns)[0])[0] if columns.shape[1] else columns
 
 
@@ -47,7 +47,7 @@ def saved(columns: Array, target: Array, damping: float) -> float:
 
 
 def cosine(one: Array, other: Array) -> float:
-    """Return the |cos| between two vectors; 0 where one is zero."""
+    """Return the |cos| between two vectors; 0 if one is zero."""
     length = float(np.sqrt((one @ one) * (other @ other)))
     return abs(float(one @ other)) / length if length > 0.0 else 0.0
 
@@ -59,7 +59,7 @@ def inverse_gram(columns: Array) -> Array:
 
 
 def sandwich(columns: Array, sums: Array) -> Array:
-    """Return the covariance of coefficients by the scatter of what independent blocks say.
+    """Return the covariance of coefficients from the scatter between independent blocks.
 
     Parameters
     ----------
@@ -72,20 +72,20 @@ def sandwich(columns: Array, sums: Array) -> Array:
 
 
 def covariance(columns: Array, sums: Array, blocks: int, level: float) -> Array:
-    """Return the covariance of coefficients: the sandwich, or white noise where that is larger.
+    """Return the covariance of coefficients: the sandwich, or white noise if that is larger.
 
     Parameters
     ----------
     sums : ndarray
         See `sandwich`.
     blocks : int
-        Those that say something.
+        Number of blocks with information.
     level : float
         Variance of the residual; less than one counts as one.
     """
     robust = sandwich(columns, sums) * (blocks / (blocks - columns.shape[1]))
     naive = np.diag(inverse_gram(columns)) * max(level, 1.0)
-    exact = np.diag(robust) < 1e-12 * naive  # a fit that leaves nothing has no scatter
+    exact = np.diag(robust) < 1e-12 * naive  # a fit without any residual has no scatter
     robust[exact, exact] = naive[exact]
     growth = np.sqrt(np.maximum(naive / np.diag(robust), 1.0))
     return np.asarray(robust * np.outer(growth, growth))

@@ -1,7 +1,7 @@
 """One stage as a regression: whitened residuals, free initial poses projected out.
 
 Everything that judges a cause works on this: the deviance (sum of squares of the whitened
-residuals, in expectation one per sample), its share of every block, and columns of sensitivities
+residuals, in expectation one per sample), each block's share of it, and columns of sensitivities
 that went through the same whitening and projection.
 """
 
@@ -27,13 +27,13 @@ from hilserver.measured.channels import POSITION
 
 T = TypeVar("T")
 _Kept = deque[tuple[tuple[object, ...], Any]]
-POINTS_KEPT: Final = 4  # that bases are remembered of: each is as large as three predictions
-PREDICTIONS_KEPT: Final = 14  # a step at a border, or one tried once more, asks for them again
+POINTS_KEPT: Final = 4  # whose bases are kept: each is as large as three predictions
+PREDICTIONS_KEPT: Final = 14  # a step at a bound, or one tried again, needs them again
 
 
 @dataclass(frozen=True)
 class Point:
-    """A model with its poses and what it leaves."""
+    """A model with its poses and its residuals."""
 
     model: Model
     poses: Array  # shape (segments, 3)
@@ -59,11 +59,11 @@ class Problem:
     """A stage with its noise model."""
 
     stage: Stage
-    # by channel; estimated again it is another one
+    # by channel; replaced, never modified, when estimated again
     noise: Mapping[str, NoiseModel] = field(default_factory=dict)
-    # shape (n,): 1, or 0 for outliers; likewise
+    # shape (n,): 1, or 0 for outliers; also replaced
     weights: Array = field(default_factory=lambda: np.zeros(0))
-    # the drive hunts in a way that no replay can follow: what it leaves is noise
+    # the drive hunts in a way that no replay can follow: the residual counts as noise
     ripples: bool = False
 
     def __post_init__(self) -> None:
@@ -88,11 +88,11 @@ class Problem:
 
     @property
     def is_short(self) -> bool:
-        """Whether slow noise would look like what a model misses: none is learned from a model."""
+        """Whether slow noise would look like a misfit, so that no noise is learned from a model."""
         return self.stage.segments.longest_s < NOISE_TAU_MAX_S
 
     def under(self, noise: Mapping[str, NoiseModel], weights: Array) -> "Problem":
-        """Return the same stage under another noise."""
+        """Return the same stage with another noise."""
         return replace(self, noise=noise, weights=weights)
 
     # --- predictions ------------------------------------------------------------------------------
@@ -111,7 +111,7 @@ class Problem:
         return exact
 
     def forget(self) -> None:
-        """Let go of what is kept for the next steps of a search; there is none."""
+        """Drop what is kept for the next steps of a search, as there are none."""
         for kept in (self._shown, self._bases, self._known, self._white, self._left):
             kept.clear()
 
@@ -120,7 +120,7 @@ class Problem:
         return self.stage.difference(self.stack.values, predicted)
 
     def start_poses(self, terms: Mapping[str, float]) -> Array:
-        """Return first guesses of the initial poses; none where there are none."""
+        """Return first guesses of the initial poses, if there are any."""
         return self.stage.start_poses(terms)
 
     def nuisance(self, predicted: Array, poses: Array) -> Array | None:
@@ -143,7 +143,7 @@ class Problem:
         return None if nuisance is None else self._poses.bases(self.whiten(nuisance))
 
     def bases_at(self, point: Point) -> Bases | None:
-        """Return those of a point, under the present noise; of the last points, once."""
+        """Return the bases at a point, under the current noise; cached for the last points."""
         return _once(
             self._bases,
             (point, self.noise, self.weights),
@@ -151,7 +151,7 @@ class Problem:
         )
 
     def project(self, white: Array, bases: Bases | None) -> Array:
-        """Take the free initial poses out of whitened columns."""
+        """Project the free initial poses out of whitened columns."""
         return white if bases is None else bases.project(white)
 
     # --- points -----------------------------------------------------------------------------------
@@ -174,10 +174,10 @@ class Problem:
         return point
 
     def columns(self, point: Point, model: Model, which: Sequence[int] | None = None) -> Array:
-        """Return the raw sensitivities of the parameters of a model, all or some: shape (n, k)."""
+        """Return the raw sensitivities of a model's parameters, all or some, shape (n, k)."""
         theta, step = model.theta(), np.array([s for f in model.fitted for s in f.candidate.step])
         low, high = model.borders()
-        # beyond its border a parameter may be none that the plant accepts
+        # beyond its bound a parameter may be one that the plant does not accept
         step = np.where((theta + step < low) | (theta + step > high), -step, step)
         which = range(len(theta)) if which is None else which
         base = point.predicted
@@ -191,20 +191,20 @@ class Problem:
         return out
 
     def own_columns(self, point: Point) -> Array:
-        """Return the raw sensitivities of a point's own parameters; of the last points, once."""
+        """Return the raw sensitivities of a point's own parameters; cached for the last points."""
         return _once(self._known, (point,), lambda: self.columns(point, point.model))
 
     def own_white(self, point: Point) -> Array:
-        """Return these whitened; of the last points, once."""
+        """Return the same, whitened; cached for the last points."""
         key = (point, self.noise, self.weights)
         return _once(self._white, key, lambda: self.whiten(self.own_columns(point)))
 
     def shown(self, point: Point, columns: Array) -> Array:
-        """Return raw columns as they show at a point: whitened, initial poses projected out."""
+        """Return the effect of raw columns at a point: whitened, initial poses projected out."""
         return self.project(self.whiten(columns), self.bases_at(point))
 
     def accepted(self, point: Point) -> Array | None:
-        """Return whitened, projected sensitivities of a model's own parameters; likewise."""
+        """Return whitened, projected sensitivities of a model's own parameters; also cached."""
         if not point.model.fitted:
             return None
         key = (point, self.noise, self.weights)
@@ -212,7 +212,7 @@ class Problem:
         return _once(self._left, key, lambda: self.project(self.own_white(point), bases))
 
     def effect(self, point: Point, index: int) -> Array:
-        """Return what a point's cause changes, whitened and projected, shape (n,)."""
+        """Return the effect of a point's cause, whitened and projected, shape (n,)."""
         without = self.predict(point.model.without(index).terms, point.poses)
         return self.shown(point, self.stage.difference(point.predicted, without))
 
@@ -253,7 +253,7 @@ class Problem:
             self.weights = weights
 
     def _noise_of(self, name: str, raw: Array) -> NoiseModel:
-        """Return the noise of a channel; what stands at a limit does not show any."""
+        """Return the noise of a channel; readings at a limit do not show any."""
         stack, reading, parts = self.stack, self.readings[name], []
         exact = stack.values - raw
         for part in (part for n, _, part in self._runs if n == name):
@@ -268,7 +268,7 @@ class Problem:
         found, rounding = plain_noise(residuals) or fit_noise(residuals), reading.step / 12.0**0.5
         if found.sd >= rounding:
             return found
-        # what stands still shows one value; no reading is truer than its rounding
+        # at standstill there is one value; no reading is more exact than its rounding
         return noise_of_readings(readings, reading) or NoiseModel(rounding)
 
     def _estimate_short_noise(self, raw: Array) -> None:
@@ -282,7 +282,7 @@ class Problem:
 
 
 def _once(kept: _Kept, key: tuple[object, ...], compute: Callable[[], T]) -> T:
-    """Return what was computed of the same objects lately, or compute it; nobody changes it."""
+    """Return what was recently computed from the same objects, or compute it; read-only."""
     for known, found in list(kept):
         if all(a is b for a, b in zip(known, key, strict=True)):
             return cast("T", found)

@@ -1,16 +1,16 @@
-"""Which causes the residuals indicate: a score test that holds whatever the noise.
+"""Which causes the residuals indicate: a score test that is valid for any noise.
 
-For every block of the log and every direction the efficient score is taken. Their sum is compared
-with the scatter of the blocks about the fitted effect, or with what the noise model says if that is
-more. Under "no effect" the sign of what a block leaves is a coin's, so all directions are tested
+For every block of the log and every direction the efficient score is computed. Their sum is
+compared with the scatter of the blocks about the fitted effect, or with the noise model if that is
+larger. Under "no effect" the sign of a block's residual is random, so all directions are tested
 together by flipping signs of whole blocks, fitting each flip anew for the same statistic, and
 taking its maximum over the directions (Westfall and Young 1993; wild bootstrap of clusters): the
 family-wise error holds whatever the correlation between directions, and between samples of a block.
-What a block leaves is flipped, not its score: otherwise a strong effect would hide a weaker one.
+A block's residual is flipped, not its score: otherwise a strong effect would hide a weaker one.
 
-A direction that shows in three or four blocks alone has a scatter that is hardly known, and its t
-the long tails of Student's law. One such direction would set the critical value for all others, so
-every t is given as the normal deviation of equal probability.
+If a direction shows in only three or four blocks, its scatter is hardly known, and its t has the
+long tails of Student's law. One such direction would set the critical value for all others, so
+every t is given as the normal deviate of equal probability.
 """
 
 import math
@@ -27,8 +27,8 @@ from hilserver.compiled import kernel
 from hilserver.diagnosis.thresholds import SCREEN_LEVEL
 
 Real = NDArray[Any]  # of 32 or 64 bits
-LEAST_FREEDOM: Final = 0.5  # degrees of freedom of what shows in a single block
-FLIPS: Final = 4999  # draws of the blocks' signs; p is no smaller than one by so many
+LEAST_FREEDOM: Final = 0.5  # degrees of freedom of a direction that shows in a single block
+FLIPS: Final = 4999  # draws of the blocks' signs; p is at least about one over this number
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Scores:
 
     blocks: Array  # shape (blocks, k): efficient score of each block
     own: Array  # shape (blocks, k): sum of squares of the efficient column over each block
-    t: Array  # shape (k,): sum of the scores by its deviation, as a normal deviation
+    t: Array  # shape (k,): sum of the scores over its deviation, as a normal deviate
     deviation: Array  # shape (k,)
     freedom: Array  # shape (k,): degrees of freedom of the deviation: blocks that count, less one
     information: Array  # shape (k,): sum of squares of the efficient column
@@ -46,13 +46,13 @@ class Scores:
 
 
 def normal(t: Array, freedom: Array) -> Array:
-    """Return the normal deviation as probable as Student's t (Wallace 1959); it keeps its sign."""
+    """Return the normal deviate as probable as Student's t (Wallace 1959), with the same sign."""
     scale = (8.0 * freedom + 1.0) / (8.0 * freedom + 3.0)
     return np.asarray(np.sign(t) * scale * np.sqrt(freedom * np.log1p(t**2 / freedom)))
 
 
 def student(z: Array | float, freedom: Array) -> Array:
-    """Return the t whose normal deviation is z: the inverse of `normal`."""
+    """Return the t whose normal deviate is z: the inverse of `normal`."""
     scale = (8.0 * freedom + 1.0) / (8.0 * freedom + 3.0)
     return np.asarray(np.sqrt(freedom * np.expm1(np.minimum((z / scale) ** 2 / freedom, 300.0))))
 
@@ -65,7 +65,7 @@ def freedom_of(own: Array) -> Array:
     own : ndarray, shape (blocks, k)
         Information of each block.
     """
-    own = own.astype(np.float64)  # in 32 bits the squares of small ones would vanish
+    own = own.astype(np.float64)  # squares of small ones would underflow in 32 bits
     total, squares = own.sum(axis=0), (own**2).sum(axis=0)
     return np.asarray(np.maximum(total**2 / np.maximum(squares, 1e-300) - 1.0, LEAST_FREEDOM))
 
@@ -108,15 +108,15 @@ def score(
     accepted: Real | None = None,
     squares: Real | None = None,
 ) -> Scores:
-    """Score directions against a whitened residual; all arrays in the order of the blocks.
+    """Score directions against a whitened residual; all arrays are in the order of the blocks.
 
     The accepted causes' columns are projected out of the directions (efficient score); what is left
-    of a direction inside them is rounding and no evidence.
+    of a direction within their span is rounding, not evidence.
 
     Parameters
     ----------
     squares : ndarray, shape (blocks, k), optional
-        `Blocks.squares` of the directions, where they are known.
+        `Blocks.squares` of the directions, if known.
     """
     own = blocks.squares(columns) if squares is None else squares
     whole = own.sum(axis=0)
@@ -174,14 +174,14 @@ def null_maxima(scores: Sequence[Scores], rng: np.random.Generator, flips: int =
 def raise_maxima(
     total: Any, cross: Any, left: Any, square: Any, information: Any, freedom: Any, largest: Any
 ) -> None:
-    """Raise the largest normal deviation of every flip to that of the directions.
+    """Raise the largest normal deviate of every flip to that of the directions.
 
     Parameters
     ----------
     total, cross : ndarray, shape (flips, k)
-        Sums over the flipped blocks of what they leave, and of that times their information.
+        Sums over the flipped blocks of their residual scores, and of these times their information.
     left, square : ndarray, shape (k,)
-        Sums of squares over the blocks: of what they leave, of their information.
+        Sums of squares over the blocks: of the residual scores, and of their information.
     """
     flips, k = total.shape
     scale = (8.0 * freedom + 1.0) / (8.0 * freedom + 3.0)
@@ -191,7 +191,7 @@ def raise_maxima(
             scatter = left[j] - 2.0 * size * cross[f, j] + size * size * square[j]
             t = abs(total[f, j]) / math.sqrt(max(scatter, information[j]))
             if scale[j] * t <= largest[f]:
-                continue  # its normal deviation is smaller still
+                continue  # its normal deviate is even smaller
             z = scale[j] * math.sqrt(freedom[j] * math.log1p(t * t / freedom[j]))
             largest[f] = max(largest[f], z)
 

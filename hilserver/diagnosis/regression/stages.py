@@ -1,4 +1,4 @@
-"""Makes the regressions of a log: which stages it has, their noise, and all columns."""
+"""Builds the regressions of a log: its stages, their noise, and all columns."""
 
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -32,7 +32,7 @@ class Prepared:
     problem: Problem
     library: Library
     base: Point
-    # step that the wheel speeds come in, large enough to keep the loop from coming to rest
+    # step in which the wheel speeds come, large enough to keep the loop from coming to rest
     coarse_rpm: float | None = None
 
 
@@ -47,7 +47,7 @@ def stages_of(
     jobs: int = 1,
     drive_terms: Mapping[str, float] = MappingProxyType({}),
 ) -> dict[str, Stage]:
-    """Return the stages that a log has the channels for; their runs may use so many threads.
+    """Return the stages that a log has the channels for; each may run in `jobs` threads.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def prepare_all(
     Parameters
     ----------
     lost_setpoints : bool
-        The recording does not hold the set-points that the machine got.
+        The recording does not hold the set-points that the machine received.
     """
     prepared: dict[str, Prepared] = {}
     reasons: dict[str, str] = {}
@@ -122,10 +122,10 @@ def prepare(
 
 
 def without(p: Prepared, half: int) -> Prepared | None:
-    """Return a stage that has never seen one half of its blocks; None where nothing is left.
+    """Return a stage that has never seen one half of its blocks; None if nothing is left.
 
-    Only what the plant does to the columns is the same: noise and all that depends on it are
-    estimated again.
+    Only the plant's part of the columns is kept: noise, and all that depends on it, is estimated
+    again.
     """
     p.problem.forget()
     stack, rows = p.problem.stack.without(half)
@@ -153,9 +153,9 @@ def _ready(problem: Problem, library: Library, base: Point, coarse_rpm: float | 
 
 
 def _coarse(problem: Problem, base: Point) -> float | None:
-    """Return the step of coarse wheel speeds where the replay of smooth ones misses grossly.
+    """Return the step of coarse wheel speeds if the replay of smooth ones misses grossly.
 
-    A loop on a coarse speed hunts about its set-point, and no replay hunts in step with it for
+    A loop on a coarse speed hunts about its set-point, and no replay stays in step with it for
     long: the measured values themselves show the step, and the ripple counts as noise.
     """
     names = [n for n in SPEEDS if n in problem.stack.edges]
@@ -172,9 +172,9 @@ def _coarse(problem: Problem, base: Point) -> float | None:
 
 
 def _answered(problem: Problem, base: Point, step_rpm: float) -> bool:
-    """Return whether the duties answer every step of the speeds, as those of a coarse loop do.
+    """Return whether the duties respond to every step of the speeds, as in a loop on coarse ones.
 
-    The steps of rounded readings are those of the log alone.
+    If readings are only rounded, the steps exist in the log alone.
     """
     stack = problem.stack
     edges = [stack.edges[n] for n in DUTIES if n in stack.edges]
@@ -192,8 +192,8 @@ def _answered(problem: Problem, base: Point, step_rpm: float) -> bool:
 def clean(problem: Problem, library: Library, point: Point) -> None:
     """Estimate the noise from what no cause at all can explain, so that no effect hides in it.
 
-    Of few short segments a hundred columns would explain the noise as well: what they explain is
-    taken from the other half.
+    With few short segments, a hundred columns would explain the noise as well: there what they
+    explain is taken from the other half.
     """
     library.rewhiten(point)
     if problem.is_short:
@@ -210,7 +210,7 @@ def clean(problem: Problem, library: Library, point: Point) -> None:
 
 
 def of_the_other_half(problem: Problem, library: Library, point: Point) -> Array:
-    """Return what all causes explain of each fold with the coefficients of the other."""
+    """Return what all causes explain of each fold, with coefficients from the other fold."""
     fold = problem.stack.fold[problem.stack.block]
     out = np.zeros(len(fold))
     for test in (0, 1):
