@@ -1,4 +1,4 @@
-"""When what a link reads reached this computer; we may have stood until it was read."""
+"""When data that a link reads arrived at this computer; we may have stood still meanwhile."""
 
 import socket
 import sys
@@ -9,16 +9,16 @@ WATCH_S: Final = 0.02
 WATCH_NS: Final = round(WATCH_S * 1e9)
 LEFT_OVER_NS: Final = 100_000_000
 LEFT_OVER_SHARE: Final = 10
-"""So long after a standstill of ours, or this part of it, what is read may be as old as that."""
+"""Time after a standstill, at least or as a share of it, in which data may be as old as it."""
 _LENGTH: Final = 56
 _LAST_RECEIVED: Final = slice(52, 56)  # tcpi_last_data_recv [ms]
-_GRAIN_MS: Final = 10  # the kernel counts in its own ticks, of up to so much
+_GRAIN_MS: Final = 10  # the longest tick in which the kernel counts
 
 
 def came_ns(connection: Any) -> int:
     """Return when the newest data of a TCP connection came in (CLOCK_MONOTONIC).
 
-    Now, where the kernel does not say: other kinds of sockets, or one that is closed.
+    Now, if the kernel does not report it: other kinds of sockets, or a closed one.
     """
     now_ns = time.monotonic_ns()
     try:
@@ -30,10 +30,10 @@ def came_ns(connection: Any) -> int:
 
 
 class Arrivals:
-    """Dates what is read where nobody says when it came, which is now but behind a standstill.
+    """Dates data that has no time of arrival: now, except after a standstill of ours.
 
-    Then it may be as old as that, and whoever has sent it gone. `limit_ns`: a standstill that a
-    command does not survive. `left_over_ns`: how long it takes at least until all is read.
+    After one it may be as old as the standstill, and its sender gone. `limit_ns`: standstill that a
+    command does not survive. `left_over_ns`: least time until all that waited has been read.
     """
 
     def __init__(self, limit_ns: int, left_over_ns: int = LEFT_OVER_NS) -> None:
@@ -41,12 +41,12 @@ class Arrivals:
         self._looked_ns = self._stood_since_ns = self._left_over_until_ns = 0  # 0: not yet
 
     def came_ns(self, now_ns: int) -> int:
-        """Return when what is read now came in."""
+        """Return when the data that is read now came in."""
         self._note_standstill(now_ns)
         return self._stood_since_ns if now_ns < self._left_over_until_ns else now_ns
 
     def look(self, now_ns: int) -> None:
-        """Note that we do not stand; called every `WATCH_S`."""
+        """Note that we are running; called every `WATCH_S`."""
         self._note_standstill(now_ns)
         self._looked_ns = now_ns
 

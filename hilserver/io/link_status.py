@@ -1,6 +1,6 @@
-"""What is known about who is at the other end of a link, and what is wrong with it.
+"""What is known about the other end of a link, and what is wrong with it.
 
-Filled by the link, read by all who show it. A fault is reported when it begins and ends.
+Filled by the link, read by everything that shows it. A fault is reported at its begin and end.
 """
 
 from collections import Counter
@@ -25,16 +25,16 @@ class LinkState(StrEnum):
 
 @dataclass(slots=True)
 class PeerStatus:
-    """Everything observed on the link to one peer; durations unknown so far are ``None``."""
+    """Everything observed on the link to one peer; durations not known yet are ``None``."""
 
     # as configured
     name: str
     endpoint: str = ""
     connected: bool = False  # a session exists and its heartbeat was answered
     state: LinkState = LinkState.STOPPED  # where the connection stands
-    mode: str = ""  # how values come in now: ``subscribe``, ``poll`` or empty while not connected
+    mode: str = ""  # how values come in: ``subscribe``, ``poll``; empty while not connected
     mode_reason: str = ""  # why this mode, in words
-    stale: bool = True  # inputs are older than `stale_after_ms`, or nothing has come from the peer
+    stale: bool = True  # inputs are older than `stale_after_ms`, or none has come yet
     last_connect_ns: int | None = None  # CLOCK_MONOTONIC [ns] of the newest session
     reconnects: int = 0  # sessions after the first one
     failed_attempts: int = 0  # attempts to connect that did not end in a session
@@ -52,7 +52,7 @@ class PeerStatus:
     # sequence numbers that arrived, and that were left out between arrivals
     sequence_received: int = 0
     sequence_missed: int = 0
-    polls_skipped: int = 0  # polls left out because the previous one was under way
+    polls_skipped: int = 0  # polls left out as the previous one was under way
     # multi-write calls answered, and cycles left out because the previous one was under way
     writes: int = 0
     writes_skipped: int = 0
@@ -65,7 +65,7 @@ class PeerStatus:
 
     @property
     def figures(self) -> dict[str, float | str | bool | int | None]:
-        """What OPC UA shows of this kind of link alone."""
+        """Figures that OPC UA shows for this kind of link only."""
         return {}
 
     def input_age_s(self, now_ns: int) -> float | None:
@@ -75,7 +75,7 @@ class PeerStatus:
         return (now_ns - min(self.input_received_ns.values())) * 1e-9
 
 
-HOLD_NS = 5_000_000_000  # a fault that was not seen again for so long has ended
+HOLD_NS = 5_000_000_000  # a fault not seen for so long has ended
 
 FAULTS_MAX = 64  # more different faults than this are counted but not listed
 
@@ -83,7 +83,7 @@ _log = structlog.get_logger(__name__)
 
 
 class FaultBook:
-    """Keeps `PeerStatus.faults`; a fault that flickers is one fault."""
+    """Keeps `PeerStatus.faults`; an intermittent fault counts as one."""
 
     def __init__(self, status: PeerStatus, publish: Callable[[Event], None]) -> None:
         self._status = status
@@ -106,7 +106,7 @@ class FaultBook:
         self._publish(Event(EventKind.PEER_FAULT, 500, self._status.name, message, now_ns))
 
     def refuse(self, kind: StrEnum, subject: str, sentence: str, now_ns: int) -> None:
-        """Note why there is no session; lasts until `admit` or another reason, however long."""
+        """Note why there is no session; kept until `admit` or another reason."""
         key = f"{kind}:{subject}"
         if key != self._refusal:
             self.admit()
@@ -114,7 +114,7 @@ class FaultBook:
         self._refusal = key if key in self._seen_ns else None
 
     def admit(self) -> None:
-        """End the reason why there was no session."""
+        """Remove the reason why there was no session."""
         if self._refusal is not None:
             self._end(self._refusal)
         self._refusal = None

@@ -1,4 +1,4 @@
-"""The way in of a link: groups of values to the gate, what is wrong with them, silence."""
+"""Input side of a link: groups of values to the gate, what is wrong with them, silence."""
 
 import asyncio
 from collections.abc import Callable, Collection, Iterable, Mapping
@@ -13,7 +13,7 @@ from hilserver.io.arrival import WATCH_S, Arrivals
 from hilserver.io.link_status import FaultBook, PeerStatus
 
 OFFERED_AGAIN: Final = frozenset({Refusal.NOT_IN_CONTROL, Refusal.QUEUE_FULL, Refusal.OUTDATED})
-"""Reasons that are not the value's: the next group may be accepted as it is."""
+"""Reasons that do not lie in the value: the next group may be accepted unchanged."""
 
 
 class WrongValue(StrEnum):
@@ -23,23 +23,23 @@ class WrongValue(StrEnum):
 
 
 class Outcome(NamedTuple):
-    """What came of a group: all that was refused, and what is wrong whoever has control."""
+    """Result of a group: all refusals, and those that do not depend on who has control."""
 
     refused: Mapping[str, Refusal]
     wrong: Mapping[str, Refusal]
 
 
 async def keep_watch(look: Callable[[], object]) -> None:
-    """Look every `WATCH_S` of real time, whatever the speed of the simulated one."""
+    """Call `look` every `WATCH_S` of real time, whatever the speed of simulated time."""
     while True:
         look()
         await asyncio.sleep(WATCH_S)
 
 
 class Source:
-    """Hands over what one link brings; says once, each time it begins and ends, what it lacks.
+    """Hands over the values of one link; reports once when something is wrong and when it ends.
 
-    `is_exact`: the time with which a write comes is known to be when it came in.
+    `is_exact`: the time given with a write is known to be that of its arrival.
     """
 
     def __init__(
@@ -60,10 +60,10 @@ class Source:
         self._label, self._gate, self._publish = label, gate, publish
         self._on_stale, self._fresh = driver.on_stale, fresh
         self._arrivals, self._is_exact = Arrivals(self.staleness.limit_ns), is_exact
-        self._has_written = False  # a first command that lapses at once would stop the start
+        self._has_written = False  # if the first command lapsed at once, nothing could start
 
     def came_ns(self, now_ns: int) -> int:
-        """Return when what is read now came in."""
+        """Return when the data that is read now came in."""
         came_ns = self._arrivals.came_ns(now_ns)
         return now_ns if self._is_exact or not self._has_written else came_ns
 
@@ -95,7 +95,7 @@ class Source:
         return Outcome(refused, wrong)
 
     def expect(self, names: Iterable[str]) -> None:
-        """Have signals wait for their first value."""
+        """Mark signals as waiting for their first value."""
         self._gate.expect(self.name, names)
 
     def watch(self, now_ns: int) -> Transition | None:

@@ -1,4 +1,4 @@
-"""A part of the daemon, a server or a link to somebody else, and what it needs of the robot."""
+"""A part of the daemon, a server or a link, and what it needs of the robot."""
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -22,31 +22,31 @@ from hilserver.signals import SignalTable
 
 
 class Part:
-    """What the daemon starts, shows and stops; a link overrides what it has."""
+    """Started, shown and stopped by the daemon; a link overrides what applies to it."""
 
     section: str  # of the configuration; complaints name it
-    label: str  # what people call it
+    label: str  # name for people
     is_early = False  # starts before the first tick
-    # what is known about who is at the other end; OPC UA, page and metrics show it
+    # what is known about the other end; OPC UA, page and metrics show it
     status: PeerStatus | None = None
-    metrics: Sequence[Source[Any]] = ()  # beside those of every status
+    metrics: Sequence[Source[Any]] = ()  # in addition to those of every status
 
     @property
     def address(self) -> str:
-        """Where it is reached, or whom it reaches: its line of the banner."""
+        """Where it listens, or what it connects to: its line of the banner."""
         return ""
 
     async def start(self) -> None:
-        """Begin; who is at the other end may come later."""
+        """Start; the other end may appear later."""
 
     async def stop(self) -> None:
-        """End, also a start that was not completed."""
+        """Stop, also after a start that was not completed."""
 
     def publish(self, frame: Frame) -> object:
         """Show a frame; called by the publish slice, which does not wait."""
 
     def supervise(self) -> None:
-        """Look after what has no event of its own; called by the supervise slice."""
+        """Check what raises no event itself; called by the supervise slice."""
 
 
 Figure = float | str | bool | int | None
@@ -56,7 +56,7 @@ Provider = Callable[[], Table]
 
 @dataclass(frozen=True)
 class World:
-    """The robot and its daemon, as links see them."""
+    """The robot and its daemon, for links."""
 
     config: Config
     folder: Path  # relative paths of the configuration start from it
@@ -75,10 +75,10 @@ class World:
     shape: Shape
     hall: Any  # float64, shape (n, 4); walls [m]
     period_ns: int
-    pacing_thread: Callable[[], int]  # the system's number of it; 0 in virtual time
+    pacing_thread: Callable[[], int]  # its thread id in the system; 0 in virtual time
     # the robot as URDF, with a prefix before the names of frames and joints
     description: Callable[[str], str]
     # value, status and planned start [ns] of a signal in the newest frame
     read_output: Callable[[str], tuple[Any, int, int]]
-    tables: Mapping[str, Provider]  # figures that are no signals: "slices", "peers" and "audit"
-    files: Any  # starts and stops what has the name of a file
+    tables: Mapping[str, Provider]  # figures besides signals: "slices", "peers" and "audit"
+    files: Any  # starts and stops what is named by a file

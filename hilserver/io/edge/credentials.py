@@ -1,4 +1,4 @@
-"""The files with which the databus lets us in: a password, certificates and a key."""
+"""The files that give access to the databus: a password, certificates and a key."""
 
 import ssl
 from pathlib import Path
@@ -9,7 +9,7 @@ from hilserver.small_file import read_small
 
 
 class _Socket(ssl.SSLSocket):
-    """One that is closed when its handshake fails; the client library would forget it open."""
+    """Closes itself when its handshake fails; the client library would leave it open."""
 
     def do_handshake(self, block: bool = False) -> None:
         try:
@@ -20,7 +20,7 @@ class _Socket(ssl.SSLSocket):
 
 
 def credentials(config: EdgeConfig, folder: Path) -> tuple[str | None, ssl.SSLContext | None]:
-    """Return password and encryption, None without.
+    """Return password and encryption, None if not configured.
 
     ConfigError if a file of the section cannot be read or used.
     """

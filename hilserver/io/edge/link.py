@@ -1,6 +1,6 @@
 """Connects the databus with the robot: groups at their rates, writes through the gate.
 
-While the broker is away nothing piles up: of every group only the newest frame waits.
+While the broker is away nothing piles up: only the newest frame of each group waits.
 """
 
 import asyncio
@@ -27,7 +27,7 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 10.0
 ANSWER_S: Final = 5.0
 LEAVE_S, DISCONNECT_S = 0.3, 0.1
 KEEPALIVE_S: Final = 10
-EARLY_NS: Final = 2_000_000  # a frame that comes so much before a group is due is taken for it
+EARLY_NS: Final = 2_000_000  # a frame this early counts as the one that is due
 PROTOCOLS: Final = {"3.1.1": aiomqtt.ProtocolVersion.V311, "5": aiomqtt.ProtocolVersion.V5}
 
 _log = structlog.get_logger(__name__)
@@ -44,12 +44,12 @@ class EdgeLink(Part):
     """One client of the broker for as long as the daemon runs."""
 
     section, label = "edge", "databus"
-    status: PeerStatus  # always up to date; `writes` counts the messages of values that went out
+    status: PeerStatus  # always up to date; `writes` counts messages with values sent
 
     def __init__(self, config: EdgeConfig, world: World) -> None:
         self._config, self._world = config, world
         self.status = PeerStatus("edge", f"mqtt://{config.host}:{config.port}", mode="mqtt")
-        self.status.stale = config.drives  # nobody is waited for where nobody may write
+        self.status.stale = config.drives  # without writers nothing is waited for
         self._source = Source(
             config.driver,
             "databus",
@@ -76,7 +76,7 @@ class EdgeLink(Part):
         return self.status.endpoint
 
     async def start(self) -> None:
-        """Connect, now and after every loss; ConfigError if a file cannot be used."""
+        """Connect, and again after every loss; ConfigError if a file cannot be used."""
         password, context = credentials(self._config, self._world.folder)
         self.status.state = LinkState.CONNECTING
         self._task = asyncio.create_task(self._stay_connected(password, context), name="edge")
@@ -84,7 +84,7 @@ class EdgeLink(Part):
             self._watching = asyncio.create_task(keep_watch(self._look), name="edge-watch")
 
     async def stop(self) -> None:
-        """Say that we leave, and disconnect; where that takes too long the last will says it."""
+        """Announce the end and disconnect; if that takes too long, the last will announces it."""
         if self._watching is not None:
             self._watching.cancel()
         try:
@@ -97,7 +97,7 @@ class EdgeLink(Part):
         self.status.connected, self.status.state = False, LinkState.STOPPED
 
     def publish(self, frame: Frame) -> None:
-        """Have those groups sent that are due; a newer frame takes the place of one that waits."""
+        """Send the groups that are due; a newer frame replaces one that waits."""
         for index, collection in enumerate(self._collections):
             if frame.planned_ns < self._due_ns[index] - EARLY_NS:
                 continue
@@ -108,7 +108,7 @@ class EdgeLink(Part):
             self._news.set()
 
     def _look(self) -> None:
-        """Judge the silence of those who write."""
+        """Check for silence of the writers."""
         self._source.watch(time.monotonic_ns())
 
     # --- the connection ---------------------------------------------------------------------------
@@ -133,9 +133,9 @@ class EdgeLink(Part):
             pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
 
     def _drop(self) -> None:
-        """Close the socket without a word, if it is open: the broker then publishes the last will.
+        """Close an open socket without a message: the broker then publishes the last will.
 
-        A disconnection in due form withdraws the will; an open socket lets the library answer.
+        A proper disconnection withdraws the will; over an open socket the library would answer.
         """
         if self._client is not None:
             self._client._client._sock_close()
@@ -157,7 +157,7 @@ class EdgeLink(Part):
         )
 
     async def _greet(self, client: aiomqtt.Client) -> None:
-        """Say that we are here, what there is, and what we take."""
+        """Publish birth message and metadata, and subscribe to writes."""
         await self._say(client, available=True)
         described = payload.metadata(self._config, self._collections, self._status_number)
         topic, qos = payload.metadata_topic(self._config), self._config.qos
@@ -242,10 +242,10 @@ class EdgeLink(Part):
 
 
 def _at_once(take: Callable[[aiomqtt.Message], None]) -> type[asyncio.Queue[Any]]:
-    """Return a queue that holds nothing: what comes is taken as it is read.
+    """Return a queue that holds nothing: each message is taken as it is read.
 
-    The socket is read one message at a time, between whatever else the event loop does; what comes
-    faster waits at the broker, and nothing is lost here.
+    The socket is read one message at a time, between other work of the event loop; a faster stream
+    waits at the broker, and nothing is lost here.
     """
 
     class AtOnce(asyncio.Queue[Any]):
@@ -256,6 +256,6 @@ def _at_once(take: Callable[[aiomqtt.Message], None]) -> type[asyncio.Queue[Any]
 
 
 async def _until_lost(client: aiomqtt.Client) -> None:
-    """Wait until the connection ends; MqttError then."""
+    """Wait until the connection ends, which raises MqttError."""
     async for _ in client.messages:
         pass

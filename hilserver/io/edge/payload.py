@@ -1,6 +1,6 @@
 """The common payload format of the Industrial Edge databus, version 1: topics and messages.
 
-Bytes in and out, no connection: what a message says is decided here.
+Bytes in and out, without a connection: the content of messages is defined here.
 """
 
 import json
@@ -28,7 +28,7 @@ DATA_TYPES: Final = {
     ValueType.INT64: "LInt",
 }
 BAD, UNCERTAIN, GOOD = 0, 1, 3  # quality; 3 is good and usable in control
-MOST_BYTES: Final = 65_536  # of a message that is looked at
+MOST_BYTES: Final = 65_536  # longest message that is read
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,11 @@ class Collection:
     group: EdgeGroup
     signals: tuple[Signal, ...]  # scalars; the slot of one is its id
     topic: str
-    write_topic: str  # empty if nothing is taken
+    write_topic: str  # empty if no writes are accepted
 
     @property
     def inputs(self) -> dict[str, Signal]:
-        """What may be written, by id."""
+        """Signals that may be written, by id."""
         writable = self.signals if self.write_topic else ()
         return {_id(signal): signal for signal in writable if signal.writable}
 
@@ -50,7 +50,7 @@ class Collection:
 def collections_of(config: EdgeConfig, table: SignalTable) -> list[Collection]:
     """Return the groups of a configuration with their signals.
 
-    ConfigError if a pattern fits no signal.
+    ConfigError if a pattern matches no signal.
     """
     scalars = [signal for signal in table.scalars if not signal.hidden]
     found = []
@@ -72,17 +72,17 @@ def collections_of(config: EdgeConfig, table: SignalTable) -> list[Collection]:
 
 
 def metadata_topic(config: EdgeConfig) -> str:
-    """Return where the metadata are, retained."""
+    """Return the topic of the metadata (retained)."""
     return f"ie/m/j/simatic/v1/{config.id}/dp"
 
 
 def status_topic(config: EdgeConfig) -> str:
-    """Return where the status is."""
+    """Return the topic of the status."""
     return f"ie/s/j/simatic/v1/{config.id}/status"
 
 
 def metadata(config: EdgeConfig, collections: Iterable[Collection], number: int) -> bytes:
-    """Return the message that describes everything else."""
+    """Return the message that describes all others."""
     points = [_described(collection) for collection in collections]
     connection = {"name": config.connection, "type": "hilserver", "dataPoints": points}
     return _json(
@@ -111,7 +111,7 @@ def _described(collection: Collection) -> dict[str, Any]:
 
 
 def _hash(points: object) -> int:
-    """Return a number that changes with the data points, and with nothing else."""
+    """Return a number that changes only if the data points change."""
     digest = 0
     for byte in _json(points):
         digest = (digest * 31 + byte) & 0x7FFF_FFFF
@@ -131,7 +131,7 @@ def status(config: EdgeConfig, number: int, utc_ns: int, *, available: bool) -> 
 
 
 def values(collection: Collection, frame: Frame, number: int, utc_ns: int) -> bytes:
-    """Return a group of one frame; `utc_ns` is when it was planned."""
+    """Return the values of a group in one frame; `utc_ns` is the frame's planned time."""
     timestamp = _timestamp(utc_ns)
     points = [
         {"id": _id(signal), "val": _value(signal, frame), "ts": timestamp, "qc": _quality(code)}
@@ -157,14 +157,14 @@ def _quality(code: int) -> int:
 
 
 def written(collection: Collection, data: bytes) -> Mapping[str, object]:
-    """Return what a message writes, by the names of the signals.
+    """Return the values that a message writes, by signal name.
 
-    ValueError in words if the message is no write of this group.
+    ValueError with a sentence if the message is not a write of this group.
     """
     if len(data) > MOST_BYTES:
         raise ValueError(f"{len(data)} bytes are more than a group has")
     try:
-        message = from_json(data)  # Python's own would recurse as deeply as a stranger nests
+        message = from_json(data)  # Python's own recurses as deep as a stranger's message nests
     except ValueError:
         raise ValueError("is no JSON") from None
     points = message.get("vals") if isinstance(message, dict) else None
@@ -182,7 +182,7 @@ def written(collection: Collection, data: bytes) -> Mapping[str, object]:
 
 
 def _number(signal: Signal, value: object) -> object:
-    """Return a number that came as text, as 64 bits do, as a number."""
+    """Return a number that came as text, the form of 64-bit integers, as a number."""
     if signal.type is ValueType.INT64 and isinstance(value, str):
         digits = value.removeprefix("-")
         if len(digits) <= 19 and digits.isascii() and digits.isdigit():

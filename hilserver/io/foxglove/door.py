@@ -1,8 +1,8 @@
 """The door before the SDK's server: which web pages may enter, and how much each may send.
 
-The SDK looks at no Origin and takes whatever arrives as fast as it comes. It listens
-at a loopback address that is drawn at random, where no web page finds it; what comes to our
-address is looked at here and handed on.
+The SDK does not check the Origin and has no limit of rate. It therefore listens at a random
+loopback address, which no web page can find; what comes to our address is checked here and
+handed on.
 """
 
 import asyncio
@@ -31,7 +31,7 @@ def hidden_host() -> str:
 
 
 class Door:
-    """Listens for viewers and connects those who may enter with the server behind."""
+    """Listens for viewers and connects those that may enter with the server behind it."""
 
     def __init__(self, origins: Sequence[str]) -> None:
         self._origins = frozenset(origin.rstrip("/").lower() for origin in origins)
@@ -41,7 +41,7 @@ class Door:
 
     @property
     def port(self) -> int:
-        """Where it listens."""
+        """The port that it listens on."""
         return int(self._server.sockets[0].getsockname()[1]) if self._server else 0
 
     async def open(self, host: str, port: int, behind: tuple[str, int]) -> None:
@@ -50,7 +50,7 @@ class Door:
         self._server = await asyncio.start_server(self._enter, host, port, limit=HEAD_BYTES)
 
     async def close(self) -> None:
-        """Let nobody in any more, and end all connections."""
+        """Accept no more viewers, and end all connections."""
         if self._server is not None:
             self._server.close()
         await event_loop.end(*self._open)
@@ -67,7 +67,7 @@ class Door:
         try:
             await self._serve(reader, writer)
         except (OSError, EOFError, ValueError, TimeoutError, asyncio.LimitOverrunError):
-            pass  # it has left, or is no viewer
+            pass  # it has left, or is not a viewer
         finally:
             writer.transport.abort()
 
@@ -104,14 +104,14 @@ async def _first_to_end(ways: Sequence[Awaitable[None]]) -> None:
 
 
 async def _shown(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    """Hand on what the viewer sees; the SDK drops frames that it does not take."""
+    """Forward data to the viewer; the SDK drops frames that the viewer does not take."""
     while data := await reader.read(PIECE_BYTES):
         writer.write(data)
         await writer.drain()
 
 
 async def _sent(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    """Hand on what the viewer sends, not faster than its share, and no message that is too long."""
+    """Forward data of the viewer, no faster than its share, without messages that are too long."""
     is_allowed, loop = _short_messages(), asyncio.get_running_loop()
     free_s = loop.time()
     while data := await reader.read(PIECE_BYTES):

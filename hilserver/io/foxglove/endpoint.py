@@ -1,7 +1,7 @@
-"""Serves viewers: signals as they stand in recordings, transforms, the hall; takes set-points.
+"""Serves viewers: signals in the form of recordings, transforms, the hall; takes set-points.
 
-What a viewer publishes comes in as source ``page:foxglove``: it drives while ``page`` has control,
-and the dead-man of the page ends what is not renewed.
+Values that a viewer publishes have the source ``page:foxglove``: they drive while ``page`` has
+control, and the dead-man of the page ends those that are not renewed.
 """
 
 import asyncio
@@ -37,7 +37,7 @@ SET: Final = "/hilserver/set"
 SCENE_EVERY_S: Final = 5.0
 MOST_WAITING: Final = 100
 TAKE_EVERY_S: Final = 0.005
-HANDED_OVER_NS: Final = 1_000_000_000  # after a standstill, what came is in the inbox by then
+HANDED_OVER_NS: Final = 1_000_000_000  # after a standstill, all that waited is in the inbox then
 _SIGNALS: Final = TypeAdapter(dict[str, Any])
 
 
@@ -47,7 +47,7 @@ class _Vector(BaseModel):
 
 
 class _Twist(BaseModel):
-    """Message ``geometry_msgs/msg/Twist`` as JSON; pydantic refuses what is nested too deeply."""
+    """Message ``geometry_msgs/msg/Twist`` as JSON; pydantic refuses too deep nesting."""
 
     linear: _Vector = _Vector()
     angular: _Vector = _Vector()
@@ -203,6 +203,6 @@ class Endpoint(Part):
 
 
 def foxglove_error() -> type[Exception]:
-    """Return the SDK's own error, which has moved between versions."""
+    """Return the SDK's error class, whose place differs between versions."""
     found = getattr(foxglove, "FoxgloveError", RuntimeError)
     return found if isinstance(found, type) and issubclass(found, Exception) else RuntimeError

@@ -20,7 +20,7 @@ class Inbox(ServerListener):
     Parameters
     ----------
     understand : callable
-        ``understand(topic, encoding, data)`` returns values; ValueError if it is no command.
+        ``understand(topic, encoding, data)`` returns values; ValueError if it is not a command.
     knows : callable
         Whether a signal of this name may be written.
     wake : callable
@@ -41,19 +41,19 @@ class Inbox(ServerListener):
         self._complained_s = 0.0
 
     def take(self) -> tuple[Mapping[str, object], int]:
-        """Return what came since the last call, and when the last of it came (CLOCK_MONOTONIC)."""
+        """Return the values since the last call, and when the last one came (CLOCK_MONOTONIC)."""
         with self._lock:
             newest, self._newest = self._newest, {}
         return newest, self._came_ns
 
     def on_client_advertise(self, client: Any, channel: Any) -> None:
-        """Remember which channel of which client is which topic."""
+        """Remember the topic of a client's channel."""
         self._channels[client.id, channel.id] = channel.topic, channel.encoding
-        if len(self._channels) > MOST_CHANNELS:  # nobody says when a client is gone
+        if len(self._channels) > MOST_CHANNELS:  # the end of a client is not announced
             del self._channels[next(iter(self._channels))]
 
     def on_client_unadvertise(self, client: Any, client_channel_id: int) -> None:
-        """Forget."""
+        """Forget the channel."""
         self._channels.pop((client.id, client_channel_id), None)
 
     def on_message_data(self, client: Any, client_channel_id: int, data: bytes) -> None:

@@ -1,7 +1,7 @@
 """OPC UA clients: one `PeerLink` per peer reads its set-points and writes our outputs back.
 
-Read the files in the order of a value's way: `session` connects and finds the nodes, after
-`security` has judged the peer and `refusal` has put into words what is wrong with it, `acquisition`
+Read the files in the order of a value's path: `session` connects and finds the nodes, after
+`security` has judged the peer (`refusal` words what is wrong with it), `acquisition`
 brings samples (subscribed or polled, each of them judged), `intake` hands one group to the input
 gate, `staleness` and `latency` judge the stream, `writer` sends outputs back, and `link` runs all
 of it in a loop that survives whatever the peer does.

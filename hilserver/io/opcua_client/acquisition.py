@@ -1,8 +1,8 @@
 """How values come in: subscribed, polled, or subscribed first and polled if that is too slow.
 
-``auto`` leaves the subscription when the peer samples or publishes slower than asked for, or when
+``auto`` leaves the subscription if the peer samples or publishes slower than requested, or if
 more than a twentieth of the sequence numbers do not arrive within two seconds. It then polls until
-the next connect.
+the next connection.
 """
 
 import time
@@ -28,10 +28,9 @@ _log = structlog.get_logger(__name__)
 
 
 def too_slow(grant: Grant, *, publishing_ms: float, poll_ms: float) -> str:
-    """Return in words why what was granted is too slow; empty when it is not.
+    """Return a sentence if the granted intervals are too slow, else an empty text.
 
-    `publishing_ms` and `poll_ms`: the publishing interval asked for and the period polling would
-    have.
+    `publishing_ms` and `poll_ms`: the requested publishing interval and the period of polling.
     """
     limit_ms = max(publishing_ms, poll_ms)
     if grant.sampling_ms > max(limit_ms, grant.publishing_ms):
@@ -42,7 +41,7 @@ def too_slow(grant: Grant, *, publishing_ms: float, poll_ms: float) -> str:
 
 
 def too_many_missed(received: int, missed: int) -> str:
-    """Return in words why the observed rate is too slow; empty when it is not."""
+    """Return a sentence if the observed rate is too slow, else an empty text."""
     if missed <= MISSED_SHARE_MAX * (received + missed):
         return ""
     return f"{missed} of {received + missed} sequence numbers did not arrive"
@@ -56,7 +55,7 @@ class Acquisition:
     config: PeerConfig
     status: PeerStatus
     intake: FaultyIntake
-    # takes a sentence when the peer grants less than was asked for
+    # called with a sentence if the peer grants less than requested
     report_slow: Callable[[str], None]
 
     @property
@@ -110,7 +109,7 @@ class Acquisition:
                 grant = subscription.grant
 
     async def _observe(self, subscription: Subscription, duration_s: float) -> str:
-        """Watch the running subscription for a while; return why it is too slow, or nothing."""
+        """Watch the running subscription for a while; return why it is too slow, if it is."""
         received, missed = self.status.sequence_received, self.status.sequence_missed
         await subscription.watch(duration_s)
         slow = too_many_missed(

@@ -27,8 +27,7 @@ class PeerLink(Peer):
     Parameters
     ----------
     security : LinkSecurity or None
-        Protects the sessions; None can only be given where the configuration asks for neither
-        policy nor user.
+        Protects the sessions; None only if the configuration has neither policy nor user.
     """
 
     def __init__(
@@ -82,7 +81,7 @@ class PeerLink(Peer):
         self._faults.report(FaultKind.SLOW_RATE, self.config.name, sentence, now_ns)
 
     async def _heartbeat(self, session: Session) -> None:
-        """Measure round trip and clock offset; a heart that stops ends the session by timeout."""
+        """Measure round trip and clock offset; a missing answer ends the session by timeout."""
         offset = self._intake.offset
         hunt_at_s = 0.0
         while True:

@@ -1,4 +1,4 @@
-"""Our outputs as a peer's nodes take them: in their type, with or without stamp and status."""
+"""Our outputs in the form that a peer's nodes accept: type, with or without stamp and status."""
 
 import math
 from datetime import datetime
@@ -9,7 +9,7 @@ from asyncua import ua
 
 _FLOATS: Final = {
     ua.VariantType.Double: math.inf,
-    ua.VariantType.Float: 3.4028235677973366e38,  # from here on it would round to infinity
+    ua.VariantType.Float: 3.4028235677973366e38,  # from here on a value rounds to infinity
 }
 _INTEGERS: Final = {
     ua.VariantType.SByte: (-(2**7), 2**7 - 1),
@@ -35,7 +35,7 @@ _BUILT_IN: Final = {
 
 
 class Form(IntEnum):
-    """What travels with a value; a server may refuse either (Part 4, 5.11.4)."""
+    """What is sent with a value; a server may refuse status and stamp (Part 4, 5.11.4)."""
 
     WHOLE = 0
     STAMPED = 1
@@ -44,12 +44,12 @@ class Form(IntEnum):
 
     @property
     def has_status(self) -> bool:
-        """Whether the status travels."""
+        """Whether the status is sent."""
         return self in (Form.WHOLE, Form.STATUS)
 
     @property
     def has_stamp(self) -> bool:
-        """Whether the source time stamp travels."""
+        """Whether the source time stamp is sent."""
         return self in (Form.WHOLE, Form.STAMPED)
 
 
@@ -58,16 +58,16 @@ class UnfitError(ValueError):
 
 
 def variant_type(data_type: ua.NodeId) -> ua.VariantType | None:
-    """Return the built-in type that a DataType node is served as; None if it is no number."""
+    """Return the built-in type for a DataType node; None if it is not numeric."""
     if data_type.NamespaceIndex != 0 or not isinstance(data_type.Identifier, int):
         return None
     return _BUILT_IN.get(data_type.Identifier)
 
 
 def variant(value: object, kind: ua.VariantType, *, is_bad: bool = False) -> ua.Variant:
-    """Return `value` (number, bool or list of them) as the type that the peer's node has.
+    """Return `value` (number, bool or list of them) in the type of the peer's node.
 
-    `is_bad`: its status says that it is none, so that a floating-point number need not be finite.
+    `is_bad`: its status marks it as unusable, so that a floating-point number need not be finite.
     UnfitError if the type cannot hold it.
     """
     fit = _float if kind in _FLOATS else _whole
@@ -96,7 +96,7 @@ def _whole(value: object, kind: ua.VariantType, _is_bad: bool) -> bool | int:
 
 
 def data_value(value: ua.Variant, form: Form, status: int, stamp: datetime) -> ua.DataValue:
-    """Return what is sent; the library would fill a status in where none is given."""
+    """Return the value to send; without this the library would fill in a missing status."""
     return ua.DataValue(
         value,
         StatusCode=ua.StatusCode(ua.UInt32(status)) if form.has_status else None,

@@ -1,4 +1,4 @@
-"""Why a peer is not connected although it answers: one sentence with the remedy for each reason."""
+"""Why a peer that answers is not connected: for each reason a sentence with the remedy."""
 
 from collections.abc import Iterable, Sequence
 
@@ -26,9 +26,9 @@ _POLICY_CODES = {
 def certificate_refused(
     verdict: Verdict, data: bytes, host: str, application_uri: str, trust_with: str
 ) -> RefusedError:
-    """Return what is wrong with the certificate that a peer shows.
+    """Return what is wrong with the certificate that a peer presents.
 
-    `trust_with`: what makes the certificate trusted, ``THUMBPRINT`` stands for its thumbprint.
+    `trust_with`: how to trust the certificate, with ``THUMBPRINT`` for its thumbprint.
     """
     sentence = {
         Verdict.USE: "its certificate may not be used by a server: its key usage forbids it",
@@ -69,7 +69,7 @@ def _about(certificate: x509.Certificate, verdict: Verdict, host: str, trust_wit
 def policy_missing(
     wanted: str, endpoints: Sequence[ua.EndpointDescription], policy_names: dict[str, str]
 ) -> RefusedError:
-    """Return that no endpoint has the configured policy and mode, and which there are."""
+    """Return that no endpoint has the configured policy and mode, and those there are."""
     offered = dict.fromkeys(
         f"{policy_names.get(e.SecurityPolicyUri or '', _quoted(e.SecurityPolicyUri))}"
         f" ({e.SecurityMode.name})"
@@ -85,7 +85,7 @@ def policy_missing(
 
 
 def token_missing(user: str | None, offered: Iterable[ua.UserTokenPolicy]) -> RefusedError:
-    """Return that the endpoint does not take what we log in with."""
+    """Return that the endpoint does not accept our kind of log-in."""
     kinds = _listed([policy.TokenType.name for policy in offered]) or "nothing"
     remedy = "set user and password_file" if user is None else "remove user and password_file"
     what = "anonymous clients" if user is None else "user names"
@@ -97,7 +97,7 @@ def token_missing(user: str | None, offered: Iterable[ua.UserTokenPolicy]) -> Re
 
 
 def password_exposed(policy: str) -> RefusedError:
-    """Return that the password would travel without encryption worth the name."""
+    """Return that the password would be sent without sufficient encryption."""
     return RefusedError(
         FaultKind.LOG_IN,
         "exposed",
@@ -109,7 +109,7 @@ def password_exposed(policy: str) -> RefusedError:
 def refused_by_peer(
     error: ua.UaStatusCodeError, user: str | None, ours: str
 ) -> RefusedError | None:
-    """Return the reason for which the peer refuses us, None if it is none of security."""
+    """Return why the peer refuses us, None if the reason is not one of security."""
     code = ua.StatusCode(ua.UInt32(error.code)).name
     if code in _LOG_IN_CODES:
         who = "anonymous clients" if user is None else f"user '{user}'"
@@ -137,7 +137,7 @@ def hung_up(ours: str) -> RefusedError:
 
 
 def _quoted(text: str | None) -> str:
-    """Return what a peer says about itself, short and without control characters."""
+    """Return a text of the peer, shortened and without control characters."""
     return "".join(c if c.isprintable() else "?" for c in (text or "")[:_LONGEST])
 
 

@@ -1,9 +1,9 @@
-"""What protects the link to a peer: which certificate must be shown before we say anything.
+"""Protects the link to a peer: its certificate is judged before anything secret is sent.
 
-An attempt has three steps. The endpoints are asked for without protection, as they say nothing
+An attempt has three steps. The endpoints are requested without protection, as they are not
 secret. The certificate of the endpoint with exactly our policy and mode is judged. Only then a
-channel is opened, to which nobody but the owner of that certificate's key can answer, and the
-user's password goes through it. There is no other policy to fall back to.
+channel is opened, in which only the owner of that certificate's key can answer, and the user's
+password is sent through it. There is no fallback to another policy.
 """
 
 from collections.abc import Awaitable, Callable
@@ -52,7 +52,7 @@ _log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True)
 class _Identity:
-    """What a secure link is made of."""
+    """Certificate and keys of a secure link."""
 
     policy: Any
     mode: ua.MessageSecurityMode
@@ -71,7 +71,7 @@ class LinkSecurity:
     Parameters
     ----------
     opcua : OpcUaSettings
-        Names the certificates where the peer's configuration does not.
+        Has the certificates if the peer's configuration does not.
     folder : Path
         Folder that relative paths start from.
     """
@@ -98,10 +98,10 @@ class LinkSecurity:
     async def prepare(
         self, client: "PeerClient", ask: Callable[[], Awaitable[list[ua.EndpointDescription]]]
     ) -> None:
-        """Give `client` all it needs to connect to a peer that is trusted.
+        """Give `client` everything it needs to connect to a trusted peer.
 
         `ask`: returns the endpoints of the peer. RefusedError if the peer does not offer our
-        policy, or its certificate is no good.
+        policy, or its certificate is not good.
         """
         identity = self._identity
         if identity is not None:
@@ -122,7 +122,7 @@ class LinkSecurity:
             client.set_password(password)
 
     def check_again(self) -> None:
-        """Raise RefusedError if trust in the connected peer was taken away."""
+        """Raise RefusedError if the connected peer is no longer trusted."""
         if self._shown is None or self._identity is None:
             return
         verdict = self._verdict(*self._shown)
@@ -132,7 +132,7 @@ class LinkSecurity:
     def choose_token(
         self, offered: list[ua.UserTokenPolicy], token_type: ua.UserTokenType
     ) -> ua.UserTokenPolicy:
-        """Return the token policy to log in with: the password never weaker than the channel.
+        """Return the token policy for the log-in: no weaker for the password than the channel is.
 
         RefusedError if there is none.
         """
@@ -169,7 +169,7 @@ class LinkSecurity:
     async def _judge_session(
         self, certificate: x509.Certificate, server: ua.ApplicationDescription
     ) -> None:
-        """Judge again what the peer says about itself, now where nobody else can say it."""
+        """Judge again how the peer identifies itself, now through the secure channel."""
         self._judged(to_der(certificate), server)
 
     def _judged(self, data: bytes | None, server: ua.ApplicationDescription) -> x509.Certificate:
@@ -203,7 +203,7 @@ class PeerClient(Client):  # type: ignore[misc]
     security: LinkSecurity | None = None
 
     def server_policy(self, token_type: ua.UserTokenType) -> ua.UserTokenPolicy:
-        """Return the policy of the user's token; asyncua takes any, also one in the clear."""
+        """Return the policy of the user's token; asyncua would accept any, even in clear text."""
         if self.security is None or self.security_policy.URI == _NONE_URI:
             return super().server_policy(token_type)
         chosen = self.security.choose_token(self._policy_ids, token_type)
@@ -259,7 +259,7 @@ def _load(path: Path) -> x509.Certificate:
 
 
 def _read_password(path: Path) -> str:
-    """Return the first line of a file that nobody else can read."""
+    """Return the first line of a file; others must not be able to read it."""
     try:
         if is_open_to_others(path):
             raise ConfigError(f"{path} can be read by others: run 'chmod 600 {path}'")

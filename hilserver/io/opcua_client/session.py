@@ -1,7 +1,7 @@
 """One connection to a peer: open, find the nodes, read and judge; good until its first error.
 
-Every attempt gets a fresh asyncua client, because a client object whose link went dead can hang in
-its own reconnect; and every wait has a limit, because a dead link answers nothing.
+Every attempt gets a new asyncua client, because one whose link went dead can hang in its own
+reconnect; and every wait has a limit, because a dead link does not answer.
 """
 
 import asyncio
@@ -25,7 +25,7 @@ CONNECT_TIMEOUT_S = 2.0  # for the TCP connection and for each request
 OPEN_TIMEOUT_S = 6.0  # for connection, channel and session together
 
 CLOSE_TIMEOUT_S = 1.0
-TRUST_EVERY_S = 5.0  # how often an open session looks whether the peer is still trusted
+TRUST_EVERY_S = 5.0  # how often an open session checks that the peer is still trusted
 
 SESSION_TIMEOUT_MS = 30_000  # how long the peer keeps a session that we could not close
 
@@ -35,17 +35,17 @@ _EPOCH, _MICROSECOND = datetime(1970, 1, 1, tzinfo=UTC), timedelta(microseconds=
 
 
 RECEIVE_MAX = 16 * 1024 * 1024
-"""Bytes of one incomplete message; the library would collect as many as a header announces."""
+"""Bytes of an incomplete message; the library would collect as many as its header announces."""
 
 
 def quieten_asyncua() -> None:
-    """Silence the client library: it logs tracebacks for every lost link, the link logs a line."""
+    """Silence the client library, which logs tracebacks for every lost link; we log one line."""
     for name in ("asyncua.client", "asyncua.common", "asyncua.uaprotocol"):
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
 
 
 def read_request(nodes: Iterable[ua.NodeId], attribute: ua.AttributeIds) -> ua.ReadParameters:
-    """Build a multi-read that can be sent again and again."""
+    """Build a multi-read that can be sent repeatedly."""
     parameters = ua.ReadParameters()
     parameters.TimestampsToReturn = ua.TimestampsToReturn.Source
     parameters.NodesToRead = [ua.ReadValueId(NodeId=n, AttributeId=attribute) for n in nodes]
@@ -58,7 +58,7 @@ class Session:
     Parameters
     ----------
     security : LinkSecurity or None
-        Protects it; without one policy None and no user.
+        Protects it; None: policy None and no user.
     """
 
     def __init__(self, endpoint: str, security: LinkSecurity | None = None) -> None:
@@ -101,7 +101,7 @@ class Session:
         return None
 
     async def _ask_endpoints(self) -> list[ua.EndpointDescription]:
-        """Ask on a connection of its own, without protection, as discovery goes."""
+        """Ask on a separate connection without protection, as usual for discovery."""
         client = Client(self._endpoint, timeout=CONNECT_TIMEOUT_S)
         client.uaclient._make_protocol = self._limited(client.uaclient._make_protocol)
         try:
@@ -115,7 +115,7 @@ class Session:
         return endpoints
 
     async def __aexit__(self, _kind: object, error: object, _trace: object) -> None:
-        # On a cancelled task the link is fine and the peer deserves a proper good-bye.
+        # If the task was cancelled, the link is intact: close the session properly.
         graceful = error is None or isinstance(error, asyncio.CancelledError)
         await self._close(graceful=graceful and not self._lost.is_set())
 
@@ -143,14 +143,14 @@ class Session:
         self._lost.set()
 
     async def watch_trust(self) -> None:
-        """Return never; raise RefusedError when trust in the peer was taken away."""
+        """Never return; raise RefusedError when the peer is no longer trusted."""
         while True:
             await asyncio.sleep(TRUST_EVERY_S)
             if self._security is not None:
                 self._security.check_again()
 
     async def wait_lost(self) -> None:
-        """Return never; raise LinkLostError as soon as the transport is gone."""
+        """Never return; raise LinkLostError as soon as the transport is gone."""
         await self._lost.wait()
         raise LinkLostError("the peer closed the connection")
 
@@ -176,7 +176,7 @@ class Session:
     async def read_attributes(
         self, nodes: list[ua.NodeId], attribute: ua.AttributeIds
     ) -> list[Any]:
-        """Read one attribute of several nodes; None where there is none."""
+        """Read one attribute of several nodes; None for a node that has none."""
         if not nodes:
             return []
         values = await self.read(read_request(nodes, attribute))
@@ -187,7 +187,7 @@ class Session:
         return (await self.read_attributes([_CURRENT_TIME], ua.AttributeIds.Value))[0]
 
     async def resolve(self, nodes: Iterable[str]) -> dict[str, ua.NodeId | None]:
-        """Look the namespaces up and return the node ids; None where the URI is unknown."""
+        """Look up the namespaces and return the node ids; None if the URI is unknown."""
         uris = (await self.read_attributes([_NAMESPACE_ARRAY], ua.AttributeIds.Value))[0] or []
         resolved: dict[str, ua.NodeId | None] = {}
         for text in nodes:
@@ -202,7 +202,7 @@ class Session:
 
 
 def utc_ns_of(stamp: datetime | None) -> int | None:
-    """Return UTC [ns since 1970] of an OPC UA time stamp; None where there is none."""
+    """Return UTC [ns since 1970] of an OPC UA time stamp, if there is one."""
     if stamp is None:
         return None
     if stamp.tzinfo is None:

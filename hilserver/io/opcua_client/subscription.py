@@ -1,8 +1,8 @@
 """A subscription on the raw services: no task per value, granted intervals read back.
 
-Where the peer has no counter, the trigger is status, value *and* time stamp: a controller that
-repeats a constant set-point with a new stamp is then seen to be alive. Servers that do not know
-this trigger are asked without; a counter makes it superfluous.
+If the peer has no counter, the trigger is status, value *and* time stamp: a controller that
+repeats a constant set-point with a new stamp then counts as alive. For servers that do not know
+this trigger it is left out; with a counter it is not needed.
 """
 
 import asyncio
@@ -35,10 +35,10 @@ class Subscription:
     Parameters
     ----------
     every_stamp : bool
-        Notify new stamps of unchanged values, too.
+        Also notify new stamps of unchanged values.
     poll_ms : float
-        Finest interval that matters: sizes the queues, and is asked for as sampling interval where
-        a node leaves its own open (0 on such a node ends Node-RED).
+        Shortest interval of interest: sizes the queues, and is the requested sampling interval of
+        nodes that leave it open (0 on such a node terminates Node-RED).
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class Subscription:
         return self.grant
 
     async def add(self, nodes: list[str]) -> list[str]:
-        """Monitor `nodes`; return those that the peer does not have and that are worth a retry."""
+        """Monitor `nodes`; return those that the peer does not have yet."""
         resolved = await self._session.resolve(nodes)
         now_ns = time.monotonic_ns()
         missing = [node for node in nodes if resolved[node] is None]
@@ -153,7 +153,7 @@ class Subscription:
         return results
 
     def _on_publish(self, result: ua.PublishResult) -> None:
-        # The library swallows what its callback raises; the session must not go on without us.
+        # The library swallows exceptions of its callback; the session must end instead.
         try:
             self._take(result)
         except Exception as error:  # noqa: BLE001
@@ -173,9 +173,9 @@ class Subscription:
         self._intake.receive(samples, now_ns)
 
     async def watch(self, duration_s: float) -> None:
-        """Wait; raise what went wrong meanwhile.
+        """Wait; raise the error that occurs meanwhile.
 
-        LinkLostError if not even keep-alives have come for three of their intervals.
+        LinkLostError if even keep-alives are missing for three of their intervals.
         """
         await asyncio.wait({self._failure}, timeout=duration_s)
         if self._failure.done():

@@ -26,7 +26,7 @@ LOOK_AGAIN_S = 1.0
 
 
 class Writer:
-    """Writes outputs to one peer for the length of a session."""
+    """Writes outputs to one peer during a session."""
 
     def __init__(
         self,
@@ -64,7 +64,7 @@ class Writer:
         try:
             outputs = {signal: self._read_output(signal) for signal in self._targets}
         except LookupError:
-            return  # no tick has made a value yet
+            return  # no tick has produced a value yet
         values = [value for s, output in outputs.items() if (value := self._value(s, output))]
         if not values:
             return
@@ -84,13 +84,13 @@ class Writer:
                 self._on_refused(signal, result)
 
     def _value(self, signal: str, output: Output) -> tuple[str, ua.WriteValue] | None:
-        """Return what is written for a signal now; None where nothing can be."""
+        """Return what is written for a signal now; None if nothing can be."""
         node, kind = self._targets[signal]
         value, status, monotonic_ns = output
         form, address = self._forms.get(signal, Form.WHOLE), self._config.write[signal]
         is_honest = self._config.write_status == "honest"
         if is_bad(status) and not (is_honest and form.has_status):
-            return None  # without its status it would look like a good value
+            return None  # without its status it would pass for a good value
         try:
             fitted = variant(value, kind, is_bad=is_bad(status))
         except UnfitError as error:

@@ -55,7 +55,7 @@ class AddressSpaceBuilder:
         return ua.QualifiedName(text, self._index)
 
     def _place(self, path: str, name: str, parent: str, reference: int) -> Place:
-        """Return the place of a node of ours below another one of ours."""
+        """Return the place of one of our nodes below another one."""
         return Place(self.node_id(path), self.name(name), self.node_id(parent), reference)
 
     def roots(self) -> None:
@@ -69,12 +69,12 @@ class AddressSpaceBuilder:
         self.reference(SERVER, self.robot, kinds.HasNotifier, ua.NodeClass.Object)
 
     def namespaces(self) -> None:
-        """Describe both namespaces; a nodeset does so by its models."""
+        """Describe both namespaces; a nodeset file does this by its models."""
         self._namespace(model.NAMESPACE_URI, self._index, __version__, ua.IdType.String)
         self._namespace(model.DI_NAMESPACE_URI, self._di_index, model.DI_VERSION, ua.IdType.Numeric)
 
     def nameplate(self, entries: Iterable[Entry]) -> None:
-        """Add the nameplate: properties of the robot, which a group names a second time."""
+        """Add the nameplate: properties of the robot, referenced by a group as well."""
         group = self.node_id(f"{model.ROBOT}.{GROUP}")
         kinds = ua.ObjectIds
         name = ua.QualifiedName(GROUP, self._di_index)
@@ -87,7 +87,7 @@ class AddressSpaceBuilder:
             self.reference(group, entry, kinds.Organizes, ua.NodeClass.Variable)
 
     def _namespace(self, uri: str, index: int, version: str, ids: ua.IdType) -> None:
-        """Describe one of our namespaces where clients look (OPC 10000-5, 6.3.13)."""
+        """Describe one of our namespaces where clients look for it (OPC 10000-5, 6.3.13)."""
         kinds, path = ua.ObjectIds, f"namespaces.{index}"
         parent, name = ua.NodeId(kinds.Server_Namespaces), ua.QualifiedName(uri, index)
         place = Place(self.node_id(path), name, parent, kinds.HasComponent)
@@ -119,7 +119,7 @@ class AddressSpaceBuilder:
         attributes.ArrayDimensions = None if row.length is None else [row.length]
         attributes.AccessLevel = _READ_WRITE if row.writable else ua.AccessLevel.CurrentRead.mask
         attributes.UserAccessLevel = attributes.AccessLevel
-        # 0: every change is noticed, there is no sampling between plant and subscriber.
+        # 0: every change is reported, there is no sampling between plant and subscriber.
         attributes.MinimumSamplingInterval = 0.0
         place = self._place(row.path, row.name, row.parent, ua.ObjectIds.HasComponent)
         self.value_of(self._add(place, attributes, row.type_definition)).value = ua.DataValue(
@@ -195,7 +195,7 @@ class AddressSpaceBuilder:
         return self._service._aspace[node_id].attributes[ua.AttributeIds.Value]
 
     def set_place(self, node_id: ua.NodeId, place: Any) -> None:
-        """Have a node's value stand somewhere else."""
+        """Replace the place where a node's value is kept."""
         self._service._aspace[node_id].attributes[ua.AttributeIds.Value] = place
 
     def reference(

@@ -1,17 +1,17 @@
-"""The robot behind its OPC UA server: what clients are to it, what they write and call.
+"""The robot behind its OPC UA server: its clients, and what they write and call.
 
-Values are checked before they enter, so that the status code is the gate's answer. Beside the codes
+Values are checked on entry, so that the status code is the gate's answer. In addition to the codes
 of `hilserver.opcua.application`:
 
 ======================  ========================================================================
-BadTypeMismatch         another data type, wrong length (no widening: an Int64 is no Double)
+BadTypeMismatch         another data type, wrong length (no widening: an Int64 is not a Double)
 BadOutOfRange           outside EURange, NaN, infinity
-BadUserAccessDenied     another source has control; the diagnostic text and an event say who
+BadUserAccessDenied     another source has control; the diagnostic text and an event name it
 BadResourceUnavailable  the queue of the plant is full
 BadInvalidState         it came in before Reset, Pause or LoadSnapshot ended what was commanded
-BadInvalidArgument      of a method, also: a value out of range
-BadInvalidState         a method that is not possible now; the diagnostic text says why
-BadNotImplemented       Force, Unforce, InjectFault, ClearFaults of a server without faults
+BadInvalidArgument      of a method: also a value out of range
+BadInvalidState         a method that is not possible now; the diagnostic text has the reason
+BadNotImplemented       Force, Unforce, InjectFault, ClearFaults on a server without faults
 ======================  ========================================================================
 
 A time stamp that comes with a value is ignored: the stamp is that of the tick that latched it.
@@ -40,7 +40,7 @@ from hilserver.opcua.logs import log
 from hilserver.opcua.settings import Role
 from hilserver.signals import Signal, SignalTable
 
-SOURCE = "opcua"  # name under which the clients of this server write, but for the operator page
+SOURCE = "opcua"  # name under which clients of this server write, except the operator page
 
 _Codes = ua.StatusCodes
 STATUS_OF: dict[Refusal, int] = {
@@ -61,7 +61,7 @@ class RobotVisitor(Visitor):
 
     # name under which its writes reach the plant: ``opcua``, or ``page:<number>``
     source: str = SOURCE
-    # control goes on when it ends; not for a command of the shell, whose session ends with it
+    # control is passed on when it ends; False for the shell, whose sessions last one command
     may_hold_control: bool = True
 
 
@@ -92,10 +92,10 @@ class RobotApplication(Application):
     # --- clients ----------------------------------------------------------------------------------
 
     def visitor(self, session_name: str, address: str) -> RobotVisitor:
-        """Return what a client is; one that knows the secret is the page.
+        """Return the visitor for a client; one that knows the secret is the page.
 
-        The page names where its user is as the second word, itself being here. A teleoperation
-        names itself: all it gains is the dead-man.
+        The page runs here, so it gives its user's address as the second word. A teleoperation
+        may claim to be one: all it gains is the dead-man.
         """
         first, _, rest = session_name.partition(" ")
         if secrets.compare_digest(first.encode(), self.page_secret.encode()):
@@ -105,7 +105,7 @@ class RobotApplication(Application):
         return RobotVisitor(address, source=source, may_hold_control=first != SHELL)
 
     def left(self, session: Any) -> None:
-        """Let control go on without the client that may have held it."""
+        """Pass control on if the client that has left held it."""
         self._gate.gone(session)
         self._show_owner()
 
@@ -136,9 +136,9 @@ class RobotApplication(Application):
     def write(
         self, items: Iterable[ua.WriteValue], session: Any
     ) -> Generator[Any, Any, list[Answer]]:
-        """Return one answer per item; what is accepted is latched together by one tick.
+        """Return one answer per item; accepted ones are latched together by one tick.
 
-        Gives way while the items are judged, and between groups that are latched apart.
+        Yields while the items are judged, and between groups that are latched separately.
         """
         received_ns = came_ns(session.processor.socket)
         answers: list[Answer] = []
@@ -155,8 +155,8 @@ class RobotApplication(Application):
                 changes[name] = (position, item.Value.Value)
                 continue
             if name == CONTROL_SOURCE or name in group:
-                # The order of a request holds: taking control acts on the writes behind it, and
-                # of two writes to one signal the later wins.
+                # The order of a request counts: taking control affects the writes after it, and
+                # the later of two writes to one signal wins.
                 self._hand_over(group, answers, session, received_ns)
                 group = {}
             if name == CONTROL_SOURCE:
@@ -217,7 +217,7 @@ class RobotApplication(Application):
         return method_id in self._methods
 
     async def call(self, request: ua.CallMethodRequest, session: Any) -> CallAnswer:
-        """Answer one call; what it does knows who asked."""
+        """Answer one call; the method can see who called."""
         who = session.user.name or f"anonymous {session.user.rights.name.lower()}"
         mine = CALLER.set(who)
         try:
@@ -231,7 +231,7 @@ class RobotApplication(Application):
         return answer
 
     async def run(self, request: ua.CallMethodRequest) -> CallAnswer:
-        """Do what a method says; its arguments are of their types."""
+        """Run a method; its arguments already have their types."""
         method = self._methods[request.MethodId]
         values = [argument.Value for argument in request.InputArguments or ()]
         answer = await self._act(method, values)
@@ -259,9 +259,9 @@ class RobotApplication(Application):
 
 
 def _plain(signal: Signal, variant: ua.Variant) -> object:
-    """Return the plain value, or what the gate refuses, counts and names as another type."""
+    """Return the plain value, or one that the gate refuses and counts as a wrong type."""
     value = variant.Value
     if isinstance(value, list) and len(value) > len(signal.slots):
-        return f"{len(value)} elements"  # nobody wants to read a million of them in the log
+        return f"{len(value)} elements"  # not a million values in the log
     is_ours = variant.VariantType.value == DATA_TYPES[signal.type]
     return value if is_ours else f"{value!r:.40} of type {variant.VariantType.name}"

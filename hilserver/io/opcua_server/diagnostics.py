@@ -1,4 +1,4 @@
-"""Figures about the daemon itself: slices, peers, audit; variables made when first seen.
+"""Figures about the daemon itself: slices, peers, audit; variables are made when first seen.
 
 A provider returns one plain table, ``{"plant": {"overruns": 0, ...}, ...}``; its entry becomes the
 variable ``slices.plant.overruns``. A figure that is None has no value yet
@@ -37,10 +37,10 @@ class Diagnostics:
     group : str
         Folder, one of `model.GROUPS`.
     flat : str or None
-        Figure that stands for its entry: ``audit.<item>`` shows the figure "ok", the other figures
-        are below it.
+        Figure that represents its entry: ``audit.<item>`` shows the figure "ok", with the other
+        figures below it.
     every_s : float
-        The provider is not asked more often [s].
+        Shortest time between two calls of the provider [s].
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Diagnostics:
         self._table: Table = {}
 
     def publish(self) -> Table:
-        """Ask the provider if that is due, write what changed, and return the table."""
+        """Call the provider if that is due, write what has changed, and return the table."""
         now_s = time.monotonic()
         if now_s < self._due_s:
             return self._table
@@ -113,7 +113,7 @@ class Diagnostics:
 
 
 def _kind_of(path: str, value: Figure) -> ua.VariantType:
-    """Return the type for a figure's variable; what has no value yet will be a number or tick."""
+    """Return the type of a figure's variable; one without a value yet will be a number or tick."""
     for python_type, kind in _TYPES.items():
         if isinstance(value, python_type):
             return kind
@@ -121,7 +121,7 @@ def _kind_of(path: str, value: Figure) -> ua.VariantType:
 
 
 def _converted(kind: ua.VariantType, value: Figure) -> object | None:
-    """Return the figure in the type its variable has, None where it has no value in that type."""
+    """Return the figure in the type of its variable, None if it has no value in that type."""
     if value is None:
         return None
     if kind is ua.VariantType.String:
@@ -132,4 +132,4 @@ def _converted(kind: ua.VariantType, value: Figure) -> object | None:
         return float(value)
     if kind is ua.VariantType.Boolean:
         return bool(value)
-    return int(value) if abs(value) < 2**63 else None  # not for NaN either
+    return int(value) if abs(value) < 2**63 else None  # also None for NaN

@@ -1,6 +1,6 @@
-"""The methods of the server, as a table: names, arguments, and what each of them does.
+"""The methods of the server, as a table: names, arguments and functions.
 
-A new method is a row here, and a line in ``docs/reference/opcua-address-space.md``.
+A new method needs a row here, and a line in ``docs/reference/opcua-address-space.md``.
 """
 
 import re
@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from hilserver.signals import ValueType
 
-if TYPE_CHECKING:  # clients use this table too, and need no compiler
+if TYPE_CHECKING:  # clients also use this table, and need no compiler
     from hilserver.core.control import Control
     from hilserver.faults import Faults
 
 T = TypeVar("T")
 STRING = "String"  # OPC UA's String, which no signal has
 CALLER: ContextVar[str] = ContextVar("caller", default="")
-"""User of the session that calls; decisions are written down with who took them."""
+"""User of the calling session, recorded with decisions."""
 _PLAIN_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 
 
@@ -61,11 +61,11 @@ class Method:
 
     name: str
     description: str
-    # takes the parts and the arguments, which are of their types; may be awaitable. Raises
-    # ValueError for one out of range and UserError for what is not possible now
+    # takes the parts and the arguments, already of their types; may be awaitable. Raises
+    # ValueError for one out of range and UserError if it is not possible now
     act: Callable[..., Any]
     arguments: tuple[Argument, ...] = ()
-    # is given a sentence where a call was refused, whatever the reason
+    # called with a sentence if a call was refused, for any reason
     refused: Callable[[Parts, str], None] | None = None
 
     @property

@@ -1,8 +1,8 @@
 """The address space of a signal table as plain data, before any OPC UA library.
 
 The running server and the NodeSet2 file are both made from these rows, so they cannot differ.
-A dotted name is a place: ``wheel.fl.speed_rpm`` is variable ``speed_rpm`` in folder ``wheel.fl``,
-and its node id is the whole name, whatever the folder.
+A dotted name gives the place: ``wheel.fl.speed_rpm`` is variable ``speed_rpm`` in folder
+``wheel.fl``; its node id is always the whole name.
 """
 
 import math
@@ -15,7 +15,7 @@ from hilserver.io.opcua_server.method_table import STRING
 from hilserver.io.opcua_server.units import UNECE, Unit, find_unit
 from hilserver.signals import Direction, Signal, SignalTable, ValueType
 
-if TYPE_CHECKING:  # clients use these names too, and need no compiler
+if TYPE_CHECKING:  # clients also use these names, and need no compiler
     from hilserver.parameters import Parameter
 
 NAMESPACE_URI = "urn:hilserver:robot"
@@ -23,7 +23,7 @@ DI_NAMESPACE_URI = "http://opcfoundation.org/UA/DI/"
 DI_VERSION = "1.04"  # of OPC 10000-100, whose names we use
 DI_DEVICE_SET = 5001  # numeric identifier of DeviceSet in the DI namespace (OPC 10000-100)
 
-ROBOT = "robot"  # node id of the object that holds everything of ours
+ROBOT = "robot"  # node id of the object that holds all our nodes
 GROUPS = {
     "methods": "Commands to the daemon",
     "slices": "Timing of every time slice",
@@ -33,10 +33,10 @@ GROUPS = {
     "recalibration": "Proposals that the model keeps up with its robot",
     "parameters": "Numbers of the robot that can change while it runs",
 }
-"""Folders that are no signals."""
-PARAMETERS = "parameters."  # begin of the node ids of the parameters
+"""Folders of nodes that are not signals."""
+PARAMETERS = "parameters."  # prefix of the node ids of parameters
 CONTROL_SOURCE = "control.source"
-SHELL = "shell"  # begin of the names of sessions that last as long as one command
+SHELL = "shell"  # prefix of the names of sessions that last for one command
 
 ANALOG_ITEM, ANALOG_UNIT, ANALOG_UNIT_RANGE = 2368, 17497, 17570
 BASE_DATA_VARIABLE, TWO_STATE, MULTI_STATE = 63, 2373, 2376
@@ -63,7 +63,7 @@ class Folder:
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """A variable with the properties its type definition asks for."""
+    """A variable with the properties that its type definition requires."""
 
     path: str  # node id and, for signals, name in the signal table
     parent: str
@@ -87,7 +87,7 @@ def split(path: str) -> tuple[str, str]:
 
 
 def folders_of(paths: Iterable[str]) -> Iterator[Folder]:
-    """Yield every folder that `paths` are in, each after the one that holds it."""
+    """Yield every folder of `paths`, each after its parent."""
     seen: set[str] = set()
     for path in paths:
         parts = path.split(".")[:-1]
@@ -154,7 +154,7 @@ def describe(
 ) -> tuple[list[Folder], list[Variable]]:
     """Return all folders and variables of a signal table, and of parameters.
 
-    ConfigError if a signal (of an own block) takes the place of a folder, or has an unknown unit.
+    ConfigError if a signal (of an own block) has the name of a folder, or an unknown unit.
     """
     variables = [variable_of(signal) for signal in table]
     variables.append(

@@ -1,7 +1,7 @@
-"""The address space as a NodeSet2 file (OPC 10000-6, annex F), for tools that read one.
+"""The address space as a NodeSet2 file (OPC 10000-6, annex F), for tools that read such files.
 
 The robot stands below Objects, not below DI's DeviceSet as in the running server, so that the file
-loads into tools that do not have the DI model. `nodeset.xml.j2` is what it looks like.
+loads into tools that do not have the DI model. `nodeset.xml.j2` is its template.
 """
 
 from collections.abc import Iterable
@@ -41,5 +41,5 @@ def to_nodeset(table: SignalTable, parameters: Iterable[Parameter] = ()) -> str:
 
 
 def _as_xml(value: object) -> Markup:
-    """Return text as XML has it: an apostrophe stays one, which HTML would escape."""
+    """Return text escaped for XML: unlike HTML this leaves an apostrophe as it is."""
     return value if isinstance(value, Markup) else Markup(escape(str(value), {'"': "&quot;"}))  # noqa: S704

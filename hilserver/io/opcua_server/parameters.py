@@ -1,4 +1,4 @@
-"""The parameters in the address space: a variable each, shown when it changes."""
+"""The parameters in the address space: one variable each, updated when it changes."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -40,7 +40,7 @@ class ParameterVariables:
         self._source, self._shown = values, dict(values)
 
     def write(self, source: str, written: Mapping[str, ua.Variant]) -> dict[str, Refused]:
-        """Change parameters, all in one tick; return what is refused, by the name of the node."""
+        """Change parameters, all in one tick; return refusals by the name of the node."""
         refused: dict[str, Refused] = {}
         values: dict[str, object] = {}
         for node, variant in written.items():

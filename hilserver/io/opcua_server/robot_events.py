@@ -1,8 +1,8 @@
 """Events of the daemon as OPC UA events: own types, on the Server object and on the robot.
 
-At most `max_events_per_s` of one kind are sent in a second. What is left out is counted, and the
-count travels with the next event of that kind (property Suppressed), at the latest with a summary
-when the flood is over.
+At most `max_events_per_s` events of one kind are sent in a second. Suppressed ones are counted;
+the count is sent with the next event of that kind (property Suppressed), at the latest with a
+summary when the flood is over.
 """
 
 import time
@@ -36,9 +36,9 @@ _Type = ua.VariantType
 
 
 class FloodGate:
-    """Lets a limited number of events of each kind through in a second, and counts the others.
+    """Passes a limited number of events of each kind in a second, and counts the others.
 
-    `emit` gets an event and the number of its kind left out since the last one.
+    `emit` gets an event and the number of its kind suppressed since the last one.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class FloodGate:
         self._kinds = {kind: _Window() for kind in EventKind}
 
     def send(self, event: Event) -> None:
-        """Send one event, or count it if there were too many of its kind."""
+        """Send an event, or count it if there were too many of its kind."""
         window = self._kinds[event.kind]
         if self._has_room(window):
             self._emit(event, window.take_left_out())
@@ -62,10 +62,10 @@ class FloodGate:
             window.last = event
 
     def flush(self) -> None:
-        """Send a summary of what was left out, once its kind has become quiet."""
+        """Send a summary of suppressed events, once their kind has become quiet."""
         for window in self._kinds.values():
             if window.left_out and window.last is not None and self._has_room(window):
-                # The summary repeats an event that is itself one of those left out.
+                # The summary repeats an event that is itself a suppressed one.
                 self._emit(window.last, window.take_left_out() - 1)
 
     def _has_room(self, window: "_Window") -> bool:
@@ -109,13 +109,13 @@ class RobotEvents:
         self._unsubscribe = bus.subscribe(self._gate.send)
 
     def detach(self) -> None:
-        """Send no more."""
+        """Stop sending."""
         if self._unsubscribe is not None:
             self._unsubscribe()
             self._unsubscribe = None
 
     def flush(self) -> None:
-        """Send what the end of a flood owes; called now and then."""
+        """Send summaries of floods that are over; called from time to time."""
         self._gate.flush()
 
     def _emit(self, event: Event, suppressed: int) -> None:

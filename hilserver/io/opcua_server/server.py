@@ -1,4 +1,4 @@
-"""The OPC UA server as the daemon sees it."""
+"""The OPC UA server as a part of the daemon."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -22,14 +22,14 @@ from hilserver.opcua.server import HardenedServer, application_uri
 from hilserver.opcua.settings import Role
 from hilserver.signals import State
 
-_SLICES_EVERY_S = 1.0  # they have changed every time, and there are many of them
+_SLICES_EVERY_S = 1.0  # they change every time, and they are many
 
 
 class OpcUaServer(Part):
     """Shows the process image over OPC UA and lets clients write inputs and call methods.
 
-    Everything but `start` and `stop` is synchronous, does not wait and belongs to the event loop's
-    thread; the plant never notices. ConfigError if a signal's name or unit cannot be shown.
+    Everything except `start` and `stop` is synchronous, does not wait and is for the thread of the
+    event loop; the plant is not affected. ConfigError if a signal's name or unit cannot be shown.
     """
 
     section, label, is_early = "opcua", "OPC UA", True
@@ -55,11 +55,11 @@ class OpcUaServer(Part):
 
     @property
     def page_secret(self) -> str:
-        """What marks sessions as the operator page's; empty while the server is not running."""
+        """Secret that marks sessions of the operator page; empty while the server does not run."""
         return "" if self._server is None else self._application.page_secret
 
     def audit(self) -> dict[str, dict[str, Figure]]:
-        """Return what this server has to say in the audit."""
+        """Return the audit of this server."""
         config = self._config
         is_open = config.is_open_to_network and not (
             config.is_secure and config.anonymous_role in (None, Role.OBSERVER)
@@ -109,7 +109,7 @@ class OpcUaServer(Part):
         await server.stop()
 
     def publish(self, frame: Frame) -> int:
-        """Show `frame`; called by the publish slice. Return how many slots have changed."""
+        """Show `frame`; called by the publish slice. Return the number of changed slots."""
         if self._server is None:
             return 0
         self._show_owner()
@@ -191,5 +191,5 @@ def parts(world: World) -> Iterator[OpcUaServer]:
     """Yield the server, if the configuration has one."""
     if not world.config.opcua.enabled:
         return
-    with world.at("blocks"):  # a name or a unit of theirs that cannot be shown
+    with world.at("blocks"):  # for a block's name or unit that cannot be shown
         yield OpcUaServer(world)

@@ -39,8 +39,8 @@ class Entry(NamedTuple):
 def nameplate(config: Config, application_uri: str) -> tuple[Entry, ...]:
     """Return the nameplate of the configured robot.
 
-    The serial number is the beginning of the configuration's hash: the same number, the same robot.
-    The revision of the device is that of its compiled equations.
+    The serial number is the beginning of the configuration's hash: same number, same robot. The
+    revision of the device is that of its compiled equations.
     """
     serial = config.sha256[:12]
     return (
@@ -55,7 +55,7 @@ def nameplate(config: Config, application_uri: str) -> tuple[Entry, ...]:
         Entry("DeviceManual", "docs/index.md"),
         Entry("SerialNumber", serial),
         Entry("ProductInstanceUri", f"{application_uri}:{serial}"),
-        Entry("RevisionCounter", -1, INT32),  # -1: it is not counted
+        Entry("RevisionCounter", -1, INT32),  # -1: not counted
     )
 
 

@@ -1,4 +1,4 @@
-"""Units of measurement: our symbols and what OPC UA clients know them by.
+"""Units of measurement: our symbols and their codes in OPC UA.
 
 OPC UA names units by the UNECE codes of recommendation 20. `unit_id` is the number that OPC 10000-8
 makes of a code: its ASCII characters as the bytes of a big-endian integer ("MTR" is 0x4D5452).
@@ -77,7 +77,7 @@ UNECE: dict[str, Unit] = {
 def find_unit(symbol: str) -> Unit:
     """Return the unit of that symbol.
 
-    ConfigError if there is none; the sentence names those there are.
+    ConfigError if there is none; its sentence lists the known ones.
     """
     if symbol not in UNECE:
         raise ConfigError(f"unit '{symbol}' is unknown; write one of {', '.join(UNECE)}")

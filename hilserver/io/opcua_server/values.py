@@ -1,7 +1,7 @@
-"""The values of all signals in the address space: one pass over the frame, no work for the unseen.
+"""The values of all signals in the address space: one pass per frame, no work for unread ones.
 
 A frame is taken over as it is, and every variable whose bits or status differ gets its stamp. The
-DataValue itself is made when somebody reads or samples it, once per change.
+DataValue itself is made when it is read or sampled, once per change.
 """
 
 import math
@@ -33,7 +33,7 @@ _BAD = 2
 
 
 class Stamp(NamedTuple):
-    """When a value was made, and when it came to us."""
+    """When a value was produced, and when it reached us."""
 
     source: datetime | None
     server: datetime
@@ -45,7 +45,7 @@ def worst(codes: list[int]) -> int:
 
 
 class SignalPlace(AttributeValue):  # type: ignore[misc]
-    """Where a signal's value stands in the address space; made when somebody looks."""
+    """Place of a signal's value in the address space; the value is made when it is read."""
 
     def __init__(self, signal: Signal, variables: "SignalVariables", stamp: Stamp) -> None:
         self._signal = signal
@@ -66,7 +66,7 @@ class SignalPlace(AttributeValue):  # type: ignore[misc]
 
     @value.setter
     def value(self, value: object) -> None:
-        """Ignore what is written: the value is that of the frame."""
+        """Ignore writes: the value is always that of the frame."""
 
     def _make(self) -> FixedDataValue:
         slots, code_of = self._signal.slots, self._variables.code
@@ -76,7 +76,7 @@ class SignalPlace(AttributeValue):  # type: ignore[misc]
         if code < 0:
             code = int(ua.StatusCodes.BadWaitingForInitialData)
         elif code >> _SEVERITY_SHIFT < _BAD and not all(map(math.isfinite, numbers)):
-            # A model that computed no number has no value, whatever status it set.
+            # A result that is not finite is no value, whatever status the model has set.
             code = int(ua.StatusCodes.BadSensorFailure)
         source, server = self.stamp
         if code >> _SEVERITY_SHIFT >= _BAD:
@@ -96,13 +96,13 @@ class SignalVariables:
     -----
     A value changes when its bits or its status code differ from those before. What a client has
     just written is shown at once and kept until the first frame that contains it, so that a client
-    reads what it wrote and no older frame puts the old value back.
+    reads what it wrote and no earlier frame restores the old value.
     """
 
     def __init__(self, table: SignalTable, clock: UtcClock) -> None:
         self._clock = clock
         started = Stamp(None, datetime.now(UTC))
-        # signal name to the place that goes into the address space
+        # signal name -> its place in the address space
         self.places = {signal.name: SignalPlace(signal, self, started) for signal in table}
         self._by_slot: list[list[SignalPlace]] = [[] for _ in range(table.n_slots)]
         for signal in table:
@@ -145,7 +145,7 @@ class SignalVariables:
         self._mark(slots, datetime.now(UTC))
 
     def _release(self, changed: Any, latched_rows: int) -> Any:
-        """Return which slots to write: held ones not before, and then in any case."""
+        """Return which slots to write: held ones only on release, and then in any case."""
         held = self._held_until > latched_rows
         released = (self._held_until > 0) & ~held
         self._held_until[released] = 0

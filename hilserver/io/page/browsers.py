@@ -1,4 +1,4 @@
-"""Who is there: one entry per browser, found by its cookie, proved by its token."""
+"""The browsers: one entry each, found by its cookie, proved by its token."""
 
 import asyncio
 import secrets
@@ -22,19 +22,19 @@ class Browser:
     hand: Hand
     # value of its cookie, which no script can read
     key: str = field(default_factory=lambda: secrets.token_urlsafe(32), repr=False)
-    # written into the page; whoever posts has to name it
+    # written into the page; every POST has to carry it
     token: str = field(default_factory=lambda: secrets.token_urlsafe(32), repr=False)
     user: str = ""  # name it has logged in with; empty: anonymous
-    address: str = ""  # where it is; empty: not known yet
+    address: str = ""  # empty: not known yet
     live: int = 0  # open sockets
-    # whether its user may stop the robot, as the daemon last said: that holds while it is silent
+    # whether its user may stop the robot, by the last answer of the daemon, kept while it is silent
     may_stop: bool = False
     seen_s: float = field(default_factory=time.monotonic)
     lock: asyncio.Lock = field(default_factory=asyncio.Lock)
     _tickets: dict[str, float] = field(default_factory=dict, repr=False)
 
     def new_ticket(self) -> str:
-        """Return what opens one socket, once and soon."""
+        """Return a ticket that opens one socket, once and within `TICKET_S`."""
         while len(self._tickets) >= MAX_TICKETS:
             del self._tickets[next(iter(self._tickets))]
         ticket = secrets.token_urlsafe(24)
@@ -42,7 +42,7 @@ class Browser:
         return ticket
 
     def take_ticket(self, ticket: object) -> bool:
-        """Whether the ticket is good; it is not a second time."""
+        """Whether the ticket is valid; it is used up by this."""
         until_s = self._tickets.pop(ticket, 0.0) if isinstance(ticket, str) else 0.0
         return time.monotonic() < until_s
 
@@ -52,7 +52,7 @@ class Browser:
 
 
 class Browsers:
-    """All of them; who is not logged in and not seen for longest is forgotten first."""
+    """All browsers; those without a log-in, not seen for longest, are forgotten first."""
 
     def __init__(self, make_hand: Callable[[], Hand], *, anonymous_may_stop: bool = False) -> None:
         self._make_hand, self._may_stop = make_hand, anonymous_may_stop
@@ -66,7 +66,7 @@ class Browsers:
         return browser
 
     async def new(self) -> Browser:
-        """Return a new one; one that has no socket open makes room, one without a user first."""
+        """Return a new one; others without an open socket make room, those without a user first."""
         idle = sorted(
             (b for b in self._by_key.values() if not b.live), key=lambda b: (b.user != "", b.seen_s)
         )
@@ -77,7 +77,7 @@ class Browsers:
         return browser
 
     def rekey(self, browser: Browser) -> None:
-        """Give it a new cookie: the old one may have been planted by somebody else."""
+        """Give it a new cookie: the old one may have been planted by an attacker."""
         self._by_key.pop(browser.key, None)
         browser.key = secrets.token_urlsafe(32)
         self._by_key[browser.key] = browser
@@ -88,7 +88,7 @@ class Browsers:
         await browser.hand.close()
 
     async def sweep(self) -> None:
-        """Forget who has not been here for an hour; close sessions that nobody needs."""
+        """Forget browsers that were not seen for an hour, and close their sessions."""
         now_s = time.monotonic()
         for browser in tuple(self._by_key.values()):
             if not browser.live and now_s - browser.seen_s > FORGOTTEN_AFTER_S:

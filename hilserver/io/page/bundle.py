@@ -1,4 +1,4 @@
-"""The built page, as it stands in the package: read once, compressed once."""
+"""The built page, from the package: read once, compressed once."""
 
 import gzip
 import mimetypes

@@ -31,11 +31,11 @@ _WORDS = {
 
 
 class WrongTypeError(Exception):
-    """The arguments of a call do not fit; the sentence says what does."""
+    """The arguments of a call do not fit; the sentence says what would."""
 
 
 def fit(value: Any, kind: str) -> bool:
-    """Whether a value from JSON can become one of this type; numbers pass for a name."""
+    """Whether a value from JSON can become this type; numbers are accepted as names."""
     if kind == ANY:
         return True
     if kind == STRING:
@@ -49,7 +49,7 @@ def fit(value: Any, kind: str) -> bool:
 
 
 def check(name: str, given: Sequence[Any], wanted: Sequence[str], optional: int = 0) -> None:
-    """Look at the arguments of a call; WrongTypeError says what is wrong."""
+    """Check the arguments of a call; WrongTypeError says what is wrong."""
     if not len(wanted) - optional <= len(given) <= len(wanted):
         raise WrongTypeError(f"{name} takes {len(wanted)} arguments, not {len(given)}")
     for number, (value, kind) in enumerate(zip(given, wanted, strict=False), 1):
@@ -58,7 +58,7 @@ def check(name: str, given: Sequence[Any], wanted: Sequence[str], optional: int 
 
 
 def check_value(name: str, value: Any, kind: str) -> None:
-    """Look at the value for a signal; WrongTypeError says what it should be."""
+    """Check the value for a signal; WrongTypeError says what it should be."""
     if not fit(value, kind):
         raise WrongTypeError(f"{name} should be {_WORDS[kind]}")
 
@@ -75,13 +75,13 @@ _log = logging.getLogger(__name__)
 
 
 def may_work(browser: Browser) -> None:
-    """Raise RefusedError where the role of a browser's user allows no work with files."""
+    """Raise RefusedError if the role of a browser's user allows no work with files."""
     if "Start" not in browser.hand.rights.methods:
         raise RefusedError("your role does not allow this")
 
 
 class LogIns:
-    """Counts failed log-ins as the daemon does, whose answer does not say that somebody waits."""
+    """Counts failed log-ins as the daemon does, whose answer does not tell that one has to wait."""
 
     def __init__(self, limit: int) -> None:
         self._attempts = FailedAttempts(limit, WINDOW_S)
@@ -89,12 +89,12 @@ class LogIns:
     async def log_in(self, browser: Browser, name: str, password: str) -> None:
         """Open the session of a user.
 
-        RefusedError if name or password is wrong, or too many were.
+        RefusedError if name or password is wrong, or too many attempts have failed.
         """
         keys, now_s = keys_of(name, browser.address), time.monotonic()
         if any(self._attempts.is_blocked(key, now_s) for key in keys):
             raise RefusedError("too many failed log-ins of this name or address: wait a minute")
-        for key in keys:  # before the answer, or guesses in parallel would all pass
+        for key in keys:  # before the answer, or parallel guesses would all pass
             self._attempts.failed(key, now_s)
         async with browser.lock:
             browser.user = ""
@@ -112,7 +112,7 @@ class LogIns:
 
 
 class Calls:
-    """Does what browsers call, each with the rights of its user."""
+    """Carries out calls of browsers, each with the rights of its user."""
 
     def __init__(
         self,
@@ -128,7 +128,7 @@ class Calls:
         self._log_ins = LogIns(setup.opcua.max_failed_logins)
 
     async def do(self, browser: Browser, name: str, arguments: Sequence[Any]) -> Any:
-        """Do what a call asks for; WrongTypeError or RefusedError has the sentence for the user."""
+        """Carry out a call; WrongTypeError or RefusedError has the sentence for the user."""
         own: dict[str, tuple[Callable[..., Awaitable[Any]], tuple[str, ...]]] = {
             "login": (self._login, (STRING, STRING)),
             "logout": (self._logout, ()),
@@ -172,7 +172,7 @@ class Calls:
             browser.may_stop = "Stop" in browser.hand.rights.methods
 
     async def report_stop(self, browser: Browser) -> None:
-        """Say to the daemon that Stop was pressed, for its event and its audit."""
+        """Report to the daemon that Stop was pressed, for its event and its audit."""
         await self.ready(browser)
         await browser.hand.call("Stop", ())
 

@@ -1,4 +1,4 @@
-"""Places for connections: however many are held, one more that asks for something comes in.
+"""Places for connections: however many are held, a new one that requests something gets in.
 
 =================  =================================================================================
 no whole request   ends after `HEAD_S`, between two requests after `IDLE_S`; yields at once when all
@@ -7,8 +7,8 @@ request at work    yields after `YIELDS_AFTER_S`
 live socket        stays: their number is limited elsewhere
 =================  =================================================================================
 
-Of those that may yield it is one of the address that holds the most, and of its connections the one
-that waits longest. So nobody is kept out by others, and Stop finds a place.
+Among those that may yield, the address with the most connections loses the one that has waited
+longest. So no one is kept out by others, and Stop finds a place.
 """
 
 import asyncio
@@ -31,7 +31,7 @@ ACCEPT_AGAIN_S = 0.05
 
 
 class Use(IntEnum):
-    """What a connection is used for, the first to yield first."""
+    """What a connection is used for, in the order in which they yield."""
 
     WAITS = 0
     WORKS = 1
@@ -39,7 +39,7 @@ class Use(IntEnum):
 
 
 class Place(asyncio.Protocol):
-    """One connection, from before its encryption is agreed on; hands on to the protocol behind."""
+    """One connection, from before its TLS handshake; forwards to the protocol behind."""
 
     def __init__(self, door: "Door", behind: Any, address: str) -> None:
         self.behind, self.address = behind, address
@@ -52,7 +52,7 @@ class Place(asyncio.Protocol):
         self.uses(Use.WAITS, HEAD_S)
 
     def connection_made(self, transport: Any) -> None:
-        """Let the protocol behind begin, unless the place has been given back meanwhile."""
+        """Start the protocol behind, unless the place has been given back meanwhile."""
         if self._is_over:
             transport.abort()
         else:
@@ -71,7 +71,7 @@ class Place(asyncio.Protocol):
 
     def _out_of_time(self) -> None:
         if self._transport is not None and self._transport.get_write_buffer_size():
-            self.uses(Use.WAITS, IDLE_S)  # a slow line takes a large file
+            self.uses(Use.WAITS, IDLE_S)  # a large file over a slow line
         else:
             self.end()
 
@@ -87,14 +87,14 @@ class Place(asyncio.Protocol):
             self.handshake.cancel()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Hand on."""
+        """Forward the loss and give the place back."""
         if self._transport is not None:
             self.behind.connection_lost(exc)
         self.end()
 
 
 class Door:
-    """Accepts connections, and gives each a place before it has said anything.
+    """Accepts connections, and gives each a place before it has sent anything.
 
     `behind` makes the protocol that serves one connection.
     """
@@ -106,14 +106,14 @@ class Door:
         self._places: dict[Any, Place] = {}
 
     async def let_in(self, listener: socket.socket) -> None:
-        """Accept connections for ever."""
+        """Accept connections until cancelled."""
         listener.setblocking(False)
         loop = asyncio.get_running_loop()
         async with asyncio.TaskGroup() as handshakes:
             while True:
                 try:
                     connection, address = await loop.sock_accept(listener)
-                except OSError:  # no more files may be open for now
+                except OSError:  # too many open files for now
                     await asyncio.sleep(ACCEPT_AGAIN_S)
                     continue
                 place = self.place(address[0])
@@ -128,11 +128,11 @@ class Door:
             await asyncio.get_running_loop().connect_accepted_socket(
                 lambda: place, connection, ssl=self.tls, ssl_handshake_timeout=limit_s
             )
-        except (OSError, TimeoutError, RuntimeError):  # it is gone, or speaks no TLS
+        except (OSError, TimeoutError, RuntimeError):  # it is gone, or does not speak TLS
             place.end()
 
     def place(self, address: str) -> Place | None:
-        """Return a place for a newcomer; another one yields if all are taken, None if none does."""
+        """Return a place for a newcomer; if all are taken another yields, if none may: None."""
         if len(self._places) >= self._most:
             first = self._first_to_yield()
             if first is None:
@@ -153,7 +153,7 @@ class Door:
         return min(may_yield, key=lambda p: (p.use, -crowd[p.address], p.since_s), default=None)
 
     def leave(self, place: Place) -> None:
-        """Take its place back."""
+        """Free a place."""
         self._places.pop(place.behind, None)
 
     def stays(self, request: web.Request) -> None:
@@ -162,7 +162,7 @@ class Door:
             place.uses(Use.LIVE)
 
     def middleware(self) -> Middleware:
-        """Return the middleware of the application, which notes who works."""
+        """Return the middleware of the application, which notes requests at work."""
 
         @web.middleware
         async def note(request: web.Request, handler: Handler) -> web.StreamResponse:

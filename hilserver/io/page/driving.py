@@ -1,4 +1,4 @@
-"""Who drives, and the way of its commands: one browser at a time, only on a fresh picture."""
+"""Which browser drives, and the path of its commands: one at a time, only on a fresh picture."""
 
 import asyncio
 import math
@@ -13,7 +13,7 @@ from hilserver.io.page.hand import RefusedError
 from hilserver.plant.layout import WHEELS
 from hilserver.signals.numbers import is_finite_number
 
-BOARD_S = 1.5  # the board is written and sent twice a second each
+BOARD_S = 1.5  # writing and sending the board each take up to half a second
 _MODES = {"wheels": 0, "twist": 1}
 
 
@@ -35,12 +35,12 @@ class Command:
 
     @property
     def is_zero(self) -> bool:
-        """Whether nothing is to move."""
+        """Whether all set-points are zero."""
         return not any(v for name, v in self.values.items() if name != "control.mode")
 
     @classmethod
     def parse(cls, data: Mapping[str, Any]) -> "Command":
-        """Return the command of a message; RefusedError if it is none."""
+        """Return the command of a message; RefusedError if it is not one."""
         mode = data.get("mode")
         numbers: list[Any] = []
         if mode == "twist":
@@ -65,7 +65,7 @@ _RELEASE = Command({"control.source": "nobody"})
 class Driving:
     """Hands the newest command of the driver to the daemon; older ones are dropped, never queued.
 
-    Commands on a picture older than `deadman_ms` are refused; the daemon ends held ones by itself.
+    Commands on a picture older than `deadman_ms` are refused; held ones are ended by the daemon.
     """
 
     def __init__(self, deadman_ms: float) -> None:
@@ -74,17 +74,17 @@ class Driving:
         self._next: Command | None = None
         self._news = asyncio.Event()
         self._taken_s = -math.inf
-        self._turn = asyncio.Lock()  # what one browser has sent is done before another one's
+        self._turn = asyncio.Lock()  # what one browser sent is completed before another's turn
 
     @property
     def is_new(self) -> bool:
-        """Whether control was taken so lately that the board may not say so yet."""
+        """Whether control was taken so recently that the board may not show it yet."""
         return time.monotonic() - self._taken_s < BOARD_S
 
     async def take(self, seat: Seat, check: Callable[[], None] = lambda: None) -> None:
-        """Give the wheel to `seat`, and control to the page; RefusedError if that may not be.
+        """Give the wheel to `seat`, and control to the page; RefusedError if that is not allowed.
 
-        `check`: raises RefusedError; called when it is its turn, after who was quicker.
+        `check`: may raise RefusedError; called when it is its turn, after earlier requests.
         """
         if not seat.browser.hand.rights.drive:
             raise RefusedError("your role does not allow driving")
@@ -97,7 +97,7 @@ class Driving:
             before.tell({"type": "refused", "text": "another browser has taken the wheel"})
 
     def command(self, seat: Seat, data: Mapping[str, Any]) -> None:
-        """Take a command of `seat`; RefusedError if it does not drive, or on a picture too old."""
+        """Take a command of `seat`; RefusedError if it does not drive or its picture is too old."""
         command = Command.parse(data)
         if seat is not self.driver:
             raise RefusedError("you do not drive: take control first")
@@ -115,7 +115,7 @@ class Driving:
             self._news.set()
 
     async def run(self) -> None:
-        """Hand over commands, one at a time, for ever."""
+        """Hand over commands, one at a time, until cancelled."""
         while True:
             await self._news.wait()
             self._news.clear()
@@ -127,7 +127,7 @@ class Driving:
 
     async def _hand_over(self, command: Command, seat: Seat) -> None:
         try:
-            if command is _RELEASE:  # at rest before control goes on, which would ramp it there
+            if command is _RELEASE:  # stop at once, as handing over control would only ramp down
                 self.driver = None
                 await seat.browser.hand.write(_REST.values)
             await seat.browser.hand.write(command.values)

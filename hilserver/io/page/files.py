@@ -12,7 +12,7 @@ from hilserver.io.page.hand import RefusedError
 LOG_SUFFIXES = (".csv", ".mcap", ".parquet", ".db3")
 REPORT = "report.html"
 BEGUN = "finished.jsonl"
-"""What a sweep leaves from its first machine on; the report comes at its end."""
+"""File of a sweep that exists from its first machine on; the report comes at its end."""
 MOST_REPORTS = 200
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 _HEAD_BYTES = 4096
@@ -46,7 +46,7 @@ def file_in(folder: Path, name: object) -> Path:
 def reports_in(folder: Path) -> Iterator[dict[str, Any]]:
     """Yield name, time and title of every report of a folder, the newest first.
 
-    A title says what was found; None where the work has begun and not ended.
+    The title states the result; None if the work has not ended.
     """
     found = []
     with contextlib.suppress(OSError):

@@ -1,8 +1,8 @@
-"""Binary frames: what a browser has asked to see, as it stands in the process image.
+"""Binary frames: the signals that a browser has subscribed to, from the process image.
 
 Little endian: version (1), number of the subscription (UInt8), signals n (UInt16), time stamp
 [ms] (UInt32), tick (Double), n values (Double), n OPC UA status codes (UInt32). A browser sends the
-newest time stamp back with every command, so that nobody drives on a picture that stands still.
+newest time stamp back with every command, so that no one drives on a frozen picture.
 """
 
 import struct
@@ -27,12 +27,12 @@ def stamp_ms() -> int:
 
 
 def age_ms(stamp: int) -> int:
-    """Return how old a time stamp is."""
+    """Return the age of a time stamp."""
     return (stamp_ms() - stamp) % _WRAP
 
 
 class Selection:
-    """The signals that a browser has asked for."""
+    """The signals that a browser has subscribed to."""
 
     def __init__(self, number: int, slots: Sequence[int]) -> None:
         self.key = (number & 0xFF, tuple(slots))
@@ -51,9 +51,9 @@ _TIME = "sim.time_s"
 
 
 def history(reader: ImageReader, slots: Mapping[str, int], names: Sequence[str]) -> dict[str, Any]:
-    """Return times [s] and values of signals, oldest first; None where there was none.
+    """Return times [s] and values of signals, oldest first; None for a missing value.
 
-    Only as many frames are read as a plot can show; a clock that goes back begins anew.
+    Only as many frames are read as a plot can show; they begin where time last went back.
     """
     head, length = reader.head, reader.control.ring_length
     columns = [slots[name] for name in names]

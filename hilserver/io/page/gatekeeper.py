@@ -1,4 +1,4 @@
-"""What every request has to pass, and the headers that every answer carries."""
+"""Checks for every request, and headers of every answer."""
 
 from urllib.parse import urlsplit
 
@@ -29,8 +29,8 @@ HEADERS = {
 class Gatekeeper:
     """Refuses requests that were not meant for this page.
 
-    `host`: where the page listens. On loopback only its names are answered to, so that no foreign
-    name can be made to point here.
+    `host`: where the page listens. On loopback only its own names are accepted, so that no foreign
+    name can be made to point here (DNS rebinding).
     """
 
     def __init__(self, host: str) -> None:
@@ -68,9 +68,9 @@ class Gatekeeper:
 
 
 def _is_elsewhere(request: web.Request) -> bool:
-    """Whether a page of another site, or of another port here, embeds or links what is read.
+    """Whether a page of another site, or of another port here, embeds or links the resource.
 
-    Browsers say so also where they name no origin, for images and scripts; programs do not.
+    Browsers report this even without an origin, for images and scripts; programs do not.
     """
     site = request.headers.get("Sec-Fetch-Site")
     return request.path.startswith("/api/") and site in ("cross-site", "same-site")

@@ -1,4 +1,4 @@
-"""The hand of one browser: its own session at the daemon's OPC UA server, with its own rights."""
+"""The hand of one browser: a session at the daemon's OPC UA server with its user's rights."""
 
 import asyncio
 import logging
@@ -29,7 +29,7 @@ _VARIANTS = {
 
 
 class RefusedError(Exception):
-    """The daemon has refused; the sentence says why."""
+    """The daemon has refused; the sentence has the reason."""
 
 
 class WrongPasswordError(RefusedError):
@@ -62,7 +62,7 @@ class Hand:
     async def connect(self, name: str = "", password: str = "", address: str = "") -> None:
         """Open the session, for a user at this address.
 
-        RefusedError if the server does not answer; WrongPasswordError if it does not know this
+        RefusedError if the server does not answer; WrongPasswordError if it does not accept this
         user.
         """
         access = self._access

@@ -25,13 +25,13 @@ _PROGRESS = re.compile(r"^\s*(\d{1,3})% (.{1,200})$")
 
 
 class ShareOfTime:
-    """Whether a process gets hardly any time: idle priority takes only what nobody else wants."""
+    """Whether a process gets hardly any time: idle priority gets only what others leave."""
 
     def __init__(self) -> None:
         self._marks: deque[tuple[float, float]] = deque(maxlen=32)
 
     def is_small(self, pid: int, over_s: float = SHARE_OVER_S) -> bool:
-        """Whether it had less than a tenth of the last seconds, once as many have gone by."""
+        """Whether it had less than a tenth of the last `over_s`, once that time has passed."""
         now_s = time.monotonic()
         if not self._marks or now_s - self._marks[-1][0] >= over_s / 8:
             try:
@@ -63,7 +63,7 @@ class Job:
     files: list[str] = field(default_factory=list)
 
     def view(self) -> dict[str, Any]:
-        """Return what a browser is shown."""
+        """Return what a browser shows."""
         keys = ("number", "log", "state", "share", "stage", "text", "started_s")
         if self.state == "done" and not self.files:  # nothing is added later
             self.files = [f["name"] for f in files_in(self.folder)]
@@ -76,7 +76,7 @@ class Job:
         }
 
     def _guess(self) -> str:
-        """Return the mapping that the diagnosis has guessed for a log of others."""
+        """Return the mapping that the diagnosis guessed for a log of others."""
         try:
             with (self.folder / "mapping.yaml").open(encoding="utf-8") as file:
                 return file.read(MAPPING_CHARACTERS)
@@ -105,7 +105,7 @@ class Jobs:
     def diagnose(self, log: object, mapping: str = "") -> int:
         """Start a diagnosis of a log; return its number.
 
-        `mapping` names one that is built in; without it that is taken which was saved for the log.
+        `mapping` names a built-in one; without it the one saved for the log is used.
         RefusedError if there is no such log, or one is running.
         """
         path = file_in(self._setup.folder("recordings"), log)
@@ -128,7 +128,7 @@ class Jobs:
         return job.number
 
     def map(self, log: object, text: str) -> None:
-        """Keep a mapping for a log, for its next diagnoses; an empty one forgets it."""
+        """Save a mapping for a log, for its next diagnoses; an empty one removes it."""
         path = file_in(self._setup.folder("recordings"), log)
         own = path.with_name(path.name + MAPPING)
         if len(text) > MAPPING_CHARACTERS:
@@ -145,7 +145,7 @@ class Jobs:
         _terminate(job)
 
     def keep(self, number: object) -> str:
-        """Copy the patch of a finished diagnosis to the other patches; return its name there."""
+        """Copy the patch of a finished diagnosis to the patches; return its name there."""
         job = self._find(number, "done")
         source = job.folder / "model_patch.yaml"
         if not source.is_file():
@@ -206,7 +206,7 @@ class Jobs:
         lines: deque[str] = deque(maxlen=12)
         while process.stdout is not None and (data := await process.stdout.readline()):
             text = data.decode(errors="replace").rstrip()[:400]
-            line = text.replace(f"{job.folder.parent}/", "")  # its place on this computer
+            line = text.replace(f"{job.folder.parent}/", "")  # without our folders
             if match := _PROGRESS.match(line):
                 job.share, job.stage = int(match[1]) / 100, match[2]
             else:
@@ -215,7 +215,7 @@ class Jobs:
 
 
 def _store(path: Path, content: bytes) -> None:
-    """Write a file as a whole, or say why there is none."""
+    """Write a file as a whole; RefusedError if that fails."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, content)

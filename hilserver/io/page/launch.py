@@ -1,4 +1,4 @@
-"""Starts the page beside a daemon, starts it again when it fails, and ends it with the daemon."""
+"""Starts the page beside a daemon, restarts it when it fails, and ends it with the daemon."""
 
 import asyncio
 import socket
@@ -22,7 +22,7 @@ _log = structlog.get_logger(__name__)
 class PageBeside(Part):
     """A page that runs beside a daemon, which never waits for it.
 
-    The listener stays ours, so that a page that is started again has the same address.
+    The daemon keeps the listener, so that a restarted page has the same address.
     """
 
     section = label = "page"
@@ -33,11 +33,11 @@ class PageBeside(Part):
 
     @property
     def address(self) -> str:
-        """That of the page."""
+        """The address of the page."""
         return self._address
 
     async def start(self) -> None:
-        """Start it; it comes up when it can."""
+        """Start it, without waiting for it."""
         running = _keep_running(self._setup(), self._listener)
         self._task = asyncio.create_task(running, name="page")
 

@@ -38,7 +38,7 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 def tls_context(certificate: Path, key: Path) -> ssl.SSLContext:
-    """Return what encrypts the page.
+    """Return the TLS context of the page.
 
     ConfigError if certificate or key are missing or cannot be used.
     """
@@ -70,7 +70,7 @@ def key_notice(key: Path) -> str | None:
 
 
 def _no_password() -> str:
-    raise ValueError  # without this function Python would ask for one at the terminal
+    raise ValueError  # without this function Python would prompt for one
 
 
 def url_of(listener: socket.socket, host: str, *, is_encrypted: bool) -> str:

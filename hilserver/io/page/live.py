@@ -1,6 +1,6 @@
 """The sockets: frames of the process image many times a second, the board twice a second.
 
-A browser that does not take its frames loses them; nobody waits for it.
+A browser that does not take its frames loses them; nothing waits for it.
 """
 
 import asyncio
@@ -26,7 +26,7 @@ MESSAGES_PER_S = 200
 MAX_SIGNALS = 500
 UNREAD_BYTES = 32_768
 WRITABLE_BYTES = UNREAD_BYTES + (1 << 20)
-"""More than whoever has taken what it was sent can be sent at once, a full board: no send waits."""
+"""More than is ever sent at once (a full board) to a client that is ready: no send waits."""
 UNREAD_S = 15.0
 BOARD_EVERY_S = 0.5
 GREET_S = 5.0
@@ -38,7 +38,7 @@ class Client:
     def __init__(self, number: int, browser: Browser, request: web.Request) -> None:
         self.number, self.browser = number, browser
         self.selection: Selection | None = None
-        self.lost = 0  # frames that it did not get because it does not take them
+        self.lost = 0  # frames left out because it did not take earlier ones
         self.socket = web.WebSocketResponse(
             max_msg_size=MESSAGE_BYTES, compress=False, heartbeat=20.0
         )
@@ -50,7 +50,7 @@ class Client:
 
     @property
     def is_ready(self) -> bool:
-        """Whether it has taken what it was sent; one that takes nothing for long is dropped."""
+        """Whether it has taken what was sent; one that takes nothing for long is dropped."""
         transport = self._transport
         if transport is None or self.socket.closed or transport.is_closing():
             return False
@@ -111,7 +111,7 @@ class Live:
 
     @property
     def board(self) -> dict[str, Any]:
-        """What the daemon last wrote on the board."""
+        """The newest board of the daemon."""
         return self._board.content
 
     async def serve(self, request: web.Request, browser: Browser) -> web.WebSocketResponse:
@@ -137,7 +137,7 @@ class Live:
         return client.socket
 
     async def _refusal(self, client: Client) -> tuple[int, str] | None:
-        """Return why a socket may not stay, None if it may; others may come in while it greets."""
+        """Return why a socket may not stay, None if it may; others may connect meanwhile."""
         full = (WSCloseCode.TRY_AGAIN_LATER, "too many browsers")
         if not self._has_place(client.browser):
             return full
@@ -191,7 +191,7 @@ class Live:
             raise ValueError("unknown message")
 
     async def run(self) -> None:
-        """Send frames and boards for ever."""
+        """Send frames and boards until cancelled."""
         loop = asyncio.get_running_loop()
         next_s, board_s = loop.time(), loop.time()
         while True:

@@ -1,6 +1,6 @@
-"""``python -m hilserver.io.page.quietly COMMAND ...``: a command of ours that disturbs nobody.
+"""``python -m hilserver.io.page.quietly COMMAND ...``: run a command of ours in the background.
 
-It gets only the time that nobody else wants, and a limit of memory.
+It gets only processor time that nothing else needs, and limited memory.
 """
 
 import os
@@ -13,7 +13,7 @@ MEMORY_BYTES = 4 << 30
 
 
 def main() -> None:
-    """Lower priority and limits, then become the command."""
+    """Lower priority and limits, then exec the command."""
     lower(19)
     if hasattr(os, "SCHED_IDLE"):
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))

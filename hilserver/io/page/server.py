@@ -1,4 +1,4 @@
-"""The page's server: routes, and what runs beside them; what a call does stands in `calls`."""
+"""The page's server: routes and background tasks; calls are carried out by `calls`."""
 
 import asyncio
 import contextlib
@@ -37,7 +37,7 @@ SWEEP_S = 60.0
 class PageServer:
     """Serves the page of one daemon until it is cancelled.
 
-    FailedError if the daemon does not run, or the page is not built.
+    FailedError if the daemon does not run, or the page was not built.
     """
 
     def __init__(self, setup: Setup) -> None:
@@ -292,7 +292,7 @@ class PageServer:
 
 
 async def _shown(path: Path | None) -> web.Response:
-    """Return the answer that shows a report, in its own sandbox; 404 without one."""
+    """Return the answer that shows a report, in its own sandbox; 404 if there is none."""
     if path is None:
         raise web.HTTPNotFound(text="there is no such report")
     kind = "text/html" if path.suffix == ".html" else "text/plain"

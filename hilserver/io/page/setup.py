@@ -1,4 +1,4 @@
-"""What the page's process has to know of the daemon; handed over as JSON at its start."""
+"""What the page's process has to know about the daemon; passed as JSON at its start."""
 
 import json
 from dataclasses import asdict, dataclass, field
@@ -15,7 +15,7 @@ class Serving:
     rate_hz: float = 30.0
     deadman_ms: float = 300.0
     max_clients: int = 20
-    certificate: str = ""  # empty: in the clear
+    certificate: str = ""  # empty: no encryption
     key: str = ""
 
 
@@ -23,15 +23,15 @@ class Serving:
 class OpcUaAccess:
     """How the page reaches the daemon's OPC UA server."""
 
-    endpoint: str = ""  # empty where the server is off: the page then shows and does nothing
-    # marks the page's sessions; empty: they are those of any client
+    endpoint: str = ""  # empty if the server is off: the page then only shows
+    # marks the page's sessions; empty: they are like those of any client
     secret: str = field(default="", repr=False)
     needs_login: bool = False  # whether a name and a password are needed
-    anonymous_may_stop: bool = False  # whether whoever has not logged in may stop the robot
+    anonymous_may_stop: bool = False  # whether users without a log-in may stop the robot
     # failed log-ins per name or address in a minute; the daemon counts the same
     max_failed_logins: int = 5
-    # security policy, and what the page shows there: the server's own certificate, which it trusts
-    # and is known by. Empty in the clear.
+    # security policy, and the server's own certificate, which the page both trusts and presents;
+    # empty without encryption
     policy: str = ""
     certificate: str = ""
     key: str = ""
@@ -50,13 +50,13 @@ class Setup:
     robot: dict[str, Any]  # dimensions [m] and largest speeds
     walls: list[list[float]]  # x1, y1, x2, y2 [m] of each
     folders: dict[str, str]  # absolute paths: recordings, scenarios, patches, reports, snapshots
-    # every kind of fault: name, description, parameters that it needs and takes, what it acts on
+    # of every kind of fault: name, description, required and optional parameters, target
     faults: list[dict[str, Any]] = field(default_factory=list)
     # name, unit, low, high, configured value, nullable, fixed and meaning of every parameter
     parameters: list[dict[str, Any]] = field(default_factory=list)
     # names of the built-in mappings for logs of others
     mappings: list[str] = field(default_factory=list)
-    config_file: str = ""  # the configuration that a diagnosis is to use; empty: the defaults
+    config_file: str = ""  # configuration for diagnoses; empty: the defaults
 
     def to_json(self) -> str:
         """Return one line of JSON."""

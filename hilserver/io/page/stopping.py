@@ -1,7 +1,7 @@
 """Stop from the page: pressed in shared memory first, reported to the daemon afterwards.
 
 The compiled step obeys the press, so that neither the daemon's event loop nor its OPC UA server is
-needed; the daemon hears of it afterwards, for its event and its audit.
+needed; the daemon is informed afterwards, for its event and its audit.
 """
 
 import asyncio
@@ -19,7 +19,7 @@ _log = logging.getLogger(__name__)
 class Stopping:
     """Presses Stop for browsers whose role allows it.
 
-    `report` calls Stop of the daemon, too; RefusedError if that fails.
+    `report` also calls Stop of the daemon; RefusedError if that fails.
     """
 
     def __init__(self, image: str, report: Callable[[Browser], Awaitable[None]]) -> None:

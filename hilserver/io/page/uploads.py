@@ -1,4 +1,4 @@
-"""Logs from and to a browser: bounded, streamed, and never over one that is there."""
+"""Logs from and to a browser: bounded, streamed, never overwriting an existing one."""
 
 import asyncio
 import os
@@ -38,9 +38,9 @@ class Uploads:
         )
 
     async def take(self, name: str, request: web.Request) -> int:
-        """Store what a request brings; return its size in bytes.
+        """Store the content of a request; return its size in bytes.
 
-        RefusedError if the name is taken or no log's, another one is coming in, or it is too large.
+        RefusedError if the name is taken or not a log's, another upload runs, or it is too large.
         """
         if not is_plain(name) or Path(name).suffix not in LOG_SUFFIXES:
             raise RefusedError(
@@ -92,4 +92,4 @@ class Uploads:
 def _complete(part: _Part, target: Path) -> None:
     part.flush()
     os.fchmod(part.fileno(), 0o644)
-    os.link(part.name, target)  # refuses where somebody was faster
+    os.link(part.name, target)  # fails if another upload was faster

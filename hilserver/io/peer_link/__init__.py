@@ -1,4 +1,4 @@
-"""What all links to peers share, whatever their transport: `link` and what it needs.
+"""Common to all links to peers, whatever their transport: `link` and what it needs.
 
-`opcua_client` and `s7` add how they converse; `peers` makes a link for every configured peer.
+`opcua_client` and `s7` add the conversation; `peers` makes a link for every configured peer.
 """

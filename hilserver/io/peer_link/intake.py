@@ -1,8 +1,8 @@
 """From samples to one group for the input gate: judged, counted, named, handed over together.
 
-Every group is the complete picture of what the peer commands, not only what changed: after a
-hand-over of control or a reset a constant set-point is there again with the next cycle. Where the
-peer has a counter, a batch without a newer number brings nothing in.
+Every group is the complete picture of what the peer commands, not only the changes: after a
+hand-over of control or a reset the next cycle brings a constant set-point again. If the peer has a
+counter, a batch without a newer number is not handed over.
 """
 
 import asyncio
@@ -18,12 +18,12 @@ from hilserver.io.source import Source
 SEQUENCE_SIGNAL = "input.sequence"
 
 REPEATS_TOLERATED = 3
-"""So many batches may change values under one sequence number before it is called repeating."""
-OLDEST_NS = 1_000_000_000  # a stamp that makes a sample older than that is wrong
+"""Batches with changed values under one sequence number before that counts as a fault."""
+OLDEST_NS = 1_000_000_000  # a sample older than that by its stamp has a wrong stamp
 
 
 class Intake:
-    """Takes the batches of one peer, whoever brought them.
+    """Takes the batches of one peer, by whatever transport.
 
     `utc_ns`: CLOCK_MONOTONIC [ns] -> UTC [ns].
     """
@@ -40,7 +40,7 @@ class Intake:
         self.begin_session()
 
     def begin_session(self) -> None:
-        """Forget what only holds within one session: counters, stamps and values start anew."""
+        """Forget what holds only within one session: counters, stamps and values."""
         self.sequence = SequenceWatch(self._modulus)
         self.offset = ClockOffset()
         self._stamps = StampWatch()
@@ -49,16 +49,16 @@ class Intake:
         self._last_values: dict[str, object] = {}
         self._news_ns: int | None = None
         self._repeats = 0
-        self._fresh: set[str] = set()  # inputs of which a new sample has come
+        self._fresh: set[str] = set()  # inputs with a new sample
         self._age_ns = 0  # of the newest batch, by the stamp of its source
 
     def expect(self, nodes: Iterable[str], now_ns: int) -> None:
-        """Hold every input as unusable until its first good sample."""
+        """Treat every input as unusable until its first good sample."""
         for node in nodes:
             self._lose(node, now_ns)
 
     def missing(self, node: str, why: str, now_ns: int) -> None:
-        """Name a node that the peer does not have (yet)."""
+        """Report a node that the peer does not have (yet)."""
         self._faults.report(FaultKind.MISSING_NODE, node, f"{node} is not there: {why}", now_ns)
         self._drop(node, now_ns)
 
@@ -194,7 +194,7 @@ Batch = list[tuple[str, Verdict]]
 
 
 class FaultyIntake:
-    """Hands batches on at once while the link has no faults."""
+    """Hands batches on through the injected faults of the link, without them at once."""
 
     def __init__(self, intake: Intake, line: Line) -> None:
         self._intake = intake
@@ -202,18 +202,18 @@ class FaultyIntake:
         self._news = asyncio.Event()
 
     def missing(self, node: str, why: str, now_ns: int) -> None:
-        """Name a node that the peer does not have."""
+        """Report a node that the peer does not have."""
         self._intake.missing(node, why, now_ns)
 
     def receive(self, samples: Iterable[tuple[str, Verdict]], now_ns: int) -> None:
-        """Take one batch; what is not late is handed on here and now."""
+        """Take one batch; one that is not delayed is handed on at once."""
         self._lane.put(list(samples))
         for batch in self._lane.take():
             self._intake.receive(batch, now_ns)
         self._news.set()
 
     async def run(self) -> None:
-        """Hand late batches on when they arrive, until the session ends."""
+        """Hand delayed batches on when they are due, until the session ends."""
         while True:
             await self._wait()
             for batch in self._lane.take():

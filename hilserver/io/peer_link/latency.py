@@ -1,8 +1,8 @@
-"""Clock offset and one-way latency from what a peer tells about its time: pure, on nanoseconds.
+"""Clock offset and one-way latency from time stamps of a peer: pure, in nanoseconds.
 
 The offset comes from pairs of reads of ServerStatus.CurrentTime, NTP's way: the read with the
-smallest uncertainty counts. Some servers keep CurrentTime in steps (asyncua: one second), and a
-value that is up to a step old says nothing. Two reads in a row tell the two kinds apart::
+smallest uncertainty counts. Some servers update CurrentTime in steps (asyncua: one second), and a
+value that is up to a step old is useless. Two reads in a row distinguish the two kinds::
 
     fresh clock:    |--read--|  |--read--|      advance of the clock = time between the reads
                         t1          t2          offset = t2 - middle of the second read
@@ -21,7 +21,7 @@ from hilserver.io.peer_link.samples import FaultKind
 PAIR_NS = 50_000_000  # two reads further apart than this are not a pair
 
 FRESH_NS = 2_000_000
-"""By how much the advance of a fresh clock may differ from ours between two reads."""
+"""Largest difference of the advances of a fresh clock and ours between two reads."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,14 +32,14 @@ class _Read:
 
 
 class ClockOffset:
-    """Peer's clock minus ours, from reads of its clock: the most certain one of the newest."""
+    """Peer's clock minus ours: the most certain estimate of the newest ones."""
 
     def __init__(self, window: int = 32) -> None:
         self._estimates: deque[tuple[int, int]] = deque(maxlen=window)
         self._last: _Read | None = None
 
     def read(self, sent_ns: int, received_ns: int, peer_ns: int) -> bool:
-        """Add one read; all three on UTC [ns]. Return whether it gave an estimate."""
+        """Add one read; all three in UTC [ns]. Return whether it gave an estimate."""
         last, self._last = self._last, _Read(sent_ns, received_ns, peer_ns)
         if last is None or received_ns - last.sent_ns > PAIR_NS:
             return False
@@ -63,7 +63,7 @@ class ClockOffset:
 
     @property
     def uncertainty_ns(self) -> int | None:
-        """Half width [ns] of the interval that holds the offset."""
+        """Half width [ns] of the interval that contains the offset."""
         return min(self._estimates)[0] if self._estimates else None
 
 
@@ -80,9 +80,9 @@ class _Stamp:
 
 @dataclass(frozen=True, slots=True)
 class StampVerdict:
-    """What a SourceTimestamp is good for."""
+    """Result for one SourceTimestamp."""
 
-    advanced: bool  # it is newer than the node's last one: a latency can be taken from it
+    advanced: bool  # newer than the node's last one: it gives a latency
     fault: FaultKind | None = None  # FROZEN_STAMP or STAMP_BACKWARDS
 
 
@@ -97,7 +97,7 @@ class StampWatch:
         self._nodes: dict[str, _Stamp] = {}
 
     def observe(self, node: str, stamp_ns: int | None, value: object) -> StampVerdict:
-        """Judge the stamp [UTC ns] of one sample; the first one of a node proves nothing."""
+        """Judge the stamp [UTC ns] of one sample; the first one of a node is no evidence."""
         if stamp_ns is None:
             return StampVerdict(advanced=False)
         seen = self._nodes.get(node)
@@ -119,5 +119,5 @@ class StampWatch:
 
 
 def one_way_ns(stamp_ns: int, arrival_ns: int, offset_ns: int) -> int:
-    """Return SourceTimestamp to arrival [ns], the peer's stamp moved onto our clock."""
+    """Return SourceTimestamp to arrival [ns], the peer's stamp converted to our clock."""
     return arrival_ns - (stamp_ns - offset_ns)

@@ -1,7 +1,7 @@
-"""A controller that is reached as a client: connect, work, wait, as long as the daemon runs.
+"""A controller that we reach as a client: connect, work, wait, as long as the daemon runs.
 
-One `Peer` protocol, several transports: what a transport adds is `converse`, a conversation that
-lasts until the connection ends. Silence, faults, back-off and figures are the same for all.
+One `Peer` protocol, several transports: a transport adds `converse`, which lasts until the
+connection ends. Silence, faults, back-off and figures are the same for all.
 """
 
 import asyncio
@@ -23,7 +23,7 @@ from hilserver.io.world import Part
 from hilserver.program import event_loop
 from hilserver.signals import MEASURED
 
-SETTLED_S = 2.0  # a session that lived so long resets the back-off
+SETTLED_S = 2.0  # a session of this length resets the back-off
 
 Output = tuple[object, int, int]
 """Value, OPC UA status code, CLOCK_MONOTONIC [ns] of the tick that made it."""
@@ -40,7 +40,7 @@ class Backoff:
         self._next_s = first_s
 
     def settled(self) -> None:
-        """Begin anew: the last session worked."""
+        """Reset the pauses: the last session worked."""
         self._next_s = self._first_s
 
     def next_s(self) -> float:
@@ -98,7 +98,7 @@ class Peer(Part):
         self._tasks: list[asyncio.Task[None]] = []
 
     async def converse(self) -> None:
-        """Connect, call `enter`, and work until the connection ends; raise why it did."""
+        """Connect, call `enter`, and work until the connection ends; raise the reason."""
         raise NotImplementedError
 
     @staticmethod
@@ -108,7 +108,7 @@ class Peer(Part):
 
     @property
     def address(self) -> str:
-        """Whom it reaches."""
+        """The peer that it connects to."""
         return self.config.endpoint
 
     async def start(self) -> None:
@@ -158,7 +158,7 @@ class Peer(Part):
                 backoff.settled()
             self._leave()
             if not self._tasks:
-                return  # stopped: an error of the same moment has hidden the cancellation
+                return  # stopped: an error at the same moment has hidden the cancellation
             pause_s = started_s + backoff.next_s() - loop.time()
             await asyncio.sleep(max(shortest_s, pause_s))
 
@@ -168,7 +168,7 @@ class Peer(Part):
         raise LinkLostError("an injected fault cut the link")
 
     def enter(self) -> FaultyIntake:
-        """Note that there is a session; return what takes its samples."""
+        """Note that there is a session; return the intake for its samples."""
         status = self.status
         if status.last_connect_ns is not None:
             status.reconnects += 1
@@ -192,7 +192,7 @@ class Peer(Part):
         self.status.last_error = why
 
     def _note_refusal(self, refused: RefusedError) -> None:
-        """Tell the reason once, however often the attempt is repeated."""
+        """Report the reason once, however often the attempt is repeated."""
         self.status.last_error = str(refused)
         self._faults.refuse(refused.kind, refused.subject, str(refused), time.monotonic_ns())
 

@@ -1,4 +1,4 @@
-"""What samples and sequence numbers of a peer are worth, and why there is no connection."""
+"""Judges samples and sequence numbers of a peer, and defines why there is no connection."""
 
 import math
 from dataclasses import dataclass
@@ -37,15 +37,15 @@ class FaultKind(StrEnum):
 class Verdict:
     """A usable value, or what is wrong with the sample."""
 
-    value: object = None  # None when it cannot be used
-    fault: FaultKind | None = None  # None when it can
+    value: object = None  # None if it cannot be used
+    fault: FaultKind | None = None  # None if it can
     detail: str = ""  # what was seen, for the sentence
-    # when its source took it, UTC [ns]; None where the protocol does not say
+    # when its source sampled it, UTC [ns]; None if the protocol does not tell
     stamp_ns: int | None = None
 
 
 def judge_value(value: object) -> Verdict:
-    """Judge a value, or a list of them, that is called good; only finite numbers pass."""
+    """Judge a value, or a list of them, with status Good; only finite numbers pass."""
     parts = value if isinstance(value, list | tuple) else [value]
     for part in parts:
         if isinstance(part, bool):
@@ -61,15 +61,15 @@ def judge_value(value: object) -> Verdict:
 
 @dataclass(frozen=True, slots=True)
 class SequenceStep:
-    """What one sequence number says."""
+    """Result for one sequence number."""
 
-    advanced: bool  # it is new: the controller is alive
+    advanced: bool  # new: the controller is alive
     missed: int = 0  # numbers left out since the last one
     fault: FaultKind | None = None  # a jump
 
 
 class SequenceWatch:
-    """Follows a counter that grows by one per cycle and begins anew at its modulus."""
+    """Follows a counter that grows by one per cycle and wraps at its modulus."""
 
     def __init__(self, modulus: int = SEQUENCE_MODULUS) -> None:
         self.last: int | None = None
@@ -93,16 +93,16 @@ LOG_IN_PAUSE_S = 20.0  # servers lock an account after a few failures a minute
 
 
 class LinkLostError(Exception):
-    """The session ended; the message says why in words."""
+    """The session ended; the message has the reason."""
 
 
 class RefusedError(Exception):
-    """There is no session, and another attempt without a change would not make one."""
+    """There is no session, and another attempt without a change would fail, too."""
 
     def __init__(self, kind: FaultKind, subject: str, sentence: str) -> None:
         super().__init__(sentence)
         self.kind = kind
-        self.subject = subject  # tells reasons of one kind apart
+        self.subject = subject  # distinguishes reasons of one kind
         # shortest time to the next attempt [s]
         self.pause_s = LOG_IN_PAUSE_S if kind is FaultKind.LOG_IN else REFUSED_PAUSE_S
 

@@ -1,7 +1,7 @@
-"""The recorder: a process of its own that reads the process image and writes logs.
+"""The recorder: a separate process that reads the process image and writes logs.
 
-It never touches the plant: the image is mapped for reading, a slow disk fills a bounded buffer of
-the recorder alone. `launch.running_recorder` starts one beside a daemon, before the first tick.
+It never affects the plant: the image is mapped read-only, and a slow disk only fills a bounded
+buffer of the recorder. `launch.running_recorder` starts one beside a daemon, before the first tick.
 """
 
 from hilserver.io.recorder.recorder import Recorder

@@ -15,7 +15,7 @@ from hilserver.io.recorder.series import Settings
 from hilserver.program import children
 from hilserver.program.guard import allow
 
-PREFIX = "hilserver: "  # of what went wrong
+PREFIX = "hilserver: "  # of error messages
 READY = re.compile(rb"^recording ")
 START_LIMIT_S = 30.0
 STOP_LIMIT_S = 30.0
@@ -29,8 +29,8 @@ async def running_recorder(
 ) -> AsyncIterator[asyncio.Task[None]]:
     """Record the image `image` while the context lasts; entered once the recorder is attached.
 
-    Gives a task that is done once the recording has ended, by itself or with the context.
-    FailedError if it does not come up.
+    Gives a task that is done when the recording has ended, by itself or with the context.
+    FailedError if the recorder does not start.
     """
     messages: asyncio.Task[None] | None = None
     try:
@@ -59,10 +59,10 @@ async def running_recorder(
 def recorder_inside(
     config: RecordingConfig, image: str, folder: Path
 ) -> Iterator[Callable[[], None]]:
-    """Record the image `image` from inside its daemon; give what to call after every batch.
+    """Record the image `image` from inside its daemon; give a function to call after every batch.
 
-    In virtual time nobody outside could keep up. Here time waits: no frame is lost. FailedError if
-    the file cannot be made.
+    In virtual time no other process could keep up. Here time waits: no frame is lost. FailedError
+    if the file cannot be made.
     """
     recorder = Recorder(
         image,
@@ -101,7 +101,7 @@ def _command(config: RecordingConfig, image: str, folder: Path) -> list[str]:
 
 
 async def _log_messages(process: asyncio.subprocess.Process) -> None:
-    """Log what the recorder says: its lines must not stand between ours."""
+    """Log the recorder's messages: its lines must not be mixed with ours."""
     assert process.stderr is not None
     while line := await process.stderr.readline():
         text = line.decode(errors="replace").rstrip()

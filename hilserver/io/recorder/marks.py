@@ -1,8 +1,8 @@
-"""The daemon beside its recorders: a state for whoever asks, and time that waits for them.
+"""What the daemon does for recorders: a state on request, and virtual time that waits for them.
 
 A recorder of a daemon in virtual time keeps a small locked file beside the image, with the number
-of the frame that it reads next. The daemon looks at these files between two batches of ticks and
-waits for the slowest, unless that one has died or has not moved for `PATIENCE_S`.
+of the frame that it reads next. The daemon reads these files between two batches of ticks and
+waits for the slowest, unless it has died or has not advanced for `PATIENCE_S`.
 """
 
 import asyncio
@@ -32,13 +32,13 @@ def _prefix(image: str) -> str:
 
 
 class Mark:
-    """The mark of this process beside the image `image`; at frame 0 until it is moved."""
+    """Mark of this process beside the image `image`; at frame 0 until it is moved."""
 
     def __init__(self, image: str) -> None:
         self._file = SharedFile(f"{_prefix(image)}{os.getpid()}", _WORD)
 
     def move(self, number: int) -> None:
-        """Say that all frames before `number` have been read."""
+        """Note that all frames before `number` have been read."""
         self._file.map[:_WORD] = number.to_bytes(_WORD, sys.byteorder)
 
     def close(self) -> None:
@@ -47,7 +47,7 @@ class Mark:
 
 
 class Marks:
-    """The marks beside an image, as its daemon sees them."""
+    """All marks beside an image, for its daemon."""
 
     def __init__(self, image: ImageReader, name: str, batch_frames: int) -> None:
         self._image, self._path, self._prefix = image, path_of(name), path_of(_prefix(name)).name
@@ -55,9 +55,9 @@ class Marks:
         self._given_up: dict[Path, int] = {}
 
     def wait(self) -> None:
-        """Return when the next batch overwrites nothing that a recorder still has to read."""
+        """Wait until the next batch overwrites no frame that a recorder still has to read."""
         for path in self._path.parent.glob(f"{self._prefix}*"):
-            with contextlib.suppress(OSError):  # it has just ended, or is somebody else's
+            with contextlib.suppress(OSError):  # it has just ended, or belongs to another user
                 fd = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
                 try:
                     self._wait_for(path, fd)
@@ -79,7 +79,7 @@ class Marks:
 
 
 def _is_left_behind(path: Path, fd: int) -> bool:
-    """Remove the mark of a recorder that has died; return whether nobody is behind a mark."""
+    """Remove the mark of a recorder that has died; return whether a mark has no recorder."""
     if os.fstat(fd).st_nlink and os.fstat(fd).st_uid == os.geteuid():
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -90,7 +90,7 @@ def _is_left_behind(path: Path, fd: int) -> bool:
 
 
 class StateService:
-    """Looks for requests and has the plant copy its state; see `image.state_request`."""
+    """Looks for requests and lets the plant copy its state; see `image.state_request`."""
 
     def __init__(self, snapshots: SnapshotStore, image: str) -> None:
         self._snapshots, self._image = snapshots, image

@@ -86,9 +86,9 @@ class Recorder:
         return not inputs <= set(self._slots)
 
     def run(self, duration_s: float | None) -> str:
-        """Record; return one line that says what was recorded.
+        """Record; return one line about the recording.
 
-        FailedError if the disk is full or the file cannot be written any more.
+        FailedError if the disk is full or the file can no longer be written.
         """
         end_s = None if duration_s is None else time.monotonic() + duration_s
         next_s = time.monotonic()
@@ -96,7 +96,7 @@ class Recorder:
             now_s = time.monotonic()
             gone = False
             if now_s >= next_s:
-                gone = self._source.daemon_is_gone()  # before the last look at the ring
+                gone = self._source.daemon_is_gone()  # read before the last look at the ring
                 self._supervise(now_s)
                 next_s = now_s + SUPERVISE_S
             self._read()
@@ -107,7 +107,7 @@ class Recorder:
         return self._close()
 
     def look(self) -> None:
-        """Take what is new, between two batches of simulated time; nothing once writing failed."""
+        """Take new frames, between two batches of simulated time; none once writing has failed."""
         now_s = time.monotonic()
         if self._writing.error is None:
             self._read()
@@ -116,9 +116,9 @@ class Recorder:
                 self._next_s = now_s + SUPERVISE_S
 
     def close(self) -> str:
-        """Complete the file; return one line that says what was recorded.
+        """Complete the file; return one line about the recording.
 
-        FailedError if the disk is full or the file cannot be written any more.
+        FailedError if the disk is full or the file can no longer be written.
         """
         if self._writing.error is None:
             self._read()
@@ -138,10 +138,10 @@ class Recorder:
             self._want_state()
 
     def _rotate(self, batch: Segmented) -> None:
-        """Begin the next file when the present one lasts long enough."""
+        """Begin the next file when the present one is long enough."""
         first, last = int(batch.frames.ticks[0]), int(batch.frames.ticks[-1])
         began = self._file_began
-        if not 0 < began <= first:  # the very first, or time has gone back
+        if not 0 < began <= first:  # the first batch, or time has gone back
             self._file_began = first
         elif self._rotate_s is not None and (last - began) * self._period_s >= self._rotate_s:
             self._file_began = first
@@ -154,7 +154,7 @@ class Recorder:
 
     def _supervise(self, now_s: float) -> None:
         if self._source.refresh():
-            began_with = {"patch": self._run.get("patch")}  # a later one is a change in the file
+            began_with = {"patch": self._run.get("patch")}  # later ones are changes in the file
             self._run = make_run(self._source.description) | began_with
             self._writing.put(self._run)
         if self._asked_s is not None and now_s - self._asked_s > STATE_WITHIN_S:

@@ -22,11 +22,11 @@ class Settings:
     path: Path
     signals: Sequence[str] = ("*",)  # patterns; inputs (hidden ones too) are needed for a replay
     rotate_bytes: int | None = None
-    rotate_s: float | None = None  # begin a new file after so much time of the plant, too
+    rotate_s: float | None = None  # also begin a new file after so much time of the plant
     keep: int | None = None  # the newest files of a rotation
-    # leave out frames in which nothing of what is recorded changes, see `thinning`
+    # leave out frames in which no recorded signal changes, see `thinning`
     sparse: bool = False
-    # the recording ends by itself at this size of all files, or when so little is free
+    # the recording ends at this total size of files, or when so little disk space is left
     max_bytes: float = math.inf
     keep_free_bytes: float = 0.0
     buffer_bytes: int = 64_000_000  # see `WriteBehind`
@@ -40,7 +40,7 @@ class FileSeries:
     """Opens one file after the other.
 
     Without rotation there is one file, `path`. With it the files are ``name_0001.mcap``,
-    ``name_0002.mcap`` ...; numbers go on after those that lie there already.
+    ``name_0002.mcap`` ...; numbers continue after existing files.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -75,7 +75,7 @@ class FileSeries:
     def check(self, writer: LogWriter) -> None:
         """End the recording at a limit.
 
-        FailedError if it is as large as it may be, or the disk is nearly full.
+        FailedError if it has reached its limit, or the disk is nearly full.
         """
         complete = self._opened - 1
         if self._keep is not None:

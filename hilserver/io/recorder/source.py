@@ -1,4 +1,4 @@
-"""What the recorder reads: every frame once, the states, and whether the daemon still lives."""
+"""Input of the recorder: every frame once, the states, and whether the daemon still runs."""
 
 import fcntl
 import json
@@ -25,7 +25,7 @@ _DESCRIBED_WITHIN_S = 5.0
 
 
 class Source:
-    """The process image of one daemon, as a recorder sees it.
+    """The process image of one daemon, for a recorder.
 
     FailedError if no daemon runs under that name.
     """
@@ -40,7 +40,7 @@ class Source:
         self.description = self._describe()
         self._ring_length = self._reader.control.ring_length
         self._shadow = ShadowReader(self._reader)
-        # with it simulated time waits; None in real time, which waits for nobody
+        # makes simulated time wait; None in real time, which cannot wait
         self.mark = Mark(name) if self._is_simulated and not is_inside else None
         self._next = max(0, self._reader.head)
         self._last_tick: int | None = None
@@ -50,7 +50,7 @@ class Source:
         self._edition_slot = _slot_of("internal.edition", self.description)
         self._start_without_state: tuple[int, int] | None = None
         self._gap = False
-        self.lost = 0  # frames that the ring had dropped before they were read
+        self.lost = 0  # frames that were overwritten before they were read
 
     def _describe(self) -> dict[str, Any]:
         deadline = time.monotonic() + _DESCRIBED_WITHIN_S
@@ -70,7 +70,7 @@ class Source:
         return bool(configuration.get("scheduler", {}).get("backend") == "virtual")
 
     def refresh(self) -> bool:
-        """Read the description again; return whether it has changed (the audit comes late)."""
+        """Read the description again; return whether it has changed (the audit is added late)."""
         try:
             new = self._reader.description
         except (ValueError, json.JSONDecodeError):
@@ -85,11 +85,11 @@ class Source:
         return None if words is None else State(0, 0, words)
 
     def ask_for_state(self) -> None:
-        """Let the daemon copy its state; `state` returns it some milliseconds later."""
+        """Ask the daemon to copy its state; `state` returns it some milliseconds later."""
         ask_for_state(self._name)
 
     def frames(self) -> Segmented | None:
-        """Return the next frames, None if there is none yet; those before are done with."""
+        """Return the next frames, None if there is none yet; earlier ones may be overwritten."""
         if self.mark is not None:
             self.mark.move(self._next)
         head = self._reader.head
@@ -106,8 +106,8 @@ class Source:
         return self._segmented(batch, after_gap=after_gap)
 
     def begin(self) -> None:
-        """Begin with the next frame: those that came while the file was made are none of ours."""
-        read_frames(self._reader, max(0, self._reader.head - 1), 1)  # from here on it is compiled
+        """Begin with the next frame: those from before the file was ready are not recorded."""
+        read_frames(self._reader, max(0, self._reader.head - 1), 1)  # triggers the compilation
         if self.mark is None:
             self._next = max(0, self._reader.head)
 
@@ -117,9 +117,9 @@ class Source:
         self._gap = True
 
     def _segmented(self, batch: FrameBatch, *, after_gap: bool) -> Segmented:
-        """Begin a new segment where ticks do not follow although no frame is missing.
+        """Begin a new segment where ticks are not consecutive although no frame is missing.
 
-        One begins, too, where parameters are others without a change: a state was restored.
+        Also begin one where parameters differ without a recorded change: a state was restored.
         """
         ticks = batch.ticks
         before = ticks[0] - 1 if self._last_tick is None else self._last_tick
@@ -153,7 +153,7 @@ class Source:
         return dict(zip(names, packed[first : first + len(names)].tolist(), strict=True))
 
     def state(self) -> State | None:
-        """Return the newest state that somebody had saved or restored, None if none is new."""
+        """Return the newest state that was saved or restored, None if there is no new one."""
         taken = self._shadow.take()
         if taken is None:
             return None
@@ -176,13 +176,13 @@ class Source:
         return True
 
     def release_time(self) -> None:
-        """Have simulated time wait no longer."""
+        """Let simulated time wait no longer."""
         if self.mark is not None:
             self.mark.close()
             self.mark = None
 
     def close(self) -> None:
-        """Let go of the image, and of a request that nobody has answered."""
+        """Release the image, and a request that was not answered."""
         take_request(self._name)
         self.release_time()
         os.close(self._fd)

@@ -1,7 +1,7 @@
-"""Frames without those in which nothing changes: what comes from outside comes now and then.
+"""Leaves out frames in which nothing changes, as signals from outside change only now and then.
 
-Kept are frames in which a recorded signal changes, the frame before each (so that it is known that
-the value was the old one until then), and one of every `LEAST_EVERY`, so that silence shows.
+Kept are frames in which a recorded signal changes, the frame before each (which shows that the
+old value lasted until then), and one of every `LEAST_EVERY`, so that silence shows.
 """
 
 from collections.abc import Sequence
@@ -18,15 +18,15 @@ LEAST_EVERY: Final = 100  # ticks
 
 
 class Thinner:
-    """Thins batches that follow each other; the last frame of one waits for the next."""
+    """Thins successive batches; the last frame of one waits for the next."""
 
     def __init__(self, slots: Sequence[int]) -> None:
         self._slots = np.array(slots, dtype=np.intp)
         self._held: Segmented | None = None
-        self._is_kept = True  # the frame that waits, whatever the next one brings
+        self._is_kept = True  # whether the waiting frame is kept regardless of the next
 
     def thinned(self, batch: Segmented) -> Segmented:
-        """Return what is to be written of the frames before the newest; perhaps none."""
+        """Return the frames to write, up to the one before the newest; possibly none."""
         whole = batch if self._held is None else _joined(self._held, batch)
         seen = _content(whole.frames, self._slots)
         changed = np.full(len(seen), self._is_kept)
@@ -40,7 +40,7 @@ class Thinner:
 
 
 def _content(frames: FrameBatch, slots: NDArray[np.intp]) -> NDArray[np.int64]:
-    """Return bits and status of the signals: NaN is equal to itself."""
+    """Return bits and status of the signals: as bits, NaN equals itself."""
     return np.concatenate([frames.values[:, slots].view(np.int64), frames.status[:, slots]], axis=1)
 
 

@@ -1,4 +1,4 @@
-"""A thread that writes, behind a buffer of limited size: a slow disk never stops the reading."""
+"""A writing thread behind a buffer of limited size: a slow disk never stops the reading."""
 
 import threading
 import time
@@ -21,9 +21,9 @@ Item = Segmented | State | NextFile | Mapping[str, Any]
 
 
 class WriteBehind:
-    """Takes frames, states and descriptions, and writes them in their order.
+    """Takes frames, states and descriptions, and writes them in order.
 
-    Frames beyond the buffer are dropped and counted; `check` raises when the recording has to end,
+    Frames beyond the buffer are dropped and counted; `check` raises if the recording has to end,
     and `on_new_file` is called in the writing thread.
     """
 
@@ -48,9 +48,9 @@ class WriteBehind:
         self._thread.start()
 
     def put(self, item: Item, *, wait: bool = False) -> bool:
-        """Hand over an item; False: the buffer is full, the item was dropped.
+        """Hand over an item; False: the buffer is full and the item was dropped.
 
-        With `wait` it is handed over as soon as there is room.
+        With `wait`, wait until there is room.
         """
         size = item.frames.n_bytes if isinstance(item, Segmented) else 0
         with self._news:
@@ -83,7 +83,7 @@ class WriteBehind:
             self._close_after_error()
 
     def _close_after_error(self) -> None:
-        """Complete the file if there is room for its end; without, it is readable all the same."""
+        """Complete the file if there is room for its end; without it the file is still readable."""
         try:
             self._writer.close()
         except OSError:

@@ -1,7 +1,7 @@
-"""The robot's program in ROS 2: publishes, listens and serves what its flavour lists.
+"""The robot's program in ROS 2: publishes, subscribes to and serves what its flavour lists.
 
 A host is a source like an OPC UA peer: the input gate decides whether it commands, its silence is
-judged, its figures are those of a peer with the name ``ros2``.
+judged, and its figures are those of a peer named ``ros2``.
 """
 
 import asyncio
@@ -86,7 +86,7 @@ class Ros2Node(Part):
 
     @property
     def _action(self) -> str:
-        """What happens to a command that nobody renews, in words."""
+        """What happens to a command that is not renewed, in words."""
         action, service = self.config.on_stale, self._flavour.enabled_by
         if action != "device" or not service:
             return action
@@ -94,14 +94,14 @@ class Ros2Node(Part):
 
     @property
     def address(self) -> str:
-        """Where it is, for people."""
+        """Its domain and interface, for people."""
         number = "?" if self._participant is None else self._participant.number
         return f"{self.config.flavour} in domain {number} on {self.config.interface}"
 
     # --- start and stop ---------------------------------------------------------------------------
 
     async def start(self) -> None:
-        """Join the domain, which takes a second; then publish, listen and serve.
+        """Join the domain, which takes a second; then publish, subscribe and serve.
 
         FailedError if that is not possible.
         """

@@ -1,7 +1,7 @@
 """The robot's parameters as those of a ROS 2 node: `rcl_interfaces` get, set, list, describe.
 
-A parameter is a double; NaN is null. `ros2 param set` sends whole numbers as integers: they are
-taken for doubles. All parameters of one request act in one tick.
+A parameter is a double; NaN is null. `ros2 param set` sends whole numbers as integers, which are
+accepted as doubles. All parameters of one request change in one tick.
 """
 
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ _SERVICES: Final = (
 
 
 class ParameterServices:
-    """What the services of the node answer."""
+    """Parameter services of the node."""
 
     def __init__(
         self, source: str, parameters: LiveParameters, types: Types, *, may_set: bool = True
@@ -54,7 +54,7 @@ class ParameterServices:
     # --- one each ---------------------------------------------------------------------------------
 
     def get_parameters(self, request: Any) -> dict[str, Any]:
-        """Return the values; of an unknown name none."""
+        """Return the values; none for an unknown name."""
         values = self._parameters.values
         return {"values": [self._value(values.get(name)) for name in request.names]}
 
@@ -64,7 +64,7 @@ class ParameterServices:
         return {"types": _array(DOUBLE if name in known else NOT_SET for name in request.names)}
 
     def set_parameters(self, request: Any) -> dict[str, Any]:
-        """Change what is sound; answer for each."""
+        """Change the valid ones; answer for each."""
         if not self._may_set:
             return {"results": [self._result(_NOT_ALLOWED) for _ in request.parameters]}
         refused = self._parameters.write(self._source, _values(request))
@@ -86,7 +86,7 @@ class ParameterServices:
         return {"result": self._result("")}
 
     def list_parameters(self, request: Any) -> dict[str, Any]:
-        """Return names below prefixes, down to a depth; 0 is any."""
+        """Return names below prefixes, down to a depth; 0 is no limit."""
         found = [n for n in self._parameters.table if _is_asked_for(n, request)]
         above = dict.fromkeys(n.rpartition(".")[0] for n in found)
         result = self._make("ListParametersResult", names=found, prefixes=[p for p in above if p])

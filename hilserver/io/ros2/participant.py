@@ -32,14 +32,14 @@ from hilserver.io.ros2.wire import carried
 from hilserver.ros.qos import Qos
 
 MOST_AT_ONCE: Final = 32
-PARTICIPANTS: Final = 32  # so many on one computer find each other without multicast
+PARTICIPANTS: Final = 32  # of one computer that find each other without multicast
 _FATAL_AND_ERROR: Final = 3
 
 
 def domain_of(config: Ros2Config) -> int:
     """Return the DDS domain: the configured one, else ROS_DOMAIN_ID, else 0.
 
-    ConfigError if ROS_DOMAIN_ID is no domain.
+    ConfigError if ROS_DOMAIN_ID is not a valid domain.
     """
     if config.domain is not None:
         return config.domain
@@ -68,7 +68,7 @@ def settings(interface: str, peers: tuple[str, ...]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """A sample that came in: CDR, and when its writer wrote it [ns, UTC of the writer]."""
+    """A sample that came in: CDR, and when it was written [ns, UTC of the writer]."""
 
     cdr: bytes
     source_ns: int
@@ -81,7 +81,7 @@ class Out:
         self._writer, self._type = writer, data_type
 
     def write(self, cdr: bytes) -> bool:
-        """Write; False when a reader that insists on every message has too many left to take."""
+        """Write; False if a reliable reader is too far behind."""
         try:
             self._writer.write(carried(self._type, cdr))
         except DDSException as error:
@@ -97,7 +97,7 @@ class Out:
 
     @property
     def incompatible(self) -> int:
-        """Readers that ask for more than is offered, so far."""
+        """Readers so far that request more than is offered."""
         return int(self._writer.get_offered_incompatible_qos_status().total_count)
 
 
@@ -122,12 +122,12 @@ class In:
 
     @property
     def incompatible(self) -> int:
-        """Writers that offer less than is asked for, so far."""
+        """Writers so far that offer less than is requested."""
         return int(self.reader.get_requested_incompatible_qos_status().total_count)
 
     @property
     def lost(self) -> int:
-        """Samples that never arrived, so far."""
+        """Samples so far that never arrived."""
         return int(self.reader.get_sample_lost_status().total_count)
 
 
@@ -141,7 +141,7 @@ class Participant:
         number = domain_of(config)
         try:
             self._domain = Domain(number, settings(config.interface, config.peers))
-            # A line on standard error for every malformed packet of anybody would fill the disk.
+            # Otherwise every malformed packet writes a line to standard error and fills the disk.
             DDS._dll_handle.dds_set_log_mask(_FATAL_AND_ERROR)
             enclave = DdsQos(Policy.Userdata(b"enclave=/;"))
             self._participant = DomainParticipant(number, enclave)
@@ -171,7 +171,7 @@ class Participant:
         return In(made)
 
     def listen(self, on_data: Callable[[], None]) -> None:
-        """Call `on_data` in the running event loop whenever a reader has something."""
+        """Call `on_data` in the running event loop whenever a reader has data."""
         self._waiting = _Waiting(self._participant, self._readers, on_data)
 
     async def close(self) -> None:
@@ -183,9 +183,9 @@ class Participant:
 
 
 class _Waiting:
-    """A thread that sleeps until a reader has data, and does not look again before it is taken.
+    """A thread that sleeps until a reader has data, and continues once the data is taken.
 
-    Listeners would run Python in the receiving threads of DDS, which may then wait for each other.
+    Listeners would run Python in the receiving threads of DDS, which may then deadlock.
     """
 
     def __init__(self, participant: Any, readers: list[Any], on_data: Callable[[], None]) -> None:
@@ -228,7 +228,7 @@ class _Waiting:
 
 
 def _policies(qos: Qos, type_hash: str) -> DdsQos:
-    reliable = Policy.Reliability.Reliable(duration(seconds=0))  # our event loop waits for nobody
+    reliable = Policy.Reliability.Reliable(duration(seconds=0))  # our event loop does not wait
     return DdsQos(
         reliable if qos.reliable else Policy.Reliability.BestEffort,
         Policy.Durability.TransientLocal if qos.latched else Policy.Durability.Volatile,

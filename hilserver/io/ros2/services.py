@@ -1,7 +1,7 @@
 """Services over DDS: a topic of requests and one of replies.
 
-With rmw_cyclonedds the identity of a request stands in the message and goes back with the reply.
-rmw_fastrtps carries it in RTPS inline QoS, which cannot be written here: the service acts, the
+With rmw_cyclonedds the identity of a request is part of the message and returns with the reply.
+rmw_fastrtps carries it in RTPS inline QoS, which cannot be written here: the service acts, but its
 answer never arrives.
 """
 
@@ -50,14 +50,14 @@ class Service:
     def understand(self, robot: Robot, request: Arrival) -> Answer:
         """Return what to write and what to answer.
 
-        ValueError if it is no request of this service.
+        ValueError if it is not a request of this service.
         """
         body = request.cdr[:HEADER_BYTES] + request.cdr[HEADER_BYTES + self._identity :]
         message = self._types.decode(body, f"{self._served.type}_Request")
         return self._served.serve(robot, message)
 
     def answer(self, request: Arrival, response: Any) -> None:
-        """Reply, where the host can take it."""
+        """Reply, if the host can receive it."""
         if self._identity:
             cdr = self._types.encode(response)
             identity = request.cdr[HEADER_BYTES : HEADER_BYTES + self._identity]

@@ -1,4 +1,4 @@
-"""ROS 2 types as DDS has to know them: name and members. The bytes are made by `hilserver.ros`.
+"""ROS 2 types as DDS needs them: name and members. The bytes are made by `hilserver.ros`.
 
 ``std_msgs/msg/Float32`` is ``std_msgs::msg::dds_::Float32_`` on the wire, final (XCDR1).
 """
@@ -11,7 +11,7 @@ from cyclonedds.idl import types as described
 
 from hilserver.ros.types import Types
 
-idl: Any = described  # its generics are made at run time
+idl: Any = described  # its generics are created at run time
 
 _BASE: Final[dict[str, Any]] = {
     "bool": bool,
@@ -47,7 +47,7 @@ class WireTypes:
         return Nodetype
 
     def make(self, name: str, *, with_identity: bool = False) -> Any:
-        """Return a class whose instances carry CDR in ``cdr``, as they come and go."""
+        """Return a class whose instances carry the CDR bytes of a sample in ``cdr``."""
         members = {**(IDENTITY if with_identity else {}), **self._fields(name)}
         carrier: Any = _struct(name, members)
         carrier.serialize = _bytes_of

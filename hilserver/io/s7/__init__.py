@@ -1,7 +1,7 @@
 """S7 communication (put and get over ISO on TCP): blocks of ours, and controllers as peers.
 
-`wire` are messages as bytes, `blocks` what stands in them; `server` answers, `link` is the part;
-`connection` asks, `peer` is the part.
+`wire` has messages as bytes, `blocks` their contents. `server` answers for the part in `link`,
+`connection` asks for the part in `peer`.
 """
 
 from collections.abc import Iterator

@@ -18,13 +18,13 @@ _PACKERS: Final[Mapping[str, struct.Struct]] = {
     name: struct.Struct(">" + form.code) for name, form in FORMS.items()
 }
 COUNTING: Final = frozenset((ValueType.INT64, ValueType.UINT32))
-"""Types of signals that wrap where the controller's type is shorter; others stop at its limit."""
+"""Types of signals that wrap if the controller's type is shorter; others saturate."""
 
 
 def packed(place: Place, value: float, *, wraps: bool = False) -> bytes:
-    """Return a value in the type of its place; the nearest that this type has.
+    """Return a value in the type of its place, the nearest one that this type has.
 
-    `wraps`: whether a whole number that is too large begins anew.
+    `wraps`: whether a whole number that is too large wraps around.
     """
     packer = _PACKERS[place.type]
     if place.type == "BOOL":
@@ -47,7 +47,7 @@ def packed(place: Place, value: float, *, wraps: bool = False) -> bytes:
 def unpacked(place: Place, data: bytes, start: int = 0) -> bool | int | float:
     """Return the value of a place.
 
-    `start`: byte of the block at which `data` begin.
+    `start`: byte of the block at which `data` begins.
     """
     if place.type == "BOOL":
         return bool(data[place.byte - start] >> place.bit & 1)
@@ -56,7 +56,7 @@ def unpacked(place: Place, data: bytes, start: int = 0) -> bool | int | float:
 
 
 def put(block: bytearray, place: Place, data: bytes, start: int = 0) -> None:
-    """Put what `packed` returned into a block; other bits of its byte stay."""
+    """Put the result of `packed` into a block; other bits of its byte stay."""
     at = place.byte - start
     if place.type == "BOOL":
         block[at] = block[at] & ~(1 << place.bit) | data[0] << place.bit
@@ -65,7 +65,7 @@ def put(block: bytearray, place: Place, data: bytes, start: int = 0) -> None:
 
 
 def check_type(signal: Signal, kind: str) -> None:
-    """Refuse a type that a signal cannot have; ConfigError in words."""
+    """Raise ConfigError if a signal cannot have this type."""
     if (kind == "BOOL") != (signal.type is ValueType.BOOLEAN):
         have = "BOOL" if signal.type is ValueType.BOOLEAN else "a number, as REAL"
         raise ConfigError(f"'{signal.name}' is {have}, not {kind}")
@@ -87,7 +87,7 @@ class DataBlock:
     size: int  # bytes
 
     def filled(self, frame: Frame) -> bytes:
-        """Return the block of a frame; a number whose status is Bad is NaN, or 0 if it is whole."""
+        """Return the block for a frame; a number with status Bad is NaN, or 0 if integer."""
         block = bytearray(self.size)
         for place, signal in self.fields:
             slot = signal.slots[0]
@@ -106,9 +106,9 @@ class DataBlock:
         return bytes((content[byte] >> bit & 1,)) if item.is_bit else content[byte:][: item.size]
 
     def written(self, item: Item, data: bytes) -> Mapping[str, object]:
-        """Return what an item writes, by signal.
+        """Return the values that an item writes, by signal.
 
-        RefusedItemError if it hits a part of a number, nothing, or what is no input.
+        RefusedItemError if it covers only a part of a number, no signal, or one that is no input.
         """
         byte = item.bit // 8
         if byte + item.size > self.size:

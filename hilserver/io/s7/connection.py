@@ -1,8 +1,8 @@
 """One connection to a controller: open, read and write pieces of its blocks, until its first error.
 
-What is longer than a message travels in parts, one after the other: reads from the first byte of a
-block to the last, writes from the last to the first. Who wrote a counter at both ends that way is
-noticed by who reads it this way: two equal counters stand around values of one cycle.
+Data longer than a message is sent in parts: reads from the first byte of a block to the last,
+writes from the last to the first. If a block has the same counter at both ends, a reader that finds
+them equal therefore has values of one cycle.
 """
 
 import asyncio
@@ -18,7 +18,7 @@ from hilserver.io.s7.wire import Code, Function, Item, Job, WireError
 
 CONNECT_S = 3.0
 JOB_S = 2.0
-ASKED_PDU = 480  # bytes of a message that are asked for; controllers grant 240 to 960
+ASKED_PDU = 480  # requested bytes of a message; controllers grant 240 to 960
 
 WHY = {
     Code.NO_BLOCK: "there is no such block, or its access is optimized: switch that off in its"
@@ -30,14 +30,14 @@ WHY = {
 
 
 class Run(NamedTuple):
-    """Bytes, or one bit, to write from a bit of a block on."""
+    """Bytes, or one bit, to write from a given bit of a block on."""
 
     item: Item
     data: bytes
 
 
 class AnswerError(Exception):
-    """The controller answered that it cannot read or write; the connection goes on."""
+    """The controller answered that it cannot read or write; the connection stays open."""
 
 
 class Connection:
@@ -98,7 +98,7 @@ class Connection:
         return data
 
     async def write(self, runs: Sequence[Run]) -> None:
-        """Write; what does not fit into one message goes in several, the last bytes first.
+        """Write, in several messages if needed, the last bytes first.
 
         AnswerError or LinkLostError.
         """
@@ -149,7 +149,7 @@ def _check(block: int, code: int) -> None:
 
 
 def parts(runs: Sequence[Run], pdu_bytes: int) -> Iterator[list[Run]]:
-    """Yield what goes into one message each, from the last byte to the first."""
+    """Yield the runs for one message each, from the last byte to the first."""
     room = pdu_bytes - wire.WRITE_OVERHEAD + wire.ITEM_OVERHEAD
     part: list[Run] = []
     left = room

@@ -18,14 +18,14 @@ from hilserver.io.source import Source, keep_watch
 from hilserver.io.world import Part, World
 
 CODES: Final[Mapping[Refusal, Code]] = {Refusal.TYPE_MISMATCH: Code.UNFIT}
-"""How a refusal is answered; the others are no matter of the address: denied."""
+"""Codes for refusals; all others have nothing to do with the address: denied."""
 
 
 class S7Link(Part):
     """Data blocks for controllers and panels."""
 
     section, label = "s7", "S7"
-    status: PeerStatus  # `connected` while a client is; `writes` counts the jobs that were taken
+    status: PeerStatus  # `connected` while there is a client; `writes` counts accepted jobs
 
     def __init__(self, config: S7Server, world: World) -> None:
         self._config, self._world = config, world
@@ -53,7 +53,7 @@ class S7Link(Part):
         return f"s7://{self._config.host}:{self._server.port}"
 
     async def start(self) -> None:
-        """Listen; FailedError if the port cannot be had."""
+        """Listen; FailedError if the port is not available."""
         try:
             await self._server.start()
         except OSError as error:
@@ -63,14 +63,14 @@ class S7Link(Part):
         self._watching = asyncio.create_task(keep_watch(self._look), name="s7-watch")
 
     async def stop(self) -> None:
-        """Hang up."""
+        """Close all connections and stop listening."""
         if self._watching is not None:
             self._watching.cancel()
         await self._server.stop()
         self.status.state = LinkState.STOPPED
 
     def _look(self) -> None:
-        """Judge the silence of those who write."""
+        """Check for silence of the writers."""
         status, now_ns = self.status, time.monotonic_ns()
         status.connected = bool(self._server.clients)
         status.state = LinkState.CONNECTED if status.connected else LinkState.CONNECTING
@@ -88,7 +88,7 @@ class S7Link(Part):
         return Answers(self._blocks, self._config.pdu_bytes, self._newest, self._write)
 
     def _newest(self) -> Mapping[int, bytes]:
-        """Return all blocks of the newest frame, which is packed once."""
+        """Return all blocks of the newest frame; each frame is packed once."""
         frame = self._world.image.latest()
         if frame is not None and (self._frame is None or frame.number != self._frame.number):
             frame.values[self._world.table.slot("sim.state")] = self._world.control.state

@@ -1,4 +1,4 @@
-"""An S7 controller, or PLCSIM Advanced, as a peer: its block in, ours out, again and again."""
+"""An S7 controller, or PLCSIM Advanced, as a peer: its block is read, ours written, cyclically."""
 
 import asyncio
 import time
@@ -19,23 +19,23 @@ from hilserver.period import every
 from hilserver.signals import SignalTable
 from hilserver.status import is_bad
 
-LOOK_AGAIN_S = 1.0  # how long a block is left alone that the controller refuses
-SOONER = 8  # parts of a period: so much sooner a block is read again whose counter stands
+LOOK_AGAIN_S = 1.0  # pause after the controller has refused a block
+SOONER = 8  # reads come 1/8 period early, and every 1/8 period while the counter stands
 
 
 class Pace:
     """When a block is read next: soon while its counter stands, so that reads follow the writes.
 
-    Two cycles of one length keep whatever lag they began with. Who reads a little early, and again
-    and again until the counter has moved, lags by the eighth part of a period at most. One that
-    stands for a whole period is read once a period.
+    Two cycles of equal length keep the lag they started with. Reading a little early, and then
+    repeatedly until the counter has moved, limits the lag to an eighth of a period. A counter that
+    stands for a whole period is read once per period.
     """
 
     def __init__(self, period_s: float) -> None:
         self._period_s, self._seen, self._stood = period_s, object(), 0
 
     def after(self, counter: object) -> float:
-        """Return how long [s] after a read with this number the next one is due; None: torn."""
+        """Return how long [s] after a read with this counter the next is due; None: a torn read."""
         if counter is not None and counter != self._seen:
             self._seen, self._stood = counter, 0
             return self._period_s * (SOONER - 1) / SOONER
@@ -61,7 +61,7 @@ class S7Peer(Peer):
             check_type(table[name], self._going.places[text].type if self._going else "")
 
     async def converse(self) -> None:
-        """Hold one connection."""
+        """Serve one connection."""
         async with Connection(Endpoint.parse(self.config.endpoint)) as connection:
             intake, status = self.enter(), self.status
             status.mode, status.mode_reason = "poll", f"S7, {connection.pdu_bytes} bytes a message"
@@ -130,7 +130,7 @@ class S7Peer(Peer):
         await every(self.config.write_every_ms / 1000, cycle, skipped)
 
     def _outgoing(self, block: Block) -> Mapping[Place, bytes] | None:
-        """Return what is written now; None before the first frame."""
+        """Return the values to write now; None before the first frame."""
         found = {}
         try:
             outputs = {name: self._read_output(name) for name in self.config.write}
@@ -138,7 +138,7 @@ class S7Peer(Peer):
             return None
         for name, (value, status, _) in outputs.items():
             if is_bad(status) or not isinstance(value, int | float):
-                continue  # without a status it would look like a good value
+                continue  # without a status it would pass for a good value
             place = block.places[self.config.write[name]]
             found[place] = packed(place, value, wraps=self._wraps[name])
         self._beat += 1
@@ -149,7 +149,7 @@ class S7Peer(Peer):
 
 
 def runs(block: int, pieces: Mapping[Place, bytes]) -> Iterator[Run]:
-    """Yield what is written, ascending: neighbours together, every bit by itself."""
+    """Yield the runs to write, ascending: adjacent bytes together, every bit separately."""
     data, begin = b"", 0
     for place in sorted(pieces, key=lambda place: place.bits.start):
         is_bit = place.type == "BOOL"

@@ -1,7 +1,7 @@
 """Data blocks as SCL source text, for the controller's project: the same bytes at the same places.
 
-A block with standard access has its members one after the other: bits fill a byte, what has two
-bytes and more begins at an even one. Where a layout leaves more room, a member `fill_n` takes it.
+A block with standard access has its members one after the other: bits fill a byte, members of two
+bytes and more begin at an even one. If a layout leaves more room, a member `fill_n` fills it.
 """
 
 import re
@@ -69,9 +69,9 @@ def _declared(members: Iterable[Member]) -> Iterator[str]:
 
 
 def _filling(at: int, place: Place) -> Iterator[tuple[str, int]]:
-    """Yield type and end [bits] of what has to stand between `at` and a place."""
+    """Yield type and end [bits] of the members needed between `at` and a place."""
     start = place.bits.start
-    if place.type == "BOOL" and place.byte <= -(-at // 8):  # else bits would share a byte
+    if place.type == "BOOL" and place.byte <= -(-at // 8):  # or bits would share a byte
         for bit in range(at, start):
             yield "BOOL", bit + 1
         return

@@ -1,4 +1,4 @@
-"""Answers put and get: one conversation for each client, one frame and one group for each job."""
+"""Answers put and get: one conversation per client, one frame and one group per job."""
 
 import asyncio
 import socket
@@ -15,7 +15,7 @@ from hilserver.io.s7.blocks import DataBlock, RefusedItemError
 from hilserver.io.s7.wire import Code, Function, Job, WireError
 
 _READ_LIST: Final = b"\x44\x01"
-"""Group of CPU functions, and the function that reads a list of the system's state."""
+"""Group of CPU functions, and the function that reads a system status list."""
 COMPONENTS: Final = 0x001C
 NO_INFORMATION: Final = 0xD401
 _TEXTS: Final = {1: "hilserver", 2: "robot", 3: "", 4: "MIT", 5: __version__, 7: "simulated robot"}
@@ -23,9 +23,9 @@ _TEXTS: Final = {1: "hilserver", 2: "robot", 3: "", 4: "MIT", 5: __version__, 7:
 
 
 def identified(message: Job) -> bytes:
-    """Return the answer to a request of user data: who this is.
+    """Return the answer to a request of user data: the identification.
 
-    Of clocks, passwords, lists of blocks and cyclic services a client gets none.
+    Clocks, passwords, lists of blocks and cyclic services are not supported.
     """
     parameters, data = message.parameters, message.data
     if len(parameters) < 8 or len(data) < 4:
@@ -47,13 +47,13 @@ def _answer(message: Job, data: bytes, error: int) -> bytes:
 
 
 HANDSHAKE_S = MESSAGE_S = 5.0
-"""How long a client may take to say who it is, to send a message to its end, to read an answer."""
-SPARED_S = 5.0  # who has asked for nothing so long gives its place to a newcomer that needs it
-JOBS = 8  # jobs under way that are agreed on; they are answered in their order
+"""Limits for the handshake of a client, for sending a whole message, for reading an answer."""
+SPARED_S = 5.0  # a client idle for so long gives its place to a newcomer if none is free
+JOBS = 8  # parallel jobs that are negotiated; they are answered in order
 NO_FUNCTION, NO_ROOM = 0x8104, 0x8500
-"""Errors of a whole job: a function that is not there, an answer that would be too long."""
+"""Errors of a whole job: an unknown function, an answer that would be too long."""
 ALIVE = {"TCP_KEEPIDLE": 10, "TCP_KEEPINTVL": 5, "TCP_KEEPCNT": 3}
-"""A client that is gone without a word gives its place back within half a minute."""
+"""A client that vanishes silently gives its place back within half a minute."""
 
 Contents = Callable[[], Mapping[int, bytes]]
 Write = Callable[[Mapping[str, object]], Mapping[str, Code]]
@@ -61,7 +61,7 @@ Report = Callable[[FaultKind, str, str], None]
 
 
 class Answers:
-    """What one client is answered: bytes in, bytes out.
+    """Answers for one client: bytes in, bytes out.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class Answers:
         self._contents, self._write = contents, write
 
     def to(self, message: Job) -> bytes:
-        """Return the answer to a job; WireError if it is none."""
+        """Return the answer to a job; WireError if it is not one."""
         if message.kind == wire.USERDATA:
             return identified(message)
         if not wire.is_job(message):
@@ -132,20 +132,20 @@ class Answers:
 
 
 class Server:
-    """Listens, and answers as many clients as it may have.
+    """Listens, and answers a limited number of clients.
 
     Parameters
     ----------
     answers : callable
         Makes `Answers` for a new client.
     report : callable
-        Takes what is wrong with a client: the kind of it, the client's address, a sentence.
+        Takes a fault of a client: its kind, the client's address, a sentence.
     """
 
     def __init__(self, config: S7Server, answers: Callable[[], Answers], report: Report) -> None:
         self._config, self._answers, self._report = config, answers, report
         self._server: asyncio.Server | None = None
-        self.clients: dict[asyncio.Task[None], float] = {}  # connected now; when each asked last
+        self.clients: dict[asyncio.Task[None], float] = {}  # connected now -> time of its last job
 
     @property
     def port(self) -> int:
@@ -161,7 +161,7 @@ class Server:
         self._server = await asyncio.start_server(self._take, config.host, config.port)
 
     async def stop(self) -> None:
-        """Hang up."""
+        """Close all connections and stop listening."""
         if self._server is not None:
             self._server.close()
         for task in self.clients:
@@ -185,15 +185,15 @@ class Server:
         except TimeoutError:
             self._report(FaultKind.NO_S7, host, f"{host}: it neither asks nor reads")
         except (OSError, EOFError):
-            pass  # it is gone
+            pass  # the client is gone
         except asyncio.CancelledError:
-            pass  # we are
+            pass  # we are stopping
         finally:
             self.clients.pop(task, None)
             writer.transport.abort()
 
     def _has_room(self) -> bool:
-        """Whether there is a place, if need be that of the client that has been idle longest."""
+        """Whether there is a place, if necessary that of the client idle for longest."""
         if len(self.clients) < self._config.max_clients:
             return True
         idle, asked_s = min(self.clients.items(), key=lambda each: each[1])
@@ -217,7 +217,7 @@ class Server:
             writer.write(answers.to(message))
             async with asyncio.timeout(MESSAGE_S):
                 await writer.drain()
-            await asyncio.sleep(0)  # one that never waits must not keep the others waiting
+            await asyncio.sleep(0)  # a client that never waits must not block the others
 
 
 def _stay_alive(connection: socket.socket) -> None:

@@ -1,7 +1,7 @@
 """Messages of S7 communication as bytes: RFC 1006, ISO 8073 class 0, S7 jobs read and write.
 
 Only what put and get need. Numbers are big-endian; an address counts bits from the beginning of a
-block. There is no public standard; the layout is that of the dissectors (Wireshark `s7comm`).
+block. There is no public standard; the layout follows the dissectors (Wireshark `s7comm`).
 """
 
 import asyncio
@@ -10,11 +10,11 @@ from collections.abc import Iterable, Sequence
 from enum import IntEnum
 from typing import Final, NamedTuple
 
-LONGEST_MESSAGE: Final = 2048  # of one message with its headers
+LONGEST_MESSAGE: Final = 2048  # bytes of one message with its headers
 READ_OVERHEAD, WRITE_OVERHEAD = 18, 28
-"""Bytes of a message beside the data of its only item: answer to a read, job of a write."""
+"""Bytes of a message without the data of its only item: answer to a read, job of a write."""
 ITEM_OVERHEAD: Final = 17
-"""Bytes of one more item of a write, without its data: address, header, filling."""
+"""Bytes of each further item of a write, without its data: address, header, padding."""
 MOST_ITEMS: Final = 20
 
 _CONNECT, _CONFIRM, _HANG_UP, _DATA = 0xE0, 0xD0, 0x80, 0xF0
@@ -25,13 +25,13 @@ _DATA_BLOCK: Final = 0x84
 _ADDRESS = struct.Struct(">BBBBHHB3s")
 _HEAD = struct.Struct(">BBHHHH")
 _SIZES: Final = {1: 1, 2: 1, 3: 1, 4: 2, 5: 2, 6: 4, 7: 4, 8: 4}
-"""Bytes of what an item counts, by its kind: bit, byte, character, word, int, dword, dint, real."""
+"""Bytes per element of an item, by type: bit, byte, character, word, int, dword, dint, real."""
 _BIT, _BYTE, _REAL = 1, 2, 8
 _AS_BIT, _AS_BYTES, _AS_REAL, _AS_OCTETS = 3, 4, 7, 9
 
 
 class Function(IntEnum):
-    """Of a job."""
+    """Function of a job."""
 
     READ = 4
     WRITE = 5
@@ -39,7 +39,7 @@ class Function(IntEnum):
 
 
 class Code(IntEnum):
-    """What became of an item."""
+    """Result of an item."""
 
     DONE = 0xFF
     DENIED = 0x03
@@ -50,11 +50,11 @@ class Code(IntEnum):
 
 
 class WireError(ValueError):
-    """Bytes that are none of these messages."""
+    """Bytes that are not one of these messages."""
 
 
 class Item(NamedTuple):
-    """A piece of a block; `block` is 0 for what is none."""
+    """A piece of a block; `block` is 0 if it is not one."""
 
     block: int
     bit: int
@@ -63,7 +63,7 @@ class Item(NamedTuple):
 
     @property
     def is_bit(self) -> bool:
-        """Whether it is one bit; else it is `size` bytes from `bit` on, which begins a byte."""
+        """Whether it is one bit; else it is `size` bytes from `bit` on, at a byte boundary."""
         return self.kind == _BIT
 
     @property
@@ -74,7 +74,7 @@ class Item(NamedTuple):
 
 
 class Job(NamedTuple):
-    """A message of either side, taken apart as far as both have it."""
+    """A message of either side, parsed as far as they have in common."""
 
     kind: int
     number: int
@@ -92,7 +92,7 @@ def frame(payload: bytes) -> bytes:
 
 
 def connect_request(rack: int, slot: int) -> bytes:
-    """Return what opens a connection to a slot, of the kind that panels use."""
+    """Return the request for a connection to a slot, of the kind that panels use."""
     body = bytes((0xC0, 1, 10, 0xC1, 2, 1, 0, 0xC2, 2, 3, rack * 32 + slot))
     return _handshake(_CONNECT, 0, body)
 
@@ -105,8 +105,8 @@ def _handshake(kind: int, to: int, body: bytes) -> bytes:
 async def receive(reader: asyncio.StreamReader, within_s: float | None = None) -> tuple[int, bytes]:
     """Return kind and payload of the next message.
 
-    `within_s`: how long it may take from its first byte to its last. WireError if it is none;
-    EOFError if there will be none.
+    `within_s`: how long it may take from its first byte to its last. WireError if it is malformed;
+    EOFError if the connection has ended.
     """
     first = await reader.readexactly(1)
     try:
@@ -140,7 +140,7 @@ async def _rest(head: bytes, reader: asyncio.StreamReader) -> tuple[int, bytes]:
 
 
 def confirmed(request: tuple[int, bytes]) -> bytes:
-    """Return what confirms a connection; WireError if nobody asks for one."""
+    """Return the confirmation of a connection; WireError if none was requested."""
     kind, rest = request
     if kind != _CONNECT or len(rest) < 5:
         raise WireError("asks for no connection")
@@ -175,7 +175,7 @@ def user_data(number: int, parameters: bytes, data: bytes) -> bytes:
 
 
 def taken_apart(message: tuple[int, bytes]) -> Job:
-    """Return a message of either side; WireError if it is none."""
+    """Return a message of either side, parsed; WireError if it is malformed."""
     kind, payload = message
     if kind != _DATA or len(payload) < 10 or payload[0] != _S7:
         raise WireError("is no message of S7")
@@ -189,19 +189,19 @@ def taken_apart(message: tuple[int, bytes]) -> Job:
 
 
 def is_job(message: Job) -> bool:
-    """Whether something is asked."""
+    """Whether a message is a job."""
     return message.kind == _JOB and bool(message.parameters)
 
 
 def setup(pdu_bytes: int, jobs: int = 1) -> bytes:
-    """Return the parameters that agree on a length, of both sides."""
+    """Return the parameters, of either side, that negotiate the length of messages."""
     return struct.pack(">BBHHH", Function.SETUP, 0, jobs, jobs, pdu_bytes)
 
 
 def agreed(parameters: bytes) -> tuple[int, int]:
-    """Return jobs at a time and length [bytes] of the parameters of a setup.
+    """Return number of parallel jobs and length [bytes] from the parameters of a setup.
 
-    WireError if they are none, or permit hardly more than a header.
+    WireError if they are malformed, or permit hardly more than a header.
     """
     if len(parameters) != 8 or parameters[0] != Function.SETUP:
         raise WireError("agrees on nothing")
@@ -217,9 +217,9 @@ def asks(function: Function, items: Sequence[Item]) -> bytes:
 
 
 def asked(parameters: bytes) -> list[Item]:
-    """Return the items of a job; one that is no piece of a block has number 0.
+    """Return the items of a job; one that is not a piece of a block has number 0.
 
-    WireError if there are fewer than it says, or too many.
+    WireError if there are fewer than announced, or too many.
     """
     count = parameters[1] if len(parameters) > 1 else 0
     if not 0 < count <= MOST_ITEMS or len(parameters) != 2 + count * _ADDRESS.size:
@@ -237,7 +237,7 @@ def asked(parameters: bytes) -> list[Item]:
 
 
 def values(pieces: Iterable[tuple[Item, bytes]], code: int = Code.DONE) -> bytes:
-    """Return data of items, as an answer to a read has them, or (code 0) a job of a write."""
+    """Return data of items, in the form of an answer to a read or (code 0) of a job of a write."""
     data = b""
     for item, piece in pieces:
         data += b"\0" * (len(data) % 2)
@@ -251,12 +251,12 @@ def values(pieces: Iterable[tuple[Item, bytes]], code: int = Code.DONE) -> bytes
 
 
 def refusal(data: bytes, code: Code) -> bytes:
-    """Return what stands behind `data` in an answer where an item cannot be read."""
+    """Return what follows `data` in an answer for an item that cannot be read."""
     return b"\0" * (len(data) % 2) + struct.pack(">BBH", code, 0, 0)
 
 
 def pieces(data: bytes, count: int) -> list[tuple[int, bytes]]:
-    """Return code and bytes of every item, of an answer to a read or of a job of a write.
+    """Return code and bytes of every item in an answer to a read or a job of a write.
 
     WireError if there are fewer.
     """

@@ -19,7 +19,7 @@ ABSENT: Final = -1  # slot of a quantity that a planar robot does not have
 
 
 def places(table: SignalTable, wheels: tuple[str, ...], *, body: bool) -> list[int]:
-    """Return the slots of what a response shows, in the order of its fields."""
+    """Return the slots of the signals in a response, in the order of its fields."""
     imu = "mech.imu" if body else "imu"
     names = [f"wheel.{wheel}.speed_rpm" for wheel in wheels]
     names += [f"{'mech.' if body else ''}tof.{place}_m" for place in CORNERS]
@@ -33,7 +33,7 @@ def places(table: SignalTable, wheels: tuple[str, ...], *, body: bool) -> list[i
 
 @kernel()
 def _put(out: Any, at: int, value: float, low: int, high: int) -> None:
-    """Write `value` rounded and limited as two bytes; what is not finite becomes 0."""
+    """Write `value` rounded and limited as two bytes; one that is not finite becomes 0."""
     whole = math.floor(value + 0.5) if math.isfinite(value) else 0
     whole = min(max(whole, low), high)
     out[at] = whole & 0xFF

@@ -1,4 +1,4 @@
-"""What the shield does with a request: the plant's inputs that it writes, what it stores."""
+"""What the shield does with a request: inputs of the plant that it writes, values it stores."""
 
 import math
 import time
@@ -26,11 +26,11 @@ FLAGS: Final = {
 """Commands whose payload begins with a byte to store."""
 MOTION: Final = frozenset({Command.ENABLE, Command.SET_RPM, Command.SET_PWM})
 MOST_FREQUENCY_HZ: Final = 1_000_000
-"""A greater integer is a float: one of the drivers sends the bridge frequency so."""
+"""A greater integer is read as a float: one of the drivers sends the bridge frequency so."""
 
 
 class ShieldFault(StrEnum):
-    """What a host does wrong."""
+    """Mistakes of a host."""
 
     UNTERMINATED = "unterminated"
     SKIPPED_BYTES = "skipped_bytes"
@@ -62,7 +62,7 @@ class Device:
         self._wheels = config.wheels
 
     def take(self, request: Request) -> None:
-        """Do what a request says."""
+        """Carry out a request."""
         self._status.requests[request.name] += 1
         if not request.is_terminated:
             self._report(

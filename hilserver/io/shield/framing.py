@@ -1,13 +1,13 @@
-"""Finds requests in a stream of bytes and finds back into step when bytes are lost or wrong.
+"""Finds requests in a stream of bytes, and synchronises again when bytes are lost or wrong.
 
-A request begins with `START` and is `REQUEST_BYTES` long. A window of that length that does not end
-as it should is shifted to the next `START` that a known command follows. A window of the wrong
-start can look right, when the payload holds the end and the start side by side; so while in doubt,
-a pause on the line begins a new frame (hosts keep 8 ms between requests). In step, no pause is
-needed and none disturbs: a USB adapter may split a request.
+A request begins with `START` and is `REQUEST_BYTES` long. A window of that length with a wrong end
+is shifted to the next `START` that a known command follows. A window with the wrong start can look
+right if the payload contains the end followed by the start; so, while in doubt, a pause on the line
+begins a new frame (hosts keep 8 ms between requests). In step, pauses are neither needed nor
+harmful: a USB adapter may split a request.
 
 One deviation is tolerated, because a real driver needs it: with the variant ``iotbot``, eleven
-bytes that stand alone between two pauses are a request whatever their last byte is.
+bytes alone between two pauses are a request whatever their last byte is.
 """
 
 from typing import Any, Final
@@ -20,13 +20,13 @@ from hilserver.io.shield.protocol import CHECKED_BYTES, END, KNOWN, REQUEST_BYTE
 
 NOTHING: Final = 0
 COMPLETE: Final = 1
-XON, XOFF = 0x11, 0x13  # a host's terminal may send them: noise between requests
+XON, XOFF = 0x11, 0x13  # a terminal may send them: noise between requests
 _KNOWN = np.array([number in KNOWN for number in range(256)])
 
 
 @kernel()
 def _shift(buffer: Any, state: Any) -> None:
-    """Drop the first byte, and all that cannot begin a request."""
+    """Drop the first byte, and following ones that cannot begin a request."""
     fill = state[w.FILL]
     first = 1
     while first < fill:
@@ -54,7 +54,7 @@ def feed(byte: int, after_pause: bool, buffer: Any, state: Any) -> int:
     Parameters
     ----------
     after_pause : bool
-        Nothing had come for at least the pause that ends a burst.
+        Nothing had come for at least the length of a pause.
     buffer : ndarray of uint8, shape (REQUEST_BYTES,)
     state : ndarray of int64
         The framing words are changed.

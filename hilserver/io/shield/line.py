@@ -21,7 +21,7 @@ class Line:
     link: Path | None = None  # symbolic link to `path` that was made here
 
     def close(self) -> None:
-        """Close the line and remove the link, unless it points elsewhere by now."""
+        """Close the line and remove the link, unless it now points elsewhere."""
         with contextlib.suppress(OSError):
             if self.link is not None and self.link.readlink() == self.path:
                 self.link.unlink()
@@ -31,7 +31,7 @@ class Line:
 def open_pseudo_terminal(link: Path) -> Line:
     """Make a pseudo-terminal that behaves as a serial line, and a link to it.
 
-    FailedError if the link cannot be made, or something else has its name.
+    FailedError if the link cannot be made, or its name is taken.
     """
     if os.path.lexists(link) and not link.is_symlink():
         raise FailedError(f"shield.link: {link} exists and is no link; name another place")
@@ -46,7 +46,7 @@ def open_pseudo_terminal(link: Path) -> Line:
         reason = (error.strerror or "refused").lower()
         raise FailedError(f"shield.link: cannot make {link}: {reason}") from None
     finally:
-        os.close(host)  # open no longer than a host has it: its hang-up is then seen
+        os.close(host)  # only a host keeps it open, so that its hang-up is seen
     return Line(file, path, link)
 
 
@@ -60,7 +60,7 @@ def _point(link: Path, path: Path) -> None:
 def open_device(path: Path) -> Line:
     """Open a serial line for this process alone.
 
-    FailedError if there is none of that name, it is something else, or another program has it.
+    FailedError if it does not exist, is not a serial line, or another program uses it.
     """
     try:
         file = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)

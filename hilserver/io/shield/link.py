@@ -1,4 +1,4 @@
-"""Runs the shield: the thread of the line, the requests that it hands over, the host's silence."""
+"""Runs the shield: the thread of the line, the requests it hands over, the host's silence."""
 
 import asyncio
 import atexit
@@ -28,7 +28,7 @@ from hilserver.io.source import Source, keep_watch
 from hilserver.io.world import Part, World
 from hilserver.scheduler.realtime import Grant, RealtimeSettings, request_for_this_thread
 
-PAUSE_NS = 2_000_000  # silence that ends a burst: 23 bytes long; hosts keep 8 ms between requests
+PAUSE_NS = 2_000_000  # silence that ends a burst: 23 bytes; hosts keep 8 ms between requests
 REOPEN_S = 0.5
 END_WITHIN_S = 5.0
 
@@ -36,7 +36,7 @@ _log = structlog.get_logger(__name__)
 
 
 class Gains:
-    """Makes what a host sets the gains of the plant's controller."""
+    """Applies the gains that a host sets to the plant's controller."""
 
     def __init__(self, world: World) -> None:
         self._gate, self._image, self._table = world.gate, world.image, world.table
@@ -65,7 +65,7 @@ class ShieldLink(Part):
     status: ShieldStatus  # always up to date
 
     def __init__(self, config: ShieldConfig, world: World) -> None:
-        # compiled only where there is a shield
+        # compiled only if there is a shield
         from hilserver.io.shield.answer import places  # noqa: PLC0415
         from hilserver.io.shield.wire import Memory, serve  # noqa: PLC0415
 
@@ -78,7 +78,7 @@ class ShieldLink(Part):
             world.gate,
             world.events.publish,
             fresh=lambda: f"shield: a host sends on {self.address}",
-            is_exact=True,  # the thread of the line notes when
+            is_exact=True,  # the thread of the line stamps arrivals
         )
         max_rpm, gains = world.table["wheel.fl.setpoint_rpm"].high, Gains(world)
         self.device = Device(config, status, self._source, max_rpm=max_rpm, apply=gains.apply)
@@ -101,12 +101,12 @@ class ShieldLink(Part):
 
     @property
     def thread_id(self) -> int:
-        """The operating system's number of the line's thread."""
+        """Thread id of the line's thread in the operating system."""
         return self._thread.native_id or 0
 
     @property
     def address(self) -> str:
-        """What a host opens."""
+        """The path that a host opens."""
         line = self._line
         return "" if line is None else str(line.link or line.path)
 
@@ -132,7 +132,7 @@ class ShieldLink(Part):
         atexit.unregister(self._end_thread)
         self._loop.remove_reader(self._doorbell)
         os.close(self._doorbell)
-        if self._line is not None:  # else it was lost
+        if self._line is not None:  # None if it was lost
             self._line.close()
         self.status.connected, self.status.state = False, LinkState.STOPPED
 
@@ -143,9 +143,9 @@ class ShieldLink(Part):
 
     @property
     def _realtime(self) -> RealtimeSettings:
-        """What the thread asks for: less than the plant's, never its core.
+        """What the thread asks for: less than the plant's, and never its core.
 
-        Without the line's pace a host could keep it busy for ever; it is then a thread like others.
+        Without the line's pace a host could keep it busy for ever, so it then has no priority.
         """
         priority = self._world.config.scheduler.realtime.priority - 1 if self._config.pace else 0
         return RealtimeSettings(priority=max(priority, 0))
@@ -181,7 +181,7 @@ class ShieldLink(Part):
             line = self._reopen(line)
 
     def _reopen(self, line: Line) -> Line | None:
-        """Wait until a lost device is there again."""
+        """Wait until a lost device is back."""
         self._line = None
         line.close()
         self._tell(f"the line {line.path} is lost")
@@ -194,7 +194,7 @@ class ShieldLink(Part):
 
     def _tell(self, text: str) -> None:
         event = Event(EventKind.PEER_LOST, 800, self.status.name, f"shield: {text}")
-        with contextlib.suppress(RuntimeError):  # the event loop is closed: nobody listens
+        with contextlib.suppress(RuntimeError):  # the event loop is closed
             self._loop.call_soon_threadsafe(self._world.events.publish, event)
 
     # --- the event loop ---------------------------------------------------------------------------
@@ -224,7 +224,7 @@ class ShieldLink(Part):
             self._world.gate.leases.renew(NAME, received_ns)
 
     def _look(self) -> None:
-        self._take_requests()  # what came in while the event loop was held up is no silence
+        self._take_requests()  # requests that waited while the event loop stood are not silence
         status, now_ns = self.status, time.monotonic_ns()
         status.connected = bool(status.words[w.CONNECTED]) and self._line is not None
         status.state = LinkState.CONNECTED if status.connected else LinkState.CONNECTING

@@ -1,4 +1,4 @@
-"""Metrics that only a shield has; what it shares with peers is among theirs, as peer ``shield``."""
+"""Metrics that only a shield has; the others are among those of peers, as peer ``shield``."""
 
 from collections.abc import Collection, Iterator
 from typing import Final
@@ -8,7 +8,7 @@ from hilserver.io.shield import words as w
 from hilserver.io.shield.status import ShieldStatus
 from hilserver.metrics import MS, US, Metric, Reading, Row, counter
 
-Shields = Collection[ShieldStatus]  # one, or none where the shield is not enabled
+Shields = Collection[ShieldStatus]  # one, or none if the shield is not enabled
 
 
 def _requests(shields: Shields) -> Iterator[Row]:

@@ -1,4 +1,4 @@
-"""The serial protocol of the extension shield: commands, requests, what a response means.
+"""The serial protocol of the extension shield: commands, requests, responses.
 
 A request is 11 bytes, ``FF command payload[8] end``; the end is ``EE``, or a check sum with the
 variant ``crc``. A response is 32 or 33 bytes without a start byte, little endian:
@@ -29,7 +29,7 @@ REQUEST_BYTES: Final = 11
 PAYLOAD_BYTES: Final = 8
 RESPONSE_BYTES: Final[dict[Variant, int]] = {"iotbot": 32, "crc": 33}
 BAUD: Final = 115200
-BYTE_NS: Final = 10 * 1_000_000_000 // BAUD + 1  # start, eight bits, stop; never too short
+BYTE_NS: Final = 10 * 1_000_000_000 // BAUD + 1  # start, eight bits, stop; rounded up
 
 
 class Command(IntEnum):
@@ -84,11 +84,11 @@ class Request:
     command: int  # a `Command`, or an unknown number
     payload: bytes  # eight bytes
     received_ns: int = 0  # CLOCK_MONOTONIC at which its last byte had come in
-    is_terminated: bool = True  # False: it stood alone on the line, but its last byte is not `END`
+    is_terminated: bool = True  # False: alone on the line, but its last byte is not `END`
 
     @property
     def name(self) -> str:
-        """As metrics and messages show it: ``set_rpm``, ``unknown``."""
+        """Name in metrics and messages: ``set_rpm``, ``unknown``."""
         return Command(self.command).name.lower() if self.command in KNOWN else "unknown"
 
     @property

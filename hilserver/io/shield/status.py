@@ -1,4 +1,4 @@
-"""What is known about the shield and its host: a peer's status, and what only a shield has."""
+"""What is known about the shield and its host: a peer's status with additions."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -20,9 +20,9 @@ class ShieldStatus(PeerStatus):
     words: NDArray[np.int64] = field(default_factory=lambda: np.zeros(w.N_WORDS, dtype=np.int64))
     enabled: bool = False  # the host has enabled the motors and has not been silent since
     without_effect: int = 0  # requests that are echoed and change nothing in the simulation
-    # name of a command -> how often it came
+    # name of a command -> number of requests
     requests: Counter[str] = field(default_factory=Counter)
-    # what the host has set and the robot stores
+    # values that the host has set and the robot stores
     parameters: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -36,7 +36,7 @@ class ShieldStatus(PeerStatus):
 
     @property
     def figures(self) -> dict[str, float | str | bool | int | None]:
-        """What OPC UA shows beside a peer's figures."""
+        """What OPC UA shows in addition to a peer's figures."""
         responses = self.count(w.RESPONSES)
         return {
             "enabled": self.enabled,

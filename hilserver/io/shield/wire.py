@@ -1,10 +1,10 @@
 """The serial line in compiled code: a thread that reads, answers and keeps the time of the wire.
 
 It never needs the interpreter lock, so a busy event loop delays no response. Bytes of a request
-count as come in when a line of 115200 baud would have carried them, those of a response are handed
+count as received when a line of 115200 baud would have carried them; those of a response are handed
 over together when it would have carried the last one, as a UART with a FIFO hands them to its
-driver. What has waited while this thread stood is as old as that. Between two responses the line
-has its rest, too: none is sent before the one before it.
+driver. Bytes that waited while this thread stood still are dated from the start of the standstill.
+A response is sent only after the line has carried the one before.
 """
 
 from typing import Any, Final, NamedTuple
@@ -28,9 +28,9 @@ from hilserver.io.shield.protocol import REQUEST_BYTES, Command
 libc_read: Any = ExternalFunction("read", int64(int32, voidptr, uint64))
 libc_ppoll: Any = ExternalFunction("ppoll", int32(voidptr, uint64, voidptr, voidptr))
 
-LONGEST_WAIT_NS: Final = 50_000_000  # the thread looks at its words at least this often
-STOOD_NS: Final = 3 * LONGEST_WAIT_NS // 2  # who looks at the line in time is never later
-ABSENT_WAIT_NS: Final = 5_000_000  # how often it looks for a host that opens the line
+LONGEST_WAIT_NS: Final = 50_000_000  # the thread checks its words at least this often
+STOOD_NS: Final = 3 * LONGEST_WAIT_NS // 2  # a thread that is not held up is never later
+ABSENT_WAIT_NS: Final = 5_000_000  # how often it checks for a host that opens the line
 POLL_IN, POLL_BROKEN = 0x1, 0x8 | 0x10 | 0x20
 IMU_RAW: Final = int(Command.IMU_RAW)
 
@@ -38,12 +38,12 @@ _WORDS, _BYTES, _VALUES = types.int64[::1], types.uint8[::1], types.float64[::1]
 
 
 class Memory(NamedTuple):
-    """What the thread of a line works on."""
+    """Arrays of the thread of a line."""
 
     state: NDArray[np.int64]  # see `words`
     slots: NDArray[np.int64]  # see `answer.places`
     chunk: NDArray[np.uint8]  # bytes that were read
-    request: NDArray[np.uint8]  # that they make
+    request: NDArray[np.uint8]  # made of them
     out: NDArray[np.uint8]  # the response
     values: NDArray[np.float64]  # of the process image, as `words`
     words: NDArray[np.int64]
@@ -83,7 +83,7 @@ def _give(buffer: Any, flags: int, received_ns: int, state: Any, doorbell: int, 
 
 @kernel()
 def _receive(chunk: Any, frame: Any, state: Any, doorbell: int, one: Any) -> None:
-    """Take the bytes that have come in by now."""
+    """Take the bytes that have come in so far."""
     count, byte_ns = state[w.RX_COUNT], state[w.BYTE]
     first_ns = state[w.RX_DUE] - (count - 1) * byte_ns
     after_pause = first_ns - byte_ns - state[w.RX_LAST] >= state[w.PAUSE]
@@ -108,7 +108,7 @@ def _accept_alone(frame: Any, state: Any, doorbell: int, one: Any) -> None:
 def _prepare(
     out: Any, state: Any, slots: Any, values: Any, words: Any, frame: Any, info: Any
 ) -> None:
-    """Write the response that is next from the newest frame and say when it may be seen."""
+    """Write the next response from the newest frame and set when it may be seen."""
     if copy_latest(values, words, frame, info) < 0:
         return
     row = w.PENDING_ROWS + 2 * (state[w.PENDING_TAIL] % w.PENDING)
@@ -160,10 +160,10 @@ def _listen(
         missing = REQUEST_BYTES - state[w.FILL] % REQUEST_BYTES
         count = libc_read(file, chunk.ctypes, missing)
         if count > 0:
-            # its sender may be gone since
+            # the sender may be gone
             has_stood = 0 < state[w.EMPTY] < now_ns - max(state[w.LIMIT], STOOD_NS)
             begins_ns = max(state[w.EMPTY] if has_stood else now_ns, state[w.RX_LAST])
-            if state[w.MORE]:  # however late they are read, they have come behind the last ones
+            if state[w.MORE]:  # however late they are read, they arrived after the last ones
                 begins_ns = state[w.RX_LAST]
             state[w.RX_COUNT] = count
             state[w.RX_DUE] = begins_ns + count * state[w.BYTE]

@@ -1,4 +1,4 @@
-"""What the thread of the serial line and the event loop share: one int64 array, by index."""
+"""Shared by the thread of the serial line and the event loop: an int64 array, by index."""
 
 from typing import Final
 
@@ -8,15 +8,15 @@ PENDING: Final = 8
 """Responses that may wait for the line; a host that asks faster than it reads loses the rest."""
 WAITING_MOST: Final = 256  # requests that may wait for the event loop, a power of two
 STAMPS: Final = 4096  # writes whose times are kept, a power of two
-ALONE: Final = 1  # flag of a request that stood alone and did not end as it should
+ALONE: Final = 1  # flag of a request that stood alone and has a wrong end
 
 (
     STOP,
     CRC,  # 1: variant crc
     BYTE,  # [ns] that one byte lasts
     DELAY,  # [ns] from a request to its response
-    PAUSE,  # [ns] of silence that end a burst
-    LIMIT,  # [ns] of silence that end a command
+    PAUSE,  # [ns] of silence that ends a burst
+    LIMIT,  # [ns] of silence that ends a command
     IS_PTY,
     RAW,  # 1: the IMU's raw values, 0: quaternion
     # framing
@@ -27,8 +27,8 @@ ALONE: Final = 1  # flag of a request that stood alone and did not end as it sho
     RX_COUNT,
     RX_DUE,  # [ns] when the bytes that were read have come in
     RX_LAST,  # [ns] when the newest byte had come in
-    EMPTY,  # [ns] when nothing was waiting on the line, as far as that was looked at
-    MORE,  # 1: others were waiting when the newest ones were read
+    EMPTY,  # [ns] when nothing was last seen waiting on the line
+    MORE,  # 1: more bytes were waiting when the newest were read
     TX_COUNT,
     TX_DUE,  # [ns] before which the response must not be seen
     TX_LAST,  # [ns] when the newest response was written
