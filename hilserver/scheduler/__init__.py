@@ -1,4 +1,4 @@
-"""Fixed step, several time slices: law, pacing back ends, statistics. Knows no plant and no I/O."""
+"""Fixed step, several time slices: law, pacing back ends, statistics. No plant and no I/O."""
 
 from hilserver.scheduler.overruns import OverrunReport
 from hilserver.scheduler.pacing import StopReason

@@ -1,18 +1,18 @@
-"""Why a tick was late or long, as far as the system tells.
+"""Why a tick was late or long, as far as the system shows.
 
-The pacing loop notes for every overrun what its own thread used and suffered in that tick
-(processor time, page faults, involuntary switches). The rest is asked of /proc afterwards, as a
+For every overrun the pacing loop records the resource usage of its own thread in that tick
+(processor time, page faults, involuntary switches). The rest is read from /proc afterwards, as the
 difference to the last look (at most a second old):
 
 ============ ==================================================================================
 ``stopped``  the process was stopped (SIGSTOP, debugger): a SIGCONT arrived
-``GC``       Python's garbage collector ran meanwhile (only where the event loop is involved)
+``GC``       Python's garbage collector ran meanwhile (only if the event loop is involved)
 ``slice``    the slice itself: it computed for most of the time, or longer than a period
 ``fault``    a page had to be read from disk (major) or made (minor)
-``stolen``   the hypervisor gave the core to somebody else (steal time)
+``stolen``   the hypervisor gave the core to another guest (steal time)
 ``preempted`` the thread was ready but another one ran (involuntary switches, run-queue delay)
 ``event_loop`` a communication slice: the event loop was busy with something else
-``unknown``  none of these; interrupts and the firmware (SMI) leave no trace here
+``unknown``  none of these; interrupts and firmware (SMI) leave no trace here
 ============ ==================================================================================
 """
 
@@ -58,7 +58,7 @@ class Evidence:
     """What is known about one overrun; durations in ns."""
 
     span_ns: int  # the delay (late wake) or the execution (long run) to be explained
-    period_ns: int  # a slice that computed for longer than this ran long whatever else happened
+    period_ns: int  # more processor time than this alone explains a long run
     late: bool
     cpu_ns: int
     minor_faults: int
@@ -111,9 +111,9 @@ def read_steal_ns(proc: Path = Path("/proc")) -> int:
 
 
 class CauseFinder:
-    """Looks at the system now and then, so that an overrun can be explained afterwards.
+    """Looks at the system regularly, so that an overrun can be explained afterwards.
 
-    Collections stop ticks where the event loop itself paces (`timerfd`).
+    Garbage collections stop ticks only if the event loop itself paces (`timerfd`).
     """
 
     def __init__(
@@ -176,7 +176,7 @@ class CauseFinder:
         return Cause.EVENT_LOOP if late else Cause.SLICE
 
     def _was_stopped(self, begin_ns: int, end_ns: int) -> bool:
-        # The handler runs on the event loop, hence a little after the process goes on.
+        # The handler runs on the event loop, hence a little after the process continues.
         return any(begin_ns <= at <= end_ns + 20_000_000 for at in self._continued_ns)
 
     def look(self) -> Look:

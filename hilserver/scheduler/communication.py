@@ -1,6 +1,6 @@
 """Communication slices: run on the event loop when the doorbell rings, in every back end.
 
-They have statistics of their own. If the event loop comes too late for several announcements of the
+They have their own statistics. If the event loop is late and finds several announcements of the
 same slice, the callback runs once, for the newest; the others are counted as missed.
 """
 
@@ -20,9 +20,9 @@ SliceCallback = Callable[[int, int], None]  # ``(tick, planned_ns)``
 
 
 class Communication:
-    """Calls what was registered for each communication slice.
+    """Calls the callbacks registered for each communication slice.
 
-    In virtual time planned starts are simulated, so latency says nothing and is 0.
+    In virtual time planned starts are simulated, so latency has no meaning and is 0.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class Communication:
         self._callbacks[name].append(callback)
 
     def dispatch(self) -> None:
-        """Run every slice that has been announced since the last call."""
+        """Run every slice announced since the last call."""
         for index, tick, planned_ns, missed in list(self._announced()):
             self._run(index, tick, planned_ns, missed)
 
@@ -71,7 +71,7 @@ class Communication:
             return
         execution_ns = end_ns - start_ns
         period_ns = part.period_ticks * self._machine.exchange.get(ex.PACED_PERIOD)
-        # A run that stands for several announcements is as late as the first of them.
+        # A run for several announcements is as late as the first of them.
         latency_ns = 0 if self._simulated else start_ns - planned_ns + missed * period_ns
         margin_ns = period_ns - latency_ns - execution_ns
         kind = lw.NO_OVERRUN

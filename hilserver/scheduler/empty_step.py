@@ -1,4 +1,4 @@
-"""A step that does nothing: what is left is the pacing itself."""
+"""A step that does nothing, which leaves the pacing itself."""
 
 import numpy as np
 from numpy.typing import NDArray

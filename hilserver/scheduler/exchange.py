@@ -1,16 +1,16 @@
-"""The words through which the event loop and the pacing loop talk: nobody waits for anybody.
+"""The words through which event loop and pacing loop communicate, without waiting for each other.
 
-Every word has one writer. The event loop writes what it wants, the pacing loop what it has done;
-loads and stores are atomic, and no word needs a second one to be understood:
+Every word has one writer: the event loop writes requests, the pacing loop what it has done. Loads
+and stores are atomic, and every word has its meaning without a second one:
 
 command
-    ``FREE_RUN``, or ``(generation << 32) | n``: paused, after exactly n more ticks. One word, so
-    that a step request can neither be lost nor run twice, whatever the loop is doing meanwhile.
+    ``FREE_RUN``, or ``(generation << 32) | n``: paused after exactly n more ticks. As it is one
+    word, a step request can be neither lost nor run twice, whatever the loop is doing meanwhile.
 acknowledged
-    The last command that has been carried out to its end (for n steps: all n are done).
+    The last command that has been completed (for n steps: all n are done).
 
 Communication slices have one row each; its sequence number is odd while the loop writes it.
-Overruns go into a bounded ring; what does not fit is counted, not waited for.
+Overruns go into a bounded ring; the loop never waits for room, but counts what does not fit.
 """
 
 from dataclasses import dataclass, fields
@@ -45,19 +45,19 @@ class OverrunRecord:
     """One overrun or fault as the pacing loop saw it, a row of the ring; times in ns."""
 
     tick: int
-    kind: int  # ``LATE_WAKE`` or ``LONG_RUN`` of the law; 0 for a fault that was no overrun
-    # the row of the slice that is blamed: the first for a late wake, the longest otherwise
+    kind: int  # ``LATE_WAKE`` or ``LONG_RUN`` of the law; 0 for a fault without an overrun
+    # row of the slice that is blamed: the first for a late wake, otherwise the longest
     slice_index: int
     planned_ns: int
     latency_ns: int
     execution_ns: int
-    # what the thread used and suffered since the end of the previous tick
+    # usage of the thread since the end of the previous tick
     cpu_ns: int
     minor_faults: int
     major_faults: int
     preempted: int
     missed: int  # planned starts that the policy gave up
-    code: int  # the ``FAULT_*`` code handed to the step; -1: the scheduler stopped; 0: none
+    code: int  # code in `faults` passed to the step; -1: the scheduler stopped; 0: none
 
 
 @kernel()
@@ -86,7 +86,7 @@ def announced(comm: NDArray[np.int64], row: int, out: NDArray[np.int64]) -> int:
     Returns
     -------
     int
-        Number of announcements so far; -1 if the writer was always in the way.
+        Number of announcements so far; -1 if every attempt met the writer.
     """
     base = row * N_COMM
     for _ in range(64):
@@ -142,7 +142,7 @@ class Exchange:
         return int(read_word(self.control, word))
 
     def pause(self) -> None:
-        """Stand still before the next tick."""
+        """Pause before the next tick."""
         self._generation += 1
         write_word(self.control, COMMAND, self._generation << 32)
 
@@ -151,7 +151,7 @@ class Exchange:
         write_word(self.control, COMMAND, FREE_RUN)
 
     def step(self, n_ticks: int) -> None:
-        """Run exactly `n_ticks` more and pause; adds to what an unfinished step still owes."""
+        """Run exactly `n_ticks` more and pause; these add to the rest of an unfinished step."""
         if not 1 <= n_ticks <= MAX_STEPS:
             raise ValueError(f"a step runs 1 to {MAX_STEPS} ticks, not {n_ticks}")
         command = self.get(COMMAND)

@@ -1,7 +1,7 @@
-"""Faults of the paced loop: why it asks for the safe state. Each code with its name and its words.
+"""Faults of the paced loop, for which it requests the safe state: each code with name and text.
 
 The step receives the code in its ``FAULT`` phase and keeps the first one; the state machine reads
-it there and says the words. The compiled code compares plain integers.
+it there and shows the text. The compiled code compares plain integers.
 """
 
 from typing import Final, NamedTuple
@@ -10,7 +10,7 @@ SINGLE_OVERRUN: Final = 1
 CONSECUTIVE_OVERRUNS: Final = 2
 COMMUNICATION: Final = 3
 SILENCE: Final = 4
-BODY: Final = 1000  # what the mechatronic model's slice returns when its numbers are no longer good
+BODY: Final = 1000  # returned by the mechatronic model's slice when its numbers are invalid
 
 SLICE: Final = 16  # ``SLICE + n``: a slice returned the fault number n > 0
 
@@ -39,6 +39,6 @@ _FAULTS: Final = {
 
 
 def fault_of(code: int) -> Fault:
-    """Return name and words of a code."""
+    """Return name and text of a code."""
     number = code - SLICE
     return _FAULTS.get(code) or Fault(f"fault {number}", f"a slice reported fault {number}")

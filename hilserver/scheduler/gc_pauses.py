@@ -19,10 +19,10 @@ class GcPauses:
         self._frozen = False
 
     def start(self, *, freeze: bool) -> None:
-        """Begin to measure; `freeze` first hides all living objects from the collector.
+        """Start measuring; `freeze` first hides all living objects from the collector.
 
-        Where the collector was off (`hilserver run` starts so) there is hardly any garbage: then
-        it does not look for it, which takes as long as a quarter of the start.
+        If the collector was off (`hilserver run` starts so), there is hardly any garbage, and the
+        collection before is left out: it would take as long as a quarter of the start.
         """
         if freeze:
             if gc.isenabled():

@@ -1,18 +1,18 @@
 """The scheduler's law: a pure state machine over integers, without clock, socket or plant.
 
-The law is written once, as compiled functions over one int64 array, so that the pacing thread, the
-timerfd back end, virtual time and the tests obey literally the same code.
+The law exists once, as compiled functions over one int64 array, so that the pacing thread, the
+timerfd back end, virtual time and the tests run literally the same code.
 
 A tick passes through two functions::
 
     advance(law, now_ns)   is the next tick due? how late is it? does the policy move the grid?
     conclude(law, end_ns)  was it an overrun, of which kind? is a limit exceeded? plan the next one
 
-and while paused through ``hold(law, now_ns)`` alone, which moves the grid and not the tick.
+and while paused only through ``hold(law, now_ns)``, which moves the grid but not the tick.
 
 An **overrun** is a tick that ends after its deadline (its planned start plus one period). It is a
-``late_wake`` if the delay of its start is the larger part, otherwise a ``long_run``. A tick that
-starts late only because its predecessor ended late (*backlog*) is no overrun of its own, unless
+``late_wake`` if the delay of its start is the larger part, else a ``long_run``. A tick that
+starts late only because its predecessor ended late (*backlog*) does not count as an overrun, unless
 its own execution exceeds a period.
 """
 
@@ -40,7 +40,7 @@ N_LAW = 32
 _WORDS = types.int64[::1]
 
 WAIT, RUN = 0, 1  # verdicts of `advance`
-OK, STOP = 0, -1  # verdicts of `conclude`; the positive ones are the ``FAULT_*`` codes of `step`
+OK, STOP = 0, -1  # verdicts of `conclude`; the positive ones are codes of `faults`
 NO_OVERRUN, LATE_WAKE, LONG_RUN = range(3)
 KIND_NAMES = ("none", "late_wake", "long_run")
 
@@ -65,7 +65,7 @@ def advance(law: NDArray[np.int64], now_ns: int) -> int:
     law[LATENCY] = late
     law[DEADLINE] = planned + period
     law[BACKLOG] = 1 if law[END] > planned else 0
-    # In warm-up a late tick says nothing about the machine: the grid gives way, nothing is counted.
+    # During warm-up late ticks mean nothing: the grid moves, and nothing is counted.
     policy = STRETCH if law[WARM_UP_LEFT] > 0 else law[POLICY]
     shift = shift_ns(policy, late, period, law[CATCH_UP_LIMIT])
     law[CURRENT] = planned + shift
@@ -78,7 +78,7 @@ def advance(law: NDArray[np.int64], now_ns: int) -> int:
 
 @kernel()
 def overrun_kind(law: NDArray[np.int64]) -> int:
-    """Say which kind of overrun the tick that just ended is, if any."""
+    """Return which kind of overrun the tick that just ended is, if any."""
     if law[BACKLOG] == 1:
         return LONG_RUN if law[EXECUTION] > law[PERIOD] else NO_OVERRUN
     if law[MARGIN] >= 0:
@@ -88,12 +88,12 @@ def overrun_kind(law: NDArray[np.int64]) -> int:
 
 @kernel(types.int64(_WORDS, types.int64))
 def conclude(law: NDArray[np.int64], end_ns: int) -> int:
-    """Close the tick that ended at `end_ns` [ns], plan the next one.
+    """Close the tick that ended at `end_ns` [ns] and plan the next one.
 
     Returns
     -------
     int
-        ``OK``, ``STOP`` (policy ``fail``) or the ``FAULT_*`` code of the limit that was exceeded.
+        ``OK``, ``STOP`` (policy ``fail``) or the code in `faults` of the limit that was exceeded.
     """
     law[MARGIN] = law[DEADLINE] - end_ns
     law[EXECUTION] = end_ns - law[START]
@@ -126,7 +126,7 @@ def conclude(law: NDArray[np.int64], end_ns: int) -> int:
 
 @kernel(types.void(_WORDS, types.int64))
 def hold(law: NDArray[np.int64], now_ns: int) -> None:
-    """Let the planned starts up to `now_ns` pass without a tick (paused): nothing is missed."""
+    """Skip the planned starts up to `now_ns` while paused; none counts as missed."""
     late = now_ns - law[PLANNED]
     if late >= 0:
         law[PLANNED] += (late // law[PERIOD] + 1) * law[PERIOD]
@@ -136,7 +136,7 @@ def hold(law: NDArray[np.int64], now_ns: int) -> None:
 
 @kernel()
 def is_due(tick: int, period_ticks: int) -> bool:
-    """Say whether a slice runs in `tick`: by count, never by measured time."""
+    """Return whether a slice runs in `tick`: by count, never by measured time."""
     return bool(tick % period_ticks == 0)
 
 

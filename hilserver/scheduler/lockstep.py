@@ -1,4 +1,4 @@
-"""Lockstep: the simulation waits for an external controller, and says so if it stays silent."""
+"""Lockstep: the simulation waits for an external controller, and reports one that stays silent."""
 
 import asyncio
 from collections.abc import Awaitable

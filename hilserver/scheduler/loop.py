@@ -1,4 +1,4 @@
-"""What the pacing loop works on: one record, which every compiled part takes whole."""
+"""The data of the pacing loop: one record, passed whole to every compiled part."""
 
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ N_SCRATCH = 32
 
 
 class Loop(NamedTuple):
-    """The arrays of one scheduler's loop; none is ever another one while it runs."""
+    """The arrays of one scheduler's loop; none is replaced while it runs."""
 
     law: NDArray[np.int64]  # see `law`
     control: NDArray[np.int64]  # see `exchange`, as for `comm` and `ring`
@@ -27,7 +27,7 @@ class Loop(NamedTuple):
     stats: NDArray[np.int64]  # see `statistics_rows`
     comm: NDArray[np.int64]
     ring: NDArray[np.int64]
-    values: NDArray[np.float64]  # handed through to the step, as `words` is
+    values: NDArray[np.float64]  # passed through to the step, like `words`
     words: NDArray[np.int64]
     scratch: NDArray[np.int64]  # shape (N_SCRATCH,)
 

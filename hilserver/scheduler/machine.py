@@ -1,4 +1,4 @@
-"""Everything one scheduler's loop works on, in one place: the compiled step and its arrays."""
+"""Everything that one scheduler's loop works on: the compiled step and its arrays."""
 
 from collections.abc import Sequence
 
@@ -16,9 +16,9 @@ from hilserver.scheduler.turn import turn
 
 
 class Machine:
-    """The loop's arrays; the pacing back ends only differ in when they call `turn`.
+    """The loop's arrays; the pacing back ends differ only in when they call `turn`.
 
-    Its slices by kind are in the order of the statistics' rows.
+    Its slices of each kind are in the order of the statistics' rows.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class Machine:
 
 
 def _check_types(step: StepFunction, values: NDArray[np.float64], words: NDArray[np.int64]) -> None:
-    """Refuse here, with a sentence, what compiled code would refuse in its own thread."""
+    """Refuse here, with a message, what compiled code would refuse in its own thread."""
     if not getattr(step, "nopython_signatures", None):
         raise TypeError("the step must be compiled with kernel(STEP_SIGNATURE)")
     for name, array, kind in (("values", values, np.float64), ("words", words, np.int64)):

@@ -1,4 +1,4 @@
-"""Metrics of the scheduler: what every slice did, and the pauses of the garbage collector."""
+"""Metrics of the scheduler: figures of every slice, and pauses of the garbage collector."""
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import Final, NamedTuple
@@ -9,11 +9,11 @@ from hilserver.scheduler.scheduler import Scheduler
 from hilserver.scheduler.statistics import SliceFigures
 
 EXECUTED_SLICES: Final = ("plant", "publish")
-"""Slices whose execution time is exported: the budget of series allows two histograms."""
+"""Slices whose execution time is exported; the budget of series allows two histograms."""
 
 
 class Pace(NamedTuple):
-    """What the metrics are read from."""
+    """The figures that the metrics are read from."""
 
     slices: Mapping[str, SliceFigures]  # by name, in the order of the scheduler
     realtime_factor: float  # NaN while unknown

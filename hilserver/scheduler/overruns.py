@@ -1,4 +1,4 @@
-"""Overruns on the event loop: taken from the ring, explained, handed to whoever asked."""
+"""Overruns on the event loop: taken from the ring, explained, and passed to callbacks."""
 
 import asyncio
 import contextlib
@@ -17,17 +17,17 @@ from hilserver.scheduler.machine import Machine
 
 LOOK_PERIOD_S = 0.1
 STALLED_NS = 1_000_000_000
-"""A loop that does not respond for this long is reported at once: its own record may never come."""
+"""A loop that is silent for this long is reported at once: its own record may never come."""
 STALLED = "stalled"  # consequence of a tick that has not ended
 _SETTLE_NS = 20_000_000
-"""A record is explained no sooner than this after its tick: a SIGCONT needs time to arrive."""
+"""A record is explained this long after its tick or later: a SIGCONT needs time to arrive."""
 
 
 @dataclass(frozen=True, slots=True)
 class OverrunReport:
     """One overrun, explained."""
 
-    # the slice that is blamed: the first of the tick for a late wake, the longest otherwise
+    # the slice that is blamed: the first of the tick for a late wake, otherwise the longest
     slice: str
     kind: str  # ``late_wake``, ``long_run`` or ``fault`` (a slice reported a fault in time)
     tick: int
@@ -35,9 +35,9 @@ class OverrunReport:
     latency_ns: int
     execution_ns: int
     missed: int  # planned starts that were given up
-    cause: Cause  # as far as the system tells
+    cause: Cause  # as far as the system shows
     # "" or what followed: ``single_overrun_limit``, ``consecutive_overrun_limit``, ``stopped``,
-    # ``fault 3`` (the slice's own number), ``stalled``: it has not come back for a second
+    # ``fault 3`` (the slice's own number), ``stalled``: it has not returned for a second
     consequence: str = ""
     part: str = ""  # "" or what took the time within the slice
 
@@ -103,7 +103,7 @@ class Overruns:
         self._watch_heartbeat(time.monotonic_ns())
 
     def _watch_heartbeat(self, now_ns: int) -> None:
-        """Tell once of a tick that does not end; two looks: both sides may have been stopped."""
+        """Report once a tick that does not end; two looks, as both sides may have been stopped."""
         before_ns, self._heartbeat_ns = self._heartbeat_ns, self._machine.exchange.get(HEARTBEAT)
         silent_ns = now_ns - self._heartbeat_ns
         stalled = before_ns == self._heartbeat_ns > 0 and silent_ns > STALLED_NS

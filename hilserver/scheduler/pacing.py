@@ -1,4 +1,4 @@
-"""What every pacing back end offers, and what it needs from the scheduler."""
+"""The interface of every pacing back end, and what it needs from the scheduler."""
 
 from collections.abc import Callable
 from enum import StrEnum
@@ -26,12 +26,12 @@ class Pacing(Protocol):
         """Begin to pace; return what the operating system granted."""
 
     async def stop(self) -> None:
-        """Stop pacing (the stop request has been made) and give every resource back."""
+        """Stop pacing (the stop request has been made) and release every resource."""
 
     def wake(self) -> None:
         """Look at the control words soon (a command has been given)."""
 
 
-Rung = Callable[[], None]  # called on the event loop whenever the machine has news
+Rung = Callable[[], None]  # called on the event loop when the machine has news
 
 Ended = Callable[[StopReason], None]  # called on the event loop once, when pacing has ended

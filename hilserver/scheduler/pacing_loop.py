@@ -1,4 +1,4 @@
-"""The compiled loops: that of the `thread` back end, and a batch of ticks in virtual time."""
+"""The compiled loops: of the `thread` back end, and for a batch of ticks in virtual time."""
 
 from typing import Any
 

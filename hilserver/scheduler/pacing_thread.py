@@ -1,7 +1,7 @@
 """The default back end: a thread in compiled code that never needs the interpreter lock.
 
 The thread sleeps on clock_nanosleep with absolute deadlines, runs the tick and rings an eventfd
-when the event loop has something to do. It is never waited for and waits for nobody.
+when the event loop has something to do. Neither waits for the other.
 """
 
 import asyncio
@@ -98,7 +98,7 @@ class ThreadPacing:
         self._ended(reason)
 
     def _tell(self, function: Callable[[T], None], argument: T) -> None:
-        with contextlib.suppress(RuntimeError):  # the event loop is closed: nobody listens
+        with contextlib.suppress(RuntimeError):  # the event loop is closed
             self._loop.call_soon_threadsafe(function, argument)
 
     def _end_thread(self) -> None:

@@ -20,7 +20,7 @@ from hilserver.scheduler.turn import ENDED, RAN, RING
 
 _CLOCK_MONOTONIC = 1
 _TFD_TIMER_ABSTIME = 1
-_TURNS_PER_WAKE = 8  # so many late ticks in a row before the event loop gets its turn
+_TURNS_PER_WAKE = 8  # most late ticks in a row before the event loop gets its turn
 
 
 class _TimerSpec(ctypes.Structure):
@@ -52,12 +52,12 @@ class Timer:
             raise OSError(ctypes.get_errno(), "timerfd_settime")
 
     def clear(self) -> None:
-        """Take the expiration, so that the descriptor is no longer readable."""
+        """Read the expiration, so that the descriptor is no longer readable."""
         with contextlib.suppress(BlockingIOError):
             os.read(self.fileno, 8)
 
     def close(self) -> None:
-        """Give the descriptor back."""
+        """Close the descriptor."""
         os.close(self.fileno)
 
 
@@ -115,7 +115,7 @@ class TimerfdPacing:
             self._timer.set(min(int(self._machine.law[PLANNED]), latest_ns))
 
     def _close(self) -> bool:
-        """Close the timer; False if it was closed before."""
+        """Close the timer; False if it was closed already."""
         if self._timer is None:
             return False
         self._loop.remove_reader(self._timer.fileno)

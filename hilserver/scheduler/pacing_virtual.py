@@ -1,6 +1,6 @@
 """Virtual time: as fast as possible, in bounded batches that yield to the event loop.
 
-Every communication slice runs at its own tick, so a run in virtual time is the same every time.
+Every communication slice runs at its own tick, so every run in virtual time is the same.
 """
 
 import asyncio
@@ -19,9 +19,9 @@ _PAUSED_POLL_S = 0.01  # while paused, inputs are latched at least this often
 
 
 class VirtualPacing:
-    """Runs the machine in virtual time; `thread_id` is 0: there is nothing to attribute.
+    """Runs the machine in virtual time; `thread_id` is 0, as there is nothing to attribute.
 
-    Time waits for whoever is called in `after_batch`, at least every `BATCH_TICKS`.
+    Time waits for the functions `after_batch`, which are called at least every `BATCH_TICKS`.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class VirtualPacing:
             await self._task
 
     def wake(self) -> None:
-        """Look at once: a command has been given."""
+        """Look at the control words at once, because a command has been given."""
         self._wake.set()
 
     async def _run(self) -> None:

@@ -34,7 +34,7 @@ def catch_up_shift_ns(late_ns: int, period_ns: int, limit_ticks: int) -> int:
 
 @kernel()
 def skip_shift_ns(late_ns: int, period_ns: int, limit_ticks: int) -> int:  # noqa: ARG001
-    """Give up every planned start that has passed; go on with the grid as it was.
+    """Give up every planned start that has passed; continue on the same grid.
 
     ::
 
@@ -47,7 +47,7 @@ def skip_shift_ns(late_ns: int, period_ns: int, limit_ticks: int) -> int:  # noq
 
 @kernel()
 def stretch_shift_ns(late_ns: int, period_ns: int, limit_ticks: int) -> int:  # noqa: ARG001
-    """Move the grid by the delay: nothing is missed, all later ticks come later.
+    """Move the grid by the delay: nothing is missed, all later ticks are delayed.
 
     ::
 
@@ -107,10 +107,10 @@ class OverrunPolicy:
 
 @dataclass(frozen=True)
 class OverrunLimits:
-    """What the scheduler bears before it asks for the safe state; 0 switches a limit off."""
+    """Overruns tolerated before the scheduler requests the safe state; 0 switches a limit off."""
 
     single_ns: int = 0  # a tick that ends later than this after its deadline
-    consecutive: int = 0  # so many overruns without a tick in between that ended in time
+    consecutive: int = 0  # number of overruns without a tick in between that ended in time
 
     def __post_init__(self) -> None:
         if self.single_ns < 0 or self.consecutive < 0:

@@ -1,7 +1,7 @@
-"""What the pacing thread asks of the operating system, and what it was granted.
+"""What the pacing thread requests from the operating system, and what it was granted.
 
-Nothing here is silent: every request ends in a `Grant` that the audit shows. Only the pacing thread
-gets a real-time priority, never the process: children would inherit it.
+Every request, granted or not, gives a `Grant` that the audit shows. Only the pacing thread gets a
+real-time priority, never the process, as children would inherit it.
 """
 
 import contextlib
@@ -21,7 +21,7 @@ CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23
 
 @dataclass(frozen=True, slots=True)
 class RealtimeSettings:
-    """What to ask for."""
+    """What to request."""
 
     priority: int = 80  # SCHED_FIFO priority of the pacing thread, 1 to 99; 0: do not ask
     cpu: int | None = None  # pin the pacing thread to this core
@@ -47,7 +47,7 @@ class Grant:
 
 
 class ProcessGrants:
-    """Requests that concern the whole process; `release` gives them back."""
+    """Requests for the whole process; `release` reverts them."""
 
     def __init__(self, settings: RealtimeSettings) -> None:
         self._settings = settings
@@ -56,7 +56,7 @@ class ProcessGrants:
         self._cores: set[int] | None = None
 
     def request(self) -> list[Grant]:
-        """Ask for what the settings want."""
+        """Request what the settings contain."""
         grants = []
         if self._settings.cpu is not None:
             grants.append(self._leave_core(self._settings.cpu))
@@ -67,7 +67,7 @@ class ProcessGrants:
         return grants
 
     def release(self) -> None:
-        """Give everything back; may be called twice."""
+        """Revert everything; may be called twice."""
         if self._latency_target is not None:
             os.close(self._latency_target)
             self._latency_target = None
@@ -79,7 +79,7 @@ class ProcessGrants:
             self._locked = False
 
     def _leave_core(self, cpu: int) -> Grant:
-        """Move what runs beside the pacing thread, and what it starts later, to other cores.
+        """Move all other threads, and those started later, to other cores.
 
         A priority does not help against a long system call of another thread on the same core,
         unless the kernel is preemptible.
@@ -117,7 +117,7 @@ class ProcessGrants:
 
 
 def request_for_this_thread(settings: RealtimeSettings) -> list[Grant]:
-    """Ask for what concerns the calling thread: priority, core, timer slack; block all signals."""
+    """Request priority, core and timer slack for the calling thread; block all its signals."""
     with contextlib.suppress(ValueError, OSError):
         signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
     grants = [_timer_slack()]
@@ -130,7 +130,7 @@ def request_for_this_thread(settings: RealtimeSettings) -> list[Grant]:
 
 def _move_all_threads(cpus: set[int]) -> None:
     for thread in Path("/proc/self/task").iterdir():
-        with contextlib.suppress(OSError):  # it has ended meanwhile
+        with contextlib.suppress(OSError):  # the thread has ended meanwhile
             os.sched_setaffinity(int(thread.name), cpus)
 
 
@@ -161,7 +161,7 @@ def _real_time_priority(priority: int) -> Grant:
 
 
 def has_capability(number: int, root: Path = Path("/")) -> bool:
-    """Whether this process has a capability, by the files below a root."""
+    """Return whether this process has a capability, read from ``proc`` below `root`."""
     with contextlib.suppress(OSError):
         for line in (root / "proc/self/status").read_text(encoding="utf-8").splitlines():
             if line.startswith("CapEff:"):

@@ -54,15 +54,15 @@ class Scheduler:
     step
         Compiled with ``kernel(STEP_SIGNATURE)``; see `hilserver.scheduler.step`.
     values, words
-        Handed through to the step: float64 and int64, flat, contiguous.
+        Passed through to the step: float64 and int64, flat, contiguous.
     backend
         ``thread``, ``timerfd`` or ``virtual``.
     policy, limits
-        What happens when a tick is a whole period late, and what is borne.
+        What happens when a tick is a whole period late, and which overruns are tolerated.
     realtime
-        What to ask of the operating system; `grants` holds the answers.
+        What to request from the operating system; `grants` holds the answers.
     warm_up_ticks
-        The first ticks that are executed but neither counted nor judged.
+        Number of ticks at the start that are executed but neither counted nor judged.
     first_tick
         Number of the first tick.
     paused
@@ -70,7 +70,7 @@ class Scheduler:
     freeze_gc
         Collect once at the start and freeze what is alive.
     statistics_array, linear_bins
-        See `Statistics`: an array in shared memory lets other processes read along.
+        See `Statistics`; an array in shared memory can be read by other processes.
     """
 
     def __init__(
@@ -119,7 +119,7 @@ class Scheduler:
         self._communication = Communication(
             self._machine, simulated=backend == "virtual", on_overrun=self._overruns.communication
         )
-        # called in virtual time after every batch of ticks; time waits for them
+        # called after every batch of ticks in virtual time, which waits for them
         self.after_batch: list[Callable[[], None]] = []
         self._pacing = self._make_pacing(realtime or RealtimeSettings())
         self._waiters: list[asyncio.Future[None]] = []
@@ -133,7 +133,7 @@ class Scheduler:
 
     @property
     def statistics(self) -> Statistics:
-        """What has been counted since the last reset."""
+        """Statistics since the last reset."""
         return self._machine.statistics
 
     @property
@@ -148,12 +148,12 @@ class Scheduler:
 
     @property
     def paused(self) -> bool:
-        """True when the loop stands still (a pause or all ticks of a step are carried out)."""
+        """True when the loop stands still (a pause, or all ticks of a step, are done)."""
         return self._exchange.standing
 
     @property
     def speed(self) -> float:
-        """Simulated over real time that is aimed at."""
+        """Intended ratio of simulated to real time."""
         return self.base_period_ns / self._exchange.get(ex.PACED_PERIOD)
 
     @property
@@ -199,7 +199,7 @@ class Scheduler:
             )
 
     async def stop(self) -> None:
-        """End the loop and give everything back; may be called twice."""
+        """End the loop and release everything; may be called twice."""
         if not self._started:
             return
         self._started = False
@@ -216,12 +216,12 @@ class Scheduler:
         self._pacing.wake()
 
     def resume(self) -> None:
-        """Run freely; what a step still owes is void."""
+        """Run freely; the rest of a step is void."""
         self._exchange.resume()
         self._pacing.wake()
 
     def step(self, n: int) -> None:
-        """Run exactly `n` ticks and stand still; adds to what an unfinished step still owes."""
+        """Run exactly `n` ticks and stand still; these add to the rest of an unfinished step."""
         self._exchange.step(n)
         self._pacing.wake()
 
@@ -235,16 +235,16 @@ class Scheduler:
         self._exchange.set_paced_period(max(1, round(self.base_period_ns / factor)))
 
     def set_limits(self, limits: OverrunLimits) -> None:
-        """Bear other overruns from the next tick on; each limit is one word that the law reads."""
+        """Change the limits from the next tick on; each is one word that the law reads."""
         ex.write_word(self._machine.law, SINGLE_LIMIT, limits.single_ns)
         ex.write_word(self._machine.law, CONSECUTIVE_LIMIT, limits.consecutive)
 
     def reset_statistics(self) -> None:
-        """Start the figures anew, while running."""
+        """Reset the figures, while running."""
         self.statistics.reset()
 
     async def wait_paused(self) -> None:
-        """Wait until the last `pause` or `step` has been carried out (or the run has ended)."""
+        """Wait until the last `pause` or `step` is done (or the run has ended)."""
         if self.paused or self.finished.done():
             return
         waiter: asyncio.Future[None] = asyncio.get_running_loop().create_future()

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 class Slice:
     """One time slice."""
 
-    name: str  # unique; metrics and log lines carry it
-    period_ticks: int  # runs in every tick that is a multiple of it
+    name: str  # unique; used in metrics and log lines
+    period_ticks: int  # it runs in every tick that is a multiple of this
     # True: a phase of the compiled step. False: a communication slice on the event loop
     compiled: bool
 
@@ -26,7 +26,7 @@ class Slice:
 def period_in_ticks(name: str, period_ns: int, base_period_ns: int) -> int:
     """Return the period of slice `name` in ticks.
 
-    ValueError if `period_ns` is no multiple of `base_period_ns`; names the nearest two.
+    ValueError if `period_ns` is not a multiple of `base_period_ns`; it names the nearest two.
     """
     if base_period_ns <= 0:
         raise ValueError("the base period must be positive")

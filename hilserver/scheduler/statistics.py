@@ -1,9 +1,9 @@
-"""What the scheduler has counted, for Python: figures per slice, of one consistent instant.
+"""The scheduler's statistics in Python: figures per slice, all of the same instant.
 
 Words: *wake latency* is the actual minus the planned start; *execution* the work of the slice,
-measured before the wait; *margin* deadline minus end (positive is good); a *missed tick* a planned
-start that was given up; *jitter* the standard deviation and range of the wake latency in the last
-complete window (1000 runs or 1 s).
+measured before the wait; *margin* is deadline minus end (positive is good); a *missed tick* is a
+planned start that was given up; *jitter* is the standard deviation and range of the wake latency in
+the last complete window (1000 runs or 1 s).
 
 The deadline of a compiled slice is the next planned tick, because all of them share one thread; the
 deadline of a communication slice is its own next planned start.
@@ -29,9 +29,9 @@ _READ_ROUNDS, _READ_PAUSE_S = 1000, 0.001
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Wake latency over the last complete window [ns]; NaN where there is none yet.
+    """Wake latency over the last complete window [ns]; NaN before the first.
 
-    The standard deviation takes latencies above 90 ms as 90 ms.
+    In the standard deviation latencies above 90 ms count as 90 ms.
     """
 
     count: int
@@ -70,7 +70,7 @@ class SliceFigures:
 
 @dataclass(frozen=True, slots=True)
 class TickFigures:
-    """What concerns the tick as a whole."""
+    """Figures of the tick as a whole."""
 
     missed_ticks: int  # planned starts of the base period that were given up
     # simulated over real time while running, in the last complete second and since the reset; NaN
@@ -80,7 +80,7 @@ class TickFigures:
 
 
 _PLAIN = [f.name for f in fields(SliceFigures) if f.type is int and f.name != "period_ns"]
-"""Figures that are words of a row as they are."""
+"""Figures taken unchanged from words of a row."""
 
 
 class Statistics:
@@ -93,7 +93,7 @@ class Statistics:
     base_period_ns
         The base period.
     array
-        int64, at least ``words_needed(len(slices), linear_bins)`` long, zeroed or left over from an
+        int64, at least ``words_needed(len(slices), linear_bins)`` long, zeroed or left by an
         earlier run; None: one is allocated.
     linear_bins
         Length of the linear histogram of the tick's wake latency in 1 us bins; 0: none.
@@ -128,7 +128,7 @@ class Statistics:
     def attach(cls, array: NDArray[np.int64], names: Sequence[str] | None = None) -> "Statistics":
         """Read the array of another process; `names` in the order of its rows (None: "0", "1").
 
-        ValueError if the array holds no statistics (yet), or other slices.
+        ValueError if the array holds no statistics (yet), or those of other slices.
         """
         if len(array) < rows.N_HEAD or array[rows.MAGIC] != rows.MAGIC_NUMBER:
             raise ValueError("this array holds no scheduler statistics")
@@ -156,7 +156,7 @@ class Statistics:
         self._head.thread_id = number
 
     def reset(self) -> None:
-        """Start counting anew; safe at any time, from any process that maps the array."""
+        """Restart all counts; safe at any time, from any process that maps the array."""
         self._head.generation += 1
 
     def slice(self, name: str) -> SliceFigures:
@@ -194,7 +194,7 @@ class Statistics:
         for _ in range(_READ_ROUNDS):
             if rows.read_row(self.array, offset, out):
                 return out
-            time.sleep(_READ_PAUSE_S)  # the writer was preempted, or its core stolen, while writing
+            time.sleep(_READ_PAUSE_S)  # the writer was preempted, or its core stolen, in the middle
         raise RuntimeError("the statistics stay half written: their writer was stopped or has died")
 
 
@@ -204,9 +204,9 @@ def map_statistics(path: Path, n_words: int | None = None) -> NDArray[np.int64]:
     Parameters
     ----------
     path
-        On a memory file system (/dev/shm): elsewhere writing back to disk would stop the loop.
+        On a memory file system (/dev/shm); elsewhere writing back to disk would stop the loop.
     n_words
-        Make the file new with so many words; None: map what is there.
+        Create the file with this length; None: map the existing one.
     """
     if n_words is not None:
         path.touch(mode=0o600)

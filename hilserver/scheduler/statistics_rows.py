@@ -1,12 +1,12 @@
 """Statistics as int64 words: the layout, and the kernels that fill and read it.
 
-One array holds everything, and it may lie in shared memory, so that another process reads it
-without asking. A header is followed by one row per slice and, optionally, by a linear histogram of
-the wake latency of the tick in bins of 1 us (the last bin takes what is longer).
+One array holds everything; in shared memory, another process can read it without asking. A header
+is followed by one row per slice and, optionally, by a linear histogram of the wake latency of the
+tick in bins of 1 us (the last bin counts all longer ones).
 
-Each row has exactly one writer. A reader never makes it wait: a row's sequence number is odd while
-it is written, and the reader tries again. ``reset`` only raises a generation number in the header;
-each writer clears its own row when it sees the new number, so a reset tears nothing.
+Each row has exactly one writer, which never waits for a reader: a row's sequence number is odd
+while it is written, and the reader tries again. ``reset`` only raises a generation number in the
+header; each writer clears its own row when it sees the new number, so no row is ever half reset.
 """
 
 from typing import Annotated
@@ -25,14 +25,14 @@ MAGIC_NUMBER = 0x68696C_73746174  # "hilstat"
 WINDOW_RUNS = 1000
 WINDOW_NS = 1_000_000_000
 SQUARE_LIMIT_NS = 90_000_000
-"""Latencies enter the sum of squares at most with this, so that 1000 squares fit into int64."""
+"""Latencies are limited to this in the sum of squares, so that 1000 squares fit into int64."""
 NEVER = np.iinfo(np.int64).max
 
 Counts = Annotated[NDArray[np.int64], N_BUCKETS]
 
 
 class Head(Record):
-    """What concerns the tick as a whole; like every row it begins with its sequence number."""
+    """Figures of the tick as a whole; like every row it begins with a sequence number."""
 
     sequence: int
     seen_generation: int
@@ -42,7 +42,7 @@ class Head(Record):
     n_linear: int
     base_period: int  # [ns]
     thread_id: int
-    missed_ticks: int  # from here on a reset clears
+    missed_ticks: int  # cleared by a reset, like all below
     run_ticks: int
     run_ns: int
     span_ticks: int  # this second
@@ -68,7 +68,7 @@ class Row(Record):
 
     sequence: int
     seen_generation: int
-    count: int  # from here on a reset clears, but for the period
+    count: int  # cleared by a reset, like all below except the period
     period_ticks: int
     latency_sum_ns: int
     latency_max_ns: int
@@ -87,7 +87,7 @@ class Row(Record):
     margin_last_ns: int
     last_tick: int
     window: Window
-    last_window: Window  # the last complete one: what is reported
+    last_window: Window  # the last complete one, which is reported
     latency_counts: Counts
     execution_counts: Counts
 
@@ -116,7 +116,7 @@ def end_write(stats: NDArray[np.int64], row: int) -> None:
 
 @kernel([types.boolean(words, types.int64, _WORDS) for words in (_WORDS, _READ_ONLY_WORDS)])
 def read_row(stats: NDArray[np.int64], row: int, out: NDArray[np.int64]) -> bool:
-    """Copy a row to `out`; False if its writer was always in the way (64 attempts)."""
+    """Copy a row to `out`; False if all 64 attempts met its writer."""
     for _ in range(64):
         before = load_acquire(stats, row)
         if before % 2 == 0:
@@ -130,13 +130,13 @@ def read_row(stats: NDArray[np.int64], row: int, out: NDArray[np.int64]) -> bool
 
 @kernel(types.void(_WORDS))
 def publish_magic(stats: NDArray[np.int64]) -> None:
-    """Mark a complete layout as such; what was written before is seen before."""
+    """Mark the layout as complete, with everything written before already visible."""
     store_release(stats, MAGIC, MAGIC_NUMBER)
 
 
 @kernel(types.void(_WORDS, types.int64))
 def clear_row(stats: NDArray[np.int64], row: int) -> None:
-    """Forget what a slice's row has counted; its period stays."""
+    """Clear the counts of a slice's row; its period stays."""
     slice_row = record_at(stats, row, ROW)
     period_ticks = slice_row.period_ticks
     for index in range(COUNT, N_ROW):
@@ -147,7 +147,7 @@ def clear_row(stats: NDArray[np.int64], row: int) -> None:
 
 @kernel()
 def clear_header(stats: NDArray[np.int64]) -> None:
-    """Forget missed ticks, the real-time factor and the linear histogram."""
+    """Clear missed ticks, the real-time factor and the linear histogram."""
     for index in range(CLEARED, N_HEAD):
         stats[index] = 0
     head = record_at(stats, 0, HEAD)
@@ -194,7 +194,7 @@ def record_tick(stats: NDArray[np.int64], latency_ns: int, since_last_ns: int, m
 
 @kernel()
 def record_window(window: Window, last: Window, latency_ns: int, now_ns: int) -> None:
-    """Add a latency to a window; when it is full, it becomes the last one."""
+    """Add a latency to a window; a full window becomes the last one."""
     clipped = min(latency_ns, SQUARE_LIMIT_NS)
     if window.count == 0:
         window.start = now_ns
@@ -263,5 +263,5 @@ def record_run(
 
 
 def words_needed(n_slices: int, linear_bins: int = 0) -> int:
-    """Return the length of the statistics array for so many slices and 1 us bins."""
+    """Return the length of the statistics array for this number of slices and 1 us bins."""
     return N_HEAD + n_slices * N_ROW + linear_bins

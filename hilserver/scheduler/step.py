@@ -1,11 +1,11 @@
 """The compiled step that the scheduler drives, and the order of its phases.
 
-The scheduler knows no plant: it is handed one compiled function and calls it by phase. In every
-tick, in every pacing back end, the order is the same::
+The scheduler does not know the plant: it calls one compiled function by phase. In every tick, in
+every pacing back end, the order is the same::
 
     LATCH -> slice 0 (if due) -> slice 1 (if due) -> ... -> PUBLISH
 
-and, only when a limit was exceeded or a slice reported a fault, ``FAULT`` after ``PUBLISH``.
+and, only if a limit was exceeded or a slice reported a fault, ``FAULT`` after ``PUBLISH``.
 """
 
 from collections.abc import Callable
@@ -16,12 +16,12 @@ from numba.core import types
 from numpy.typing import NDArray
 
 LATCH = -1
-"""Take the inputs; return the number of the tick to execute now (another one after a restore).
+"""Take the inputs; return the number of the tick to execute now (a different one after a restore).
 Called at every wake-up, also while paused."""
 PUBLISH = -2
-"""Publish the outputs of this tick; return 0. Called for the last tick of a state that was restored
-while paused, too."""
-FAULT = -3  # go to the safe state; ``tick`` carries the code, one of `hilserver.scheduler.faults`
+"""Publish the outputs of this tick; return 0. Also called for the last tick of a state that was
+restored while paused."""
+FAULT = -3  # enter the safe state; ``tick`` carries the code, see `hilserver.scheduler.faults`
 
 STEP_SIGNATURE: Any = types.int64(
     types.int64, types.int64, types.int64, types.float64[::1], types.int64[::1]

@@ -1,7 +1,7 @@
 """One wake-up of the pacing loop, the same in all back ends: command, law, phases, statistics.
 
-Nothing here allocates, waits or needs the interpreter lock. numba's reference counts are left out:
-each array that a kernel takes from the record would be counted up and down, atomically.
+Nothing here allocates, waits or needs the interpreter lock. numba's reference counting is off, as
+it would cost two atomic operations for each array that a kernel takes from the record.
 """
 
 from typing import Any
@@ -43,7 +43,7 @@ getrusage: Any = ExternalFunction("getrusage", int32(int32, voidptr))
 
 @kernel(_nrt=False)
 def may_run(law: NDArray[np.int64], command: int) -> bool:
-    """Say whether `command` allows a tick now."""
+    """Return whether `command` allows a tick now."""
     if command == ex.FREE_RUN:
         return True
     if law[lw.COMMAND_SEEN] != command >> 32:
@@ -54,7 +54,7 @@ def may_run(law: NDArray[np.int64], command: int) -> bool:
 
 @kernel(_nrt=False)
 def usage_since_last(scratch: NDArray[np.int64]) -> None:
-    """Read the thread's rusage and turn it into differences to the previous call."""
+    """Read the thread's rusage as differences to the previous call."""
     usage = scratch[RUSAGE:PREVIOUS]
     before = scratch[PREVIOUS:]
     getrusage(_RUSAGE_THREAD, usage.ctypes)
@@ -95,7 +95,7 @@ def write_record(at: Loop, blamed: int, code: int) -> None:
 def run_phases(step: Any, at: Loop, now_ns: int) -> int:
     """Run LATCH, the due slices and PUBLISH; return the first fault number, 0 if none.
 
-    The first due slice carries the time of LATCH, the last one that of PUBLISH: the slices'
+    The first due slice includes the time of LATCH, the last that of PUBLISH: the slices'
     executions add up to the tick's.
     """
     law, slices, values, words = at.law, at.slices, at.values, at.words
@@ -122,7 +122,7 @@ def run_phases(step: Any, at: Loop, now_ns: int) -> int:
 
 @kernel(_nrt=False)
 def blame(kind: int, slices: NDArray[np.int64]) -> int:
-    """Return which due slice an overrun counts for: the first, or the longest of a long run."""
+    """Return the due slice to which an overrun counts: the first, or the longest of a long run."""
     blamed, longest = 0, -1
     for index in range(slices.shape[0]):
         if slices[index, S_DUE] == 1:
@@ -134,7 +134,7 @@ def blame(kind: int, slices: NDArray[np.int64]) -> int:
 
 @kernel(_nrt=False)
 def count(at: Loop, now_ns: int, blamed: int) -> None:
-    """Enter the tick that began at the real time `now_ns` into the statistics."""
+    """Count the tick that began at the real time `now_ns` in the statistics."""
     law, slices, stats = at.law, at.slices, at.stats
     since_last = now_ns - law[lw.LAST_START] if law[lw.LAST_START] > 0 else 0
     law[lw.LAST_START] = now_ns
@@ -164,7 +164,7 @@ def count(at: Loop, now_ns: int, blamed: int) -> None:
 
 @kernel(_nrt=False)
 def stand_still(step: Any, at: Loop, command: int, now_ns: int) -> int:
-    """Run no tick; a state that was restored meanwhile is shown at once."""
+    """Run no tick, but publish a state that was restored meanwhile at once."""
     law, control = at.law, at.control
     tick = step(LATCH, law[lw.TICK], law[lw.PLANNED], at.values, at.words)
     if tick != law[lw.TICK]:
@@ -179,7 +179,7 @@ def stand_still(step: Any, at: Loop, command: int, now_ns: int) -> int:
 
 @kernel(_nrt=False)
 def report_fault(step: Any, at: Loop, fault: int, verdict: int, blamed: int) -> None:
-    """Go to the safe state if a slice or the law asks for it; record what is new."""
+    """Enter the safe state if a slice or the law requests it; record overruns and new faults."""
     law, code = at.law, verdict
     if fault > 0 and verdict == lw.OK:
         code = faults.SLICE + fault
