@@ -1,9 +1,9 @@
 """The signal table: every signal named once.
 
 The OPC UA address space, the log columns, the process image and the reference documentation are
-made from it. Names end in their unit. Each signal knows the slots it occupies in the frame of the
-process image; an array is an alias of its scalars' slots, so that of two writes in one tick the
-later one wins whatever form it had.
+generated from it. Names end in their unit. Each signal knows its slots in the frame of the process
+image; an array is an alias of its scalars' slots, so that of two writes in one tick the later one
+wins, be it to the array or to a scalar.
 """
 
 from hilserver.signals.robot import BlockOutput, Ranges, robot_table

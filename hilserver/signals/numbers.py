@@ -1,11 +1,11 @@
-"""What counts as a number where strangers write: in files, in JSON."""
+"""What counts as a number in data from outside, such as files and JSON."""
 
 from sys import float_info
 from typing import TypeGuard
 
 
 def is_finite_number(value: object) -> TypeGuard[int | float]:
-    """Whether `value` is a number (no boolean) that a double can hold; JSON's integers are endless.
+    """Whether `value` is a number, not a boolean, that fits a double; integers of JSON may not.
 
     Examples
     --------

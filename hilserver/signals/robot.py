@@ -1,6 +1,6 @@
 """The rows of the table: every signal of the robot, named once.
 
-A new signal is a row here; its slots follow from its place.
+A new signal is a new row here; its slots follow from its place.
 """
 
 import math
@@ -28,7 +28,7 @@ from hilserver.signals.vocabulary import (
 
 @dataclass(frozen=True, slots=True)
 class Ranges:
-    """What the ranges of a robot's signals follow from."""
+    """The limits that determine the ranges of a robot's signals."""
 
     max_rpm: float
     max_linear_m_s: float
@@ -38,7 +38,7 @@ class Ranges:
 
 @dataclass(frozen=True, slots=True)
 class BlockOutput:
-    """An output of a user's own block, as the table needs it."""
+    """An output of a user's block, as the table needs it."""
 
     name: str
     unit: str
@@ -49,7 +49,7 @@ class BlockOutput:
 
 
 class _Builder:
-    """Hands out slots in the order of the calls."""
+    """Assigns slots in the order of the calls."""
 
     def __init__(self) -> None:
         self.signals: list[Signal] = []
@@ -233,7 +233,7 @@ def _body_outputs() -> list[tuple[str, str, float, float, str]]:
 
 
 def _add_samples(b: _Builder) -> None:
-    """Add counters and times of what is measured: two equal samples are two."""
+    """Add counters and times of measured samples, so that two equal samples count as two."""
     for group in SAMPLED:
         text = f"Samples of measured.{group}.*"
         b.add(f"internal.samples_{group}", "1", Direction.IN, 0, 2**53, text, hidden=True)
@@ -243,7 +243,7 @@ def _add_samples(b: _Builder) -> None:
 
 
 def _add_estimate(b: _Builder) -> None:
-    """Add what the observer shows, in the order of `hilserver.observer.layout`."""
+    """Add the outputs of the observer, in the order of `hilserver.observer.layout`."""
     out, known = Direction.OUT, []
     for name, unit, size, text in (
         ("x_m", "m", 1e6, "position of the centre of mass, world frame"),
@@ -279,8 +279,8 @@ def robot_table(
 ) -> SignalTable:
     """Return the table of the four-wheeled robot, followed by the outputs of own blocks.
 
-    Those of the mechatronic model and the observer, where they run, stand before them. The samples
-    of what is measured are counted for an observer, or where it is asked for.
+    With `body` or `observer`, the outputs of the mechatronic model or the observer come before
+    these. Measured samples are counted for an observer, or with `samples`.
     """
     b = _Builder()
     _add_inputs(b, ranges)

@@ -18,7 +18,7 @@ class ValueType(StrEnum):
 
 
 class Direction(StrEnum):
-    """Seen from the plant."""
+    """Direction as seen from the plant."""
 
     IN = "in"
     OUT = "out"
@@ -32,16 +32,16 @@ class Signal:
     unit: str  # unit symbol ("rpm", "m/s", ...), "1" without a unit
     type: ValueType
     direction: Direction
-    # engineering range; writes outside are refused
+    # engineering range; writes outside it are refused
     low: float
     high: float
     description: str
-    # places in the frame; one for a scalar, the scalars' places for an array
+    # places in the frame: one for a scalar, those of its scalars for an array
     slots: tuple[int, ...]
     initial: float = 0.0
-    # names of the values 0, 1, ... (a Boolean: false, true), where they have names
+    # names of the values 0, 1, ... (of a Boolean: false, true), if they have names
     labels: tuple[str, ...] = ()
-    hidden: bool = False  # part of frame, log and snapshot, but of no user interface
+    hidden: bool = False  # part of frame, log and snapshot, but not of any user interface
 
     @property
     def is_array(self) -> bool:
@@ -63,7 +63,7 @@ class Signal:
 
     @property
     def is_measured(self) -> bool:
-        """Whether it is a value of the real robot beside the simulation."""
+        """Whether it is a value of the real robot, not of the simulation."""
         return self.name.startswith(MEASURED)
 
 

@@ -6,7 +6,7 @@ from typing import Literal
 RESERVED = frozenset(
     ("robot", "methods", "slices", "peers", "audit", "faults", "parameters", "internal")
 )
-"""First parts of names that belong to the daemon itself; no block may have them."""
+"""First parts of names that are reserved for the daemon itself; blocks may not use them."""
 
 LIGHTS = (
     "off",
@@ -33,7 +33,7 @@ class State(IntEnum):
 
     @property
     def word(self) -> str:
-        """As metrics, logs and messages show it: ``running``."""
+        """The word in metrics, logs and messages: ``running``."""
         return self.name.lower()
 
 
@@ -44,5 +44,5 @@ Source = Literal["scenario", "page", "opcua", "shield", "ros2", "peer"]
 SOURCES: tuple[Source, ...] = ("scenario", "page", "opcua", "shield", "ros2", "peer")
 """Kinds of sources that may command, in the default order of priority (highest first)."""
 
-MEASURED = "measured."  # beginning of the names under which values of the real robot come in
-SAMPLED = ("wheel", "imu", "nav")  # groups of them whose samples are counted
+MEASURED = "measured."  # prefix of the names of values from the real robot
+SAMPLED = ("wheel", "imu", "nav")  # groups of these whose samples are counted
