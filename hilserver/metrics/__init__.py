@@ -1,7 +1,7 @@
 """What a metric is: name, help, labels, and the function that reads it.
 
-Every room declares its own as plain rows beside the code that feeds them. Nothing here knows a
-client library: `hilserver.monitoring` turns rows into what Prometheus reads.
+Every room declares its own metrics as plain rows beside the code that feeds them. No client library
+is used here: `hilserver.monitoring` turns the rows into what Prometheus reads.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -22,7 +22,7 @@ Figures = TypeVar("Figures")
 
 
 class Kind(StrEnum):
-    """Kinds of metrics, in Prometheus' words."""
+    """Kinds of metrics, as Prometheus names them."""
 
     COUNTER = "counter"
     GAUGE = "gauge"
@@ -31,7 +31,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What a counter or a histogram shows now."""
+    """The present reading of a counter or a histogram."""
 
     # one count for a counter, one per bucket for a histogram; falls only when it is reset
     counts: NDArray[np.int64]
@@ -50,15 +50,15 @@ class Metric(Generic[Figures]):
     help: str
     labels: tuple[str, ...]
     # yields rows from the figures of its source; a counter's or histogram's value is a `Reading`.
-    # What is None or NaN is left out
+    # Values of None or NaN are left out
     read: Callable[[Figures], Iterable[Row]]
-    # smallest and largest exported bucket bound [ns] of a histogram; both are 1-2-5 bounds. What
-    # lies outside is counted in the first bucket and in ``+Inf``
+    # smallest and largest exported bucket bound [ns] of a histogram, both 1-2-5 bounds. Values
+    # outside are counted in the first bucket and in ``+Inf``
     range_ns: tuple[int, int] = (0, 0)
 
     @property
     def kind(self) -> Kind:
-        """What it is to Prometheus: a histogram has a range, a counter's name says it."""
+        """Kind in Prometheus: a histogram has a range, the name of a counter ends in ``_total``."""
         if any(self.range_ns):
             return Kind.HISTOGRAM
         return Kind.COUNTER if self.name.endswith("_total") else Kind.GAUGE
@@ -75,8 +75,8 @@ class Source(Generic[Figures]):
     """Metrics and the figures they are read from."""
 
     metrics: Sequence[Metric[Figures]]
-    # called once per scrape, on the event loop, so that all metrics of a source show the same
-    # instant; returns at once what it has
+    # called once per scrape, on the event loop, so that all metrics of a source are of the same
+    # instant; must not wait
     figures: Callable[[], Figures]
 
 
@@ -86,16 +86,16 @@ def counter(value: int) -> Reading:
 
 
 def durations(histogram: Histogram125) -> Reading:
-    """Return the reading of a histogram, which is counted on in place."""
+    """Return the reading of a histogram; a copy, as counting continues in place."""
     return Reading(histogram.counts.copy(), histogram.sum_ns)
 
 
 def by_name(figures: Mapping[str, float]) -> Iterator[Row]:
-    """Yield a row for every entry, labelled with its key: the reader of a table of numbers."""
+    """Yield a row for every entry of a table of numbers, labelled with its key."""
     for name, value in sorted(figures.items()):
         yield (name,), float(value)
 
 
 def gauges(name: str, about: str, label: str) -> tuple[Metric[Mapping[str, float]], ...]:
-    """Return the table of one gauge that has a row for every entry of a table of numbers."""
+    """Return a metric table with one gauge that has a row for every entry of a table of numbers."""
     return (Metric(name, about, (label,), by_name),)
