@@ -1,4 +1,4 @@
-"""What can be set: one table, and how its values become a robot again."""
+"""The parameters that can be set: their table, and how values become a robot."""
 
 from hilserver.parameters.table import PLANT, Parameter, table_of
 from hilserver.parameters.values import check, geometric_gain, named, read, with_values

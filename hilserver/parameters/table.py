@@ -1,8 +1,8 @@
 """The table of parameters: every number of the robot that can be set, named as in config.yaml.
 
 Defaults, bounds, units and meanings are those of the plant's fields (`plant.quantity`) and terms
-(`plant/terms.csv`), which the configuration reads, too: there is no second list of them. OPC UA,
-page, ROS 2, scenarios, test kit, patches and the reference page read this table.
+(`plant/terms.csv`), which the configuration uses as well; there is no second list. OPC UA, page,
+ROS 2, scenarios, test kit, patches and the reference page read this table.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -32,7 +32,7 @@ SECTIONS: Final[Mapping[str, type]] = {
     BODY: BodyParameters,
     f"{BODY}.tyre": Tyre,
 }
-"""Whose fields are parameters, by their section of config.yaml."""
+"""Classes whose fields are parameters, by their section of config.yaml."""
 
 JUMPS: Final[Mapping[str, tuple[str, ...]]] = {
     "duty": ("wheel.*.duty_pct", "battery.*_v", "battery.*_a", "shield.temperature_degc"),
@@ -43,9 +43,9 @@ JUMPS: Final[Mapping[str, tuple[str, ...]]] = {
     "tof": ("tof.*",),
     "nav": ("nav.*",),
 }
-"""Outputs that jump in the tick of a change, by the word that the plant's fields have for them."""
+"""Outputs that jump in the tick of a change, by the words used in the plant's fields."""
 
-WIDEST: Final = 1e12  # size of what has no bound of its own
+WIDEST: Final = 1e12  # bound of numbers without one of their own
 
 When = Literal["tick", "restart"]
 
@@ -56,14 +56,14 @@ class Parameter:
 
     name: str  # as in config.yaml; those of ``plant.terms`` begin with ``terms.``
     unit: str  # its symbol, "1" without one
-    # range; ends that do not belong to it are refused with a sentence
+    # range; where an end is excluded, it is refused with a message
     low: float
     high: float
-    default: float  # NaN is null
+    default: float  # NaN: null
     nullable: bool  # whether it may be null
     meaning: str
-    jumps: str = ""  # words of `JUMPS`, or outputs: what may jump in the tick of a change
-    when: When = "tick"  # from when on a change acts
+    jumps: str = ""  # words of `JUMPS`, or outputs, that may jump in the tick of a change
+    when: When = "tick"  # when a change takes effect
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -123,7 +123,7 @@ def _of_plant() -> Iterator[Parameter]:
 
 
 PLANT: Final[Mapping[str, Parameter]] = {p.name: p for p in _of_plant()}
-"""Those that every robot has, by name."""
+"""Parameters of every robot by name."""
 
 
 def block_parameters(name: str, declared: BlockDeclaration) -> Iterator[Parameter]:

@@ -1,6 +1,6 @@
-"""Values of the table into a robot and out of it; what does not fit is refused with a sentence.
+"""Reads the table's values from a robot and applies them; invalid ones are refused with a message.
 
-A value is a float everywhere; NaN stands for null.
+A value is always a float; NaN means null.
 """
 
 from collections.abc import Mapping
@@ -25,11 +25,11 @@ _PARTS: Final[Mapping[str, str]] = {
     "sensors.tof": "tof",
     "sensors.nav": "nav",
 }
-"""Part of `RobotParameters` in which the fields of a section are."""
+"""Part of `RobotParameters` that has the fields of a section."""
 
 
 def named(name: str, table: Mapping[str, Parameter]) -> str:
-    """Return the full name of a parameter: a bare cause means the first part of its term.
+    """Return the full name of a parameter; a bare cause means the first part of its term.
 
     PlantError if there is no such parameter.
     """
@@ -43,9 +43,9 @@ def named(name: str, table: Mapping[str, Parameter]) -> str:
 
 
 def check(parameter: Parameter, value: object) -> float:
-    """Return a value as a float; whether it fits the others, `with_values` decides.
+    """Return a value as a float; `with_values` checks it against the others.
 
-    PlantError if it is no number, out of range, or null where that means nothing.
+    PlantError if it is not a number, out of range, or null without a meaning of null.
     """
     where = parameter.name
     if value is None:
@@ -68,7 +68,7 @@ def check(parameter: Parameter, value: object) -> float:
 
 
 def read(robot: RobotParameters) -> dict[str, float]:
-    """Return what a robot has for every parameter of the plant that acts at a tick."""
+    """Return a robot's values of the plant's parameters that can change at a tick."""
     terms = complete(robot.terms)
     found: dict[str, float] = {}
     for name in PLANT:
@@ -86,7 +86,7 @@ def read(robot: RobotParameters) -> dict[str, float]:
 
 
 def geometric_gain(robot: RobotParameters) -> str:
-    """Return what null means for the robot's `kinematics.rotation_gain`."""
+    """Return the name that null stands for in the robot's `kinematics.rotation_gain`."""
     gain = robot.rotation_gain
     return str(gain) if gain in GEOMETRIC_GAINS else GEOMETRIC_GAINS[0]
 
@@ -98,16 +98,16 @@ def _part(robot: RobotParameters, section: str) -> Any:
 def with_values(
     robot: RobotParameters, values: Mapping[str, float], geometric_gain: str = GEOMETRIC_GAINS[0]
 ) -> RobotParameters:
-    """Return the robot with other values, checked against each other but for `packing.pack`.
+    """Return the robot with other values, checked together except for the checks of `packing.pack`.
 
-    PlantError if the robot could not run with them: one sentence that names the parameter.
+    PlantError if the robot cannot run with them: one sentence that names the parameter.
 
     Parameters
     ----------
     values : mapping of float
-        By full names of the plant; each as `check` returned it.
+        By full name; each as returned by `check`.
     geometric_gain : str
-        What null means for `kinematics.rotation_gain`.
+        Name that null stands for in `kinematics.rotation_gain`.
     """
     changes: dict[str, dict[str, Any]] = {}
     for name, value in values.items():
