@@ -1,6 +1,6 @@
 """Requirements on a drive, each with a margin: how far it is from failing.
 
-`model` is what stands in a file, `judge` applies it to a drive. Sweeps, the test kit and
+`model` is the form in a file, `judge` applies it to a drive. Sweeps, the test kit and
 ``hilserver simulate --require`` read the same requirements.
 """
 

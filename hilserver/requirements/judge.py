@@ -1,8 +1,8 @@
 """Applies requirements to drives of one robot.
 
 The margin of a requirement is its robustness in the sense of signal temporal logic. A sample's
-margin is its distance to the bound, positive where the bound is kept. A requirement has to hold
-from a start on, for a while; its margin is that of the worst sample of the best start (Donzé and
+margin is its distance to the bound, positive if the bound is kept. A requirement has to hold from
+some start on, for a while; its margin is that of the worst sample after the best start (Donzé and
 Maler, Robust Satisfaction of Temporal Logic over Real-Valued Signals, 2010). It is met when the
 margin is not negative.
 """
@@ -22,7 +22,7 @@ from hilserver.program.own_python import described, load_callable
 from hilserver.requirements.model import Requirement
 from hilserver.signals import SignalTable
 
-_ROUNDING = 1e-9  # of a tick: a time that is a tick but for rounding is that tick
+_ROUNDING = 1e-9  # of a tick: a time this close to a tick counts as that tick
 
 
 def margin(requirement: Requirement, values: Array, period_s: float) -> float:
@@ -31,14 +31,14 @@ def margin(requirement: Requirement, values: Array, period_s: float) -> float:
     Parameters
     ----------
     values : ndarray of float64, shape (n,)
-        One sample a tick, the first at 0 s.
+        One sample per tick, the first at 0 s.
     period_s : float
-        Of a tick [s].
+        Period of a tick [s].
 
     Returns
     -------
     float
-        Negative: not met; -inf where a sample is not a number, or the drive ends too early.
+        Negative: not met; -inf if a sample is not a number, or the drive ends too early.
     """
     samples = sample_margins(requirement, values)
     first = math.ceil(requirement.after_s / period_s - _ROUNDING)
@@ -65,7 +65,7 @@ def sample_margins(requirement: Requirement, values: Array) -> Array:
 
 
 def _held(requirement: Requirement, samples: Array, period_s: float) -> Array:
-    """Return the worst margin from each start on for as long as it has to hold.
+    """Return, for each start, the worst margin while the requirement has to hold.
 
     Starts after which the drive is too short are left out.
     """
@@ -83,7 +83,7 @@ def _held(requirement: Requirement, samples: Array, period_s: float) -> Array:
 
 
 def _sliding_minimum(samples: Array, n: int) -> Array:
-    """Return the minimum of every `n` samples that follow each other, shape (len - n + 1,)."""
+    """Return the minimum of every `n` successive samples, shape (len - n + 1,)."""
     from scipy.ndimage import minimum_filter1d  # noqa: PLC0415 - few requirements need it
 
     filtered: Array = minimum_filter1d(samples, n, origin=-(n // 2), mode="nearest")
@@ -91,14 +91,14 @@ def _sliding_minimum(samples: Array, n: int) -> Array:
 
 
 class CheckError(FailedError):
-    """A requirement's own function raised, or returned what is no measure."""
+    """A requirement's own function raised, or returned something invalid."""
 
 
 @dataclass(frozen=True)
 class Drive(Mapping[str, Array]):
-    """Signals of one drive, a sample each tick, the first at 0 s."""
+    """Signals of one drive, one sample per tick, the first at 0 s."""
 
-    period_s: float  # of a tick [s]
+    period_s: float  # period of a tick [s]
     columns: Mapping[str, Array]
 
     def __getitem__(self, name: str) -> Array:
@@ -125,8 +125,8 @@ class Drive(Mapping[str, Array]):
 class Judge:
     """Requirements, bound to the signals of a robot.
 
-    Own functions are found beside `path`. `derived` are signals of a drive that the table lacks.
-    ConfigError if a signal or function does not exist, or two have one name.
+    Own functions are searched for beside `path`. `derived` are signals of a drive that are not in
+    the table. ConfigError if a signal or function does not exist, or two have the same name.
     """
 
     def __init__(
@@ -157,7 +157,7 @@ class Judge:
                     hint = meant(name, known, "see 'hilserver signals'")
                     raise ConfigError(f"{where}there is no scalar signal '{name}'; {hint}")
                 signals[name] = None
-        self.signals = tuple(signals)  # what has to be kept of a drive
+        self.signals = tuple(signals)  # those to keep of a drive
 
     def margins(self, drive: Drive) -> dict[str, float]:
         """Return the margin of every requirement by its name.
@@ -177,7 +177,7 @@ class Judge:
             values = np.asarray(found, dtype=np.float64)
         except Exception as error:
             raise CheckError(f"{requirement.python}: {described(error)}") from error
-        if values.ndim == 0:  # a number judges the whole drive
+        if values.ndim == 0:  # one number judges the whole drive
             return np.full(drive.n_ticks, float(values))
         if values.shape != (drive.n_ticks,):
             raise CheckError(

@@ -1,4 +1,4 @@
-"""What a requirement is, as it stands in a sweep, in a test and after ``simulate --require``.
+"""What a requirement is, as written in a sweep, in a test and for ``simulate --require``.
 
 ::
 
@@ -24,9 +24,9 @@ Time = Annotated[float, Field(ge=0, le=LONGEST_S)]
 class Requirement(Section):
     """What has to be true of one signal, when and for how long.
 
-    With ``within_s`` it has to become true between ``after_s`` and then, else it has to be true at
-    ``after_s``. Then it has to stay so: for ``for_s``, until the end with ``always``. Without
-    either, one moment is enough with ``within_s``, and without that it is until the end.
+    With ``within_s`` it has to become true between ``after_s`` and ``within_s``, else it has to be
+    true at ``after_s``. From then on it has to stay true for ``for_s``, or until the end with
+    ``always``. With neither, one moment is enough with ``within_s``, else it is until the end.
     """
 
     name: str = Field(min_length=1, max_length=100, description="what it is about, for people")
@@ -78,17 +78,17 @@ class Requirement(Section):
 
     @property
     def lasts_s(self) -> float:
-        """How long a drive has to be for it at least [s]."""
+        """Least length of a drive for this requirement [s]."""
         return self.after_s + (self.for_s or 0.0)
 
 
 class _File(BaseModel):
-    """A file with requirements; a sweep is one, so other keys may stand beside them."""
+    """A file with requirements; as a sweep is one, other keys are allowed."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
     require: tuple[Requirement, ...] = Field(min_length=1, max_length=MAX_REQUIREMENTS)
 
 
 def load_requirements(path: Path) -> tuple[Requirement, ...]:
-    """Return the requirements of a file, or ConfigError; their signals are looked up by `Judge`."""
+    """Return the requirements of a file, or ConfigError; `Judge` looks up their signals."""
     return load(path, _File, LIVE_BYTES).require
