@@ -15,7 +15,7 @@ _SAMPLES_MIN = 20
 
 @dataclass(frozen=True)
 class Check:
-    """One check: passed, failed, or None when the log cannot tell."""
+    """One check: passed, failed, or None if the log does not show it."""
 
     name: str
     passed: bool | None

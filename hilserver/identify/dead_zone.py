@@ -13,7 +13,7 @@ from hilserver.identify.wheels import files, present
 from hilserver.measured.data import Channel, MeasuredLog
 
 RESTING_RPM: Final = 1.0
-MOSTLY: Final = 0.5  # share of the samples between the edges that must rest in a sweep
+MOSTLY: Final = 0.5  # share of the samples between the edges at which the wheel must rest
 
 
 @dataclass(frozen=True)
@@ -21,8 +21,8 @@ class DeadZone:
     """Duty at which a wheel stands still, from the lower to the upper edge.
 
     The interval of an edge runs from the last resting to the first turning duty of the sweep.
-    Where a sweep enters from turning, the wheel stops later than it starts: kinetic friction is
-    below static friction, and the zone is not symmetric.
+    At the edge where the sweep enters the zone the wheel is turning and stops late, as kinetic
+    friction is below static friction: the zone is not symmetric.
     """
 
     wheel: str
@@ -34,7 +34,7 @@ class DeadZone:
 def identify_dead_zone(log: MeasuredLog, resting_rpm: float = RESTING_RPM) -> list[DeadZone]:
     """Identify the dead zone of every wheel with duty and speed.
 
-    LogError when no wheel is swept across rest.
+    LogError if no wheel is swept across rest.
     """
     found = []
     for wheel in present(log, "duty_pct"):
@@ -63,7 +63,7 @@ def _of_wheel(log: MeasuredLog, wheel: str, resting_rpm: float) -> DeadZone | No
         return None
     low, high = float(level[resting].min()), float(level[resting].max())
     inside = (level >= low) & (level <= high)
-    if np.mean(resting[inside]) < MOSTLY:  # quicker than the wheels: they rest at any duty
+    if np.mean(resting[inside]) < MOSTLY:  # faster than the wheels, which then rest at any duty
         return None
     below, above = level[level < low], level[level > high]
     if not (len(below) and len(above)):
@@ -85,9 +85,9 @@ def _keys(channel: Channel) -> NDArray[np.void]:
 
 
 def _held(level: Array, speed: Array) -> Mask:
-    """Return where a speed is only kept: the same to the last digit while the duty changed sign.
+    """Return where a speed is only held: the same to the last digit while the duty changes sign.
 
-    Encoders that time the edges keep their last speed when no edge comes any more: a stop.
+    Encoders that time their edges hold the last speed when no further edge comes, at a stop.
     """
     kept = np.zeros(len(speed), dtype=bool)
     edges = np.flatnonzero(np.diff(speed) != 0.0) + 1

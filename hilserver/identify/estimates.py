@@ -1,4 +1,4 @@
-"""Least squares whose intervals hold under autocorrelation: blocks are left out, not samples."""
+"""Least squares with intervals valid under autocorrelation: blocks are left out, not samples."""
 
 import math
 from dataclasses import dataclass
@@ -18,20 +18,20 @@ _BLOCK_MIN_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A value with its interval of 95 %; None where the data are too few for one."""
+    """A value with its 95 % interval, which is None if there are too few data."""
 
     value: float
     ci95: tuple[float, float] | None
     unit: str = "1"
 
     def holds(self, value: float) -> bool:
-        """Return whether the interval admits this value."""
+        """Return whether the interval contains this value."""
         return self.ci95 is None or self.ci95[0] <= value <= self.ci95[1]
 
 
 @dataclass(frozen=True)
 class Regression:
-    """Coefficients, their covariance (None: too few blocks) and the blocks that it counts."""
+    """Coefficients, their covariance (None: too few blocks) and the number of blocks."""
 
     values: Array
     covariance: Array | None
@@ -52,10 +52,10 @@ class Regression:
 
 
 def regress(columns: Array, target: Array, block: Indices) -> Regression:
-    """Fit ``target = columns @ values``; the covariance is the jackknife's over blocks.
+    """Fit ``target = columns @ values``, with the jackknife covariance over blocks.
 
-    A single step has three to eight blocks: there intervals of 95 % hold the truth in 93 % of the
-    cases, and in 84 to 89 % by the sandwich that a diagnosis takes with its dozens of blocks
+    A single step has three to eight blocks. There, 95 % intervals contain the truth in 93 % of the
+    cases; with the sandwich that a diagnosis uses with its dozens of blocks it would be 84 to 89 %
     (`diagnosis.regression.linear`).
 
     Parameters
@@ -63,7 +63,7 @@ def regress(columns: Array, target: Array, block: Indices) -> Regression:
     columns : ndarray of float64, shape (n, k)
     target : ndarray of float64, shape (n,)
     block : ndarray of int64, shape (n,)
-        Samples of one block may depend on each other in any way; blocks are independent.
+        Block of each sample; samples of one block may depend on each other, blocks may not.
     """
     _, row = np.unique(block, return_inverse=True)
     count, k = int(row.max()) + 1, columns.shape[1]
@@ -82,9 +82,9 @@ def regress(columns: Array, target: Array, block: Indices) -> Regression:
 
 
 def blocks_of(t_s: Array, span: Indices, block_s: float = LONGEST_BLOCK_S) -> Indices:
-    """Return the block of every sample: stretches of time that no segment's end cuts through.
+    """Return the block of every sample: stretches of time that do not cross the end of a segment.
 
-    Blocks are shorter when there would be fewer than eight, but not below half a second.
+    Blocks are shorter if there would be fewer than eight, but not below half a second.
     """
     starts = np.flatnonzero(np.diff(span, prepend=span[:1] - 1))
     ends = np.append(starts[1:], len(span))

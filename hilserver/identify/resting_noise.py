@@ -1,4 +1,4 @@
-"""The noise of every sensor while the robot stands still: no model can be wrong then."""
+"""The noise of every sensor while the robot stands still, when no model can be wrong."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -31,8 +31,8 @@ class ChannelNoise:
 def identify_noise(log: MeasuredLog, *, everywhere: bool = False) -> list[ChannelNoise]:
     """Fit white + Ornstein-Uhlenbeck noise with tails to every measured channel.
 
-    `everywhere`: take the whole log: its values are errors already, or the robot stood all the
-    time. LogError when the robot never stands still for 5 s.
+    `everywhere`: use the whole log, because its values are errors already or the robot never moved.
+    LogError if the robot never stands still for 5 s.
     """
     found = []
     for name, channel in sorted(log.channels.items()):

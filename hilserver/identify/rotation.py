@@ -1,4 +1,4 @@
-"""K_om from the wheels' speeds and the yaw rate, from all samples and from steady ones.
+"""K_om from wheel speeds and yaw rate, from all samples and from steady ones.
 
 The correct form of the thesis's (2.34): for ``y = c u``, ``c = sum(u y) / sum(u^2)`` with
 u = yaw_sign r (w_L + w_R) and y the yaw rate. As printed, (2.30) swaps U and Y and yields 1/c.
@@ -33,25 +33,25 @@ _SAMPLES_MIN: Final = 20
 
 @dataclass(frozen=True)
 class RotationGain:
-    """What a log says about K_om."""
+    """Estimates of K_om from a log."""
 
-    channel: str  # where the yaw rate comes from
+    channel: str  # source of the yaw rate
     zone_rpm: float
     configured: float
-    # from all samples; from those whose wheels have been in the zone around their set-points for
-    # the settling time
+    # from all samples, and from those at which all wheels have been in the zone around their
+    # set-points for the settling time
     unsteady: Estimate
     steady: Estimate | None
     steady_share: float
-    # from all samples, with the lag of the yaw rate estimated beside it
+    # from all samples, estimated together with the lag of the yaw rate
     without_lag: Estimate | None
-    lag_s: Estimate | None  # how much later the yaw rate comes than the wheels' speeds
-    offset_rad_s: Estimate  # constant part of the yaw rate, if it is left free
+    lag_s: Estimate | None  # of the yaw rate behind the wheel speeds
+    offset_rad_s: Estimate  # constant part of the yaw rate, if fitted as well
     flags: tuple[str, ...] = field(default=())  # why an estimate is not to be trusted
 
 
 class _Samples:
-    """Wheel side and yaw rate of a log, the wheels' side at any lag."""
+    """Both sides of the equation from a log: yaw rate, and wheel speeds at any lag."""
 
     def __init__(self, log: MeasuredLog, robot: RobotParameters, channel: str) -> None:
         self.log, self.channel = log, channel
@@ -67,7 +67,7 @@ class _Samples:
         self.block = blocks_of(self.t_s, self.span)
 
     def u(self, lag_s: float = 0.0) -> Array:
-        """Return yaw_sign r (w_L + w_R) [m/s] at the stamps minus the lag; NaN: no speeds."""
+        """Return yaw_sign r (w_L + w_R) [m/s] at the stamps minus the lag; NaN without speeds."""
         out = np.full(len(self.t_s), np.nan)
         for span in range(len(self.log.spans)):
             rows = slice(*np.searchsorted(self.span, [span, span + 1]))
@@ -93,7 +93,7 @@ class _Samples:
         return mean
 
     def steady(self, zone_rpm: float, settle_s: float) -> Mask:
-        """Return where every wheel has been near its set-point for the settling time."""
+        """Return where all wheels have been near their set-points for the settling time."""
         good = np.ones(len(self.t_s), dtype=bool)
         for wheel in present(self.log, "setpoint_rpm", present(self.log, "speed_rpm")):
             name = f"wheel.{wheel}.speed_rpm"
@@ -131,9 +131,9 @@ def identify_rotation(
     Parameters
     ----------
     zone_rpm : float
-        A wheel this near its set-point is steady ...
+        A wheel this close to its set-point is steady ...
     settle_s : float
-        ... once it has been so for this long: a late sensor still shows the change.
+        ... once it has been for this long, because a late sensor still shows the change.
     """
     channel = next((name for name in YAW_RATES if name in log), None)
     if channel is None:
@@ -170,7 +170,7 @@ def identify_rotation(
 def _steady(
     data: _Samples, u: Array, good: Mask, zone_rpm: float, settle_s: float, flags: list[str]
 ) -> tuple[Estimate | None, float]:
-    """Return K_om from steady turning and the share of the samples that is steady."""
+    """Return K_om from steady turning, and the share of steady samples."""
     if not present(data.log, "setpoint_rpm", present(data.log, "speed_rpm")):
         flags.append("no set-points in the log: no steady estimate")
         return None, 0.0
@@ -187,7 +187,7 @@ def _steady(
 
 
 def _lag(data: _Samples) -> tuple[Estimate | None, Estimate | None]:
-    """Fit the yaw rate's lag and K_om together; None when nothing in the log changes fast."""
+    """Fit the yaw rate's lag and K_om together; None if nothing in the log changes fast."""
 
     def misfit(lag_s: float) -> float:
         u = data.u(lag_s)

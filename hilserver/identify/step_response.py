@@ -33,9 +33,9 @@ _SMALLEST_SHARE = 0.05
 
 @dataclass(frozen=True)
 class Step:
-    """One step of an input and the answer."""
+    """One step of an input and the response."""
 
-    t_s: Array  # shape (n,); since the step; the samples before it are negative
+    t_s: Array  # shape (n,); time since the step, negative before it
     speed_rpm: Array  # shape (n,)
     size: float  # of the input, in its unit
     span: int
@@ -43,9 +43,9 @@ class Step:
 
 
 def find_steps(log: MeasuredLog, wheel: str, quantity: str) -> list[Step]:
-    """Return the steps of ``wheel.{wheel}.{quantity}`` that hold before and after.
+    """Return the steps of ``wheel.{wheel}.{quantity}`` with a constant input before and after.
 
-    The input that stands in a row holds from there on; the instant of a step is known to the
+    The input in a row is valid from this row on; the instant of a step is known to within the
     distance of two rows.
     """
     found: list[Step] = []
@@ -77,7 +77,7 @@ def find_steps(log: MeasuredLog, wheel: str, quantity: str) -> list[Step]:
 def averaged(steps: list[Step]) -> tuple[Array, Array]:
     """Return the mean response per unit of the input on a grid, from the step on.
 
-    Each answer begins at its own mean before the step; longer ones end with the shortest.
+    Each response starts from its own mean before the step; the grid ends at their median length.
     """
     grid_s = float(np.median([np.median(np.diff(step.t_s)) for step in steps]))
     length_s = float(np.median([step.t_s[-1] for step in steps]))
@@ -103,7 +103,7 @@ _ANSWER_MIN = 0.1
 
 @dataclass(frozen=True)
 class StepResponse:
-    """The answer of the wheels to the steps of one input."""
+    """The response of the wheels to the steps of one input."""
 
     input: str  # ``duty_pct``: the process; ``setpoint_rpm``: the closed loop
     wheels: tuple[str, ...]
@@ -120,15 +120,15 @@ class StepResponse:
     t1: Estimate
     t2: Estimate
     gain: Estimate
-    rms_rpm: tuple[float, float]  # of what both fits leave: chain, pair
+    rms_rpm: tuple[float, float]  # residuals of both fits: chain, pair
     flags: tuple[str, ...] = field(default=())
 
 
 def identify_steps(log: MeasuredLog, source: str | None = None) -> StepResponse:
     """Identify the step response of all wheels of a log together.
 
-    Of the inputs the first that has steps is taken, unless `source` names one. LogError when no
-    input jumps and holds.
+    The first input that has steps is used, unless `source` names one. LogError if no input jumps
+    and then holds.
     """
     quantity, by_wheel = _steps(log, INPUTS if source is None else (source,))
     steps = [step for own in by_wheel.values() for step in own]
@@ -195,7 +195,7 @@ class _Fit:
 
 
 class _Fits:
-    """Least squares over all steps; every step starts at a free speed."""
+    """Least squares over all steps; the speed before each step is free."""
 
     def __init__(self, steps: list[Step], gain_unit: str, gain: float) -> None:
         self._unit, self._gain = gain_unit, gain
@@ -252,7 +252,7 @@ class _Fits:
         return self._size * np.where(self._t_s >= 0.0, response(self._t_s, log_t), 0.0)
 
     def _centred(self, values: Array) -> Array:
-        """Return values less their mean in every step: its starting speed is free."""
+        """Subtract the mean of each step, because its starting speed is free."""
         sums = np.bincount(self._owner, values)
         centred: Array = values - (sums / np.bincount(self._owner))[self._owner]
         return centred

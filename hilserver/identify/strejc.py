@@ -32,7 +32,7 @@ class Tangent:
 
 @dataclass(frozen=True)
 class Chain:
-    """What Strejc's method reads from a tangent: `order` equal time constants."""
+    """The chain that Strejc's method reads from a tangent: `order` equal time constants."""
 
     order: int
     time_constant_s: float
@@ -49,7 +49,7 @@ def tangent_of_chain(order: int) -> Tangent:
 def read_tangent(tangent: Tangent) -> Chain:
     """Return the chain whose ratio is nearest to the tangent's.
 
-    Order 1 stands for "well below order 2": then `two_constants` says more.
+    Order 1 means "well below order 2"; `two_constants` then gives more information.
     """
     order = min(
         range(1, ORDER_MAX + 1), key=lambda n: abs(tangent_of_chain(n).ratio - tangent.ratio)
@@ -80,7 +80,7 @@ def find_tangent(t_s: Array, response: Array) -> Tangent:
 
 
 def first_reach(t_s: Array, response: Array, share: float) -> float:
-    """Return when the response first reaches a share of 1, interpolated; the last stamp: never."""
+    """Return when the response first reaches a share of 1, interpolated; last stamp if never."""
     above = np.flatnonzero(response >= share)
     if not len(above):
         return float(t_s[-1])

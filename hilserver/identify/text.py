@@ -1,4 +1,4 @@
-"""What was identified, in lines to read and as values for JSON."""
+"""Results of an identification as lines of text and as values for JSON."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -72,7 +72,7 @@ def step_lines(found: StepResponse) -> list[str]:
 
 
 def rate_lines(rates: Sequence[UpdateRate], comparisons: Sequence[Comparison]) -> list[str]:
-    """Return periods in order, rises, and which logs can be distinguished."""
+    """Return periods in ascending order, rises, and which logs can be distinguished."""
     lines = []
     for rate in sorted(rates, key=lambda rate: rate.period_s.value):
         rises = "; ".join(
@@ -112,7 +112,7 @@ def noise_lines(channels: Iterable[ChannelNoise]) -> list[str]:
 
 
 def as_json(kind: str, found: object) -> dict[str, Any]:
-    """Return a result as values; what is infinite or no number becomes null."""
+    """Return a result as values; infinite values and NaN become null."""
     return {"schema": SCHEMA, "identified": kind, **_plain(found)}
 
 

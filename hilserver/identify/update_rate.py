@@ -1,8 +1,8 @@
 """How often a controller acts, read from its command during the rise after a step.
 
 A controller with a period writes a new command once per period while the error is large. The
-distances of the changes of the command are therefore the period, or the distance of the rows
-where that is longer. A slow update rate looks like a delay in the speed and is none.
+distances between changes of the command are therefore the period, or the distance of the rows if
+that is longer. A slow update rate looks like a delay in the speed, but is not one.
 """
 
 import math
@@ -30,8 +30,8 @@ class WheelRise:
     """The rise of one wheel after the first step of its set-point."""
 
     wheel: str
-    # from the step to 63.2 % of the final speed; the interval is that of the rows around it and of
-    # the final speed's scatter
+    # from the step to 63.2 % of the final speed; the interval comes from the distance of the rows
+    # and the scatter of the final speed
     rise_s: Estimate
 
 
@@ -94,7 +94,7 @@ def identify_update_rate(log: MeasuredLog) -> UpdateRate:
 
 
 def compare(rates: Sequence[UpdateRate], level: float = 0.05) -> list[Comparison]:
-    """Compare neighbours in the order of their periods by Welch's test.
+    """Compare logs with neighbouring periods by Welch's test.
 
     `level` is shared among all comparisons (Bonferroni).
     """
@@ -118,7 +118,7 @@ def _names(wheel: str) -> tuple[str, ...]:
 
 
 def _of_wheel(log: MeasuredLog, wheel: str) -> tuple[WheelRise, Array, float]:
-    """Return the rise, the stamps at which the command changed during it, and the row distance."""
+    """Return the rise, the stamps of command changes during it, and the distance of the rows."""
     setpoint, duty, speed = (log[name] for name in _names(wheel))
     aims = np.flatnonzero(setpoint.values != 0.0)
     if not len(aims):
@@ -160,7 +160,7 @@ def _first(t_s: Array, values: Array, level: float) -> float:
 
 
 def _standard_error(apart: Array) -> float:
-    """Return that of the mean distance: its scatter, or the stamps' rounding if that is larger."""
+    """Return that of the mean distance: from its scatter or, if larger, the stamps' rounding."""
     count = len(apart)
     steps = np.abs(np.diff(np.unique(np.round(apart, 9))))
     resolution = float(steps.min()) if len(steps) else float(apart.min()) * 0.1

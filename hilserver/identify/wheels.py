@@ -1,4 +1,4 @@
-"""Wheel channels of a log at the stamps where they are wanted."""
+"""Wheel channels of a log at given stamps."""
 
 from collections.abc import Callable, Sequence
 
@@ -25,12 +25,12 @@ def need(log: MeasuredLog, *names: str) -> None:
 
 
 def files(log: MeasuredLog) -> str:
-    """Return the files' names for a message."""
+    """Return the names of the files for a message."""
     return ", ".join(source.file for source in log.sources)
 
 
 def at(channel: Channel, span: int, t_s: Array, *, hold: bool = False) -> Array:
-    """Return a channel's values in a span; between samples linear, or held like a set-point.
+    """Return a channel's values in a span, interpolated linearly, or held like a set-point.
 
     NaN outside the span's samples.
     """
