@@ -66,8 +66,6 @@ UNIT_ALIKE: Final = 0.8  # least correlation at which a factor is believed
 UNIT_CLOSE: Final = 1.6  # factor by which a ratio may miss that of two units
 BLOCKED_LEAST_WAY_M: Final = 0.3  # m that wheels must ask for in 2 s; more than a tag's noise
 BLOCKED_FEWEST: Final = 2  # windows in a row
-JUMP_LEAST_M: Final = 0.3  # m beside what the wheels can drive: more than a tag's own jumps
-JUMP_SD: Final = 8.0  # usual steps between two positions
 STILL_RPM: Final = 1.0  # rpm: a wheel below is at rest but for its noise
 ALTERNATING: Final = 0.35  # share of steps against the one before, in a channel with noise
 
