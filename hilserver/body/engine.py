@@ -1,4 +1,4 @@
-"""MuJoCo itself: compiles the model and gives the kernel its addresses; nobody else imports it."""
+"""MuJoCo itself: compiles the model and gives the kernel its addresses. Imported only here."""
 
 import ctypes
 from importlib import import_module

@@ -198,7 +198,7 @@ def _check(declaration: BlockDeclaration, reference: str) -> None:
 
 
 def _wrong_output(outputs: Sequence[object]) -> str:
-    """Say what is wrong with the outputs; empty when nothing is."""
+    """Return what is wrong with the outputs; empty if nothing is."""
     if not outputs:
         return "declares no output, so nothing could be seen of it"
     for output in outputs:

@@ -239,7 +239,7 @@ class Parameters(Record):
     shield_keep: float  # share of its warming left after a run
     tof_enabled: float  # flag
     tof_x: float  # [m] in front of the centre
-    tof_y: float  # [m] beside it
+    tof_y: float  # [m] to its side
     tof_sin: float  # of half the field of view
     tof_cos: float
     nav_enabled: float  # flag

@@ -26,7 +26,7 @@ class Requirement(Section):
 
     With ``within_s`` it has to become true between ``after_s`` and ``within_s``, else it has to be
     true at ``after_s``. From then on it has to stay true for ``for_s``, or until the end with
-    ``always``. With neither, one moment is enough with ``within_s``, else it is until the end.
+    ``always``. With neither, one moment suffices if ``within_s`` is given, else it is to the end.
     """
 
     name: str = Field(min_length=1, max_length=100, description="what it is about, for people")

@@ -69,7 +69,7 @@ class Overruns:
         self._stalled = False
 
     def start(self, finder: CauseFinder) -> None:
-        """Begin to take records."""
+        """Start taking records."""
         self._finder = finder
         self._loop = asyncio.get_running_loop()
         self._watch_sigcont(finder)

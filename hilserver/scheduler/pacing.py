@@ -23,7 +23,7 @@ class Pacing(Protocol):
         """The operating system's number of the pacing thread; 0: there is none."""
 
     async def start(self) -> list[Grant]:
-        """Begin to pace; return what the operating system granted."""
+        """Start pacing; return what the operating system granted."""
 
     async def stop(self) -> None:
         """Stop pacing (the stop request has been made) and release every resource."""

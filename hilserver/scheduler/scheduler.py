@@ -175,7 +175,7 @@ class Scheduler:
         self._overrun_callbacks.append(callback)
 
     async def start(self) -> None:
-        """Begin to run."""
+        """Start to run."""
         if self._started:
             raise RuntimeError("a scheduler starts once; make a new one")
         self._started = True
