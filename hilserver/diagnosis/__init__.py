@@ -1,11 +1,11 @@
 """Given measured data: what the simulation gets wrong, why, and what the extended model gains.
 
-A room for each part of the way, the lowest first; none imports those that follow. `pipeline` runs
-files through all of them, `engine` logs: one set, several groups, or two sets to compare. The
+One room per step, the lowest first; none imports from those that follow. `pipeline` takes files
+through all of them. `engine` takes logs: one set, several groups, or two sets to compare. The
 daemon imports nothing from here.
 
 `catalogue`
-    Causes as data: parameters, bounds, what can stand for what.
+    Causes as data: parameters, bounds, which may stand for which.
 `schema`
     The findings of a diagnosis, and their evidence.
 `checks`
@@ -13,19 +13,19 @@ daemon imports nothing from here.
 `replay`
     The daemon's plant under the measured inputs: drive and pose.
 `noise`
-    Of each channel: model, fit, whitening.
+    The noise of each channel: model, fit, whitening.
 `regression`
     The residual as a whitened problem: columns, scores, fits, intervals.
 `decide`
-    Which causes: selection, rivals, drift, structure that has no name.
+    Which causes explain the data: selection, rivals, drift, structure without a name.
 `findings`
-    Values, words, gain, smallest sizes, the patch.
+    Values, words, gain, detectable sizes, the patch.
 `plan`
-    What a manoeuvre would show, before it is driven.
+    What a manoeuvre would show, before anyone drives it.
 `report`
     The page.
 `compare`
     Whether one set of recordings differs from another.
 `groups`
-    What groups of logs share, and what is each one's own.
+    What groups of logs share, and what is specific to each.
 """

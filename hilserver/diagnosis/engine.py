@@ -1,7 +1,7 @@
 """A whole diagnosis: of one set of logs, of groups of them, or of two sets that are compared.
 
-Each set is a member and goes the same way: its faults, its stages, what was decided of them. The
-three differ in what their members share.
+Each set is a member and is treated in the same way: its faults, its stages, the decisions on them.
+The three kinds differ in what their members share.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -94,16 +94,16 @@ def judge(
     robot : RobotParameters
         The configured plant, the base of all figures.
     seed : int
-        Of sign flips and bootstrap; equal seeds give equal findings.
+        For sign flips and bootstrap; equal seeds give equal findings.
     jobs : int
         Threads; the findings do not depend on it.
     progress : callable, optional
-        Called with what is being done and its share.
+        Called with the current activity and its share.
     test : MeasuredLog, optional
-        Other logs of the machine: the total gain is measured on these, and nothing else is.
+        Other logs of the machine, only used to measure the total gain.
     running : mapping of str to float
-        Terms that run already, over the configured plant: the search starts there, and their values
-        are estimated as totals.
+        Terms that already run, in addition to the configured plant: the search starts from them and
+        estimates their total values.
     """
     tracker, rng = Tracker(progress), np.random.default_rng(seed)
     member = examine(log, robot, rng, jobs, tracker, running=running)
@@ -119,7 +119,7 @@ def judge(
         patches.append(patch)
         files = ", ".join(s.file for s in test.sources)
         notices = (*notices, *test.notices, f"{ON_OTHER_LOGS}{files}")
-    # the gain of all that predicts is that of a single cause where nothing else predicts
+    # the gain of all that predicts is that of a single cause if nothing else predicts
     alone = [j.whole is j.point for j in member.judged.values()]
     gains = [gain if one else None for gain, one in zip(own, alone, strict=True)]
     found, fitted = _collected([member], answers, rng, gains)
@@ -207,7 +207,7 @@ def compare(
     jobs: int = 2,
     progress: Report | None = None,
 ) -> Diagnosis:
-    """Judge whether `other` differs from `log`, and in what.
+    """Judge whether `other` differs from `log`, and how.
 
     Returns
     -------
@@ -236,7 +236,7 @@ def compare(
 def _on_other_logs(
     member: Member, test: MeasuredLog, rng: np.random.Generator
 ) -> tuple[dict[str, Gain], dict[str, Gain]]:
-    """Return the gain on other logs, of what predicts and of what has a name alone."""
+    """Return the gain on other logs, of all that predicts and of what has a name."""
     log, stages = check(test, member.robot).log, member.judged.items()
     whole = {stage: j.whole.model for stage, j in stages}
     named = {stage: j.point.model for stage, j in stages}
@@ -250,11 +250,11 @@ def _collected(
     rng: np.random.Generator,
     gains: Iterable[dict[str, Gain] | None] | None = None,
 ) -> tuple[list[Finding], dict[int, Fitted]]:
-    """Return all findings, and which of them is which fitted cause.
+    """Return all findings, and the fitted cause that belongs to each.
 
     Parameters
     ----------
-    gains : iterable of dict of str to Gain or None, optional
+    Gains of all causes of each stage, if known.
         Of all causes of each stage, where it is known.
     """
     found = [_in(m.name, fault) for m in members for fault in m.faults]
@@ -280,7 +280,7 @@ def _group(m: Member, gain: dict[str, Gain]) -> GroupOfLogs:
 
 
 def _in(group: str, finding: Finding) -> Finding:
-    """Return the finding of one group alone, in words."""
+    """Return the finding of a single group, in words."""
     if not group:
         return finding
     text = f"In group {group}: {explain_finding(finding)}"

@@ -1,4 +1,4 @@
-"""One member of a diagnosis, a set of logs that count as one: its faults, its stages, decided."""
+"""One member of a diagnosis, a set of logs that count as one: faults, stages, decisions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ from hilserver.plant.parameters import RobotParameters
 
 @dataclass(frozen=True)
 class Member:
-    """Logs that count as one, and what was decided of each of their stages."""
+    """Logs that count as one, and what was decided about each of their stages."""
 
     name: str  # of a group of logs; empty without groups
     log: MeasuredLog  # without its faults
@@ -61,7 +61,7 @@ def examine(
     name: str = "",
     running: Terms = MappingProxyType({}),
 ) -> Member:
-    """Check logs, select causes, swap, prune; map what remains; drop what that puts in doubt."""
+    """Check logs, select causes, swap, prune; map the remainder; drop what that puts in doubt."""
     robot = machine(log, robot)
     tracker("checking the data", 0.0)
     checked = check(log, robot)

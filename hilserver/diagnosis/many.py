@@ -15,12 +15,12 @@ def on_cluster(
 ) -> Generator[tuple[int, R], None, None]:
     """Yield the index and result of every task from a Dask cluster.
 
-    Its workers must have this version of hilserver and see the logs under the same paths.
+    The workers must have this version of hilserver and see the logs under the same paths.
 
     Raises
     ------
     FailedError
-        If the extra is not installed or nothing answers at the address.
+        If the extra is not installed or there is no answer from the address.
     """
     with connected(address) as client:
         futures = client.map(function, tasks, pure=False)
@@ -37,7 +37,7 @@ def connected(address: str) -> Any:
     Raises
     ------
     FailedError
-        If the extra is not installed or nobody answers.
+        If the extra is not installed or there is no answer.
     """
     try:
         from distributed import Client  # noqa: PLC0415 (an extra)

@@ -15,14 +15,14 @@ _M_TRIM_THRESHOLD: Final = -1
 _M_MMAP_THRESHOLD: Final = -3
 _M_ARENA_MAX: Final = -8
 ALLOCATION: Final = {_M_ARENA_MAX: 2, _M_TRIM_THRESHOLD: 1 << 30, _M_MMAP_THRESHOLD: 1 << 25}
-"""With a pool for every thread, large arrays that are gone stay in each: a tenth of all memory; ...
+"""With one pool per thread, freed large arrays stay in each pool: a tenth of all memory.
 
-... and given back to the system, to be asked for again at the next replay, each page is cleared.
+If they go back to the system, each page is cleared when the next replay requests it again.
 """
 
 
 def reuse_memory() -> None:
-    """Let glibc keep what arrays leave, in few pools; with other libraries do nothing."""
+    """Let glibc keep freed arrays in a few pools; with other libraries do nothing."""
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
         for option, value in ALLOCATION.items():
@@ -30,7 +30,7 @@ def reuse_memory() -> None:
 
 
 def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """Let a function's linear algebra keep to one thread; the others would only wait."""
+    """Restrict a function's linear algebra to one thread; more would only wait."""
 
     @wraps(function)
     def inner(*args: P.args, **kwargs: P.kwargs) -> R:

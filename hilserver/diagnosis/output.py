@@ -1,4 +1,4 @@
-"""What a diagnosis leaves in its folder: findings.json, report.html, model_patch.yaml."""
+"""What a diagnosis writes to its folder: findings.json, report.html, model_patch.yaml."""
 
 import hashlib
 import json
@@ -26,7 +26,7 @@ def findings_text(findings: Findings) -> str:
 
 
 def _rounded(value: Any) -> Any:
-    """Return plain data with numbers of nine digits, null for what is no number.
+    """Return plain data with numbers of nine digits, and null for NaN and infinity.
 
     The last digits of a sum depend on how many threads add it up.
     """
@@ -50,7 +50,7 @@ def documents(diagnosis: Diagnosis) -> dict[str, str]:
 
 
 def write(folder: Path, files: Mapping[str, str]) -> None:
-    """Write the files; each appears whole or not at all, and none of an older run stays.
+    """Write the files, each whole or not at all; those of an older run are removed.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def write(folder: Path, files: Mapping[str, str]) -> None:
 
 
 def write_files(folder: Path, files: Mapping[str, str], known: Sequence[str] = ()) -> None:
-    """Write files, each whole or not at all; remove those of the `known` that are not written.
+    """Write files, each whole or not at all; remove `known` ones that are not written.
 
     Raises
     ------

@@ -26,20 +26,20 @@ class Task:
     logs: tuple[Path, ...]  # of one machine, pooled
     config: Path | None
     mapping: str | None = None  # mapping file, or the name of a built-in one
-    against: tuple[Path, ...] = ()  # not empty: do these differ from `logs`, and in what?
+    against: tuple[Path, ...] = ()  # not empty: do these differ from `logs`, and how?
     seed: int = 0
-    jobs: int = 1  # threads or processes that the diagnosis itself may use; no result depends on it
-    # not empty: the gain is measured on these, which take no part in selection or fit
+    jobs: int = 1  # threads or processes of the diagnosis itself; results do not depend on it
+    # not empty: the gain is measured on these, which are not used for selection or fit
     test: tuple[Path, ...] = ()
-    # not empty: groups of logs of one machine, by name, in place of `logs`
+    # not empty: groups of logs of one machine, by name, instead of `logs`
     groups: tuple[tuple[str, tuple[Path, ...]], ...] = ()
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a task: the documents, or the sentence why there are none.
+    """The outcome of a task: the documents, or a sentence that explains why there are none.
 
-    Beside a sentence `files` may hold what helps to go on: a proposed mapping file.
+    With a sentence, `files` may hold something that helps: a proposed mapping file.
     """
 
     exit_code: int = EXIT_DONE
@@ -74,7 +74,7 @@ def judge(task: Task, progress: Report | None = None) -> Diagnosis:
 
 
 def refuse_twice(groups: Mapping[str, MeasuredLog]) -> None:
-    """Refuse a log that stands in two groups; LogError if there is one."""
+    """Refuse a log that is in two groups, with LogError."""
     seen: dict[str, tuple[str, str]] = {}
     for name, log in groups.items():
         for source in log.sources:
@@ -88,7 +88,7 @@ def refuse_twice(groups: Mapping[str, MeasuredLog]) -> None:
 
 
 def run(task: Task, progress: Report | None = None) -> Outcome:
-    """Judge a task; what a user can fix becomes a sentence."""
+    """Judge a task; an error that the user can fix becomes a sentence."""
     reuse_memory()
     try:
         diagnosis = judge(task, progress)

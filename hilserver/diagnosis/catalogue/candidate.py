@@ -1,4 +1,4 @@
-"""A candidate: one direction in which the plant can be changed, and the usual ways to make one."""
+"""A candidate: one direction in which the plant can change, and the usual ways to make one."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -17,13 +17,13 @@ LARGEST_WAVE = 0.5
 
 @dataclass(frozen=True)
 class Candidate:
-    """One direction, or a few together, in which the plant can be changed."""
+    """One direction, or a few together, in which the plant can change."""
 
     cause: str  # public name
     label: str  # unique name of this candidate
     stage: StageName  # which residuals judge it
-    start: tuple[float, ...]  # values of the parameters from which a fit begins
-    null: tuple[float, ...]  # values at which it changes nothing
+    start: tuple[float, ...]  # values of the parameters from which a fit starts
+    null: tuple[float, ...]  # values at which it has no effect
     step: tuple[float, ...]  # physical steps of the finite differences
     # from values to terms of the plant (and ``shift.*``)
     terms: Callable[[Theta], dict[str, float]]
@@ -31,22 +31,22 @@ class Candidate:
     low: tuple[float, ...]
     high: tuple[float, ...]
     least: float  # size (largest parameter) below which it is not worth a name
-    linear: bool = True  # whether the effect is about linear, so that the screen may extrapolate
-    hidden: int = 0  # parameters of its shape that were searched over, beside the fitted ones
-    tried: tuple[float, ...] = ()  # more values to begin from where much is left to explain
+    linear: bool = True  # whether the effect is nearly linear, so that the screen may extrapolate
+    hidden: int = 0  # parameters of its shape that were searched, besides the fitted ones
+    tried: tuple[float, ...] = ()  # more start values, for when much is left to explain
     # from a shift of its shape (an edge [m], the logarithm of a speed) to the candidate with that
     # shape, for a finer search
     moved: "Callable[[float], Candidate] | None" = None
-    # standard deviation about null of what sound machines have; infinite: any size is usual
+    # standard deviation about null in sound machines; infinite: any size is usual
     prior: float = math.inf
-    # terms of its shape that these data leave open, with the range that is possible
+    # terms of its shape that these data leave open, with their possible range
     undecided: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    # part of the floor that it acts on: x_min, x_max, y_min, y_max [m]
+    # part of the floor where it acts: x_min, x_max, y_min, y_max [m]
     region: Region | None = None
 
     @property
     def weight(self) -> int:
-        """Parameters that it costs, fitted and hidden."""
+        """Number of parameters that it costs, fitted and hidden."""
         return self.n + self.hidden
 
     @property
@@ -56,12 +56,12 @@ class Candidate:
 
     @property
     def is_limit(self) -> bool:
-        """Whether it is the weaker the larger it is, and nothing at infinity."""
+        """Whether its effect decreases as its value grows, and vanishes at infinity."""
         return traits_of(self.cause).is_limit
 
     @property
     def beginning(self) -> tuple[float, ...]:
-        """Where a fit begins: the start value, or just off null."""
+        """Where a fit starts: the start value, or just off null."""
         if not self.linear:
             return self.start
         return tuple(n + 1e-3 * s for n, s in zip(self.null, self.step, strict=True))
@@ -75,7 +75,7 @@ def single(
     low: float = -math.inf,
     high: float = math.inf,
 ) -> Candidate:
-    """Return the candidate of one term whose effect is about linear."""
+    """Return the candidate of one term whose effect is nearly linear."""
     cause = name.partition(".")[0]
     return several(cause, name, stage, (name,), (step,), least, low=low, high=high)
 
@@ -99,7 +99,7 @@ def several(
     low: float = -math.inf,
     high: float = math.inf,
 ) -> Candidate:
-    """Return a candidate of several terms that are fitted together, beside others held fixed."""
+    """Return a candidate of several terms that are fitted together, with others held fixed."""
     held = dict(fixed or {})
 
     def terms(theta: Theta) -> dict[str, float]:
@@ -116,7 +116,7 @@ def wave(cause: str, label: str, amplitude: str, phase: str, step: float) -> Can
     """Return the candidate of an amplitude and a phase, fitted as cosine and sine parts."""
 
     def terms(theta: Theta) -> dict[str, float]:
-        size = min(math.hypot(theta[0], theta[1]), LARGEST_WAVE)  # both parts may be that large
+        size = min(math.hypot(theta[0], theta[1]), LARGEST_WAVE)  # each part may be that large
         return {amplitude: size, phase: math.atan2(theta[1], theta[0]) if size > 0.0 else 0.0}
 
     zero, far = (0.0, 0.0), (LARGEST_WAVE, LARGEST_WAVE)

@@ -1,8 +1,8 @@
-"""The causes that a diagnosis can name, as directions in which the plant can be changed.
+"""The causes that a diagnosis can name, as directions in which the plant can change.
 
-A candidate has one to four parameters and a fixed shape. A cause whose effect is not linear (a
-delay, a limit, a region of the floor) has several candidates, one per shape or start value; the
-screen takes the best of them.
+A candidate has one to four parameters and a fixed shape. A cause with a non-linear effect (a delay,
+a limit, a region of the floor) has several candidates, one per shape or start value; the screen
+takes the best of them.
 """
 
 import math
@@ -20,12 +20,12 @@ from hilserver.diagnosis.catalogue.candidate import (
 )
 from hilserver.diagnosis.catalogue.vocabulary import LATENCIES, SPEED_SCALES
 
-LATE_S = (0.15, 0.4)  # far from zero a latency is no longer linear
+LATE_S = (0.15, 0.4)  # far from zero, a latency does not act linearly
 PERIODS_S = (0.002, 0.003, 0.005, 0.007, 0.01, 0.013)
 USUAL_PERIODS_S = (0.0015, 0.0025, 0.004, 0.006, 0.008, 0.009, 0.011, 0.012, 0.0125, 0.014)
 MEASURED = 0.05
-"""Prior deviation of what somebody measured or counted: radii, distances between anchors, the
-increments of a turn."""
+"""Prior deviation of what somebody measured or counted: radii, distances between anchors,
+encoder increments per turn."""
 PRIORS = {"wheel_radius": MEASURED, "nav_scale": MEASURED}
 OF_THE_DRIVE = (
     ("process_gain", 0.02, 0.005, -0.6, 2.0),
@@ -45,7 +45,7 @@ STARTS_OF_THE_DRIVE = (
     ("encoder_filter", 0.0, (0.005, 0.02), 0.001, 0.001, 0.0, 0.2),
     ("encoder_quantization", 0.0, (0.25, 0.5, 1.0), 0.1, 0.2, 0.0, 20.0),
 )
-"""The same behind the null and the values from which a fit begins: none of them is linear."""
+"""Null and start values, then the same columns: none of these is linear."""
 OF_THE_POSE = (
     ("wheel_radius", 0.01, 0.002, -0.5, 1.0),
     # 10 m with it cost about half the heading of a full turn with the least rotation_gain
@@ -67,7 +67,7 @@ OF_THE_POSE = (
     ("gyro_scale", 0.01, 0.003, -0.95, 3.0),
     ("imu_latency", 0.01, 0.004, 0.0, 1.5),
 )
-"""Step of the differences, least size worth a name, lower and upper bound."""
+"""Step of the finite differences, least size worth a name, lower and upper bound."""
 
 
 def drive_candidates() -> list[Candidate]:
@@ -125,7 +125,7 @@ def _position_bias(length_m: float) -> Candidate:
 
 
 def roller_candidates() -> list[Candidate]:
-    """Return what the pose of a mecanum robot judges besides: it drives ahead and to the side."""
+    """Return what else the pose of a mecanum robot judges, which drives forward and sideways."""
     return [
         single("traction_slip", "pose", 0.02, 0.01, -0.5, 1.0),
         single("roller_slip", "pose", 0.02, 0.01, -0.5, 1.0),
@@ -133,17 +133,17 @@ def roller_candidates() -> list[Candidate]:
 
 
 def encoders(wheels: Collection[int]) -> list[Candidate]:
-    """Return encoders that show too much for the pose of a mecanum robot to judge: of any wheel."""
+    """Return encoders that show too much, for the pose of a mecanum robot to judge: any wheel."""
     return [replace(_encoder(wheel), stage="pose", prior=MEASURED) for wheel in wheels]
 
 
 def side_encoders(wheels: Collection[int]) -> list[Candidate]:
-    """Return encoders that show too much for the pose to judge: one of each side.
+    """Return encoders that show too much, for the pose to judge: one per side.
 
     Parameters
     ----------
     wheels : collection of int
-        Those with a speed in the log. Which of two on a side it is, the pose does not show.
+        Those with a speed in the log. The pose does not show which of two on a side it is.
     """
     sides = [sorted({first, first + 1} & set(wheels)) for first in (0, 2)]
     return [
@@ -182,7 +182,7 @@ def _stribeck(n_s: float) -> Candidate:
 
 
 def _surfaces(place: Region) -> list[Candidate]:
-    """Part of the floor, cut at several places, either side of the cut."""
+    """Part of the floor, cut at several places, on either side of the cut."""
     x_min, x_max, y_min, y_max = place
     return [
         _surface(axis, side, low + share * (high - low))

@@ -1,6 +1,6 @@
-"""Traits of causes that rules depend on, one row for each cause that has any.
+"""Traits of causes on which rules depend, one row per cause that has any.
 
-A rule asks for a trait and never for a name, so that a cause that is added with its row takes part.
+A rule asks for a trait, never for a name, so a cause that is added with its row takes part.
 """
 
 from collections.abc import Iterable, Mapping
@@ -11,7 +11,7 @@ from typing import Final
 
 
 class Need(StrEnum):
-    """What a log may lack, as a reader of the findings sees it; of several the last one counts."""
+    """What a log may lack, as the findings say it; if several are missing, the last one counts."""
 
     SPEED = "no wheel speed in the log"
     DUTY = "no duty in the log"
@@ -25,38 +25,38 @@ class Need(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Traits:
-    """What rules need to know of a cause."""
+    """What rules need to know about a cause."""
 
-    # what a log must hold before the cause can be judged; all of the drive need wheel speeds
+    # what a log must hold for the cause to be judged; all causes of the drive need wheel speeds
     needs: tuple[Need, ...] = ()
     not_judged: str = ""  # why it has no candidate
     # share of its size by which its form may be off, because it is decided anew at every step:
-    # whether a wheel sticks, what the loop answers; measured against a machine in continuous time
+    # whether a wheel sticks, how the loop responds; measured against a machine in continuous time
     # (``hilserver bench diagnose --class single``)
     abrupt: float = 0.0
     whole_ticks: bool = False  # a time that acts in whole ticks of the plant
-    is_limit: bool = False  # it has no finite null: the smaller its parameter, the more it does
-    at_rest: bool = False  # it shows on a robot that stands still
-    # what changes along the log may look like it: early and late the robot is at other places
+    is_limit: bool = False  # it has no finite null: a smaller parameter has a larger effect
+    at_rest: bool = False  # it is visible on a robot that stands still
+    # changes along the log may look like it: the robot is at other places early than late
     of_a_place: bool = False
-    # it makes a turn late, or its gain depend on the turn, as tyres that scrub do
+    # it makes a turn late, or its gain depend on the turn, as scrubbing tyres do
     delays_turn: bool = False
     bends_turn: bool = False
-    scrubs_as: str = ""  # parameter of friction across the wheels that turns as it does
-    # cause of the same size and the other sign that one floor cannot tell from it
+    scrubs_as: str = ""  # parameter of friction across the wheels with the same effect on turns
+    # cause of the same size and opposite sign that one floor cannot tell from it
     mirrored_by: str = ""
-    field: str = ""  # parameter of the errors over the place that it is the simplest of
-    # causes that it may stand for where both act: from it no exchange of one cause for another
-    # leads to them
+    field: str = ""  # parameter of the place-dependent errors of which it is the simplest
+    # causes that it may stand for if both act: swapping single causes does not lead from it to
+    # them
     together: tuple[str, ...] = ()
-    hides_inputs: bool = False  # found in an input, the log no longer says when that changed
+    hides_inputs: bool = False  # if found in an input, the log does not show when that changed
 
 
 POSITION_FIELD: Final = "nav_position_bias.amplitude"
 
 TRAITS: Final[Mapping[str, Traits]] = MappingProxyType({
     "coulomb_friction": Traits(abrupt=0.02),
-    # other loads still show without duty where they keep wheels from their set-points
+    # other loads are visible without duty if they keep wheels from their set-points
     "dead_zone": Traits(needs=(Need.DUTY,)),
     "stribeck_friction": Traits(needs=(Need.DUTY,), abrupt=0.02),
     "wheel_load": Traits(abrupt=0.02),
@@ -89,7 +89,7 @@ TRAITS: Final[Mapping[str, Traits]] = MappingProxyType({
     ),
     "nav_frame_yaw": Traits(needs=(Need.POSITION, Need.YAW)),
     "nav_lever_arm": Traits(needs=(Need.POSITION,)),
-    # In a bend a late position lies where side slip would put it. Where the whole source is late
+    # In a bend a late position lies where side slip would put it. If the whole source is late
     # and the robot slips, the latency of the position alone explains part of both.
     "nav_latency": Traits(
         needs=(Need.POSITION, Need.STAMPS),
@@ -121,7 +121,7 @@ def traits_of(cause: str) -> Traits:
 
 
 def lacking(missing: Iterable[Need], drive: Iterable[str]) -> dict[str, str]:
-    """Return why causes cannot be judged where something is missing, by cause.
+    """Return, by cause, why it cannot be judged if something is missing.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """The public vocabulary: every cause that a diagnosis can name.
 
-The physical causes are the plant's terms (`plant/terms.csv`), in their order; those of the data
-have no term, because the data are corrected, not the model.
+The physical causes are the plant's terms (`plant/terms.csv`), in their order. Data faults have no
+term, because the data are corrected, not the model.
 """
 
 from collections.abc import Iterator, Mapping
@@ -18,30 +18,30 @@ from hilserver.plant.terms import TERMS, Term
 Block = Literal["controller", "drive", "kinematics", "navigation", "inertial", "data", "timing"]
 
 CONTROLLER: Final = frozenset({"setpoint_rate_limit", "control_period", "controller_gains"})
-"""Causes that act in the plant's drive and are corrected in the controller."""
+"""Causes that act in the plant's drive but are corrected in the controller."""
 
 
 SPEED_SCALES: Final[Mapping[str, str]] = MappingProxyType(
     {f"wheel.{wheel}.speed_rpm": f"shift.scale.{wheel}" for wheel in WHEELS}
 )
-"""By signal: factor by which the log, but not the controller, has a wheel's speed."""
+"""By signal: factor on a wheel's speed in the log, but not in the controller."""
 
 SPEED_STEP: Final = "encoder_quantization"
-"""Term of the step in which the loop sees the wheel speeds; the values themselves may show it."""
+"""Term for the step in which the loop sees the wheel speeds; the values may show it as well."""
 
 LATENCIES: Final[Mapping[str, str]] = MappingProxyType(
     {POSITION[0]: "nav_latency", YAW: "yaw_latency", GYRO: "imu_latency"}
 )
-"""By signal: term by which what it shows is late; of the position the first one's for both."""
+"""By signal: term by which it is late; the position uses that of its first coordinate."""
 
 OUTLIERS: Final = ("nav_outliers.share", "nav_outliers.size")
-"""Parameters of outliers in the position: their share, and how far they lie away."""
+"""Parameters of outliers in the position: their share, and their distance."""
 
 OF_THE_LOG: Final[Mapping[str, str]] = MappingProxyType(
     {"shift.nav": "clock_offset.nav"}
     | {term: f"unit_error.{signal}" for signal, term in SPEED_SCALES.items()}
 )
-"""What is fitted as terms of the plant are but corrects the log: the parameter that it becomes."""
+"""Fitted like terms of the plant, but correcting the log: the parameters they become."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +49,8 @@ class Cause:
     """One cause."""
 
     name: str
-    block: Block  # where it acts, as ``findings.json`` says it
-    parts: tuple[Term, ...]  # the main one first; of the log's faults, too
+    block: Block  # where it acts, as in ``findings.json``
+    parts: tuple[Term, ...]  # the main one first; data faults have parts, too
     physical: bool  # True: a term of the plant. False: a fault of the log.
     description: str
 
@@ -103,7 +103,7 @@ _OF_THE_LOG: Final[tuple[tuple[str, Block, str, float | None, str], ...]] = (
     ("limited_channel", "data", "1", None, "largest reading of a channel, in its unit"),
     ("missed_ticks", "timing", "1", 0.0, "share of the recorder's ticks that did not happen"),
 )
-"""Name, block, unit (empty: it has no size), null and description."""
+"""Name, block, unit (empty if it has no size), null and description."""
 
 
 def _faults() -> Iterator[Cause]:
@@ -123,13 +123,13 @@ def cause_of(name: str) -> Cause:
     Raises
     ------
     KeyError
-        When there is none.
+        If there is none.
     """
     return CAUSES[name.partition(".")[0]]
 
 
 def known_part(name: str) -> Term | None:
-    """Return the part that a name stands for, the bare cause for its first part; or None."""
+    """Return the part that a name means, for a bare cause its first part; or None."""
     cause = CAUSES.get(name.partition(".")[0])
     if cause is None:
         return None
@@ -138,12 +138,12 @@ def known_part(name: str) -> Term | None:
 
 
 def part_of(name: str) -> Term:
-    """Return the part that a name stands for.
+    """Return the part that a name means.
 
     Raises
     ------
     KeyError
-        When there is none.
+        If there is none.
     """
     if (part := known_part(name)) is None:
         raise KeyError(name)
@@ -151,13 +151,13 @@ def part_of(name: str) -> Term:
 
 
 def unit_of(name: str) -> str:
-    """Return the unit of a parameter; 1 where there is no such part (``shift.nav``)."""
+    """Return the unit of a parameter; 1 if there is no such part (``shift.nav``)."""
     part = known_part(name)
     return "1" if part is None else part.unit
 
 
 def reference(cause: str, name: str) -> float | None:
-    """Return how far a parameter's reference size lies from null; that of its cause if none."""
+    """Return how far a parameter's reference size is from null; without one, that of its cause."""
     parts = [p for p in CAUSES[cause].parts if not p.shape]
     own = next((p for p in parts if p.name == name and p.reference is not None), None)
     main = own or next((p for p in parts if p.reference is not None), None)
