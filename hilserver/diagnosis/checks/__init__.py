@@ -1,7 +1,7 @@
-"""Data checks: faults of the log itself, found without the model and taken out of the data.
+"""Data checks: faults of the log itself, found without the model and removed from the data.
 
-Each check takes a log and gives back the corrected log and what it found; the order matters,
-because units and signs can only be judged on samples that are real.
+Each check takes a log and returns the corrected log and what it found. Their order matters, because
+units and signs can only be judged on real samples.
 """
 
 from collections.abc import Callable
@@ -32,7 +32,7 @@ from hilserver.measured.names import is_input
 from hilserver.plant.parameters import RobotParameters
 
 FAR_S = 1e5
-"""Stamps beyond are seconds since some epoch; they are counted from the start of each span."""
+"""Later stamps are seconds since some epoch; they are counted from the start of each span."""
 
 Check = Callable[[MeasuredLog, RobotParameters], tuple[MeasuredLog, list[Finding]]]
 
@@ -60,12 +60,12 @@ class Checked:
     """A log after the data checks."""
 
     log: MeasuredLog  # without the faults that were found
-    # each with verdict ``data_fault``; `regressors` names the channels it is about
+    # each with verdict ``data_fault``; `regressors` names the channels concerned
     findings: tuple[Finding, ...]
 
     @property
     def lost_setpoints(self) -> bool:
-        """Whether the log no longer holds the times at which the set-points changed."""
+        """Whether the log no longer shows when the set-points changed."""
         return any(
             traits_of(cause).hides_inputs and any(map(is_input, finding.regressors))
             for finding in self.findings
@@ -74,12 +74,12 @@ class Checked:
 
 
 def check(log: MeasuredLog, robot: RobotParameters) -> Checked:
-    """Find the faults of the log and take them out.
+    """Find the faults of the log and remove them.
 
     Parameters
     ----------
     robot : RobotParameters
-        Dimensions and signs of the machine as configured.
+        Configured dimensions and signs of the machine.
     """
     findings: list[Finding] = []
     far = max((abs(span.end_s) for span in log.spans), default=0.0) > FAR_S
@@ -92,7 +92,7 @@ def check(log: MeasuredLog, robot: RobotParameters) -> Checked:
 
 
 def _moved(log: MeasuredLog, by_s: Array) -> MeasuredLog:
-    """Return the log with the stamps of each span moved."""
+    """Return the log with the stamps of each span shifted."""
     if not by_s.any():
         return log
     channels = {

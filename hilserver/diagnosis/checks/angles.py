@@ -1,4 +1,4 @@
-"""Wheel angles: those that jump back are made continuous, those that stand alone become speeds."""
+"""Wheel angles: those that wrap are made continuous, those without a speed become speeds."""
 
 from dataclasses import replace
 from typing import Final
@@ -18,7 +18,7 @@ TURN_RAD: Final = 2.0 * np.pi
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
-    """Unwrap wheel angles, and put speeds in their place where none was recorded.
+    """Unwrap wheel angles, and replace them by speeds if no speed was recorded.
 
     Neither is a fault of the log: notices give the places.
     """
@@ -41,8 +41,8 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
 def _wrap(channel: Channel, fastest_rad_s: float) -> float:
     """Return by how much the angle jumps back; 0 if it does not.
 
-    A jump is no turn of the wheel and crosses most of the range that all readings lie in. Its size
-    is that of a turn or of a counter of whole bits where the jumps do not say otherwise.
+    A jump is faster than the wheel can turn and crosses most of the range of all readings. Its size
+    is one turn, or that of a counter of whole bits, unless the jumps show otherwise.
     """
     inside = np.diff(channel.span) == 0
     step, dt = np.diff(channel.values)[inside], np.diff(channel.t_s)[inside]
@@ -56,7 +56,7 @@ def _wrap(channel: Channel, fastest_rad_s: float) -> float:
     size = float(np.median(sizes))
     if not np.all(np.abs(sizes - size) < 0.2 * size):
         return 0.0
-    usual = np.abs(calm[1:-1] - 0.5 * (calm[:-2] + calm[2:]))  # what a steady turn does not explain
+    usual = np.abs(calm[1:-1] - 0.5 * (calm[:-2] + calm[2:]))  # what a steady turn leaves
     unsure = 3.0 * float(np.quantile(usual, 0.9)) / np.sqrt(len(sizes)) + 1e-9
     quantum, _ = step_of(channel.values)
     bits = quantum * np.exp2(np.rint(np.log2(size / quantum))) if quantum else TURN_RAD
@@ -73,7 +73,7 @@ def _unwrap(channel: Channel, size: float) -> Channel:
 
 
 def _changing(angle: Channel) -> Channel:
-    """Return the speed [rpm] between every two samples of a span, in the middle between them."""
+    """Return the speed [rpm] between every two samples of a span, at the time midway."""
     inside = np.flatnonzero(np.diff(angle.span) == 0)
     dt = np.diff(angle.t_s)[inside]
     speed = np.diff(angle.values)[inside] / dt * RPM_PER_RAD_S

@@ -1,4 +1,4 @@
-"""A robot that stood although its wheels drove it: pushed against something, or lifted."""
+"""A robot that stood still although its wheels drove it: blocked by something, or lifted."""
 
 from dataclasses import replace
 from typing import Final, NamedTuple
@@ -21,7 +21,7 @@ from hilserver.measured.data import MeasuredLog
 from hilserver.measured.pauses import Pieces, cut
 from hilserver.plant.parameters import RobotParameters
 
-WAY_S: Final = 2.0  # way and place are compared over so long
+WAY_S: Final = 2.0  # distance and position are compared over this time
 
 
 class Spell(NamedTuple):
@@ -33,7 +33,7 @@ class Spell(NamedTuple):
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
-    """Report when the robot was blocked, and leave that out: nothing here models what held it."""
+    """Report when the robot was blocked and leave it out: nothing here models what held it."""
     if not log.has(*POSITION, GYRO):
         return log, []
     windows = windows_of(log, WAY_S)
@@ -55,7 +55,7 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
 
 
 def _asked_m(log: MeasuredLog, robot: RobotParameters, windows: Windows) -> Array:
-    """Return the way that the wheels make or are asked to make in each window."""
+    """Return the distance that the wheels make, or are asked to make, in each window."""
     asked = np.zeros(len(windows))
     for what in ("speed_rpm", "setpoint_rpm"):
         speed = rolled(log, what, windows, robot)
@@ -65,14 +65,14 @@ def _asked_m(log: MeasuredLog, robot: RobotParameters, windows: Windows) -> Arra
 
 
 def _stands(log: MeasuredLog, windows: Windows, way_m: Array) -> Mask:
-    """Return in which windows position and heading stay where they are; False where unknown."""
+    """Return in which windows position and heading stay the same; False where unknown."""
     (x0, x1, _), (y0, y1, _) = (ends_in(log[name], windows) for name in POSITION)
     is_there = np.hypot(x1 - x0, y1 - y0) < STANDS * way_m
     return np.asarray(is_there & (np.abs(mean_in(log[GYRO], windows)) < TURNS_RAD_S))
 
 
 def _spells(is_blocked: Mask, windows: Windows) -> list[Spell]:
-    """Return every spell that lasts, with the windows before and after it: it began within."""
+    """Return every spell of some length, with the windows around it: it began and ended in them."""
     spans, found = np.rint(windows.begin / SPAN_S).astype(np.int64), []
     for span in np.unique(spans).tolist():
         mine = spans == span

@@ -1,7 +1,7 @@
-"""Clocks: the tag's and the gyro's clock beside that of the wheels, offset and drift.
+"""Clocks: the clocks of tag and gyro against that of the wheels, offset and drift.
 
-Without the model a late tag and a late clock look alike. Signs of a clock: heading and
-position late by the same time, early instead of late, or later and later.
+Without the model, a late tag and a late clock look alike. A clock shows in heading and position
+that are late by the same time, early instead of late, or increasingly late.
 """
 
 from dataclasses import dataclass, replace
@@ -20,15 +20,15 @@ from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RAD_S_PER_RPM
 
-LARGEST_S: Final = 1.0  # offsets are looked for up to here
-CHUNK_S: Final = 30.0  # stretch of the log with an offset of its own
-BASELINE_S: Final = 1.0  # way and turn are compared over so long
+LARGEST_S: Final = 1.0  # largest offset that is searched for
+CHUNK_S: Final = 30.0  # stretch of the log with its own offset
+BASELINE_S: Final = 1.0  # distance and turn are compared over this time
 GRID_S = 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class Lag:
-    """Delay of a source behind the wheels: offset + drift t."""
+    """Delay of a source relative to the wheels: offset + drift t."""
 
     # in the middle of the log
     offset_s: float
@@ -60,7 +60,7 @@ class Lag:
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
-    """Find offset and drift of the clock of navigation or inertial unit; stamps are put right."""
+    """Find offset and drift of the clock of navigation or inertial unit; stamps are corrected."""
     if not log.has_stamps:
         return log, []
     wheels = _wheel_motion(log, robot)
@@ -86,9 +86,9 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
 
 
 def _judge(lags: list[Lag]) -> tuple[bool, Lag] | None:
-    """Return whether the clock drifts and the best estimate.
+    """Return whether the clock drifts, and the best estimate.
 
-    None where a late source explains it as well.
+    None if a late source explains it as well.
     """
     if not lags:
         return None
@@ -131,7 +131,7 @@ Motion = tuple[Channel, Channel]
 def _wheel_motion(log: MeasuredLog, robot: RobotParameters) -> Motion | None:
     """Return forward and turning speed of the wheels, up to a factor.
 
-    One wheel of a side is enough; those of a mecanum robot turn apart when it goes to the side.
+    One wheel per side is enough, but not if a mecanum robot moves sideways: its wheels then differ.
     """
     taken = slice(None) if robot.is_mecanum else slice(1)
     sides = [[f"wheel.{w}.speed_rpm" for w in s[taken]] for s in (LEFT_WHEELS, RIGHT_WHEELS)]
@@ -164,7 +164,7 @@ def _integral(channel: Channel | None) -> Channel | None:
 
 
 def _path(log: MeasuredLog) -> Channel | None:
-    """Return the distance along the heading that the tag has gone."""
+    """Return the distance that the tag has moved along the heading."""
     if not log.has(*TAG):
         return None
     x, y, yaw = (log[f"nav.{what}"] for what in ("x_m", "y_m", "yaw_rad"))
@@ -203,7 +203,7 @@ def _lag(rate: Channel, path: Channel | None, *, is_angle: bool) -> Lag | None:
 
 
 def _line_through(t: Array, delay: Array, length_s: float) -> Lag | None:
-    """Fit offset and drift, chunks far from the others left out."""
+    """Fit offset and drift, leaving out chunks far from the others."""
     keep = np.ones(len(t), dtype=np.bool_)
     for _ in range(2):
         slope, at_zero = np.polyfit(t[keep], delay[keep], 1)
@@ -221,7 +221,7 @@ def _line_through(t: Array, delay: Array, length_s: float) -> Lag | None:
 
 
 def _delay(t_rate: Array, s_rate: Array, t: Array, s: Array, begin: float, end: float) -> float:
-    """Return the delay at which the ways over a second fit best; NaN where nothing moves."""
+    """Return the delay with which distances over a second fit best; NaN without motion."""
     first, last = np.searchsorted(t, [begin, end])
     times = t[first:last]
     if len(times) < 50:

@@ -1,7 +1,7 @@
-"""The steps that a recorded quantity comes in, below its noise: a line in its values' spectrum.
+"""The steps of a recorded quantity, below its noise: a line in the spectrum of its values.
 
-Of values rounded to whole multiples of q the characteristic function has a line at 1/q, however
-much noise is added, and noise of deviation s weakens it by exp(-2 pi^2 s^2 / q^2).
+The characteristic function of values rounded to whole multiples of q has a line at 1/q, however
+much noise is added; noise of deviation s weakens it by exp(-2 pi^2 s^2 / q^2).
 """
 
 from collections.abc import Sequence
@@ -12,16 +12,16 @@ import numpy as np
 from hilserver.arrays import Array
 from hilserver.diagnosis.thresholds import COMB_CLEAR, COMB_FEWEST, COMB_TIMES, FEWEST_SAMPLES, HALF
 
-STEPS_RPM: Final = (0.2, 6.0)  # steps that are looked for; finer ones are below the noise
-MOST_LINES: Final = 8  # lines of the spectrum that are looked at
-NOTICEABLE: Final = 0.02  # coefficient of a line below which none is a candidate
+STEPS_RPM: Final = (0.2, 6.0)  # steps that are searched; finer ones are below the noise
+MOST_LINES: Final = 8  # lines of the spectrum that are examined
+NOTICEABLE: Final = 0.02  # least coefficient of a line that is a candidate
 PADDED = 4
 SAMPLES = 6_000
 NEIGHBOURS = 8
 
 
 def coarse_step(channels: Sequence[Array], smooth: Sequence[Array]) -> float | None:
-    """Return the step that like quantities come in; None if they are smooth.
+    """Return the step in which quantities of one kind come; None if they are smooth.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def coarse_step(channels: Sequence[Array], smooth: Sequence[Array]) -> float | N
 
 
 def _suspects(channels: Sequence[Array], smooth: Sequence[Array]) -> list[float]:
-    """Return steps whose lines stand out of the spectrum of the smooth values."""
+    """Return steps whose lines stand out from the spectrum of the smooth values."""
     thinned = [
         (v[:: max(1, len(v) // SAMPLES)], s[:: max(1, len(v) // SAMPLES)])
         for v, s in zip(channels, smooth, strict=True)
@@ -77,7 +77,7 @@ def _spectrum(values: Array, edges: Array) -> Array:
 
 
 def lattice(values: Array, smooth: Array, step: float) -> tuple[float, float]:
-    """Return how far values lie on multiples of a step, and how far they follow smooth ones.
+    """Return how closely values keep to multiples of a step, and how closely to smooth ones.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def lattice(values: Array, smooth: Array, step: float) -> tuple[float, float]:
     -------
     tuple of float
         Coefficients of ``exp(2 pi i values/q)`` on 1 and on ``exp(2 pi i smooth/q)``: the first is
-        there with rounding only, the second without. Both fall with the noise.
+        present only with rounding, the second only without. Both decrease with the noise.
     """
     turned = 2j * np.pi / step
     columns = np.stack([np.ones(len(values)), np.exp(turned * smooth)], axis=1)
@@ -98,10 +98,10 @@ def lattice(values: Array, smooth: Array, step: float) -> tuple[float, float]:
 
 
 def on_the_way(channels: Sequence[Array], step: float) -> float:
-    """Return the coefficient of values on multiples of a step while they pass by more than one.
+    """Return the coefficient of values on multiples of a step while they pass more than one.
 
-    A wheel that a load keeps from its set-points rests at few speeds, and for any few speeds there
-    is a step that they are multiples of. On the way between them only rounded ones keep to it.
+    A wheel that a load keeps from its set-points rests at few speeds, and any few speeds are
+    multiples of some step. Only rounded values keep to it on the way between them.
     """
     passing = []
     for values in channels:

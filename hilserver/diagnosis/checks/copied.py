@@ -1,4 +1,4 @@
-"""Set-points recorded as measurement: the speed column is the set-point column, or a late copy."""
+"""Set-points recorded as measurement: speeds that are the set-points, or a late copy of them."""
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from hilserver.plant.parameters import RobotParameters
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
     """Find wheel speeds that are copies of set-points; they are left out of the log."""
     sent = {b: a for a, b in zip(SETPOINTS, SPEEDS, strict=True) if log.has(a, b)}
-    # no drive accelerates more than at full duty from rest
+    # no drive accelerates faster than at full duty from rest
     fastest_rpm_s = robot.process.gain * robot.controller.limit_pct / robot.process.t1_s
     copies = classified(sent, lambda name: copy_of(log[sent[name]], log[name], fastest_rpm_s))
     if not copies:
@@ -37,7 +37,7 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
 
 
 def copy_of(sent: Channel, speed: Channel, fastest_rpm_s: float) -> Fault | None:
-    """Return by how much `speed` is a late copy of `sent`, None if it is none."""
+    """Return by how much `speed` is a late copy of `sent`, None if it is not a copy."""
     period_s = row_period_s(speed)
     if period_s <= 0 or len(sent) < FEWEST_CHANGES:
         return None
@@ -55,7 +55,7 @@ def copy_of(sent: Channel, speed: Channel, fastest_rpm_s: float) -> Fault | None
 
 
 def is_copy(now: Array, sent: Array, last: Array, sent_last: Array, wide_rpm: float) -> bool:
-    """Return whether the speed jumps with the set-point, from its old value to its new one.
+    """Return whether the speed jumps with the set-point, from its old value to the new one.
 
     An exact copy agrees to the last digits; a noisy one follows at once where no drive could.
     """

@@ -1,4 +1,4 @@
-"""Dropouts: samples that are missing in the log, or are repeated for a while."""
+"""Dropouts: samples that are missing from the log, or are repeated for a while."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from hilserver.plant.parameters import RobotParameters
 
 
 def find_missing(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
-    """Find samples that are missing in the log."""
+    """Find samples that are missing from the log."""
     names = measured_channels(log.channels)
     if not log.has_stamps:
         return log, []

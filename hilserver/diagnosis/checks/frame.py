@@ -17,8 +17,8 @@ from hilserver.plant.units import RAD_S_PER_RPM
 def unidentified(log: MeasuredLog, robot: RobotParameters) -> str | None:
     """Return why a log does not identify its machine's kinematics; None if it does.
 
-    On a frame they would all be wrong by the same whole. Without a position, what the wheels ask of
-    a machine that does not turn is their own noise.
+    With wheels in the air they would all be completely wrong. Without a position, what the wheels
+    ask of a machine that does not turn is their own noise.
     """
     turn = asked_turn(log, robot)
     if turn is None:

@@ -1,4 +1,4 @@
-"""Limited channels: readings that stand at one value while the robot goes beyond it."""
+"""Limited channels: readings that stay at one value while the robot goes beyond it."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -14,13 +14,13 @@ from hilserver.measured.channels import DUTIES, GYRO
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
-AT: Final = 1.0 - 1e-9  # share of a limit at which a reading stands: files round
+AT: Final = 1.0 - 1e-9  # share of a limit from which a reading is at it: files round
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
-    """Find limits of sensors; the log keeps them, for readings there are no measurements.
+    """Find limits of sensors and set them in the log: readings at a limit measure nothing.
 
-    A duty that ends where the plant's own does is no fault; for one that ends below see
+    A duty that ends at the plant's own limit is no fault; for one that ends below it see
     `decide.limited_duty`.
     """
     most = robot.controller.limit_pct
@@ -41,7 +41,7 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
 
 
 def limited(channels: Sequence[str], values: Array, limit: float, unit: str, text: str) -> Finding:
-    """Return the finding with the limits that readings reached, each by itself."""
+    """Return the finding with the limit that each channel's readings reached."""
     finding = data_fault("limited_channel", channels, limit, None, unit, text)
     reached = {
         f"limited_channel.{end}": Parameter(value=side * limit, ci95=None, unit=unit)
@@ -52,14 +52,14 @@ def limited(channels: Sequence[str], values: Array, limit: float, unit: str, tex
 
 
 def piled_up(values: Array) -> float | None:
-    """Return the largest reading of either sign if more stand there than by chance; or None."""
+    """Return the largest reading of either sign if it is more frequent than by chance; or None."""
     limit = float(np.abs(values).max(initial=0.0))
     at = np.count_nonzero(np.abs(values) >= limit * AT)
     return limit if limit > 0.0 and at >= FEWEST_PIECES else None
 
 
 def _limit(values: Array, asked: Array | None) -> float | None:
-    """Return the largest reading if the turn that was asked for goes on beyond it."""
+    """Return the largest reading if the turn that was asked for exceeds it."""
     limit = piled_up(values)
     if asked is None or limit is None:
         return None

@@ -1,8 +1,8 @@
-"""Messages that stand in a log twice: all channels of a source stay as they were, in one row.
+"""Messages that are in a log twice: all channels of a source stay the same for a row.
 
-Rounded readings stay the same now and then, each by itself. Where those of a source only ever stay
-all at once, its message came again: nothing new is known of it. Those with the rhythm of a slower
-clock are left to `repetitions`.
+Rounded readings sometimes stay the same, each on its own. If those of a source only ever stay the
+same all together, its message was repeated and carries no news. Repetitions with the rhythm of a
+slower clock are left to `repetitions`.
 """
 
 from collections.abc import Iterator
@@ -37,7 +37,7 @@ def find(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Findin
     for names in list(_sources(log)):
         again = repetitions([log[name] for name in names])
         evenly = (held(log[name], runs_of(log[name]), changes) for name in names)
-        if again is not None and None in evenly:  # a clock's is known better by its period
+        if again is not None and None in evenly:  # `repetitions` handles clocks better
             share = float(again.mean())
             faults = {name: Fault(subset(log[name], ~again), share) for name in names}
             findings.append(_finding(log, faults))
@@ -46,9 +46,9 @@ def find(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Findin
 
 
 def _sources(log: MeasuredLog) -> Iterator[list[str]]:
-    """Yield the channels that come in one message: of one kind, at the same stamps.
+    """Yield the channels that come in one message: of one kind, with the same stamps.
 
-    Wheels that keep their speed to the bit are those of a simulation.
+    Wheels that keep their speed to the bit are simulated.
     """
 
     def kind(name: str) -> tuple[str, str]:
@@ -68,9 +68,9 @@ def _are_noisy(log: MeasuredLog, names: list[str]) -> bool:
 
 
 def repetitions(channels: list[Channel]) -> Mask | None:
-    """Return which samples of a source repeat the message before, shape (n,); None without any.
+    """Return which samples of a source repeat the previous message, shape (n,); None without any.
 
-    The same column twice counts as one. A source that stays for long is at rest, or stuck.
+    Two equal columns count as one. A source that stays the same for long is at rest, or stuck.
     """
     t_s, span = channels[0].t_s, channels[0].span
     columns = np.unique(np.stack([channel.values for channel in channels]), axis=0)
@@ -89,7 +89,7 @@ def repetitions(channels: list[Channel]) -> Mask | None:
 
 
 def _finding(log: MeasuredLog, faults: Faults) -> Finding:
-    """Return the finding of one source: one that is slow, or one that sometimes fails to come."""
+    """Return the finding of one source: it is slow, or its messages are sometimes missing."""
     name, (_, share, _) = next(iter(faults.items()))
     if share > SLOW:
         seconds = sum(span.end_s - span.start_s for span in log.spans)

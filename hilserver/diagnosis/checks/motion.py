@@ -1,4 +1,4 @@
-"""Mean motion in windows of a second: what wheels, gyro and navigation each say of it."""
+"""Mean motion in windows of a second, according to wheels, gyro and navigation."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -73,7 +73,7 @@ def rate_in(angle: Channel, windows: Windows, turn: float = 2.0 * np.pi) -> Arra
 
 
 def side_mean(log: MeasuredLog, side: Iterable[str], what: str, windows: Windows) -> Array | None:
-    """Return the mean of the wheels of one side [rad/s], None if none of them is there."""
+    """Return the mean of the wheels of one side [rad/s], None if there are none."""
     found = [
         mean_in(log[name], windows) for wheel in side if (name := f"wheel.{wheel}.{what}") in log
     ]
@@ -81,7 +81,7 @@ def side_mean(log: MeasuredLog, side: Iterable[str], what: str, windows: Windows
 
 
 def lateral_mean(log: MeasuredLog, what: str, windows: Windows) -> Array | None:
-    """Return how fast mecanum wheels roll to the left [rad/s], None without one of them."""
+    """Return how fast mecanum wheels roll to the left [rad/s], None if one is missing."""
     names = [f"wheel.{wheel}.{what}" for wheel in WHEELS]
     if not log.has(*names):
         return None
@@ -90,7 +90,7 @@ def lateral_mean(log: MeasuredLog, what: str, windows: Windows) -> Array | None:
 
 
 def rolled(log: MeasuredLog, what: str, windows: Windows, robot: RobotParameters) -> Array | None:
-    """Return how fast the wheels would move the robot ahead, back or to a side [m/s]."""
+    """Return how fast the wheels would move the robot ahead, back or sideways [m/s]."""
     left, right = (side_mean(log, side, what, windows) for side in (LEFT_WHEELS, RIGHT_WHEELS))
     lateral = lateral_mean(log, what, windows) if robot.is_mecanum else 0.0
     if left is None or right is None or lateral is None:
@@ -99,7 +99,7 @@ def rolled(log: MeasuredLog, what: str, windows: Windows, robot: RobotParameters
 
 
 def turned(log: MeasuredLog, windows: Windows, robot: RobotParameters) -> Array | None:
-    """Return the turn rate that the wheels say, or else their set-points [rad/s]."""
+    """Return the turn rate by the wheels, or else by their set-points [rad/s]."""
     for what in ("speed_rpm", "setpoint_rpm"):
         left, right = (side_mean(log, side, what, windows) for side in (LEFT_WHEELS, RIGHT_WHEELS))
         if left is not None and right is not None:
@@ -117,7 +117,7 @@ class Line:
 
 
 def line(y: Array | None, x: Array | None, least: float = 0.0) -> Line | None:
-    """Return y = slope x, outliers left out; None where there is too little to say.
+    """Return y = slope x, without outliers; None if there is too little data.
 
     Parameters
     ----------

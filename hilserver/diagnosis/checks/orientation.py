@@ -1,8 +1,8 @@
-"""Signs and sides: wheels, gyro, heading and position have to show the same turn.
+"""Signs and sides: wheels, gyro, heading and position must show the same turn.
 
 The order of the questions matters: the wheels are judged by their set-points, the heading by the
-course over ground, and only then is asked whether what is left turns the same way. A base whose yaw
-runs against the measurement is a matter of sign, never of K_om.
+course over ground, and only then whether the remaining channels turn the same way. A base whose
+yaw runs against the measurement is a matter of sign, never of K_om.
 """
 
 from collections.abc import Sequence
@@ -41,7 +41,7 @@ Found = tuple[MeasuredLog, list[Finding]]
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> Found:
-    """Find wrong signs and swapped sides; they are put right."""
+    """Find wrong signs and swapped sides, and correct them."""
     findings: list[Finding] = []
     for judge in (_wheels_by_setpoints, _frame, _wheels_by_navigation, _turning):
         log, found = judge(log, robot)
@@ -50,7 +50,7 @@ def find(log: MeasuredLog, robot: RobotParameters) -> Found:
 
 
 def _flipped(log: MeasuredLog, names: Sequence[str], sure: float, text: str) -> Found:
-    """Return the log with channels turned around, and the finding."""
+    """Return the log with the signs of channels reversed, and the finding."""
     log = log.with_channels({name: log[name].with_values(-log[name].values) for name in names})
     explanation = f"{listed(names)}: {text}; the sign was reversed."
     interval = (-1.0 - (1.0 - sure), -1.0 + (1.0 - sure))
@@ -58,7 +58,7 @@ def _flipped(log: MeasuredLog, names: Sequence[str], sure: float, text: str) -> 
 
 
 def _swapped(log: MeasuredLog, kinds: Sequence[str], signs: dict[str, float], text: str) -> Found:
-    """Return the log with the wheels of both sides exchanged, times `signs` of each kind."""
+    """Return the log with the wheels of both sides swapped, times `signs` of each kind."""
     changed: dict[str, Channel] = {}
     for kind in kinds:
         for wheel, other in MIRROR.items():
@@ -117,7 +117,7 @@ def _two_weights(y: Array, own: Array, other: Array) -> tuple[float, float] | No
 
 
 def _one_weight(y: Array, x: Array, size: Array) -> tuple[float, float] | None:
-    """Return the weight on the own set-point where the other side always does the same."""
+    """Return the weight of the own set-point if the other side always does the same."""
     if not size[0]:
         return None
     found = line(y, x[:, 0])
@@ -128,7 +128,7 @@ def _one_weight(y: Array, x: Array, size: Array) -> tuple[float, float] | None:
 
 
 def _course(log: MeasuredLog, robot: RobotParameters) -> tuple[Array, Array, Array] | None:
-    """Return course over ground, heading and speed in each window in which they belong together."""
+    """Return course over ground, heading and speed in each window where they belong together."""
     moved, windows = _moved(log), windows_of(log)
     lateral = (
         lateral_mean(log, "speed_rpm", windows) if robot.is_mecanum else np.zeros(len(windows))
@@ -144,7 +144,7 @@ def _course(log: MeasuredLog, robot: RobotParameters) -> tuple[Array, Array, Arr
 
 
 def _moved(log: MeasuredLog) -> tuple[Array, Array, Array, Array, Array] | None:
-    """Return the way along x and y, its time, and mean cosine and sine of the heading by window."""
+    """Return distance along x and y, time, and mean cosine and sine of the heading by window."""
     if not log.has(*TAG):
         return None
     windows = windows_of(log)
@@ -157,9 +157,9 @@ def _moved(log: MeasuredLog) -> tuple[Array, Array, Array, Array, Array] | None:
 
 
 def _frame(log: MeasuredLog, robot: RobotParameters) -> Found:
-    """Judge the heading by the course over ground: their difference, not their sum, is constant.
+    """Judge the heading by the course over ground: their difference must be constant, not the sum.
 
-    Twice the angles, so that driving backwards counts the same.
+    The angles are doubled, so that driving backwards counts the same.
     """
     found = _course(log, robot)
     if found is None or len(found[0]) < FEWEST_PIECES:
@@ -184,7 +184,7 @@ def _resultant(angle: Array, weight: Array) -> float:
 
 
 def _other_rates(log: MeasuredLog, robot: RobotParameters) -> list[Array]:
-    """Return the turn rates that gyro and wheels say."""
+    """Return the turn rates by gyro and wheels."""
     windows, rates = windows_of(log), []
     if GYRO in log:
         rates.append(mean_in(log[GYRO], windows))
@@ -195,7 +195,7 @@ def _other_rates(log: MeasuredLog, robot: RobotParameters) -> list[Array]:
 def _wheels_by_navigation(log: MeasuredLog, robot: RobotParameters) -> Found:
     """Judge wheels by the tag: w = a v + b om, with a > 0 on the left and < 0 on the right.
 
-    Those of a mecanum robot turn apart when it goes to the side: both of one side together.
+    On a mecanum robot, which also moves sideways, both wheels of a side are taken together.
     """
     found = _forward(log) if _is_aligned(log, robot) else None
     kinds = [k for k in ("speed_rpm", "setpoint_rpm", "duty_pct") if f"wheel.fl.{k}" in log]
@@ -208,7 +208,7 @@ def _wheels_by_navigation(log: MeasuredLog, robot: RobotParameters) -> Found:
         w = side_mean(log, wheels, kinds[0], windows)
         fit = None if w is None else _two_weights(w * robot.wheel_radius_m, *found)
         if fit is None or abs(fit[0]) < 0.2 or abs(fit[1]) < 0.02:
-            continue  # it does not follow: it stands still, or is not connected
+            continue  # it does not follow: it is at rest, or not connected
         forward = 1.0 if wheels[0] in LEFT_WHEELS else -1.0
         signs[wheels] = forward * np.sign(fit[0]), robot.yaw_sign * np.sign(fit[1])
     both = len({wheels[0] in LEFT_WHEELS for wheels in signs}) == 2
@@ -242,7 +242,7 @@ def _forward(log: MeasuredLog) -> tuple[Array, Array] | None:
 
 
 def _turning(log: MeasuredLog, robot: RobotParameters) -> Found:
-    """Judge what is left: who turns against the others."""
+    """Judge the rest: which one turns against the others."""
     windows = windows_of(log)
     wheels = turned(log, windows, robot)
     gyro = mean_in(log[GYRO], windows) if GYRO in log else None

@@ -1,7 +1,7 @@
-"""Values of measured channels that come again: stuck, held at a slower clock, repeated in bursts.
+"""Repeated values in measured channels: stuck, held at a slower clock, repeated in bursts.
 
-Stairs of a coarse or slow encoder are no held samples: they rise by one or two of their quanta,
-and while the wheel accelerates they change in every row.
+Stairs of a coarse or slow encoder are not held samples: they rise by one or two quanta, and while
+the wheel accelerates they change in every row.
 """
 
 from collections.abc import Sequence
@@ -52,15 +52,15 @@ from hilserver.plant.parameters import RobotParameters
 AXES: Final = {NAV_X: NAV_Y, NAV_Y: NAV_X}
 TURNS: Final = (YAW, GYRO)
 OFF_THE_CLOCK, MOST_OF_A_PERIOD = 0.05, 0.4
-"""Share of a period by which runs may miss whole ones, beside half a row; longest row."""
-MOST_PERIODS: Final = 6.5  # of a longer run the period is not known well enough
+"""Share of a period by which runs may miss whole ones, besides half a row; longest row."""
+MOST_PERIODS: Final = 6.5  # for longer runs the period is not known well enough
 
 
 def find_stuck(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
     """Find channels that never change although they should, and leave them out.
 
-    A simulated log without any noise is none of a sensor: there a robot that drives along an axis
-    keeps its other coordinate to the bit.
+    In a simulated log without any noise that proves nothing: there a robot that drives along an
+    axis keeps its other coordinate to the bit.
     """
     names = measured_channels(log.channels)
     if not any(_is_noisy(log[name]) for name in names):
@@ -87,7 +87,7 @@ def _is_noisy(channel: Channel) -> bool:
 
 
 def should_change(log: MeasuredLog, name: str) -> bool:
-    """Return whether the machine moved in a way that a channel shows."""
+    """Return whether the machine moved in a way that a channel would show."""
     if name in AXES:
         other = log.channels.get(AXES[name])
         known = other is not None and (_is_noisy(other) or is_constant(other))
@@ -100,9 +100,9 @@ def should_change(log: MeasuredLog, name: str) -> bool:
 
 
 def _range(log: MeasuredLog, *wheels: str) -> float:
-    """Return by how much the speed of a wheel varies, or the turn that two wheels make [rpm].
+    """Return by how much a wheel's speed varies, or the turn that two wheels make [rpm].
 
-    As commanded; as measured where no set-point is known. Right wheels are mirrored.
+    Set-points count, or measured speeds if none is known. Right wheels are mirrored.
     """
     values = []
     for wheel in wheels:
@@ -117,7 +117,7 @@ def _range(log: MeasuredLog, *wheels: str) -> float:
 
 
 def find_held(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
-    """Find channels on a slower clock; of each run only the first sample, the real one, is kept."""
+    """Find channels on a slower clock; of each run only the first, real sample is kept."""
     changes = changes_s(log)
     runs = {name: runs_of(log[name]) for name in measured_channels(log.channels)}
     slow = classified(runs, lambda name: held(log[name], runs[name], changes))
@@ -138,7 +138,7 @@ def find_held(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[F
 def begins_of(log: MeasuredLog, name: str, group: Sequence[str], first: dict[str, Indices]) -> Mask:
     """Return which samples are known to be new: those at which this or another channel changed.
 
-    A source mostly sends its channels at once, and one of them may stay the same by chance.
+    A source usually sends its channels together, and one of them may stay the same by chance.
     """
     at = along(log[name])
     begins = np.zeros(len(at), dtype=bool)
@@ -191,9 +191,9 @@ def _on_a_clock(periods: Array, row: float) -> bool:
     Parameters
     ----------
     periods : ndarray
-        Their durations by the period.
+        Their durations, in periods.
     row : float
-        Time between rows by the period.
+        Time between rows, in periods.
     """
     known = periods[periods < MOST_PERIODS]
     on = np.abs(known - np.rint(known)) < 0.5 * row + OFF_THE_CLOCK
@@ -201,7 +201,7 @@ def _on_a_clock(periods: Array, row: float) -> bool:
 
 
 def _follow(channel: Channel, first: Indices, changes: Array) -> bool:
-    """Return whether the steps are answers to single set-points, long held themselves."""
+    """Return whether the steps respond to single set-points, which are themselves held long."""
     if len(changes) < 2 or len(changes) > 1.5 * len(first):
         return False
     at = along(channel)[first]
@@ -224,7 +224,7 @@ def _fresh(channel: Channel, begins: Mask, period_s: float) -> Mask:
 
 
 def _alike(faults: Faults) -> list[dict[str, Fault]]:
-    """Return channels of one source: the same rate within 15 %."""
+    """Return the channels by source: those with the same rate within 15 %."""
     groups: list[dict[str, Fault]] = []
     for name, fault in faults.items():
         for group in groups:
@@ -239,11 +239,11 @@ def _alike(faults: Faults) -> list[dict[str, Fault]]:
 
 
 def repeated(channel: Channel) -> Fault | None:
-    """Return a channel without the samples that repeat the one before; None if sound.
+    """Return a channel without the samples that repeat the previous one; None if sound.
 
-    Judged only where equal values are no accident: in a channel with noise of its own, which a
-    computed one (the duty) and a coarse one have not. Rounded noise repeats itself now and then:
-    there a burst counts; where no value comes twice otherwise, a single repetition does.
+    Judged only where equal values are no accident: in a channel with noise of its own, unlike a
+    computed one (the duty) or a coarse one. Rounded noise sometimes repeats itself: then only a
+    burst counts. If values never repeat otherwise, a single repetition does.
     """
     if len(channel) < 200:
         return None
@@ -261,7 +261,7 @@ def repeated(channel: Channel) -> Fault | None:
     least = 0.05 * float(np.median(np.abs(steps)))
     size = np.abs(channel.values)
     burst = ~short & (channel.values[runs.first] != 0)
-    burst &= size[runs.first] < size.max()  # a limited sensor stands there, too
+    burst &= size[runs.first] < size.max()  # a limited sensor stays there, too
     sudden = burst & (runs.before > least) & (runs.after > least)
     samples = int(runs.length[burst].sum())
     pairs = 0.0 if once else float(np.mean(runs.length > 1))

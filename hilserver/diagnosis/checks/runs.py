@@ -1,8 +1,8 @@
-"""Runs of a channel, stretches in which it stays the same, and what they are taken for.
+"""Runs of a channel, stretches in which it stays the same, and how they are classified.
 
-A classifier looks at the runs of one channel and decides whether they are a fault of the recording,
-what is left of the channel and by how much: `repetitions` has those of equal values in what is
-measured, `setpoint_runs` those of set-points.
+A classifier decides from the runs of one channel whether they are a fault of the recording, what
+remains of the channel, and by how much: `repetitions` has classifiers of equal values in
+measurements, `setpoint_runs` those of set-points.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -21,8 +21,8 @@ from hilserver.measured.data import Channel, MeasuredLog
 class Fault(NamedTuple):
     """What a classifier finds in a channel."""
 
-    left: Channel | None  # the samples that are real; None: there are none
-    # rate of the clock that the channel really has [Hz], share or delay; its standard error
+    left: Channel | None  # the real samples; None if there are none
+    # rate [Hz] of the clock that the channel really has, share or delay; its standard error
     figure: float
     sd: float = 0.0
 
@@ -31,12 +31,12 @@ Faults = Mapping[str, Fault]  # by channel
 
 
 def classified(names: Iterable[str], classifier: Callable[[str], Fault | None]) -> dict[str, Fault]:
-    """Return the channels that a classifier finds a fault in."""
+    """Return the channels in which a classifier finds a fault."""
     return {name: fault for name in names if (fault := classifier(name)) is not None}
 
 
 def corrected(log: MeasuredLog, faults: Faults) -> MeasuredLog:
-    """Return the log with what is left of its channels."""
+    """Return the log with what remains of its channels."""
     left = {name: fault.left for name, fault in faults.items() if fault.left is not None}
     return log.without(faults.keys() - left.keys()).with_channels(left)
 
@@ -61,10 +61,10 @@ class Runs:
 
     first: Indices  # shape (n,): index of each run's first sample
     length: Indices  # shape (n,)
-    # shape (n,): step into and out of the run, absolute; 0 at the borders of a span
+    # shape (n,): absolute step into and out of the run; 0 at the ends of a span
     before: Array
     after: Array
-    # shape (n,): from its first sample to the first one of the next run; NaN at the end of a span
+    # shape (n,): from its first sample to that of the next run; NaN at the end of a span
     duration_s: Array
 
 
@@ -84,7 +84,7 @@ def runs_of(channel: Channel) -> Runs:
 
 
 def alternates(steps: Array) -> bool:
-    """Return whether steps go up and down as those of a noisy channel do."""
+    """Return whether steps go up and down as in a noisy channel."""
     return len(steps) > 1 and float(np.mean(steps[1:] * steps[:-1] < 0.0)) >= ALTERNATING
 
 

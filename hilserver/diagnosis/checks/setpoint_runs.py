@@ -1,11 +1,11 @@
-"""Set-points that the recorder made of others: interpolated ones, and held ones.
+"""Set-points that the recorder derived from others: interpolated ones, and held ones.
 
-Interpolated: the robot got stairs, the log shows ramps. Their corners lie on the slower clock: the
+Interpolated: the robot received stairs, the log shows ramps. Their corners lie on the slower clock:
 pieces of constant slope last one of its periods, or a whole number of them.
 
-Held: a machine that really gets a new set-point only now and then follows it afterwards, on average
-half a period behind the straight lines between them. One that is closer to these lines got more
-set-points than the log holds.
+Held: a machine that really receives set-points only now and then follows them afterwards, on
+average half a period behind the straight lines between them. One that is closer to these lines
+received more set-points than the log holds.
 """
 
 from typing import Final
@@ -32,11 +32,11 @@ from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
 KNOWN_TO: Final = 0.02 / 1.96  # standard error of the rate of interpolated set-points, as a share
-LONGEST_PERIODS: Final = 12.0  # longer durations say nothing of their period
+LONGEST_PERIODS: Final = 12.0  # longer durations say nothing about their period
 
 
 def find_interpolated(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
-    """Find interpolated set-points; only the samples at their corners are kept, to be held."""
+    """Find interpolated set-points; only the samples at their corners are kept, as held values."""
     names = (name for name in (*SETPOINTS, *TWIST) if name in log)
     faults = classified(names, lambda name: interpolated(log[name]))
     text = (
@@ -78,7 +78,7 @@ def period_rows(channel: Channel) -> tuple[int, Indices] | None:
     first, slope = pieces(channel)
     length = np.diff(first, append=len(channel) - 1)
     whole = np.isfinite(slope)
-    whole[1:] &= whole[:-1]  # the first piece of a span begins anywhere
+    whole[1:] &= whole[:-1]  # the first piece of a span may begin anywhere
     whole[:-1] &= np.isfinite(slope[1:])
     sloped = whole & (slope != 0)
     if sloped.sum() < FEWEST_PIECES:
@@ -103,7 +103,7 @@ def _on_clock(channel: Channel, rows: int, corners: Indices) -> Mask:
 
 
 def find_sparse(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
-    """Find set-points held in the log alone; straight lines stand for what was between them."""
+    """Find set-points that are held only in the log; straight lines replace those between."""
     speed_of = {a: b for a, b in zip(SETPOINTS, SPEEDS, strict=True) if log.has(a, b)}
     faults = classified(speed_of, lambda name: sparse(log[name], log[speed_of[name]]))
     text = (
@@ -116,7 +116,7 @@ def find_sparse(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list
 
 
 def sparse(channel: Channel, speed: Channel) -> Fault | None:
-    """Return straight lines between set-points that a speed followed sooner than they came."""
+    """Return straight lines between set-points if a speed followed sooner than they came."""
     known = sent_rate(channel)
     if known is None:
         return None
@@ -125,7 +125,7 @@ def sparse(channel: Channel, speed: Channel) -> Fault | None:
 
 
 def sent_rate(channel: Channel) -> tuple[float, float] | None:
-    """Return the rate of the slower clock and its standard error; None where there is none."""
+    """Return the rate of the slower clock and its standard error; None if there is none."""
     lasted = runs_of(channel).duration_s
     lasted = lasted[np.isfinite(lasted)]
     if len(lasted) < FEWEST_CHANGES:
@@ -144,7 +144,7 @@ def sent_rate(channel: Channel) -> tuple[float, float] | None:
 
 
 def _lines(channel: Channel, period_s: float) -> Channel:
-    """Return straight lines between the set-points; those that stayed longer are held before."""
+    """Return straight lines between the set-points; those that lasted longer are first held."""
     first = runs_of(channel).first
     stamps = along(channel)
     at, values = stamps[first], channel.values[first]
@@ -157,7 +157,7 @@ def _lines(channel: Channel, period_s: float) -> Channel:
 
 
 def _followed(channel: Channel, lines: Channel, speed: Channel, period_s: float) -> bool:
-    """Return whether a speed follows the lines, and sooner than the held set-points allow."""
+    """Return whether a speed follows the lines, and sooner than held set-points allow."""
     row_s = row_period_s(channel)
     if period_s < (FEWEST_EVENTS - 0.5) * row_s:
         return False
@@ -172,7 +172,7 @@ def _followed(channel: Channel, lines: Channel, speed: Channel, period_s: float)
 
 
 def _misfit(inputs: Channel, speed: Channel, lags: Array, *, held: bool = False) -> Array:
-    """Return the mean square of the speed less the input, that many seconds ago."""
+    """Return the mean square of the speed minus the input, for each lag [s] of the input."""
     at, stamps = along(speed), along(inputs)
     out = np.empty(len(lags))
     for i, lag in enumerate(lags):

@@ -1,4 +1,4 @@
-"""A machine that stood still: what its recording can show, and what it cannot."""
+"""A machine that stood still: what its recording can show and what it cannot."""
 
 from collections.abc import Sequence
 
@@ -12,7 +12,7 @@ from hilserver.measured.data import MeasuredLog
 
 
 def stood_still(log: MeasuredLog) -> bool:
-    """Return whether no wheel turned and none was asked to."""
+    """Return whether no wheel turned and none was asked to turn."""
     speeds = [log[name].values for name in SPEEDS if name in log]
     asked = [log[name].values for name in (*SETPOINTS, *TWIST) if name in log]
     if not any(map(len, speeds)) or any(values.any() for values in asked):
@@ -36,9 +36,9 @@ def too_little_motion() -> Finding:
 def at_rest(
     sizes: Sequence[Detectable], unseen: Sequence[NotJudged]
 ) -> tuple[list[Detectable], list[NotJudged]]:
-    """Return what can be seen and what not of a machine at rest.
+    """Return what can and cannot be seen of a machine at rest.
 
-    What the noise of the wheel speeds would do to a simulated pose is no effect that could be seen.
+    The noise of the wheel speeds moves a simulated pose; that is not an effect that could be seen.
     """
     shown = [size for size in sizes if traits_of(size.cause).at_rest]
     causes = [s.cause for s in sizes if s not in shown] + [u.cause for u in unseen]

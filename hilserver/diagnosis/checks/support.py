@@ -1,4 +1,4 @@
-"""What the checks share."""
+"""Shared by the checks."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -33,7 +33,7 @@ def data_fault(
 
 
 def listed(names: Sequence[str]) -> str:
-    """Return names as a technician reads them, the long lists cut."""
+    """Return names for a technician, long lists shortened."""
     if len(names) <= 4:
         return ", ".join(names)
     return f"{', '.join(names[:3])} and {len(names) - 3} more"
@@ -57,8 +57,8 @@ def along(channel: Channel, start_s: Array | None = None) -> Array:
     Parameters
     ----------
     start_s : ndarray, shape (spans,), optional
-        Counted from these; needed where stamps may be seconds since some epoch, and a later span
-        an earlier day.
+        Stamps are counted from these; needed if stamps may be seconds since some epoch, and a later
+        span an earlier day.
     """
     since = channel.t_s if start_s is None else channel.t_s - start_s[channel.span]
     result: Array = since + SPAN_S * channel.span
@@ -66,6 +66,6 @@ def along(channel: Channel, start_s: Array | None = None) -> Array:
 
 
 def row_period_s(channel: Channel) -> float:
-    """Return the usual time between two samples; 0 where there are too few."""
+    """Return the usual time between two samples; 0 if there are too few."""
     steps = np.diff(channel.t_s)[np.diff(channel.span) == 0]
     return float(np.median(steps)) if len(steps) else 0.0

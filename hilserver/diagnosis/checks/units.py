@@ -1,4 +1,4 @@
-"""Unit errors: a channel is larger or smaller than all others say by the factor of a unit."""
+"""Unit errors: a channel is larger or smaller than all others by the factor of a unit."""
 
 from collections.abc import Iterable
 
@@ -47,7 +47,7 @@ SHARE = {0.01: "holds a share of 1 where per cent is meant"}
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
-    """Find channels in a wrong unit; they are converted."""
+    """Find channels in a wrong unit, and convert them."""
     findings: list[Finding] = []
     for judge in (_wheels, _wheels, _yaw, _gyro, _position, _duty):
         channels, fault = judge(log, robot)
@@ -67,7 +67,7 @@ Fault = tuple[float, Line, str]
 def _known(
     ratio: Line | None, factors: dict[float, str], close: float = UNIT_CLOSE
 ) -> Fault | None:
-    """Return the factor of a unit that a ratio is near to, None if it is none."""
+    """Return the factor of a unit that is near a ratio, or None."""
     if ratio is None or abs(ratio.correlation) < UNIT_ALIKE or 1 / UNITY < abs(ratio.slope) < UNITY:
         return None
     size = abs(ratio.slope)
@@ -118,7 +118,7 @@ def _wheels(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault 
 
 
 def _near(log: MeasuredLog, fault: Fault, robot: RobotParameters, names: list[str]) -> bool:
-    """Return whether the converted speeds are such as the robot can drive."""
+    """Return whether the robot can drive the converted speeds."""
     fastest = max(float(np.quantile(np.abs(log[name].values), 0.99)) for name in names)
     return fastest / fault[0] < 4.0 * robot.max_rpm
 
@@ -151,7 +151,7 @@ def _gyro(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | 
 
 
 def _yaw(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | None]:
-    """Judge headings in degrees: rows of a heading in radians never differ by that much."""
+    """Judge headings in degrees: in radians, successive rows never differ that much."""
     windows = windows_of(log)
     for name in (YAW, IMU_YAW):
         if name not in log or np.ptp(log[name].values) < 4.0 * np.pi:
@@ -175,7 +175,7 @@ def _position(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Faul
 
 
 def _duty(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | None]:
-    """Judge duties as shares: none is above 1, and the speed asks for a hundred times as much."""
+    """Judge duties as shares: none is above 1, and the speed needs a hundred times as much."""
     names = _there(log, (f"wheel.{wheel}.duty_pct" for wheel in WHEELS))
     windows = windows_of(log)
     pairs = [
