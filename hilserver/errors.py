@@ -56,7 +56,8 @@ _ADDRESSES = {
 def address_refused(what: str, error: OSError) -> FailedError:
     """Return why an address cannot be used, with the remedy; `what` names section and address."""
     number = error.errno or getattr(error.__context__, "errno", None) or 0
-    why = os.strerror(number) if number > 0 else str(error)
+    # the number of a host that does not resolve is none of the system's
+    why = os.strerror(number) if number > 0 else error.strerror or str(error)
     remedy = _ADDRESSES.get(number, "check the address")
     return FailedError(f"{what} ({why.lower()}); {remedy}")
 

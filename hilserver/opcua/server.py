@@ -107,7 +107,7 @@ class HardenedServer(Server):  # type: ignore[misc]
         except OSError as error:
             await self.iserver.stop()
             where = f"{self.settings.host} port {self.settings.port}"
-            raise address_refused(f"opcua: cannot listen on {where}", error) from None
+            raise address_refused(f"opcua.endpoint: cannot listen on {where}", error) from None
 
     def sample(self) -> None:
         """Show subscriptions what was written since the last time.
