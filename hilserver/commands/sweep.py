@@ -68,15 +68,16 @@ def run(args: argparse.Namespace) -> int:
     if args.out is not None and args.out.exists() and not args.out.is_dir():
         raise FailedError(f"{args.out}: is a file; name a folder for the results")
     setup_logging("ERROR")
-    prepared = prepare(args.sweep, args.config)
-    if args.only is not None:
-        return _only(prepared, args.only, args.out)
-    rig = rig_for(prepared.job)  # compiles once, and says what is wrong, before any worker begins
-    if args.dry_run:
-        began_s = time.monotonic()
-        outcome = rig.drive(prepared.machine(0))
-        print(plan(prepared, outcome, time.monotonic() - began_s, args.workers))
-        return EXIT_DONE
+    with Progress(lambda: "stopped before any machine was driven to its end"):
+        prepared = prepare(args.sweep, args.config)
+        if args.only is not None:
+            return _only(prepared, args.only, args.out)
+        rig = rig_for(prepared.job)  # compiles once, and says what is wrong, before any worker
+        if args.dry_run:
+            began_s = time.monotonic()
+            outcome = rig.drive(prepared.machine(0))
+            print(plan(prepared, outcome, time.monotonic() - began_s, args.workers))
+            return EXIT_DONE
     table = _sweep(prepared, args)
     print(f"{headline(table)}; {details(table)}")
     print(f"The report is {args.out / 'report.html'}")
@@ -103,30 +104,31 @@ def _only(prepared: Prepared, index: int, out: Path) -> int:
 def _sweep(prepared: Prepared, args: argparse.Namespace) -> Table:
     indices = range(prepared.sweep.machines)
     journal = Journal(args.out, prepared.job.key, resume=args.resume)
-    with closing(journal):
-        _drive(prepared, journal, args)
-    table = table_of(prepared, journal, indices)
-    write_table(args.out, table)
-    write_report(args.out, table)
+
+    def stopped() -> str:
+        return f"stopped after {len(journal.done)} of {len(indices)} machines; go on with --resume"
+
+    with Progress(stopped) as progress:
+        with closing(journal):
+            _drive(prepared, journal, args, progress)
+        table = table_of(prepared, journal, indices)
+        write_table(args.out, table)
+        write_report(args.out, table)
     if args.junit is not None:
         write_junit(args.junit, table)
     return table
 
 
-def _drive(prepared: Prepared, journal: Journal, args: argparse.Namespace) -> None:
+def _drive(
+    prepared: Prepared, journal: Journal, args: argparse.Namespace, progress: Progress
+) -> None:
     job, n = prepared.job, prepared.sweep.machines
     left = (index for index in range(n) if index not in journal.done)
     began_s, before = time.monotonic(), len(journal.done)
     if before >= n:
         return
-
-    def stopped() -> str:
-        return f"stopped after {len(journal.done)} of {n} machines; go on with --resume"
-
-    workers = (
-        DaskWorkers(args.dask) if args.dask else LocalWorkers(args.workers, job.limits.memory_mb)
-    )
-    with Progress(stopped) as progress, workers:
+    memory_mb = job.limits.memory_mb
+    with DaskWorkers(args.dask) if args.dask else LocalWorkers(args.workers, memory_mb) as workers:
         found = outcomes(job, map(prepared.machine, left), workers, mixed=args.mixed)
         for computer, batch in found:
             journal.add(batch, computer)

@@ -1,6 +1,7 @@
 """`hilserver sweep` as a user types it."""
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -74,6 +75,24 @@ def test_what_cannot_be_is_one_sentence(capsys, arguments, code, says):
     said = capsys.readouterr().err
     assert says in said
     assert "Traceback" not in said
+    assert not Path("out/report.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("moment", "says"),
+    [
+        ("prepare", "stopped before any machine was driven to its end"),
+        ("rig_for", "stopped before any machine was driven to its end"),
+        ("LocalWorkers", "stopped after 0 of 20 machines; go on with --resume"),
+        ("write_report", "stopped after 0 of 20 machines; go on with --resume"),
+    ],
+)
+def test_a_signal_at_any_moment_is_one_sentence(monkeypatch, capsys, moment, says):
+    monkeypatch.setattr("hilserver.commands.sweep.outcomes", lambda *_, **__: ())
+    interrupted = lambda *_: os.kill(os.getpid(), signal.SIGTERM)  # noqa: E731
+    monkeypatch.setattr(f"hilserver.commands.sweep.{moment}", interrupted)
+    assert main(["sweep", "sweep.yaml", "-o", "out", "--workers", "1"]) == 0
+    assert capsys.readouterr().err.splitlines()[-1] == f"hilserver: {says}"
     assert not Path("out/report.html").exists()
 
 
