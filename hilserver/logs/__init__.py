@@ -1,7 +1,7 @@
 """Logs: tables of signals over time, written and read as CSV and as MCAP.
 
-A recording of hilserver carries in addition where it comes from and the states it can be replayed
-from, see `Log.run` and `Log.states`.
+A recording by hilserver also carries its origin and the states from which it can be replayed, see
+`Log.run` and `Log.states`.
 """
 
 from hilserver.logs.log import Log, State

@@ -1,4 +1,4 @@
-"""The messages of ROS 2 bags, sqlite3 and MCAP, read without ROS: torn ones as far as they go."""
+"""The messages of ROS 2 bags, sqlite3 and MCAP, read without ROS; torn ones as far as possible."""
 
 import sqlite3
 import struct
@@ -22,14 +22,14 @@ from hilserver.logs.unpacking import PIECE_BYTES, ZSTD_MAGIC, Budget
 
 SUFFIXES = (".db3", ".mcap")
 PACKED = tuple(f"{suffix}.zstd" for suffix in SUFFIXES)
-STEPS_PER_BYTE: Final = 10  # of the machine in sqlite: what a table of this size cannot take
+STEPS_PER_BYTE: Final = 10  # of sqlite's machine: more than any table of this size needs
 _BROKEN = (ValueError, KeyError, struct.error, EndOfFile, McapError, RuntimeError)
 _TORN = "the recorder did not close the file; its contents were read"
 
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """What a bag says of a topic; the definition is empty where it holds none."""
+    """What a bag says about a topic; the definition is empty if it holds none."""
 
     type: str
     definition: str = ""
@@ -44,13 +44,13 @@ class Bag:
 
     path: Path
     topics: dict[str, Topic] = field(default_factory=dict)
-    # stamp of reception [ns] and the message, of the topics that were asked for
+    # stamp of reception [ns] and the message, for the requested topics
     messages: dict[str, list[tuple[int, bytes]]] = field(default_factory=dict)
     notices: list[str] = field(default_factory=list)
-    most: int | None = None  # messages of a topic that are kept; all without it
+    most: int | None = None  # messages kept per topic; None for all
 
     def take(self, name: str, stamp_ns: int, data: bytes, budget: Budget) -> None:
-        """Keep a message; one that was packed by itself is unpacked."""
+        """Keep a message; one that was compressed on its own is unpacked."""
         kept = self.messages.setdefault(name, [])
         if self.most is not None and len(kept) >= self.most:
             return
@@ -66,9 +66,9 @@ def is_bag(path: Path) -> bool:
 
 
 def read_messages(path: Path, wanted: set[str], most: int | None = None) -> list[Bag]:
-    """Read some topics of a file or folder, one `Bag` for each file; LogError if it cannot be.
+    """Read some topics of a file or folder, one `Bag` per file; LogError if that is impossible.
 
-    `most` is how many messages of a topic are kept.
+    At most `most` messages of a topic are kept.
     """
     return [_read_file(file, wanted, most) for file in _files(path)]
 
@@ -104,7 +104,7 @@ def _read_plain(bag: Bag, plain: Path, wanted: set[str], budget: Budget) -> Bag:
 
 def _read_sqlite(bag: Bag, file: Path, wanted: set[str], budget: Budget) -> None:
     size = file.stat().st_size
-    file.open("rb").close()  # the system's own words for what cannot be opened
+    file.open("rb").close()  # the system's own message if it cannot be opened
     connection = sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)
     connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, PIECE_BYTES)
     connection.text_factory = lambda text: text.decode(errors="replace")
@@ -112,7 +112,7 @@ def _read_sqlite(bag: Bag, file: Path, wanted: set[str], budget: Budget) -> None
     connection.set_progress_handler(lambda: next(calls, None) is None, 1000)
     try:
         _take_sqlite(connection, bag, wanted, budget)
-    except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter in a complaint of sqlite
+    except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter in an error message of sqlite
         if not any(bag.messages.values()):
             raise LogError(
                 f"{bag.path}: is no readable bag ({error}); copy it again, or run 'ros2 bag"

@@ -21,7 +21,7 @@ def is_own_bag(path: Path) -> bool:
 
 
 def read_own_bag(path: Path) -> Log:
-    """Read a bag of ours, a folder or its file; see `reading.read_log`."""
+    """Read one of our bags, a folder or its file; see `reading.read_log`."""
     bags = read_messages(path, {topics.FRAMES, topics.RUN, topics.STATES, topics.CHANGES})
     types = Types()
     types.add(topics.STATE_TYPE, topics.STATE_TEXT)

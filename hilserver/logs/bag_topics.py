@@ -1,4 +1,4 @@
-"""The topics of a bag that hilserver writes: every signal as float64, and EduArt's beside them."""
+"""The topics of a bag that hilserver writes: every signal as float64, plus EduArt's topics."""
 
 from typing import Any, Final
 
@@ -16,7 +16,7 @@ __all__ = ["CHANGES", "FRAMES", "FRAME_TYPE", "RUN", "RUN_TYPE", "STATES", "STAT
 
 FRAME_TYPE: Final = SCHEMA_NAME
 RUN, RUN_TYPE = "/hilserver/run", "std_msgs/msg/String"
-"""Where the recording comes from, as JSON; ``order``: the signals as the frames hold them."""
+"""Origin of the recording, as JSON; ``order``: the signals in the order of the frames."""
 STATES, STATE_TYPE = "/hilserver/state", "hilserver/msg/State"  # states to replay from
 STATE_TEXT: Final = "int64 segment\nint64 tick\nint64[] words\n"
 
@@ -26,7 +26,7 @@ EDUART: Final[tuple[Published, ...]] = (
     *FLAVOURS["iotbot_shield"].published,
     EXTRAS["pose_stamped"],
 )
-"""As a recorder beside the real robot writes them: float32, 50 times a second."""
+"""As a recorder next to the real robot writes them: float32, 50 times a second."""
 
 
 def absolute(topic: str) -> str:
@@ -35,7 +35,7 @@ def absolute(topic: str) -> str:
 
 
 class Eduart:
-    """Makes EduArt's messages of frames, as far as the recorded signals go."""
+    """Turns frames into EduArt's messages, as far as the recorded signals allow."""
 
     def __init__(self, types: Types, names: list[str], period_ns: int) -> None:
         nowhere = Shape(

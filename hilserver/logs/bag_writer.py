@@ -1,7 +1,7 @@
-"""ROS 2 bags, by the package `rosbags`: MCAP or sqlite3.
+"""ROS 2 bags, with the package `rosbags`: MCAP or sqlite3.
 
 ``/hilserver/frame`` holds every signal as float64 with its status, so that nothing is lost;
-EduArt's float32 topics beside it are what a recorder would have seen on the real robot.
+EduArt's float32 topics are what a recorder would have seen on the real robot.
 """
 
 import json
@@ -45,7 +45,7 @@ class BagWriter:
         self._types = Types()
         self._types.add(topics.FRAME_TYPE, self._layout.schema)
         self._types.add(topics.STATE_TYPE, topics.STATE_TEXT)
-        # Rows of others come when they come: with the longest period, each is a message.
+        # Foreign rows come at any time: with the longest period, each becomes a message.
         period_ns = 1_000_000_000 if run.get("foreign") else int(run["base_period_ns"])
         self._eduart = topics.Eduart(self._types, list(self._layout.names), period_ns)
         plugin = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}[storage]
@@ -76,7 +76,7 @@ class BagWriter:
         return self._bytes
 
     def write(self, batch: Segmented) -> None:
-        """Append a message for each frame, and EduArt's where they are due."""
+        """Append a message for each frame, and EduArt's if they are due."""
         frames = batch.frames
         table = np.zeros(len(frames), dtype=self._layout.dtype)
         table["cdr"] = CDR_LITTLE_ENDIAN
@@ -122,7 +122,7 @@ class BagWriter:
         self._add(topics.STATES, self._types.encode(message))
 
     def tell(self, run: Mapping[str, Any]) -> None:
-        """Say where the recording comes from; the last word counts."""
+        """Say where the recording comes from; the last call counts."""
         text = json.dumps({**run, "order": list(self._layout.names)})
         message = self._types.make(topics.RUN_TYPE, data=text)
         self._add(topics.RUN, self._types.encode(message))
@@ -134,7 +134,7 @@ class BagWriter:
         """Do as `flush` does."""
 
     def close(self) -> None:
-        """Complete the bag; twice does no harm."""
+        """Complete the bag; a second call does no harm."""
         if self._is_open:
             self._is_open = False
             if self._newest_ns is None:

@@ -1,7 +1,7 @@
 """Changes of the parameters as text: the sparse channel `/hilserver/parameters` of a recording.
 
-Beside the values by name, for people and plots, stand the packed numbers that the plant went on
-with: a replay takes these and computes none of them again.
+Besides the values by name, for people and plots, it holds the packed numbers that the plant
+continued with: a replay uses these and recomputes none of them.
 """
 
 import base64
@@ -43,7 +43,7 @@ def as_text(change: Change) -> str:
 
 
 def from_text(text: str | bytes) -> Change:
-    """Return the change of a line; ValueError or KeyError or TypeError if it is none."""
+    """Return the change in a line; ValueError, KeyError or TypeError if it is not one."""
     data = json.loads(text)
     packed = np.frombuffer(base64.b64decode(data["packed"], validate=True), dtype="<f8")
     values = {

@@ -1,7 +1,7 @@
-"""How others write CSV: what separates columns, which mark decimals have, dates.
+"""How others write CSV: column separators, decimal marks, dates.
 
-Where commas separate columns, a number has a point. Where semicolons or tabs do, as in the exports
-of programs in half of Europe, it may have a comma: one kind of mark in all of a file.
+If commas separate columns, numbers have a point. If semicolons or tabs do, as in what programs in
+half of Europe export, they may have a comma: one kind of mark in the whole file.
 """
 
 import re
@@ -21,21 +21,21 @@ _BEGIN: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def separator_of(head: str) -> str:
-    """Return what separates the columns of a file with this first row; a comma goes first."""
+    """Return what separates the columns of a file with this first row; a comma takes precedence."""
     bare = _QUOTED.sub("", head)
     found = (mark for mark in _OTHERS if mark in bare and COMMA not in bare)
     return next(found, COMMA)
 
 
 def decimal_notice(path: Path, separator: str) -> str:
-    """Return what is said of a file whose numbers were read with decimal commas."""
+    """Return the notice about a file whose numbers were read with decimal commas."""
     return f"{path}: {_NAMES[separator]} separate its columns: commas are decimal marks"
 
 
 def with_points(
     table: Table, reader: Any, rows: Iterable[list[str]], separator: str, dates: str | None
 ) -> Iterator[list[str]]:
-    """Yield the rows of a file without separating commas; numbers that are read have points.
+    """Yield the rows of a file not separated by commas; numbers that are read get points.
 
     `dates`: a column without numbers. LogError if the file has both marks.
     """
@@ -66,7 +66,7 @@ def with_stamps(
 ) -> Iterator[list[str]]:
     """Yield the rows with nanoseconds instead of the dates in column `time`.
 
-    LogError if there is something else.
+    LogError if it contains something else.
     """
     place = table.header.index(time)
     for row in rows:
@@ -84,10 +84,10 @@ def with_stamps(
 
 
 def utc_ns(text: str) -> int | None:
-    """Return the nanoseconds since 1970 of a date with time (ISO 8601), None if it is none.
+    """Return the nanoseconds since 1970 of a date with time (ISO 8601), None if it is not one.
 
-    One without a time zone counts as UTC: it is the differences that matter. Digits behind
-    microseconds are dropped.
+    Without a time zone it counts as UTC, since only differences matter. Digits beyond microseconds
+    are dropped.
     """
     try:
         moment = datetime.fromisoformat(text.strip().replace(COMMA, "."))

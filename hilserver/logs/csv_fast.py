@@ -1,4 +1,4 @@
-"""Clean CSV parsed in C; whatever is not clean is left to the strict reader, which says why."""
+"""Clean CSV parsed in C; anything else is left to the strict reader, which explains why."""
 
 import warnings
 from collections.abc import Iterator
@@ -15,10 +15,10 @@ _CLEAN = b"0123456789+-.eE,\nnaNifIF"
 
 
 def parse_clean(data: bytes) -> tuple[list[str], NDArray[np.float64], str] | None:
-    """Return header and numbers of a CSV file, or None where only the strict reader may judge.
+    """Return header and numbers of a CSV file, or None if only the strict reader can judge it.
 
-    The numbers, shape (n_rows, n_columns), are the same bits that `float` makes; empty fields are
-    NaN. Row i stands in line i + 2 of the file. Last comes what separates columns if numbers
+    The numbers, shape (n_rows, n_columns), are bit for bit what `float` gives; empty fields are
+    NaN. Row i is line i + 2 of the file. The last item is the column separator, if numbers
     have decimal commas.
     """
     begin = data.find(b"\n") + 1
@@ -52,7 +52,7 @@ def parse_clean(data: bytes) -> tuple[list[str], NDArray[np.float64], str] | Non
 
 
 def _pieces(data: bytes, begin: int) -> Iterator[bytes]:
-    """Yield whole lines, not much at a time: what a parser needs beside them stays small."""
+    """Yield whole lines, a limited amount at a time, to keep the parser's own memory small."""
     while begin < len(data):
         end = data.rfind(b"\n", begin, begin + _PIECE) + 1 or data.find(b"\n", begin) + 1
         yield data[begin:end]
@@ -70,7 +70,7 @@ def _is_regular(body: bytes, n_columns: int) -> bool:
 
 
 def _numbers(body: bytes) -> NDArray[np.float64] | None:
-    for _ in range(2):  # of three commas in a row one pass fills only every other gap
+    for _ in range(2):  # with three commas in a row, one pass fills only every other gap
         body = body.replace(b",,", b",nan,")
     text = body.replace(b",\n", b",nan\n").replace(b"\n", b",").decode("ascii")
     with warnings.catch_warnings():

@@ -27,7 +27,7 @@ from hilserver.logs.table import BLOCK, EXACT, SEGMENT, TIME, Table, in_time, pl
 
 MAX_FIELD_CHARACTERS = 10_000
 NO_NAME = ("#", "sep=")
-"""How a comment begins, and what only Excel reads."""
+"""How a comment begins, and a line that only Excel reads."""
 
 
 def read_csv(path: Path, known: Container[str] | None = None) -> Log:
@@ -80,15 +80,15 @@ def read_table(
     Parameters
     ----------
     names : optional
-        Which columns it may have; None: any.
+        Which columns it may have; None for any.
     ours : bool
-        A last line without an end is torn, even if it looks whole.
+        Whether a last line without an end is torn, even if it looks whole.
     time : str or None
-        A column it must have.
+        A column that it must have.
     used : container of str, optional
-        Columns to read; whatever stands in the others does not matter. None: all with a name.
+        Columns to read; the content of the others does not matter. None for all that have a name.
     dated : bool
-        The column of times holds dates; they are read as nanoseconds.
+        Whether the time column holds dates; they are read as nanoseconds.
     """
     clean = None if dated else parse_clean(path.read_bytes())
     if clean is not None:
@@ -137,7 +137,7 @@ def _plain(
 
 
 def _without(header: list[str] | None, table: Table, reader: Any) -> Iterator[list[str]]:
-    """Yield the rows but for repetitions of the header, which recorders write that begin anew."""
+    """Yield the rows without repeated headers, which recorders write when they begin anew."""
     again: list[int] = []
     for row in reader:
         if row != header:
@@ -179,7 +179,7 @@ def _parse(
 
 
 class _Lines:
-    """Lines of a file; remembers whether the last one ended."""
+    """Lines of a file; remembers whether the last one was terminated."""
 
     def __init__(self, file: TextIO) -> None:
         self._file = file
@@ -198,7 +198,7 @@ def _begin(
     time: str | None,
     used: Container[str] | None,
 ) -> Table:
-    """Return the empty table under a header, checked."""
+    """Return the checked, empty table of a header."""
     if header is None:
         raise LogError(f"{path}: is empty; the first row has to be the header 't_s,<signal>,...'")
     header = [name.strip() for name in header]
@@ -239,7 +239,7 @@ def _is_number(text: str) -> bool:
 
 
 def _append(table: Table, line: int, row: list[str], at: int) -> None:
-    """Append a row; `at` is the column of the stamps, -1 without."""
+    """Append a row; `at` is the column of the stamps, -1 without one."""
     width = len(table.header)
     if len(row) < width or any(map(str.strip, row[width:])):
         remedy = "remove or complete the row"
@@ -288,7 +288,7 @@ def _number(table: Table, line: int, index: int, text: str) -> float:
 
 
 def _read_meta(path: Path) -> tuple[dict[str, Any] | None, list[State]]:
-    """Return what stands in the file beside the log; None for a log of others."""
+    """Return the content of the file that accompanies the log; None for a foreign log."""
     meta = meta_path(path)
     if not meta.exists():
         return None, []
@@ -301,7 +301,7 @@ def _read_meta(path: Path) -> tuple[dict[str, Any] | None, list[State]]:
 
 
 def _read_changes(path: Path) -> list[Change]:
-    """Return what stands in the file beside the log in which parameters changed."""
+    """Return the content of the file with the parameter changes of the log."""
     beside = changes_path(path)
     if not beside.exists():
         return []

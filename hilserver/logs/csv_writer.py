@@ -1,9 +1,9 @@
-"""CSV as the log contract has it, and a file beside it with what CSV has no room for.
+"""CSV according to the log contract, and a file next to it with what CSV has no room for.
 
 ``run.csv`` has a header row, ``t_s``, ``segment`` and the signals; every number is written so that
-reading it gives the same bits; ``nan`` where a status code is bad. ``run.csv.meta.json`` says where
-the log comes from and holds the states to replay from. Where parameters changed,
-``run.csv.parameters.jsonl`` says to what.
+reading it gives the same bits; ``nan`` where a status code is bad. ``run.csv.meta.json`` gives the
+origin of the log and holds the states to replay from. If parameters changed,
+``run.csv.parameters.jsonl`` holds their new values.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,12 +21,12 @@ from hilserver.status import BAD
 
 
 def meta_path(path: Path) -> Path:
-    """Return the file beside a CSV log."""
+    """Return the path of the file next to a CSV log."""
     return path.with_name(f"{path.name}.meta.json")
 
 
 def changes_path(path: Path) -> Path:
-    """Return the file beside a CSV log in which parameters changed: a line of JSON for each."""
+    """Return the path of the parameter changes next to a CSV log: one line of JSON each."""
     return path.with_name(f"{path.name}.parameters.jsonl")
 
 
@@ -37,7 +37,7 @@ class CsvWriter:
         self._path, self._run, self._slots = path, dict(run), np.asarray(slots, dtype=np.intp)
         self._period_s = int(run["base_period_ns"]) * 1e-9
         self._states: list[State] = []
-        self._file = WholeFile(path)  # before the files beside it: it may be another program's
+        self._file = WholeFile(path)  # before the files next to it: it may be in use
         self._write_meta()
         changes_path(path).unlink(missing_ok=True)
         names = [run["signals"][slot]["name"] for slot in slots]
@@ -76,7 +76,7 @@ class CsvWriter:
             partial.write_text(pack_meta(self._run, self._states), encoding="utf-8")
 
     def flush(self) -> None:
-        """Nothing is held back."""
+        """Nothing is buffered."""
 
     def sync(self) -> None:
         """Hand everything to the disk."""

@@ -1,4 +1,4 @@
-"""What is in a log, whatever file it came from."""
+"""The content of a log, whatever file it came from."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -28,9 +28,9 @@ class Change:
     # the first tick with them
     segment: int
     tick: int
-    number: int  # what ``internal.edition`` shows from then on
+    number: int  # value of ``internal.edition`` from then on
     values: Mapping[str, float]  # every parameter by name; NaN is null
-    packed: NDArray[np.float64]  # shape (n,); what the plant went on with
+    packed: NDArray[np.float64]  # shape (n,); what the plant continued with
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Log:
     # shape (n,); signal name to values; NaN where there is no sample
     columns: Mapping[str, NDArray[np.float64]]
     block: NDArray[np.int64] | None = None  # shape (n,); unit of held-out splits
-    # shape (n,); OPC UA status codes; empty where the file has none
+    # shape (n,); OPC UA status codes; empty if the file has none
     status: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
     # version, configuration, kernels ... of the run; None for a log that is not ours
     run: Mapping[str, Any] | None = None
@@ -56,7 +56,7 @@ class Log:
 
     @property
     def is_ours(self) -> bool:
-        """Whether hilserver wrote it and says from which run."""
+        """Whether hilserver wrote it and its run is known."""
         return self.run is not None
 
     def ticks(self, base_period_ns: int, start_s: float = 0.0) -> NDArray[np.int64]:

@@ -1,4 +1,4 @@
-"""MCAP recordings of hilserver, complete or torn: every whole chunk is read, index or not."""
+"""MCAP recordings of hilserver, complete or torn: every whole chunk is read, indexed or not."""
 
 import json
 import os
@@ -47,7 +47,7 @@ _READ = {
 
 @dataclass
 class Contents:
-    """What the records of a file say."""
+    """The content of the records of a file."""
 
     names: list[str] = field(default_factory=list)
     tables: list[NDArray[np.void]] = field(default_factory=list)
@@ -58,7 +58,7 @@ class Contents:
     ended: bool = False
 
     def take(self, record: rec.McapRecord, budget: Budget) -> None:
-        """Take one record; those of others do not matter."""
+        """Take one record; foreign ones do not matter."""
         if isinstance(record, rec.Channel) and record.topic == TOPIC:
             names = list(json.loads(record.metadata["signals"]))
             if self.names not in ([], names):
@@ -126,7 +126,7 @@ def read_mcap(path: Path) -> Log:
 def records_of(file: BinaryIO) -> Iterator[tuple[int, int, bytes]]:
     """Yield offset, opcode and body of every whole record; a torn last one ends it.
 
-    What is larger than a piece may be comes without its body.
+    A record larger than a piece may be comes without its body.
     """
     begin = file.tell()
     size = file.seek(0, os.SEEK_END)
@@ -147,7 +147,7 @@ def records_of(file: BinaryIO) -> Iterator[tuple[int, int, bytes]]:
 
 
 def to_log(path: Path, contents: Contents, notices: Sequence[str] = ()) -> Log:
-    """Return the log that the records of a file make."""
+    """Return the log in the records of a file."""
     run = contents.run
     if not contents.names or run.get("schema") != SCHEMA:
         raise LogError(

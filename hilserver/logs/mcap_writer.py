@@ -1,8 +1,8 @@
-"""MCAP, chunked so that a killed recorder loses a fraction of a second.
+"""MCAP, in chunks, so that a killed recorder loses a fraction of a second.
 
 Whole chunks of messages are built as one NumPy array; the other records come from the package
-``mcap``. Nothing is written that is not complete, so that a file without its end (kill -9, full
-disk) still has every chunk before it. https://mcap.dev/spec
+``mcap``. Only complete records are written, so a file without its end (kill -9, full disk) still
+has every chunk up to there. https://mcap.dev/spec
 """
 
 import json
@@ -33,7 +33,7 @@ METADATA = "hilserver"
 CONFIG_ATTACHMENT = "config.yaml"
 STATE_ATTACHMENT = "state"
 CHANNEL, CHANGES = 1, 2
-"""Numbers of the channels; that of the parameters stands in a file that has changes."""
+"""Numbers of the channels; the parameters' channel is only in files with changes."""
 CHUNK_BYTES = 1 << 20
 CHUNKS_FOR_INDEX = 5
 USUAL_COMPRESSION = 8
@@ -82,7 +82,7 @@ class McapWriter:
 
     @property
     def n_bytes(self) -> int:
-        """Size of the file so far, with about what the chunk to come will take."""
+        """Size of the file so far, including an estimate for the pending chunk."""
         return self._file.size + self._pending_bytes // USUAL_COMPRESSION
 
     def write(self, batch: Segmented) -> None:
@@ -113,7 +113,7 @@ class McapWriter:
         self._attach(name, "application/octet-stream", state.words.astype("<i8").tobytes())
 
     def tell(self, run: Mapping[str, Any]) -> None:
-        """Say where the recording comes from; the last word counts."""
+        """Say where the recording comes from; the last call counts."""
         texts = {
             key: value if isinstance(value, str) else json.dumps(value)
             for key, value in run.items()
@@ -137,7 +137,7 @@ class McapWriter:
         return len(data)
 
     def flush(self) -> None:
-        """Write what is pending, frames and changes as a chunk each."""
+        """Write what is pending, frames and changes in a chunk each."""
         if self._pending:
             table = np.concatenate(self._pending)
             self._pending, self._pending_bytes = [], 0
@@ -172,7 +172,7 @@ class McapWriter:
     def close(self) -> None:
         """Write the last chunk, the index and the end; close the file in any case.
 
-        On a full disk up to a second of the recording makes room for the index.
+        On a full disk, up to a second of the recording is dropped to make room for the index.
         """
         try:
             self.flush()
@@ -203,7 +203,7 @@ class _Summary:
     def add(
         self, file: WholeFile, channel: int, times_ns: Sequence[int], data: bytes, each: int
     ) -> None:
-        """Write messages of `each` bytes as a chunk with its index and remember where it is."""
+        """Write messages of `each` bytes as a chunk with its index, and remember its position."""
         start_ns, end_ns = min(times_ns), max(times_ns)
         packed = self._compressor.compress(data)
         chunk = _encode(rec.Chunk("zstd", packed, end_ns, start_ns, zlib.crc32(data), len(data)))
@@ -226,7 +226,7 @@ class _Summary:
         self._n_messages.append((channel, len(times_ns)))
 
     def drop_last(self) -> int:
-        """Forget the last chunk and what stands behind it; return where it begins."""
+        """Forget the last chunk and what follows it; return where it begins."""
         start = self.chunks.pop().chunk_start_offset
         self._n_messages.pop()
         self.metadata = [m for m in self.metadata if m.offset < start]

@@ -1,6 +1,6 @@
 """A frame as a message: CDR with a ros2msg schema, which Foxglove and PlotJuggler read.
 
-All numbers of a message have a fixed place, so that a thousand messages are one NumPy array. The
+All numbers of a message have a fixed position, so a thousand messages are one NumPy array. The
 dots of the signal names become nested messages: ``wheel.fl.speed_rpm`` has this path there, too.
 """
 
@@ -26,7 +26,7 @@ class _Group:
     taken: set[str] = field(default_factory=set)
 
     def claim(self, name: str) -> str:
-        """Return `name`, with underscores behind it if a group and a signal share it."""
+        """Return `name`, followed by underscores if a group and a signal share it."""
         while name in self.taken:
             name += "_"
         self.taken.add(name)

@@ -1,9 +1,9 @@
-"""MF4 of ASAM (MDF 4.1), where the library for it is installed.
+"""MF4 of ASAM (MDF 4.1), if the library for it is installed.
 
-One group holds what a log holds: a channel for every signal with its unit, `t_s`, `segment` and
-`block`, and ``<signal>.status`` where a status code is not Good. The time of the group rises over
-all segments; in a log of one segment it is `t_s`. What a file beside a CSV log says of its run is
-an attachment here.
+One group holds the whole log: a channel for every signal with its unit, `t_s`, `segment` and
+`block`, and ``<signal>.status`` if a status code is not Good. The time of the group rises over
+all segments; in a log of one segment it is `t_s`. The description of the run, which accompanies a
+CSV log in a separate file, is an attachment here.
 """
 
 import logging
@@ -33,7 +33,7 @@ UNKNOWN: Final = datetime.fromtimestamp(0, UTC)  # a log does not say when it wa
 
 
 def write_mf4(log: Log, path: Path, unit_of: Callable[[str], str]) -> None:
-    """Write a log as MF4; LogError when asammdf is not installed."""
+    """Write a log as MF4; LogError if asammdf is not installed."""
     library = _library(path)
     from asammdf import Signal  # noqa: PLC0415 -- an extra
 
@@ -53,7 +53,7 @@ def write_mf4(log: Log, path: Path, unit_of: Callable[[str], str]) -> None:
         if log.run is not None:
             text = pack_meta(run_of(log), log.states)
             mdf.attach(text.encode(), META, mime="application/json")
-        mdf.save(path)  # not compressed: some readers know no compressed blocks
+        mdf.save(path)  # not compressed: some readers do not support compressed blocks
 
 
 def _columns(log: Log) -> Iterator[tuple[str, NDArray[Any]]]:
@@ -67,10 +67,10 @@ def _columns(log: Log) -> Iterator[tuple[str, NDArray[Any]]]:
 def read_mf4(path: Path) -> Log:
     """Read an MF4 file that `write_mf4` wrote; see `reading.read_log`.
 
-    LogError when asammdf is not installed, the file is damaged, or another program wrote it.
+    LogError if asammdf is not installed, the file is damaged, or another program wrote it.
     """
     library = _library(path)
-    path.open("rb").close()  # the system's own words for what cannot be opened
+    path.open("rb").close()  # the system's own message if it cannot be opened
     try:
         with library(path) as mdf:
             run, states = _meta(mdf)
@@ -138,8 +138,8 @@ def _library(path: Path) -> Any:
             f"{path}: MF4 needs the library asammdf; install it with"
             " \"pip install 'hilserver[mdf]'\", or use CSV or MCAP"
         ) from None
-    # What it cannot read it logs, and leaves half an object whose end prints a traceback; we have
-    # its exception.
+    # It logs what it cannot read and leaves half an object whose destructor prints a traceback; its
+    # exception is enough for us.
     logging.getLogger("asammdf").setLevel(logging.CRITICAL + 1)
     MDF4.__del__ = _end
     return MDF

@@ -1,4 +1,4 @@
-"""Where a recording comes from: version, configuration, kernels, seed, audit.
+"""Origin of a recording: version, configuration, kernels, seed, audit.
 
 The configuration is kept as YAML text, as it was after validation, without secrets.
 """
@@ -21,7 +21,7 @@ _SECRET = re.compile(r"password|secret|token|passphrase|hash$", re.IGNORECASE)
 
 
 def make_run(description: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a recording says about its run, from the description of the process image."""
+    """Return a recording's description of its run, from that of the process image."""
     run = dict(description["run"])
     configuration = run.pop("configuration", None)
     return {
@@ -34,15 +34,15 @@ def make_run(description: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def as_yaml(configuration: Mapping[str, Any]) -> str:
-    """Return a configuration as YAML text, secrets blotted out."""
+    """Return a configuration as YAML text, with secrets masked."""
     return yaml.safe_dump(_without_secrets(configuration), sort_keys=False, allow_unicode=True)
 
 
 def configuration_of(run: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return the configuration of a run; ValueError where there is none."""
+    """Return the configuration of a run; ValueError if there is none."""
     try:
         found = yaml.safe_load((run or {}).get("configuration") or "")
-    except Exception as error:  # damaged tags make the reader of YAML raise anything
+    except Exception as error:  # with damaged tags the YAML reader may raise anything
         raise ValueError(f"the configuration is damaged: {error}") from error
     if not isinstance(found, dict):
         raise ValueError("there is no configuration")
@@ -72,7 +72,7 @@ def pack_meta(run: Mapping[str, Any], states: Sequence[State]) -> str:
 def unpack_meta(text: str) -> tuple[dict[str, Any], list[State]]:
     """Return run and states from what `pack_meta` wrote.
 
-    ValueError if the text is damaged or of another schema.
+    ValueError if the text is damaged or has another schema.
     """
     try:
         run: dict[str, Any] = json.loads(text)
@@ -86,7 +86,7 @@ def unpack_meta(text: str) -> tuple[dict[str, Any], list[State]]:
 
 
 class _Signal(BaseModel):
-    """What is read of a signal of a run."""
+    """The part of a run's signal that is read."""
 
     name: str
     unit: str = "1"
@@ -95,7 +95,7 @@ class _Signal(BaseModel):
 
 
 class _Run(BaseModel):
-    """What is read of a run; other keys are for people."""
+    """The part of a run that is read; other keys are for people."""
 
     base_period_ns: int = Field(gt=0, le=10**12)
     signals: list[_Signal]
@@ -109,7 +109,7 @@ class _Run(BaseModel):
 
 
 def check_run(run: Mapping[str, Any], names: Iterable[str] = ()) -> None:
-    """Refuse what a file says about its run where it does not fit.
+    """Refuse a run that does not fit its file.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def check_run(run: Mapping[str, Any], names: Iterable[str] = ()) -> None:
     Raises
     ------
     ValueError
-        One clause: what is wrong.
+        One clause that names the problem.
     """
     try:
         said = _Run.model_validate(run)

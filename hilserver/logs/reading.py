@@ -12,12 +12,12 @@ from hilserver.logs.mcap_reader import read_mcap
 from hilserver.logs.mf4 import read_mf4
 
 ROS2_BEGINNING = b"\x89MCAP0\r\n\x01" + bytes(8) + b"\x04\x00\x00\x00ros2"
-"""Of a file; the eight bytes are the length of its header."""
+"""Beginning of a file; the eight bytes are the length of its header."""
 ROS1_BEGINNING = b"#ROSBAG V"
 
 
 def read_log(path: Path, known: Container[str] | None = None) -> Log:
-    """Read a log; of others it may have the columns `known`. LogError names file and row."""
+    """Read a log; a foreign one may have the columns `known`. LogError names file and row."""
     refuse_others(path)
     try:
         if is_bag_of_ros(path):
@@ -46,7 +46,7 @@ def is_bag_of_ros(path: Path) -> bool:
 
 
 def refuse_others(path: Path) -> None:
-    """Refuse what is not there, devices and pipes, which may never end, and bags of ROS 1."""
+    """Refuse missing files, devices and pipes, which may never end, and bags of ROS 1."""
     try:
         path.stat()
     except OSError as error:

@@ -1,4 +1,4 @@
-"""A log into another format, without loss of a bit."""
+"""A log in another format, without the loss of a bit."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -17,11 +17,11 @@ from hilserver.status import BAD_NO_DATA
 
 ROWS_AT_ONCE: Final = 1024
 GAP_NS: Final = NS_PER_S
-"""Between the stamps of two segments, which are placed one behind the other."""
+"""Time between the stamps of two segments, which are placed one after the other."""
 
 
 def run_of(log: Log) -> dict[str, Any]:
-    """Return what a writer has to know of a log: its run, or a table of its columns."""
+    """Return what a writer must know about a log: its run, or a table of its columns."""
     if log.run is not None:
         known = {signal["name"]: signal for signal in log.run["signals"]}
         return {**log.run, "signals": [known[name] for name in log.columns]}
@@ -99,7 +99,7 @@ def as_table(log: Log) -> dict[str, NDArray[Any]]:
 
 
 def write_table_csv(log: Log, path: Path) -> None:
-    """Write a log that is not ours: no file beside it, empty where there is no sample."""
+    """Write a foreign log: no file next to it, empty where there is no sample."""
     columns = as_table(log)
     rows = zip(*(column.tolist() for column in columns.values()), strict=True)
     with path.open("w", encoding="utf-8", newline="") as file:

@@ -1,4 +1,4 @@
-"""Tables of numbers as they stand in a file, and their rows in time: one for every stamp."""
+"""Tables of numbers as in a file, and their rows in time: one for every stamp."""
 
 from array import array
 from collections.abc import Sequence
@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from hilserver.errors import LogError
 
 TIME, SEGMENT, BLOCK = "t_s", "segment", "block"
-EXACT: Final = 1 << 53  # whole numbers from here on are no doubles any more
-FEW_ROWS: Final = 10  # rows that stand a little too late are sorted in; more are a run of their own
+EXACT: Final = 1 << 53  # whole numbers from here on may not fit a double
+FEW_ROWS: Final = 10  # rows slightly out of order are sorted; more are a separate run
 
 
 @dataclass
 class Table:
-    """Numbers as they stand in the file."""
+    """Numbers as they are in the file."""
 
     path: Path
     header: list[str]  # names of the file's columns
@@ -27,9 +27,9 @@ class Table:
     # line of each row in the file
     lines: "array[int] | range | NDArray[np.int64]" = field(default_factory=lambda: array("q"))
     notices: list[str] = field(default_factory=list)
-    # places in the header of the columns that were read; all if not given
+    # indices in the header of the columns that were read; all if not given
     read: list[int] = field(default_factory=list)
-    origin: int = 0  # what the stamps count from, where they are too long for a double
+    origin: int = 0  # what the stamps count from, if they are too long for a double
 
     def __post_init__(self) -> None:
         self.read = self.read or list(range(len(self.header)))
@@ -64,7 +64,7 @@ class Table:
         return numbers.astype(np.int64)
 
     def segment(self, name: str = SEGMENT) -> NDArray[np.int64]:
-        """Return the segment of every row; 0 where the file has no such column."""
+        """Return the segment of every row; 0 if the file has no such column."""
         found = self.integers(name)
         return np.zeros(len(self.lines), dtype=np.int64) if found is None else found
 
@@ -77,7 +77,7 @@ def place_of(path: Path, line: int, header: Sequence[str], name: str) -> str:
 def in_time(table: Table, time: str, segment: str = SEGMENT, block: str = BLOCK) -> Table:
     """Return the table with one row for every stamp.
 
-    LogError if a time is missing, or falls within a segment.
+    LogError if a time is missing, or decreases within a segment.
     """
     t, run = table.column(time), table.segment(segment)
     missing = np.flatnonzero(~np.isfinite(t))
@@ -99,7 +99,7 @@ def in_time(table: Table, time: str, segment: str = SEGMENT, block: str = BLOCK)
 def _falls(
     table: Table, time: str, t: NDArray[np.float64], run: NDArray[np.int64], row: int
 ) -> LogError:
-    """Return the complaint about a time that falls, with the remedy that helps."""
+    """Return the complaint about a time that decreases, with the remedy that helps."""
     later = np.flatnonzero(t[row:] > t[row - 1])
     rows = int(later[0]) if later.size else len(t) - row
     begins_anew = t[row] <= t[np.argmax(run == run[row])]
@@ -122,14 +122,14 @@ def first_of_equal(
     values: NDArray[np.float64],
     keys: Sequence[int] = (),
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], int]:
-    """Make one row of rows that follow each other with one stamp: each column's first value.
+    """Merge consecutive rows with one stamp: the first value of each column counts.
 
     Parameters
     ----------
     values : ndarray, shape (n, k)
         NaN where there is none.
     keys : sequence of int
-        Columns that are no measurements.
+        Columns that are not measurements.
 
     Returns
     -------
@@ -155,7 +155,7 @@ def first_of_equal(
 
 
 def repeated_stamps(where: str, repeated: int, what: str) -> list[str]:
-    """Return the notice about rows or messages whose stamp was there before."""
+    """Return the notice about rows or messages with repeated stamps."""
     if not repeated:
         return []
     return [f"{where}: {repeated} {what} with a repeated stamp dropped; the first of each counts"]

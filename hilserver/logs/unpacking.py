@@ -1,4 +1,4 @@
-"""What unpacks is bounded, in one piece and in all: what a file declares is no proof."""
+"""Unpacking is limited, per piece and in total: the size that a file declares is no proof."""
 
 import zlib
 from collections.abc import Iterator
@@ -14,15 +14,15 @@ from hilserver.errors import LogError
 
 PIECE_BYTES: Final = 1 << 28  # of a chunk, a message, a blob; recorders write chunks of a few MB
 FREE_BYTES: Final = 1 << 28
-KEPT_BYTES: Final = 1 << 31  # of messages at once; a diagnosis of eight hours at 100 Hz needs less
+KEPT_BYTES: Final = 1 << 31  # of messages in total; a diagnosis of eight hours at 100 Hz needs less
 RATIO: Final = 1000
-"""Beyond the free ones a file may become so many times its size; a robot at rest packs 350 to 1."""
+"""Beyond `FREE_BYTES`, largest size relative to the file; a robot at rest packs 350 to 1."""
 
 ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 
 
 class Budget:
-    """How much a file may still become."""
+    """How much a file may still unpack to."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -30,7 +30,7 @@ class Budget:
         self._kept = 0
 
     def take(self, n_bytes: int) -> None:
-        """Count what was or would be unpacked; LogError if it is too much."""
+        """Count bytes that are or would be unpacked; LogError if there are too many."""
         self._left -= n_bytes
         if self._left < 0 or n_bytes > PIECE_BYTES:
             size = self._path.stat().st_size
@@ -40,7 +40,7 @@ class Budget:
             )
 
     def keep(self, n_bytes: int) -> None:
-        """Count what stays in memory; LogError if it is too much."""
+        """Count bytes that stay in memory; LogError if there are too many."""
         self._kept += n_bytes
         if self._kept > KEPT_BYTES or n_bytes > PIECE_BYTES:
             raise LogError(

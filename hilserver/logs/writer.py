@@ -1,4 +1,4 @@
-"""What every writer of recordings is, and the file that all of them write to."""
+"""What every writer of recordings provides, and the file that all of them write to."""
 
 import errno
 import fcntl
@@ -17,7 +17,7 @@ from hilserver.logs.log import Change, State
 
 @dataclass(frozen=True, slots=True)
 class Segmented:
-    """Frames with the segment each belongs to, and the changes in them; what writers take."""
+    """Frames with the segment of each, and the changes in them, as writers take them."""
 
     frames: FrameBatch
     segments: NDArray[np.int64]
@@ -25,7 +25,7 @@ class Segmented:
 
 
 class LogWriter(Protocol):
-    """Writes one file; after `flush` a killed process loses nothing that was written before."""
+    """Writes one file; after `flush`, a killed process loses nothing written before."""
 
     @property
     def n_bytes(self) -> int:

@@ -1,4 +1,4 @@
-"""Which writer a recording gets: its suffix decides."""
+"""The writer of a recording, chosen by its suffix."""
 
 import contextlib
 import shutil
@@ -25,7 +25,7 @@ def open_writer(
     utc_minus_monotonic_ns: int = 0,
     bag: Storage | None = None,
 ) -> LogWriter:
-    """Begin a log; the suffix chooses the format. What cannot begin leaves no file.
+    """Begin a log; the suffix chooses the format. If it fails, no file is left.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def open_writer(
 
 
 def write_log(log: Log, path: Path, bag: Storage | None = None) -> None:
-    """Write all of a log; what is not ours becomes a plain table as CSV."""
+    """Write all of a log; a foreign one becomes a plain table as CSV."""
     if path.suffix == ".csv" and bag is None and not log.is_ours:
         write_table_csv(log, path)
         return
@@ -65,7 +65,7 @@ def write_log(log: Log, path: Path, bag: Storage | None = None) -> None:
 
 
 def forget(path: Path) -> None:
-    """Remove what was made of a log."""
+    """Remove the files of a log."""
     shutil.rmtree(path, ignore_errors=True)
     for file in (path, meta_path(path), changes_path(path)):
         with contextlib.suppress(OSError):
@@ -73,6 +73,6 @@ def forget(path: Path) -> None:
 
 
 def check_suffix(path: Path) -> None:
-    """Refuse what is no format of ours."""
+    """Refuse a suffix that is not one of our formats."""
     if path.suffix not in SUFFIXES:
         raise FailedError(f"{path}: a log ends in {' or '.join(SUFFIXES)}; choose such a name")
