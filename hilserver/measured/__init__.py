@@ -1,1 +1,1 @@
-"""Data from outside: logs, tables and bags of others, as signals in our units on one clock."""
+"""External data: foreign logs, tables and bags, as signals in our units on one clock."""

@@ -71,7 +71,7 @@ def _part(
     mapping: LogMapping,
     notices: list[str],
 ) -> tuple[Indices, dict[str, Array]]:
-    """Return stamps [ns] and channels of one topic, sorted; of equal stamps the first counts."""
+    """Return stamps [ns] and channels of one topic, sorted; of equal ones the first counts."""
     where = f"{path}: topic '{name}'"
     decoder = Decoder(where, topic)
     channels = {s: str(c.field) for s, c in mapping.channels.items() if c.topic == name}

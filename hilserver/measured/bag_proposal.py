@@ -1,4 +1,4 @@
-"""A mapping file for a bag of others, guessed from its types, its topics and the names in them."""
+"""A mapping file for a foreign bag, guessed from its types, its topics and the names in them."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -26,8 +26,8 @@ from hilserver.measured.proposal import (
 )
 
 _READ: Final = 20  # messages of a topic: publishers may take turns
-_LONGEST: Final = 16  # a longer list is a picture or a scan
-_BESIDE: Final = ("header", "effort")  # what a message holds besides measurements of ours
+_LONGEST: Final = 16  # a longer list is an image or a scan
+_BESIDE: Final = ("header", "effort")  # what a message holds besides our measurements
 _POSE: Final = {"position.x": NAV_X, "position.y": NAV_Y, "orientation.yaw": YAW}
 _COMMAND: Final = dict(zip(("linear.x", "angular.z"), TWIST, strict=True))
 _JOINTS: Final = "sensor_msgs/msg/JointState"
@@ -64,11 +64,11 @@ _ALSO_SENT: Final = {"joy", "teleop", "initialpose", "clicked"}
 _OF_ROS: Final = re.compile(
     r"((diagnostic|geometry|nav|rosgraph|sensor|tf2|visualization)_msgs|rcl_interfaces)/"
 )
-"""Packages of which the other types hold nothing of ours: pictures, scans, magnetic fields."""
+"""Packages whose other types hold nothing of ours: images, scans, magnetic fields."""
 
 
 def refuse_unmapped(path: Path) -> NoReturn:
-    """Raise ForeignLog: a bag of others needs a mapping; one is named or proposed."""
+    """Raise ForeignLog: a foreign bag needs a mapping; one is named or proposed."""
     bags = read_messages(path, set())
     topics = {name: topic for bag in bags for name, topic in bag.topics.items()}
     fitting = next((name for name in builtin_mappings() if _fits(name, topics)), None)
@@ -94,7 +94,7 @@ def _proposal(path: Path, topics: Mapping[str, Topic]) -> str:
     except LogError:  # messages too large
         return ""
     channels: dict[str, str] = {}
-    # A pose that is made of the wheels' speeds comes last: it shows none of their errors.
+    # A pose derived from the wheels' speeds comes last: it shows none of their errors.
     for name in sorted(
         wanted, key=lambda n: (bool(words_of(n) & ODOMETRY), kinds[n] == _ODOMETRY, n)
     ):
@@ -110,7 +110,7 @@ def _may_be_ours(kind: str) -> bool:
 
 
 def _guesses(name: str, topic: Topic, sent: list[bytes]) -> Iterator[tuple[str, str]]:
-    """Yield signals of a topic, each with its line of a mapping."""
+    """Yield signals of a topic, each with its line of a mapping file."""
     kind, words = full_type(topic.type), words_of(name)
     at = f"topic: {quoted(name)}, field: "
     by_type = _COMMANDED if words & {*SENT, *_ALSO_SENT} else _MEASURED
@@ -137,7 +137,7 @@ def _fields(name: str, topic: Topic, sent: list[bytes]) -> list[str]:
 
 
 def _numbers(message: Any, place: str = "") -> Iterator[str]:
-    """Yield the paths of the numbers in a message; of lists those of their elements."""
+    """Yield the paths of the numbers in a message; for lists those of their elements."""
     for name, value in items_of(message):
         at = place + name
         if name in _BESIDE or name.startswith("__") or name.endswith("covariance"):

@@ -10,7 +10,7 @@ SETPOINTS: Final = tuple(f"wheel.{w}.setpoint_rpm" for w in WHEELS)
 DUTY_COMMANDS: Final = tuple(f"wheel.{w}.duty_command_pct" for w in WHEELS)
 TWIST: Final = ("twist.linear_m_s", "twist.angular_rad_s")
 OF_MODE: Final = (SETPOINTS, (*TWIST, "twist.lateral_m_s"), DUTY_COMMANDS)
-"""The set-points that are in force, by the value of `MODE`."""
+"""The set-points in force, by the value of `MODE`."""
 MODE: Final = "control.mode"
 NAV_X: Final = "nav.x_m"
 NAV_Y: Final = "nav.y_m"

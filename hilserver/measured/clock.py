@@ -12,15 +12,15 @@ from hilserver.measured.thresholds import SHORTEST_SEGMENT_S
 
 @dataclass(frozen=True)
 class Segments:
-    """Where each segment lies in time and in the dense arrays."""
+    """The position of each segment in time and in the dense arrays."""
 
-    span: Indices  # shape (m,); span of the log it is cut from
+    span: Indices  # shape (m,); span of the log that it is cut from
     # shape (m,)
     start_s: Array
     end_s: Array
-    first: Indices  # shape (m + 1,); first row of each segment in the dense arrays, and their end
+    first: Indices  # shape (m + 1,); first row of each segment in the dense arrays, and the end
     period_s: float  # time between rows
-    # the dense arrays begin this long before the segment: what comes late began there
+    # the dense arrays begin this long before the segment: what comes late began then
     lead_s: float = 0.0
 
     def __len__(self) -> int:

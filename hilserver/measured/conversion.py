@@ -17,7 +17,7 @@ from hilserver.measured.tables import Recording, log_of_parquet, read_mapped
 
 
 def read_any(path: Path, mapping: str | None = None) -> Log:
-    """Read a log of any kind, or LogError; through a mapping its channels become signals."""
+    """Read a log of any kind, or raise LogError; through a mapping its channels become signals."""
     refuse_others(path)
     try:
         if mapping is not None:
@@ -53,7 +53,7 @@ def _one_table(recording: Recording) -> Log:
 
 
 def write_parquet(log: Log, path: Path) -> None:
-    """Write a log as Parquet; LogError when pyarrow is not installed."""
+    """Write a log as Parquet; LogError if pyarrow is not installed."""
     try:
         import pyarrow as pa  # noqa: PLC0415 -- an extra
         from pyarrow import parquet  # noqa: PLC0415

@@ -22,8 +22,8 @@ class Source:
 class Span:
     """One segment: time rises, and the pose at its start is unknown."""
 
-    number: int  # as it stands in the log; counted on over several logs
-    block: int | None  # unit of held-out splits; None where the log names none
+    number: int  # as in the log; numbered continuously over several logs
+    block: int | None  # unit of held-out splits; None if the log names none
     # stamps of its first and last row
     start_s: float
     end_s: float
@@ -64,18 +64,18 @@ class MeasuredLog:
     # keys of the plant configuration that the mapping file sets
     plant: Mapping[str, object] = field(default_factory=dict)
     notices: tuple[str, ...] = ()  # what a reader should know: rows dropped, the file ends early
-    # True: the daemon wrote the rows. All stamps are ticks of its plant, and a set-point that
-    # stands first in a row came at one of the ticks after the row before it
+    # True: the daemon wrote the rows. All stamps are ticks of its plant, and a set-point that first
+    # appears in a row came at one of the ticks since the row before
     on_ticks: bool = False
-    # largest reading of a channel whose sensor is limited, either sign
+    # largest reading, of either sign, of a channel whose sensor is limited
     limits: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def drive_is_known(self) -> bool:
         """Whether the configured process and controller are those of the log's machine.
 
-        A mapping that gives the dimensions of another machine but not its process says nothing
-        about its motors, and every cause of the drive would be named.
+        A mapping with the dimensions of another machine but not its process says nothing about its
+        motors: every cause of the drive would be named.
         """
         return "process" in self.plant or not DIMENSIONS & set(self.plant)
 

@@ -16,7 +16,7 @@ NOT_MEASURED: Final = -1.0
 
 _STEP: Final = re.compile(r"\.?([A-Za-z_]\w*)|\[([^\]]+)\]")
 _OWN_NAMES: Final = ("child_frame_id", "name", "key")
-"""What elements of a list are called, where no list of names stands beside it."""
+"""Attributes that name the elements of a list, if there is no list of names next to it."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class Field:
 
     def __init__(self, path: str) -> None:
         self.path = path
-        # messages that did not hold it, and why the first of them did not
+        # messages that did not hold it, and why the first one did not
         self.absent, self.reason, self._may_be_absent = 0, "", False
         self._steps: list[str | _Index] = []
         self._at: dict[int, dict[str, None]] = {}
@@ -47,9 +47,9 @@ class Field:
             self._steps = [path]
 
     def __call__(self, message: Any) -> float:
-        """Return the number; NaN where the message does not hold it.
+        """Return the number; NaN if the message does not hold it.
 
-        NaN, too, is what its covariance marks as not measured (sensor_msgs/Imu).
+        It is also NaN if its covariance marks it as not measured (sensor_msgs/Imu).
         """
         covariance = getattr(message, f"{self._steps[0]}_covariance", None)
         if isinstance(covariance, np.ndarray | list) and list(covariance[:1]) == [NOT_MEASURED]:
@@ -60,7 +60,7 @@ class Field:
             return math.nan
 
     def mistake(self, n: int) -> str | None:
-        """Return what is wrong with the path after `n` messages, None if nothing is."""
+        """Return what is wrong with the path after `n` messages, or None."""
         if self.absent == n and not self._may_be_absent:
             return self.reason
         for place, found in self._at.items():
@@ -74,7 +74,7 @@ class Field:
         return None
 
     def _gone(self, reason: Callable[[], str], *, is_mistake: bool = True) -> _AbsentError:
-        """Count a message that does not hold the field; the first one says why."""
+        """Count a message that does not hold the field; the first one gives the reason."""
         self.absent += 1
         self.reason = self.reason or reason()
         self._may_be_absent |= not is_mistake
@@ -130,14 +130,14 @@ class Field:
 
 
 def items_of(message: Any) -> list[tuple[str, Any]]:
-    """Return names and values of what a message holds."""
+    """Return names and values of the content of a message."""
     if dataclasses.is_dataclass(message):
         return [(f.name, getattr(message, f.name)) for f in dataclasses.fields(message)]
     return list(getattr(message, "__dict__", {}).items())
 
 
 def names_of(holder: Any, items: Any) -> list[str]:
-    """Return what the elements of a list are called: by themselves, or by a list beside it."""
+    """Return the names of a list's elements: their own, or those in a list next to it."""
     if isinstance(items, list) and items:
         for own in _OWN_NAMES:
             names = [getattr(item, own, None) for item in items]
@@ -150,7 +150,7 @@ def names_of(holder: Any, items: Any) -> list[str]:
 
 
 def _fields(message: Any, prefix: str = "") -> list[str]:
-    """Return the numbers that a message has, by their paths."""
+    """Return the paths of the numbers in a message."""
     found = []
     for name, value in items_of(message):
         if items_of(value):

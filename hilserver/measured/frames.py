@@ -1,7 +1,7 @@
-"""Rows that the daemon wrote: which of them hold a sample of their own, and when it was taken.
+"""Rows that the daemon wrote: which of them hold a new sample, and when it was taken.
 
-A row is the value at that instant. Sensors run in slices of their own, and between two samples
-their output stands: what stands there is one sample, taken at the last tick of its slice.
+A row holds the values at its instant. Sensors run in their own slices, and between two samples
+their output stays the same: that is one sample, taken at the last tick of its slice.
 """
 
 from collections.abc import Mapping
@@ -25,8 +25,8 @@ COMMAND: Final = "internal.command"
 POSE_REQUEST: Final = "internal.pose_request"
 SECTIONS: Final = ("scheduler", "sensors", "plant")
 RARE: Final = 0.05  # share of the samples
-GAP_STEPS: Final = 1.5  # times the usual distance of two samples, from which on one is missing
-OLDEST_S: Final = 1.0  # a stamp that makes a sample older than that is wrong
+GAP_STEPS: Final = 1.5  # times the usual time between samples; from there one is missing
+OLDEST_S: Final = 1.0  # a stamp that makes a sample older than this is wrong
 
 
 @dataclass(frozen=True)
@@ -63,28 +63,28 @@ class Sampling:
 class Frames:
     """The samples in the rows of a recording."""
 
-    columns: Mapping[str, Array]  # shape (n,); NaN where a row holds no sample of its own
-    # shape (n,); how long before its row a sample was taken; nothing where the key is absent
+    columns: Mapping[str, Array]  # shape (n,); NaN where a row holds no new sample
+    # shape (n,); how long before its row a sample was taken; 0 if the key is missing
     age_s: Mapping[str, Array]
-    segment: Indices  # shape (n,); a pose that was set begins a segment
+    segment: Indices  # shape (n,); setting the pose begins a segment
     on_ticks: bool  # see `MeasuredLog`
 
 
 class _Taken(NamedTuple):
     """When the source of a measured group took its samples."""
 
-    fresh: Mask  # shape (n,); rows that brought one
-    follows: Mask  # shape (n,); not after a gap, in which nobody knows what the robot was asked for
+    fresh: Mask  # shape (n,); rows with a new one
+    follows: Mask  # shape (n,); not after a gap, in which the commands to the robot are unknown
     age_s: Array  # shape (n,)
 
 
 def is_of_the_daemon(log: Log) -> bool:
-    """Return whether the daemon wrote the rows: with what it says of its run, or tick by tick."""
+    """Return whether the daemon wrote the rows: with a description of its run, or tick by tick."""
     return log.is_ours or TICK in log.columns
 
 
 def own_sampling(log: Log) -> Sampling | None:
-    """Return the sampling of the configuration that a recording carries; None without one."""
+    """Return the sampling of the configuration in a recording; None without one."""
     try:
         data = configuration_of(log.run)
         return Sampling.of(Config.model_validate({key: data[key] for key in SECTIONS}))
@@ -98,7 +98,7 @@ def frames_of(log: Log, sampling: Sampling | None) -> Frames:
     Parameters
     ----------
     sampling : Sampling or None
-        Of the configuration of its run; None: every row counts as a sample.
+        Of the configuration of its run; None if every row counts as a sample.
     """
     rows = {name: _usable(log, name) for name in log.columns}
     tick = _ticks(log, sampling)
@@ -127,10 +127,10 @@ def frames_of(log: Log, sampling: Sampling | None) -> Frames:
 
 
 def _taken(rows: Mapping[str, Array], t_s: Array, sampling: Sampling) -> dict[str, _Taken]:
-    """Return the samples of the measured groups of which a recording has count and time.
+    """Return the samples of the measured groups whose count and time are recorded.
 
-    They came as late as their way took; by the stamps of their source they lie in time as the robot
-    had them. The wheels' lie on its ticks, which are no whole number of ours away.
+    They arrived with the delay of their transport; their source's stamps place them when they were
+    true. Those of the wheels lie on the robot's ticks, which are no whole number of ours away.
     """
     came: dict[str, tuple[Indices, Array]] = {}
     for group in SAMPLED:
@@ -153,15 +153,15 @@ def _taken(rows: Mapping[str, Array], t_s: Array, sampling: Sampling) -> dict[st
 
 
 def _of_group(taken: Mapping[str, _Taken], name: str) -> _Taken | None:
-    """Return the samples of a channel's group; what is not counted comes with the wheels."""
+    """Return the samples of a channel's group; without a count of its own, those of the wheels."""
     return taken.get(name.partition(".")[0], taken.get("wheel"))
 
 
 def _without_rare_repeats(values: Array) -> Array:
-    """Return samples without those that were missing: a channel that never repeats a value did not.
+    """Return samples without missing ones, if the channel otherwise never repeats a value.
 
-    Others of its group came at the time, and its last value stands beside them. Of a robot that
-    stands the same comes again and again: only repeats that stand alone were missing.
+    The last value then only accompanies new samples of the rest of its group. A robot at rest
+    repeats values for long, so only single repeats count as missing.
     """
     there = np.flatnonzero(np.isfinite(values))
     again = np.diff(values[there], prepend=np.nan) == 0.0
@@ -172,9 +172,9 @@ def _without_rare_repeats(values: Array) -> Array:
 
 
 def _risen(t_s: Array, at: Indices, stamps: Array) -> _Taken:
-    """Return samples by row, those left out that are no newer than one before them.
+    """Return samples by row, without those that are not newer than an earlier one.
 
-    Of several messages with one stamp the last one completes the sample.
+    Of several messages with one stamp, the last one completes the sample.
     """
     last = np.append(np.diff(stamps) != 0.0, True)
     at, stamps = at[last], stamps[last]
@@ -188,10 +188,10 @@ def _risen(t_s: Array, at: Indices, stamps: Array) -> _Taken:
 
 
 def _enough(tick: Indices) -> Mask:
-    """Return which rows of wheels without noise are enough: every n-th, where none is missing.
+    """Return which rows of noiseless wheels are enough: every n-th, if none is missing.
 
     The number is prime: in step with a controller's period they would always show the same part of
-    its answers.
+    its responses.
     """
     every = max(-(-len(tick) // ENOUGH_ROWS), 1)
     while any(every % k == 0 for k in range(2, every)):
@@ -209,10 +209,10 @@ def _ticks(log: Log, sampling: Sampling | None) -> Indices | None:
 
 
 def _usable(log: Log, name: str) -> Array:
-    """Return a column without what is bad, or came from outside and is uncertain.
+    """Return a column without bad values, and without uncertain ones that came from outside.
 
-    The daemon's own outputs are what it computed whatever it thinks of them (in the safe state, or
-    of a range finder that looks further than it can see).
+    The daemon's own outputs are what it computed, whatever their quality (in the safe state, or of
+    a range finder beyond its range).
     """
     values = log.columns[name]
     if name not in log.status:
@@ -228,7 +228,7 @@ def _rows(log: Log) -> Indices:
 def _measured(
     rows: Mapping[str, Array], tick: Indices, taken: Mapping[str, _Taken]
 ) -> dict[str, Array]:
-    """Return what came from outside, each sample once, by the names of the robot's own."""
+    """Return what came from outside, each sample once, named like the robot's own signals."""
     found: dict[str, Array] = {}
     for column, values in rows.items():
         name = column.removeprefix(MEASURED)
@@ -248,9 +248,9 @@ def _measured(
 
 
 def _chosen(rows: Mapping[str, Array], measured: Mapping[str, Array]) -> dict[str, Array]:
-    """Return the inputs that the robot acted on, and its own outputs where nothing was measured."""
+    """Return the inputs that the robot acted on, and its own outputs if nothing was measured."""
     if SETPOINTS[0] in measured:
-        return {}  # it says itself what it was asked for
+        return {}  # the robot itself reports what it was asked for
     known = known_signals()
     inputs = {name: values for name, values in rows.items() if name in known and is_input(name)}
     inputs |= {COMMAND: rows[COMMAND]} if COMMAND in rows and rows[COMMAND].any() else {}
@@ -272,7 +272,7 @@ def _obeyed(inputs: dict[str, Array]) -> dict[str, Array]:
 
 
 def _fresh(values: Array, sample: Indices, segment: Indices) -> Mask | None:
-    """Return the first row of every sample; None if what stands within one is not the same."""
+    """Return the first row of every sample; None if values within one differ."""
     there = np.flatnonzero(np.isfinite(values))
     new = (np.diff(sample[there], prepend=-1) != 0) | (np.diff(segment[there], prepend=-1) != 0)
     if (np.diff(values[there])[~new[1:]] != 0.0).any():
@@ -283,12 +283,12 @@ def _fresh(values: Array, sample: Indices, segment: Indices) -> Mask | None:
 
 
 def _first_of_each(values: Array, tick: Indices) -> Array:
-    """Return values that come from outside: each once, where it came, and as often as usual.
+    """Return values from outside: each once, where it came, and repeated at the usual rate.
 
     Parameters
     ----------
     tick : ndarray of int64, shape (n,)
-        Of every row: a recording may leave out those in which nothing changes.
+        Of every row: a recording may omit rows in which nothing changes.
     """
     there = np.flatnonzero(np.isfinite(values))
     first = np.flatnonzero(np.diff(values[there], prepend=np.nan) != 0.0)

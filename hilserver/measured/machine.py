@@ -1,4 +1,4 @@
-"""The machine of a log: the configured one with what the mapping file says of it."""
+"""The machine of a log: the configured one, with what the mapping file says about it."""
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
@@ -17,7 +17,7 @@ def machine(log: MeasuredLog, robot: RobotParameters) -> RobotParameters:
     Raises
     ------
     LogError
-        If the mapping's machine and the rest of the configured one do not fit together.
+        If the mapping's machine does not fit the rest of the configured one.
     """
     names = {item.name for item in fields(robot)}
     given: dict[str, Any] = {key: value for key, value in log.plant.items() if key in names}

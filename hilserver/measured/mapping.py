@@ -86,7 +86,7 @@ class LogMapping(Section):
 
     @property
     def plant_keys(self) -> dict[str, Any]:
-        """The keys that the file sets, and those that follow.
+        """The keys that the file sets, and those that follow from them.
 
         A track without a wheelbase means two wheels, which turn at 1/track about their axle.
         """
@@ -104,7 +104,7 @@ class LogMapping(Section):
         return any(channel.topic is not None for channel in self.channels.values())
 
     def factor(self, signal: str) -> float:
-        """Return what the numbers of a channel are multiplied by."""
+        """Return the factor for the numbers of a channel."""
         channel = self.channels[signal]
         wanted = known_signals()[signal].unit
         unit = wanted if channel.unit in (None, ANY_NUMBER) else str(channel.unit)
@@ -125,7 +125,7 @@ def _folder() -> Traversable:
 
 
 def load_mapping(mapping: Path | str) -> LogMapping:
-    """Read a mapping file, or a built-in one by its name; LogError has a line per complaint."""
+    """Read a mapping file, or a built-in one by name; LogError has one line per complaint."""
     if str(mapping) in builtin_mappings():
         with resources.as_file(_folder() / f"{mapping}.yaml") as path:
             return _load(path)
@@ -158,7 +158,7 @@ def _load(path: Path) -> LogMapping:
 
 
 def _complaint(name: str, channel: ChannelMap) -> tuple[tuple[str, ...], str] | None:
-    """Return key and sentence of what is wrong with a channel."""
+    """Return key and sentence of an error in a channel, or None."""
     known = known_signals()
     if name not in known:
         hint = meant(name, known, "see 'hilserver signals' for the names")

@@ -1,4 +1,4 @@
-"""Messages of a topic to numbers: decoded by the definition in the bag or the distribution's."""
+"""Messages of a topic to numbers, decoded with the definition in the bag or the distribution's."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -43,7 +43,7 @@ class Decoder:
     Raises
     ------
     TopicError
-        When nothing can be decoded: an unknown type, a foreign serialization.
+        If nothing can be decoded: an unknown type, a foreign serialization.
     """
 
     def __init__(self, where: str, topic: Topic) -> None:
@@ -70,7 +70,7 @@ class Decoder:
         return lambda data: decode(data, name)
 
     def _store(self) -> Any:
-        """Return the types of the bag's definition, those of the distribution where it has none."""
+        """Return the types of the bag's definition, or of the distribution if it has none."""
         from rosbags.typesys import (  # noqa: PLC0415 -- slow to import
             Stores,
             TypesysError,
@@ -103,7 +103,7 @@ class Decoder:
     ) -> tuple[Indices, Array]:
         """Return stamps [ns] and the fields of every message, shapes (n,) and (n, n_fields).
 
-        NaN where a message does not hold a field.
+        NaN if a message does not hold a field.
 
         Raises
         ------
@@ -148,7 +148,7 @@ class Decoder:
             self.notices.append(f"{self._where}: {count} {what} were left out")
 
     def _complain(self, readers: Sequence[Field], n: int) -> None:
-        """Refuse a path that fits no message; count the messages that do not hold it."""
+        """Refuse a path that fits no message; count the messages without it."""
         for read in readers:
             if (mistake := read.mistake(n)) is not None:
                 raise LogError(f"{self._where}: {mistake}")
@@ -157,7 +157,7 @@ class Decoder:
 
 
 def full_type(name: str) -> str:
-    """Return a type as ROS 2 names it: ROS 1 leaves the ``msg`` out."""
+    """Return a type as ROS 2 names it; ROS 1 omits the ``msg``."""
     package, _, rest = name.partition("/")
     return name if "/" in rest or not rest else f"{package}/msg/{rest}"
 

@@ -27,14 +27,14 @@ def known_signals() -> dict[str, Signal]:
 
 
 def signal_unit(name: str) -> str:
-    """Return the symbol of a signal's unit; 1 where there is no such signal."""
+    """Return the symbol of a signal's unit; 1 if there is no such signal."""
     signal = known_signals().get(name)
     return "1" if signal is None else signal.unit
 
 
 @cache
 def known_columns() -> tuple[str, ...]:
-    """Return the columns that a log in our own names may have, besides time and segment."""
+    """Return the columns that a log with our own names may have, besides time and segment."""
     return tuple(signal.name for signal in _table().scalars)
 
 
@@ -66,7 +66,7 @@ def units_of(unit: str) -> tuple[str, ...]:
 
 
 def conversion(unit: str, wanted: str) -> float | None:
-    """Return the factor from `unit` to `wanted`, None where they do not measure the same."""
+    """Return the factor from `unit` to `wanted`, None if they measure different quantities."""
     if unit == wanted:
         return 1.0
     for factors in _DIMENSIONS.values():

@@ -1,4 +1,4 @@
-"""Measured data as the observer takes it: wheels as moments, samples when they were true."""
+"""Measured data as the observer takes it: wheels as moments, samples at the time they are true."""
 
 import numpy as np
 
@@ -22,12 +22,12 @@ def series_of(
 ) -> Series:
     """Return one span of a log.
 
-    A moment is where every wheel that is measured has a sample.
+    A moment is a stamp at which every measured wheel has a sample.
 
     Parameters
     ----------
     nav_late_s : float
-        By how much the stamps of the navigation are late beside those of the wheels.
+        By how much the stamps of the navigation are late compared with those of the wheels.
     """
     sides: list[list[str]] = []
     for side in (SPEEDS[:N_LEFT], SPEEDS[N_LEFT:]):

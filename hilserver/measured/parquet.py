@@ -1,4 +1,4 @@
-"""Parquet tables, where the library for them is installed."""
+"""Parquet tables, if the library for them is installed."""
 
 from collections.abc import Container
 from pathlib import Path
@@ -18,7 +18,7 @@ def read_parquet(path: Path, used: Container[str] | None = None) -> Table:
     Raises
     ------
     LogError
-        When pyarrow is not installed, the file is damaged or too large, or a column holds no
+        If pyarrow is not installed, the file is damaged or too large, or a column holds no
         numbers.
     """
     try:
@@ -28,7 +28,7 @@ def read_parquet(path: Path, used: Container[str] | None = None) -> Table:
             f"{path}: Parquet needs the library pyarrow; install it with"
             " \"pip install 'hilserver[parquet]'\", or save the table as CSV"
         ) from None
-    path.open("rb").close()  # the system's own words for what cannot be opened
+    path.open("rb").close()  # the system's own message if it cannot be opened
     budget = Budget(path)
     try:
         with parquet.ParquetFile(path) as file:

@@ -1,4 +1,4 @@
-"""Pauses of a recorder: what the machine did in them is unknown, so a segment ends there."""
+"""Pauses of a recorder: what the machine did then is unknown, so a segment ends there."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -11,11 +11,11 @@ from hilserver.measured.names import is_input
 from hilserver.measured.thresholds import JUMP_S, PAUSE_S, USUAL_STEPS
 
 Pieces = list[tuple[float, float]]
-"""Begin and end of every part of a span that is kept, in their order [s]."""
+"""Begin and end of every part of a span that is kept, in order [s]."""
 
 
 def without_jumps(log: MeasuredLog) -> MeasuredLog:
-    """Return the log with spans that follow each other within `JUMP_S`, if time rises at all."""
+    """Return the log with gaps of more than `JUMP_S` between spans shortened to a pause."""
     moved_s = np.zeros(len(log.spans))
     for i, (before, after) in enumerate(pairwise(log.spans)):
         gap_s = after.start_s - before.end_s
@@ -46,7 +46,7 @@ def cut_at_pauses(log: MeasuredLog) -> MeasuredLog:
 
 
 def cut(log: MeasuredLog, edges: list[Pieces]) -> MeasuredLog:
-    """Return the log with the pieces of each span as spans of their own."""
+    """Return the log with the pieces of each span as separate spans."""
     pieces = [
         replace(span, start_s=start_s, end_s=end_s)
         for span, of_span in zip(log.spans, edges, strict=True)
@@ -58,7 +58,7 @@ def cut(log: MeasuredLog, edges: list[Pieces]) -> MeasuredLog:
 
 
 def _edges(log: MeasuredLog, index: int) -> Pieces:
-    """Return begin and end of what was measured in one go; one pair where there is no pause."""
+    """Return begin and end of each uninterrupted measurement; one pair if there is no pause."""
     span = log.spans[index]
     stamps = [c.of(index)[0] for name, c in log.channels.items() if not is_input(name)]
     at = np.unique(np.concatenate([np.zeros(0), *stamps]))

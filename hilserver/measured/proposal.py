@@ -1,4 +1,4 @@
-"""A mapping file for a log of others, guessed from the names of its columns."""
+"""A mapping file for a foreign log, guessed from the names of its columns."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,14 +23,14 @@ _WHEELS: Final = (
 )
 _TIMES: Final = {"t", "time", "timestamp", "stamp", "secs", "seconds", "nsecs"}
 _TIME_UNITS: Final = {"ms": "ms", "us": "us", "ns": "ns", "nsecs": "ns"}
-_TIME_DIGITS: Final = {19: "ns", 16: "us", 13: "ms"}  # of whole numbers that count from 1970
+_TIME_DIGITS: Final = {19: "ns", 16: "us", 13: "ms"}  # of whole numbers counted from 1970
 SENT: Final = {"setpoint", "set", "cmd", "command", "target", "ref", "desired", "sp", "goal"}
 _DUTY: Final = {"duty", "pwm", "effort"}
 _SPEED: Final = {"speed", "vel", "velocity", "rpm", "omega", "w"}
 _COUNTS: Final = {"tick", "ticks", "count", "counts", "counter", "enc", "encoder", "pulses"}
 _ANGLE: Final = {"angle", "position", "pos"}
 _OTHER: Final = {"current", "torque", "temp", "temperature", "force", "amps", "acc", "name", "id"}
-"""What a wheel has besides, and no signal is."""
+"""Other quantities of a wheel, for which there is no signal."""
 ODOMETRY: Final = {"odom", "odometry", "wheelodom"}
 _NUMBERED: Final = re.compile(r"(.*?)\[?(\d)\]?(\D*)")
 _OF_WHEELS: Final = {*_SPEED, *_COUNTS, *_ANGLE, *_DUTY, "wheel", "motor", "joint"}
@@ -50,11 +50,11 @@ _UNITS: Final = (
 
 
 class ForeignLog(LogError):
-    """A log without any signal of ours."""
+    """A log without any of our signals."""
 
     def __init__(self, message: str, proposal: str) -> None:
         super().__init__(message)
-        self.proposal = proposal  # text of a mapping file that may fit it; empty without a guess
+        self.proposal = proposal  # text of a mapping file that may fit; empty without a guess
 
 
 def propose(header: Sequence[str], row: Sequence[str] = ()) -> str:
@@ -63,7 +63,7 @@ def propose(header: Sequence[str], row: Sequence[str] = ()) -> str:
     Parameters
     ----------
     row : sequence of str
-        The first row: names of joints stand in it where columns are numbered.
+        The first row: it holds the names of joints if columns are numbered.
     """
     time = ""
     channels: dict[str, str] = {}
@@ -83,7 +83,7 @@ def propose(header: Sequence[str], row: Sequence[str] = ()) -> str:
 
 
 def text(channels: Mapping[str, str], *time: str) -> str:
-    """Return a mapping file of the lines of its channels; empty without a channel."""
+    """Return a mapping file with the lines of its channels; empty without a channel."""
     if not channels:
         return ""
     parts = [
@@ -101,7 +101,7 @@ def text(channels: Mapping[str, str], *time: str) -> str:
 
 
 def lines(name: str, words: set[str], at: str) -> Iterator[tuple[str, str]]:
-    """Yield each signal that numbers of this name may be, with its line of a mapping."""
+    """Yield each signal that numbers of this name may be, with its line of a mapping file."""
     for signal in _signals(words, _unit(name, "wheel.fl.speed_rpm")):
         yield signal, line(signal, name, words, at)
 
@@ -111,7 +111,7 @@ def _is_date(text: str) -> bool:
 
 
 def line(signal: str, name: str, words: set[str], at: str) -> str:
-    """Return the line of a signal that stands `at` a column, or topic and field."""
+    """Return the line of a signal `at` a column, or topic and field."""
     unit, note = _unit(name, signal), ""
     if signal.endswith("angle_rad") and words & _COUNTS:
         unit = ', unit: "1", scale: 0.001'
@@ -150,7 +150,7 @@ def meanings(header: Sequence[str], row: Sequence[str]) -> list[set[str]]:
 
 
 def words_of(name: str) -> set[str]:
-    """Return the words of a name, in lower case, and those of two neighbours."""
+    """Return the words of a name, in lower case, and pairs of neighbouring words."""
     words = [word.lower() for word in _WORD.findall(name)]
     return {*words, *("".join(pair) for pair in pairwise(words))}
 
@@ -182,7 +182,7 @@ def _signals(words: set[str], unit: str) -> list[str]:
 
 
 def _unit(name: str, signal: str) -> str:
-    """Return the unit that the name of a column ends in, as part of a line; or nothing."""
+    """Return the unit at the end of a column's name, as part of a line; or nothing."""
     wanted = known_signals()[signal].unit
     for pattern, meant in _UNITS:
         found = re.search(pattern, name.lower())
@@ -193,5 +193,5 @@ def _unit(name: str, signal: str) -> str:
 
 
 def quoted(name: str) -> str:
-    """Return a name as YAML takes it."""
+    """Return a name in valid YAML."""
     return name if re.fullmatch(r"[A-Za-z_][\w.]*", name) else '"' + name.replace('"', '\\"') + '"'

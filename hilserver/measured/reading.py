@@ -1,4 +1,4 @@
-"""Logs of any accepted kind to measured data of one machine."""
+"""Logs of any accepted kind, as measured data of one machine."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -46,8 +46,8 @@ def read_measured(
     mapping : Path or str, optional
         A mapping file or the name of a built-in one; without it columns are signal names.
     sampling : Sampling, optional
-        Of the configuration in use: when the daemon's sensors sample, for those of its frames that
-        do not carry their own configuration.
+        The sampling of the configuration in use, for frames of the daemon that do not carry their
+        own configuration.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def read_measured(
 
 
 def _refuse_slow(path: Path, recording: Recording) -> None:
-    """Refuse rows so far apart that their unit is another one, or nothing of a drive is seen."""
+    """Refuse rows so far apart that their unit must be wrong, or nothing of a drive is visible."""
     steps_s = [np.diff(p.t_s)[np.diff(p.segment) == 0] for p in recording.parts]
     usual_s = min((float(np.median(steps)) for steps in steps_s if steps.size), default=0.0)
     if recording.has_stamps and usual_s > SLOWEST_ROWS_S:
@@ -88,7 +88,7 @@ def _refuse_slow(path: Path, recording: Recording) -> None:
 
 
 def _refuse_lengths(path: Path, lengths_s: Sequence[float]) -> None:
-    """Refuse what is too long or too short for a diagnosis."""
+    """Refuse lengths that are too long or too short for a diagnosis."""
     longest_s, total_s = max(lengths_s), sum(lengths_s)
     if total_s > LONGEST_LOG_S:
         raise LogError(
@@ -147,7 +147,7 @@ def _by_kind(path: Path, mapping: LogMapping | None, sampling: Sampling | None) 
 def _refuse_others(
     paths: Sequence[Path], sources: Sequence[Source], recordings: Sequence[Recording]
 ) -> None:
-    """Refuse what cannot be pooled: one log twice, and recordings of different machines."""
+    """Refuse what cannot be pooled: the same log twice, and recordings of different machines."""
     for index, path in enumerate(paths):
         for earlier in range(index):
             if sources[index].sha256 == sources[earlier].sha256:
@@ -161,7 +161,7 @@ def _refuse_others(
 
 
 def _shown(path: Path) -> str:
-    """Return how a log is named in reports, which travel: not by its place on this computer."""
+    """Return the name of a log in reports, which travel: not its path on this computer."""
     if not path.is_absolute():
         return str(path)
     here = Path.cwd()
@@ -179,7 +179,7 @@ def _sha256(path: Path) -> str:
 
 
 def _pool(log: MeasuredLog, recordings: Sequence[Recording]) -> MeasuredLog:
-    """Return `log` with the recordings one behind the other, spans counted on."""
+    """Return `log` with the recordings one after the other and continuous span numbers."""
     spans: list[Span] = []
     pieces: dict[str, list[Channel]] = {}
     for recording in recordings:
@@ -196,7 +196,7 @@ def _pool(log: MeasuredLog, recordings: Sequence[Recording]) -> MeasuredLog:
 def _spans(recording: Recording, offset: int) -> tuple[list[Span], list[Indices]]:
     """Return the spans of a file and, for each part, the span of every row.
 
-    A table begins a span where segment or block change; the parts of a bag share one.
+    A table begins a span where segment or block changes; the parts of a bag share one.
     """
     if len(recording.parts) > 1:
         start_s = min(float(part.t_s[0]) for part in recording.parts)

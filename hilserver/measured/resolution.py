@@ -7,7 +7,7 @@ from hilserver.measured.thresholds import FEWEST_READINGS, STEP_EXACT, STEP_OFTE
 
 
 def step_of(values: Array) -> tuple[float, float]:
-    """Return the step that readings come in and one of them; (0, 0) where there is none."""
+    """Return the step between readings and one of them; (0, 0) if there is no step."""
     if len(values) < FEWEST_READINGS:
         return 0.0, 0.0
     different = np.unique(values)

@@ -1,4 +1,4 @@
-"""Files to tables: CSV, recordings of ours and Parquet, in our names or through a mapping."""
+"""Files to tables: CSV, our recordings and Parquet, with our names or through a mapping."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -31,7 +31,7 @@ class Stamped:
     segment: Indices
     columns: Mapping[str, Array]  # shape (n,): by signal name
     block: Indices | None = None
-    # shape (n,): how long before its row a sample was taken; nothing where the key is absent
+    # shape (n,): how long before its row a sample was taken; 0 if the key is missing
     age_s: Mapping[str, Array] = field(default_factory=dict)
 
 
@@ -43,14 +43,14 @@ class Recording:
     parts: Sequence[Stamped]
     has_stamps: bool = True
     notices: Sequence[str] = ()
-    machine: str | None = None  # the plant that a recording of ours was made with, as YAML
+    machine: str | None = None  # the plant with which our recording was made, as YAML
     on_ticks: bool = False  # see `MeasuredLog`
 
 
 def read_own(path: Path, sampling: Sampling | None = None) -> Recording:
-    """Read a table whose columns are signal names: CSV, or a recording of ours.
+    """Read a table whose columns are signal names: CSV, or one of our recordings.
 
-    `sampling` is that of frames that do not carry their daemon's configuration.
+    `sampling` is for frames that do not carry their daemon's configuration.
     """
     log = read_log(path, known_columns())
     for name, values in log.columns.items():
@@ -59,7 +59,7 @@ def read_own(path: Path, sampling: Sampling | None = None) -> Recording:
 
 
 def refuse_foreign(path: Path) -> None:
-    """Refuse a table none of whose columns is a signal, with a mapping file that may fit it."""
+    """Refuse a table without any signal as a column, with a mapping file that may fit it."""
     if path.suffix == ".parquet":
         header, first = read_parquet(path, ()).header, []
     elif path.suffix == ".csv":
@@ -68,7 +68,7 @@ def refuse_foreign(path: Path) -> None:
         try:
             texts = [row.decode("utf-8-sig").rstrip("\r\n") for row in rows]
         except UnicodeDecodeError:
-            return  # the reader says what it is
+            return  # the reader will report it
         separator = separator_of(texts[0])
         header, first = (
             [text.strip().strip('"') for text in row.split(separator)] for row in texts
@@ -76,11 +76,11 @@ def refuse_foreign(path: Path) -> None:
     else:
         return
     if header[0].startswith(NO_NAME):
-        return  # the reader says what it is
+        return  # the reader will report it
     is_misspelt = any("." in name and nearest(name, known_columns()) for name in header)
     if not is_misspelt and {*known_columns(), BLOCK, SEGMENT}.isdisjoint(header):
         columns = ", ".join(f"'{name}'" for name in header)
-        if proposal := propose(header, first):  # else the reader says what is wrong
+        if proposal := propose(header, first):  # else the reader will report the error
             raise ForeignLog(
                 f"{path}: row 1: none of the columns {columns:.600} is a signal of hilserver; name"
                 " them in a mapping file and give it with --mapping",
@@ -176,7 +176,7 @@ def read_mapped(path: Path, mapping: LogMapping) -> Recording:
 
 
 def _counted(segment: Indices, rate_hz: float) -> Array:
-    """Return the times of rows that come at a rate."""
+    """Return the times of rows at a constant rate."""
     starts = np.flatnonzero(np.diff(segment, prepend=segment[:1] - 1))
     n = len(segment)
     row = np.arange(n) - np.repeat(starts, np.diff(starts, append=n))
