@@ -4,7 +4,14 @@ import numpy as np
 
 from hilserver.diagnosis.checks.repetitions import repeated
 from hilserver.diagnosis.checks.runs import Fault, Faults, classified, corrected
-from hilserver.diagnosis.checks.support import SPAN_S, along, data_fault, listed, measured_channels
+from hilserver.diagnosis.checks.support import (
+    SPAN_S,
+    along,
+    data_fault,
+    listed,
+    measured_channels,
+    standing,
+)
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import (
     FEWEST_EVENTS,
@@ -32,7 +39,7 @@ def find_missing(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, lis
 def find_repeated(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
     """Find single channels that repeat samples; the repetitions are left out."""
     names = (n for n in measured_channels(log.channels) if not n.endswith("duty_pct"))
-    again = classified(names, lambda name: repeated(log[name]))
+    again = classified(names, lambda name: repeated(log[name], standing(log, log[name])))
     findings = [_finding(again, "are repetitions of the one before")] if again else []
     return corrected(log, again), findings
 

@@ -21,7 +21,13 @@ from hilserver.diagnosis.checks.runs import (
     rate_fault,
     runs_of,
 )
-from hilserver.diagnosis.checks.support import data_fault, listed, measured_channels, subset
+from hilserver.diagnosis.checks.support import (
+    data_fault,
+    listed,
+    measured_channels,
+    standing,
+    subset,
+)
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import FEWEST_SAMPLES, HELD_SLOWEST_HZ, NEGLIGIBLE
 from hilserver.measured.data import Channel, MeasuredLog
@@ -35,10 +41,10 @@ def find(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Findin
     findings: list[Finding] = []
     changes = changes_s(log)
     for names in list(_sources(log)):
-        again = repetitions([log[name] for name in names])
+        found = repetitions([log[name] for name in names], standing(log, log[names[0]]))
         evenly = (held(log[name], runs_of(log[name]), changes) for name in names)
-        if again is not None and None in evenly:  # `repetitions` handles clocks better
-            share = float(again.mean())
+        if found is not None and None in evenly:  # `repetitions` handles clocks better
+            again, share = found
             faults = {name: Fault(subset(log[name], ~again), share) for name in names}
             findings.append(_finding(log, faults))
             log = corrected(log, faults)
@@ -67,10 +73,16 @@ def _are_noisy(log: MeasuredLog, names: list[str]) -> bool:
     return any(alternates(one[one != 0.0]) for one in steps)
 
 
-def repetitions(channels: list[Channel]) -> Mask | None:
-    """Return which samples of a source repeat the previous message, shape (n,); None without any.
+def repetitions(channels: list[Channel], stands: Mask) -> tuple[Mask, float] | None:
+    """Return which samples of a source repeat the previous message, and their share; None if sound.
 
-    Two equal columns count as one. A source that stays the same for long is at rest, or stuck.
+    Two equal columns count as one. A source that stays the same for long is at rest, or stuck; one
+    that does so while the robot stands, or whose values are all zero or at a limit, is sound.
+
+    Parameters
+    ----------
+    stands : ndarray of bool, shape (n,)
+        Samples at which the robot stands.
     """
     t_s, span = channels[0].t_s, channels[0].span
     columns = np.unique(np.stack([channel.values for channel in channels]), axis=0)
@@ -78,14 +90,19 @@ def repetitions(channels: list[Channel]) -> Mask | None:
         return None
     stays = np.zeros(columns.shape, dtype=bool)
     stays[:, 1:] = (np.diff(columns) == 0.0) & (np.diff(span) == 0)
+    top = np.abs(columns).max(axis=1, keepdims=True)
+    stays[:, ((columns == 0.0) | (np.abs(columns) == top)).all(axis=0)] = False
     again = np.asarray(stays.all(axis=0))
-    if (stays.any(axis=0) & ~again).mean() > NEGLIGIBLE * again.mean():
-        return None
+    alone = float((stays.any(axis=0) & ~again).mean())
     begins = np.flatnonzero(~again)
     length = np.diff(begins, append=len(t_s))
-    lasts_s = t_s[begins + length - 1] - t_s[begins]
-    again &= np.repeat(lasts_s < 1.0 / HELD_SLOWEST_HZ, length)
-    return again if again.mean() >= NEGLIGIBLE else None
+    short = t_s[begins + length - 1] - t_s[begins] < 1.0 / HELD_SLOWEST_HZ
+    judged = np.repeat(short & ~np.logical_or.reduceat(stands, begins), length)
+    again &= np.repeat(short, length)
+    shown = float((again & judged).mean())
+    if shown < NEGLIGIBLE or alone > NEGLIGIBLE * shown:
+        return None
+    return again, shown / float(judged.mean())
 
 
 def _finding(log: MeasuredLog, faults: Faults) -> Finding:

@@ -238,12 +238,13 @@ def _alike(faults: Faults) -> list[dict[str, Fault]]:
     return groups
 
 
-def repeated(channel: Channel) -> Fault | None:
+def repeated(channel: Channel, stands: Mask) -> Fault | None:
     """Return a channel without the samples that repeat the previous one; None if sound.
 
     Judged only where equal values are no accident: in a channel with noise of its own, unlike a
     computed one (the duty) or a coarse one. Rounded noise sometimes repeats itself: then only a
-    burst counts. If values never repeat otherwise, a single repetition does.
+    burst counts. If values never repeat otherwise, a single repetition does. While the robot
+    stands (`stands`, shape (n,)) a filtered pose stays the same, too.
     """
     if len(channel) < 200:
         return None
@@ -261,6 +262,7 @@ def repeated(channel: Channel) -> Fault | None:
     least = 0.05 * float(np.median(np.abs(steps)))
     size = np.abs(channel.values)
     burst = ~short & (channel.values[runs.first] != 0)
+    burst &= ~np.logical_or.reduceat(stands, runs.first)
     burst &= size[runs.first] < size.max()  # a limited sensor stays there, too
     sudden = burst & (runs.before > least) & (runs.after > least)
     samples = int(runs.length[burst].sum())

@@ -7,7 +7,9 @@ import numpy as np
 
 from hilserver.arrays import Array, Mask
 from hilserver.diagnosis.schema.findings import Finding, Interval, Parameter, Verdict
-from hilserver.measured.data import Channel
+from hilserver.diagnosis.thresholds import STILL_RPM
+from hilserver.measured.channels import SETPOINTS, SPEEDS
+from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.measured.names import is_input
 
 SPAN_S = 1e6  # longer than any span, so that the stamps of two spans differ
@@ -69,3 +71,13 @@ def row_period_s(channel: Channel) -> float:
     """Return the usual time between two samples; 0 if there are too few."""
     steps = np.diff(channel.t_s)[np.diff(channel.span) == 0]
     return float(np.median(steps)) if len(steps) else 0.0
+
+
+def standing(log: MeasuredLog, source: Channel) -> Mask:
+    """Return at which samples of a source no wheel is asked to turn, and none turns."""
+    at, moves = along(source), np.zeros(len(source), dtype=bool)
+    known = [log[name] for name in (*SETPOINTS, *SPEEDS) if name in log and len(log[name])]
+    for channel in known:
+        last = np.searchsorted(along(channel), at, side="right") - 1
+        moves |= np.abs(channel.values[np.maximum(last, 0)]) > STILL_RPM
+    return ~moves & bool(known)
