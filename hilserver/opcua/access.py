@@ -1,8 +1,8 @@
 """Who may do what: the one place where users and roles are decided.
 
-`Access` is asked at log-in, before every write and before every method call. On loopback, as long
-as no users are named, everybody is an anonymous engineer. `identify` says who stands behind a
-session, from the user token of ActivateSession.
+`Access` is consulted at log-in, before every write and before every method call. On loopback, as
+long as no users are configured, every client is an anonymous engineer. `identify` finds the user of
+a session from the user token of ActivateSession.
 """
 
 import asyncio
@@ -62,16 +62,16 @@ class Access:
 
     @property
     def has_users(self) -> bool:
-        """Whether anybody can log in with a password."""
+        """Whether there are users who log in with a password."""
         return bool(self._users)
 
     @property
     def admits_anonymous(self) -> bool:
-        """Whether a client may do without a name."""
+        """Whether a client may connect without a user name."""
         return self._anonymous is not None
 
     def anonymous(self) -> RoleUser | None:
-        """Return the user without a name, None to refuse."""
+        """Return the anonymous user, None to refuse."""
         if self._anonymous is None:
             return None
         return RoleUser(UserRole.User, None, self._anonymous)
@@ -79,7 +79,7 @@ class Access:
     async def log_in(self, name: str, password: bytes, address: str) -> RoleUser | None:
         """Return the user, None if name or password is wrong or too many attempts failed.
 
-        The answer tells nobody which of them it was, nor does the time it takes.
+        Neither the answer nor the time it takes reveals which of them it was.
         """
         keys = keys_of(name, address)
         now_s = time.monotonic()
@@ -138,11 +138,11 @@ async def identify(
     Parameters
     ----------
     is_encrypted : bool
-        Whether the channel is; a password in the clear is accepted on no other.
+        Whether the channel is; only then a password in clear text is accepted.
     key : RSA private key or None
-        Decrypts a password that is encrypted itself.
+        Decrypts a password that is itself encrypted.
     nonce : bytes
-        What we gave the client last; an encrypted password must contain it.
+        The last one that we sent to the client; an encrypted password must contain it.
     """
     is_empty = token is None or (
         isinstance(token, ua.ExtensionObject) and token.TypeId == ua.NodeId(ua.ObjectIds.Null)

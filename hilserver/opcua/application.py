@@ -1,18 +1,18 @@
-"""What stands behind a server: it answers Write and Call, and knows what clients are to it.
+"""What stands behind a server: answers Write and Call, and classifies clients.
 
-`Application` serves the nodes that asyncua's own interface has made. A program with other ideas of
-who may write what, and of what happens then, derives from it and puts its own into
+`Application` serves the nodes made through asyncua's own interface. A program with other rules for
+writing, or other effects, derives a class from it and assigns an instance to
 `HardenedServer.application`.
 
 ====================  ==========================================================================
-BadNotWritable        no input, or another attribute than Value
+BadNotWritable        not an input, or another attribute than Value
 BadUserAccessDenied   the user's role does not allow it
 BadWriteNotSupported  with an index range or with a status code that is not Good
 BadTypeMismatch       another data type, scalar for array
-BadMethodInvalid      the method is none of that object's
+BadMethodInvalid      the method does not belong to that object
 BadArgumentsMissing   fewer arguments than described
 BadTooManyArguments   more
-BadInvalidArgument    another type; the argument's result says which
+BadInvalidArgument    another type; the result of the argument shows which one
 ====================  ==========================================================================
 """
 
@@ -28,19 +28,19 @@ from hilserver.opcua.settings import Role
 _Codes, _Attributes = ua.StatusCodes, ua.AttributeIds
 _CAN_WRITE = ua.AccessLevel.CurrentWrite.mask
 _INPUT_ARGUMENTS = ua.QualifiedName("InputArguments", 0)
-_SCALAR = -1  # ValueRank of what is no array (OPC 10000-3, 5.6.2)
+_SCALAR = -1  # ValueRank of a scalar (OPC 10000-3, 5.6.2)
 _BUILT_IN = {kind.value for kind in ua.VariantType} - {ua.VariantType.Variant.value}
 
 
 class Answer(NamedTuple):
-    """Result of one write: status code, and a sentence where it is refused."""
+    """Result of one write: status code, and a sentence if it is refused."""
 
     code: int
     text: str = ""
 
 
 class CallAnswer(NamedTuple):
-    """Result of one call: what goes to the client, and a sentence where it is refused."""
+    """Result of one call: the answer to the client, and a sentence if it is refused."""
 
     result: ua.CallMethodResult
     text: str = ""
@@ -57,34 +57,34 @@ def refused(code: int, text: str = "", results: list[ua.StatusCode] | None = Non
 
 @dataclass(frozen=True, slots=True)
 class Visitor:
-    """What a client is to the application, from the name that it gives its session."""
+    """A client as the application classifies it, from the name that it gives its session."""
 
-    address: str  # where its user is, for failed log-ins; empty: those of the user name alone
-    has_own_place: bool = False  # it counts for none of the places that clients share
+    address: str  # of its user, for failed log-ins; empty: only the user name counts
+    has_own_place: bool = False  # it does not count for the places that clients share
 
 
 class Application:
     """Serves variables that are writable and methods that have a function.
 
-    Names that permissions know are text identifiers of node ids, browse names of others.
+    Permissions name nodes by the text identifier of the node id, or else by the browse name.
     """
 
     def __init__(self, server: Any, access: Access) -> None:
         self._server, self._space, self._access = server, server.aspace, access
 
     def visitor(self, session_name: str, address: str) -> Visitor:  # noqa: ARG002 - for others
-        """Return what a client is that gives its session this name."""
+        """Return the visitor for a client that gives its session this name."""
         return Visitor(address)
 
     def left(self, session: Any) -> None:
         """Note that a session is over, or has lost its connection."""
 
     def has_reserve(self, user: Any) -> bool:
-        """Whether places are kept for a user, however many others watch."""
+        """Whether places are reserved for a user, however many others there are."""
         return bool(user.rights > Role.OBSERVER)
 
     def name_of(self, node_id: ua.NodeId) -> str:
-        """Return the name by which permissions know a node."""
+        """Return the name of a node in permissions."""
         if isinstance(node_id.Identifier, str):
             return node_id.Identifier
         node = self._space.get(node_id)
@@ -100,7 +100,7 @@ class Application:
         return self._access.may_call(user, self.name_of(node_id))
 
     def refuse(self, item: ua.WriteValue, user: Any) -> Answer | None:
-        """Return why a user cannot write this, None if it is worth looking at the value."""
+        """Return why a user cannot write this, None if that depends on the value."""
         node = self._space.get(item.NodeId)
         if node is None:
             return Answer(_Codes.BadNodeIdUnknown)
@@ -126,7 +126,7 @@ class Application:
     def write(
         self, items: Iterable[ua.WriteValue], session: Any
     ) -> Generator[Any, Any, list[Answer]]:
-        """Return one answer per item; gives way between them."""
+        """Return one answer per item; yields between them."""
         answers: list[Answer] = []
         for item in items:
             answer = self.refuse(item, session.user)
@@ -151,7 +151,7 @@ class Application:
         return node is not None and node.call is not None
 
     async def call(self, request: ua.CallMethodRequest, session: Any) -> CallAnswer:
-        """Answer one call of a method that there is."""
+        """Answer one call of an existing method."""
         owner = self._space.get(request.ObjectId)
         if owner is None or not any(
             r.IsForward and r.NodeId == request.MethodId for r in owner.references
@@ -167,7 +167,7 @@ class Application:
         return await self.run(request)
 
     async def run(self, request: ua.CallMethodRequest) -> CallAnswer:
-        """Do what is asked for; its arguments have been checked."""
+        """Run the method; the arguments have been checked."""
         (result,) = await self._server.method_service.call([request])
         return CallAnswer(result)
 

@@ -1,6 +1,6 @@
 """The views: Browse in pages and TranslateBrowsePaths, in portions.
 
-A long answer ends in a continuation point that BrowseNext goes on from.
+A long answer ends in a continuation point, from which BrowseNext continues.
 """
 
 import secrets
@@ -17,9 +17,9 @@ _HAS_SUBTYPE = ua.NodeId(ua.ObjectIds.HasSubtype)
 
 
 class TypeTree:
-    """Subtypes of the types of an address space; nodes may be added, types stay what they are.
+    """Subtypes of the types of an address space; nodes may be added, but types do not change.
 
-    asyncua walks the tree anew for every reference that a Browse looks at.
+    asyncua would walk the tree again for every reference of a Browse.
     """
 
     def __init__(self, address_space: Any) -> None:
@@ -36,7 +36,7 @@ class TypeTree:
         found = self._closures.get(type_id)
         if found is None:
             found = self._walk(type_id)
-            if type_id in self._address_space:  # or strangers would fill the memory
+            if type_id in self._address_space:  # or unknown ids would fill the memory
                 self._closures[type_id] = found
         return found
 
@@ -92,7 +92,7 @@ class ContinuationPoints:
         Parameters
         ----------
         most : int
-            References of a page that the client takes, 0: any number.
+            Largest number of references per page for the client, 0: any.
         room : int
             References that the response still has room for.
         """
@@ -134,7 +134,7 @@ class ContinuationPoints:
 
 
 def translate(address_space: Any, types: TypeTree, path: ua.BrowsePath) -> Portions:
-    """Return the targets of a browse path; a node that is reached twice is gone on from once."""
+    """Return the targets of a browse path; a node that is reached twice is followed once."""
     elements = path.RelativePath.Elements or []
     if path.StartingNode not in address_space:
         raise ServiceError(_Codes.BadNodeIdUnknown)
@@ -184,7 +184,7 @@ def _is_wanted(asked: ua.BrowseDescription, types: Types, reference: Any) -> boo
 
 
 def _masked(reference: ua.ReferenceDescription, mask: int) -> ua.ReferenceDescription:
-    """Return a reference with the fields that are asked for (OPC 10000-4, 5.9.2)."""
+    """Return a reference with the requested fields (OPC 10000-4, 5.9.2)."""
     if mask & _Mask.All == _Mask.All:
         return reference
     kept = ua.ReferenceDescription(NodeId=reference.NodeId, IsForward=False)

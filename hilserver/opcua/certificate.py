@@ -41,7 +41,7 @@ def make_certificate(
     hosts : iterable of str
         Host names and addresses by which clients reach the server.
     days : float
-        Time of validity from `not_before`, which is now when left out.
+        Validity from `not_before` on, which is now by default.
     """
     begin = not_before or datetime.now(UTC) - timedelta(minutes=5)
     subject = x509.Name(
@@ -123,7 +123,7 @@ def load_certificate(path: Path) -> x509.Certificate:
 
 
 def to_der(certificate: x509.Certificate) -> bytes:
-    """Return the bytes that travel in OPC UA."""
+    """Return the bytes that are sent in OPC UA."""
     return certificate.public_bytes(serialization.Encoding.DER)
 
 

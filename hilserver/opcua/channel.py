@@ -1,9 +1,9 @@
-"""The secure channel of one connection: asyncua's, without the ways around it.
+"""The secure channel of one connection: asyncua's, without its loopholes.
 
-asyncua falls back to policy None whatever the server is set to, answers messages that no
-OpenSecureChannel came before, and lets expired keys live. Here a channel is opened once with a
-policy that is offered and a certificate that is trusted; policy None that is not offered carries
-discovery and nothing else.
+asyncua falls back to policy None whatever the server's settings, answers messages without a
+preceding OpenSecureChannel, and accepts expired keys. Here a channel is opened once with a policy
+that is offered and a certificate that is trusted; if policy None is not offered, it is good for
+discovery only.
 """
 
 import hashlib
@@ -33,7 +33,7 @@ _PLAIN = struct.Struct("<3scIIIII")
 _MAX_SEQUENCE, _WRAP = 2**32 - 1, 1024
 _Codes = ua.StatusCodes
 _None = ua.MessageSecurityMode.None_
-# OPC 10000-4, 6.1.3: who is not trusted learns no more than that.
+# OPC 10000-4, 6.1.3: an untrusted client learns only that it is not trusted.
 _CONCEALED = {Verdict.INVALID, Verdict.UNTRUSTED, Verdict.POLICY}
 
 
@@ -50,14 +50,14 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
         self.set_policy_factories(list(policies))
         # the channel is not protected, and the server does not offer that for sessions
         self.is_discovery_only = False
-        self.max_bytes = MAX_BYTES_BEFORE_LOGIN  # longest request that is accepted at this point
+        self.max_bytes = MAX_BYTES_BEFORE_LOGIN  # longest request accepted at this point
         self.max_response_bytes = 0  # longest response that the client accepts, 0 for any
         self._expiring = (0, 0.0)
         self._trust = trust
         self._peer = peer
 
     def greet(self, hello: ua.Hello, max_bytes: int) -> ua.Acknowledge:
-        """Agree on sizes; TransportError if the client's buffers are none."""
+        """Agree on sizes; TransportError if the client's buffer sizes are invalid."""
         if min(hello.ReceiveBufferSize, hello.SendBufferSize) < MIN_BUFFER_BYTES:
             raise TransportError(_Codes.BadConnectionRejected, "buffers below 8192 bytes")
         if len(hello.EndpointUrl or "") > _MAX_URL_BYTES:
@@ -98,7 +98,7 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
             )
             raise TransportError(code, "security policy or mode not offered")
         if mode is not None:
-            return  # decrypted with this very policy already, and judged
+            return  # already decrypted with this policy, and checked
         self._judge(peer_certificate or b"")
         self.security_policy = factory.create(first_of_chain(peer_certificate or b""))
 
@@ -156,9 +156,9 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
         return super().open(params, server)
 
     def receive_plain(self, frame: bytes) -> tuple[int, Buffer] | None:
-        """Return request id and body of a whole, unprotected, expected message, quickly.
+        """Return request id and body of a whole, unprotected, expected message: the fast path.
 
-        None for every other one: `receive_from_header_and_body` judges it and says what is wrong.
+        None for any other: `receive_from_header_and_body` checks it and reports what is wrong.
         """
         _, chunk, _, channel, token_id, sequence, request_id = _PLAIN.unpack_from(frame)
         token, last = self.security_token, self._peer_sequence_number
@@ -205,7 +205,7 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
 
     def _check_sym_header(self, security_hdr: ua.SymmetricAlgorithmHeader) -> None:
         if security_hdr.TokenId == 0:
-            # asyncua would take it for the token of a renewal that nobody asked for.
+            # asyncua would take it for the token of a renewal that was not requested.
             raise TransportError(_Codes.BadSecureChannelTokenUnknown, "no such token")
         try:
             super()._check_sym_header(security_hdr)

@@ -1,7 +1,7 @@
-"""When a changed value is worth a notification (OPC 10000-4, 7.22.2; OPC 10000-8, 6.2).
+"""When a changed value causes a notification (OPC 10000-4, 7.22.2; OPC 10000-8, 6.2).
 
-The reference is the value reported last, not the one sampled last: a slow drift is reported as
-soon as it has gone far enough.
+The reference is the value reported last, not the one sampled last, so that a slow drift is reported
+when it exceeds the band.
 """
 
 import math
@@ -21,7 +21,7 @@ _NUMBERS = {kind for kind in ua.VariantType if 2 <= kind.value <= 11}  # SByte t
 
 @dataclass(frozen=True, slots=True)
 class ChangeFilter:
-    """What of a value must change, and by how much."""
+    """Which part of a value must change, and by how much."""
 
     trigger: ua.DataChangeTrigger = _STATUS_VALUE
     band: float = 0.0  # changes up to this, in the variable's unit, are not reported; 0 reports any
@@ -47,12 +47,12 @@ class ChangeFilter:
         if self.band == 0.0:
             return bool(old_value != new_value)
         pairs = _pairs(old_value, new_value)
-        # `not <=` also reports what has become NaN.
+        # `not <=` also reports a value that has become NaN.
         return pairs is None or any(not abs(b - a) <= self.band for a, b in pairs)
 
 
 def _pairs(old: Any, new: Any) -> list[tuple[float, float]] | None:
-    """Return the numbers to compare, None if the two cannot be compared by a difference."""
+    """Return the numbers to compare, None if the two have no difference."""
     if not isinstance(old, list):
         old, new = [old], [new]
     if not isinstance(new, list) or len(old) != len(new):
@@ -65,7 +65,7 @@ def _pairs(old: Any, new: Any) -> list[tuple[float, float]] | None:
 def change_filter(
     asked: Any, attribute: int, kind: ua.VariantType | None, eu_range: ua.Range | None
 ) -> ChangeFilter:
-    """Return the filter that a client asks for.
+    """Return the filter that a client requests.
 
     ServiceError: BadFilterNotAllowed or BadDeadbandFilterInvalid.
     """

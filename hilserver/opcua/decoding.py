@@ -1,13 +1,13 @@
 """Bounds for asyncua's decoder: an array cannot have more elements than its message has bytes.
 
-What one operation of a request carries in lists has a bound of its own: a Variant, decoded, costs a
-hundred times what it costs to send. Lists of numbers are cheap and go by their bytes.
+Lists in one operation of a request have a bound of their own: to decode a Variant costs a hundred
+times more than to send it. Lists of numbers are cheap and only bounded by their bytes.
 
-An enumeration keeps a number that names nothing: whoever asks for it decides which status code that
-deserves, instead of the whole message failing.
+An enumeration may hold an undefined number: the service decides which status code that deserves,
+instead of the whole message failing.
 
-Without them a message of a hundred bytes whose array of Null announces 2^31 elements fills the
-memory, and the request header is decoded before anybody has logged in.
+Without these bounds a message of a hundred bytes whose array of Null announces 2^31 elements would
+fill the memory, and the request header is decoded before any log-in.
 """
 
 import functools
@@ -21,7 +21,7 @@ from asyncua.common.utils import NotEnoughData, ServiceError
 from asyncua.ua import ua_binary
 
 MAX_MATRIX_ELEMENTS = 10_000
-MAX_DECODED = 2000  # in the lists of one operation, numbers apart
+MAX_DECODED = 2000  # elements in the lists of one operation, except numbers
 _LENGTH_BYTES = 4
 _Type = ua.VariantType
 T = TypeVar("T")
@@ -30,28 +30,28 @@ _WEIGHTS: dict[Any, int] = {
     **dict.fromkeys(_NUMBERS, 0),
     **dict.fromkeys((_Type.ExtensionObject, _Type.DataValue, _Type.DiagnosticInfo), 4),
 }
-"""What an element counts; those that hold others are the dearest, with some 50 us each."""
+"""Weight of an element; those that hold others are the most expensive, about 50 us each."""
 _left = [math.inf]
 
 
 def within_bounds(decode: Callable[[], T]) -> T:
-    """Decode something that a client of ours has sent; what our own peers send has no bound.
+    """Decode data from a client of our server; data from our own peers has no bound.
 
-    ServiceError: BadEncodingLimitsExceeded, or BadDecodingError whatever else is wrong.
+    ServiceError: BadEncodingLimitsExceeded, or BadDecodingError for any other error.
     """
     _left[0] = MAX_DECODED
     try:
         return decode()
     except ServiceError:
         raise
-    except Exception:  # noqa: BLE001 - whatever a decoder of others trips over is the sender's
+    except Exception:  # noqa: BLE001 - whatever the decoder trips over is an error of the sender
         raise ServiceError(ua.StatusCodes.BadDecodingError) from None
     finally:
         _left[0] = math.inf
 
 
 def bound_decoder() -> None:
-    """Put the bounds into asyncua's decoder; once for the process, again is harmless."""
+    """Put the bounds into asyncua's decoder, once per process; repeating it is harmless."""
     ua_binary.MAX_RESHAPE_ELEMENTS = MAX_MATRIX_ELEMENTS
     for name in ("_create_uatype_array_deserializer", "_create_list_deserializer"):
         create = getattr(ua_binary, name)

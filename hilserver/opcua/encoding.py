@@ -1,8 +1,8 @@
-"""The bytes of what is sent and asked for most: values, Publish and Read.
+"""The bytes of the most frequent messages: values, Publish and Read.
 
-asyncua's codec serves every structure alike and costs 20 us per value; here a value is encoded once
-for all who watch or read it, and the two busiest requests are taken apart by `struct`. Layouts are
-those of OPC 10000-6, 5.2; what does not look as expected is left to asyncua.
+asyncua's general codec costs 20 us per value; here a value is encoded once for all its readers and
+subscribers, and the two most frequent requests are parsed with `struct`. Layouts are those of
+OPC 10000-6, 5.2; anything unexpected is left to asyncua.
 """
 
 import functools
@@ -56,7 +56,7 @@ STATUS_CHANGE = numeric_id(binary_id("StatusChangeNotification"))
 
 
 class FixedDataValue(ua.DataValue):  # type: ignore[misc]
-    """A DataValue that nobody changes after it is made: its bytes are made once, for everybody."""
+    """A DataValue that does not change after it is made: encoded once for all clients."""
 
     @functools.cached_property
     def _encoded(self) -> dict[int, bytes]:
@@ -64,7 +64,7 @@ class FixedDataValue(ua.DataValue):  # type: ignore[misc]
 
     @classmethod
     def of(cls, value: ua.DataValue) -> "FixedDataValue":
-        """Return `value` as one that stays as it is."""
+        """Return `value` as one that does not change."""
         if isinstance(value, cls):
             return value
         return cls(value.Value, value.StatusCode, value.SourceTimestamp, value.ServerTimestamp)
@@ -73,13 +73,13 @@ class FixedDataValue(ua.DataValue):  # type: ignore[misc]
     def good(
         cls, value: Any, kind: ua.VariantType, *, is_array: bool | None = None
     ) -> "FixedDataValue":
-        """Return a value that is good, as of now."""
+        """Return a value with status Good and the stamp of now."""
         now = datetime.now(UTC)
         return cls(ua.Variant(value, kind, None, is_array), _GOOD, now, now)
 
     @functools.cached_property
     def content(self) -> bytes:
-        """Encoded value and status, without stamps: what decides whether something changed."""
+        """Encoded value and status, without stamps, compared to detect a change."""
         return self._value_bytes() + _U32.pack(self.code)
 
     @property
@@ -97,7 +97,7 @@ class FixedDataValue(ua.DataValue):  # type: ignore[misc]
         return scalar.pack(variant.VariantType.value, variant.Value)
 
     def encoded(self, stamps: int) -> bytes:
-        """Return the bytes of the value with the time stamps that are asked for.
+        """Return the bytes of the value with the requested time stamps.
 
         `stamps`: number of a TimestampsToReturn.
         """
@@ -131,7 +131,7 @@ def _date(stamp: datetime) -> bytes:
 
 
 def filetime_now() -> int:
-    """Return the time now as OPC UA counts it: 100 ns since 1601."""
+    """Return the present time in units of OPC UA: 100 ns since 1601."""
     return time.time_ns() // 100 + FILETIME_OF_1970
 
 
@@ -185,7 +185,7 @@ def status_codes(codes: list[int]) -> bytes:
 
 
 def service_id(body: Buffer) -> Any:
-    """Take the type of a request off `body`; None if it is not of namespace 0."""
+    """Read the type of a request from `body`; None if it is not of namespace 0."""
     if body._data[body.cur_pos : body.cur_pos + 2] == _FOUR_BYTES:
         return int.from_bytes(body.read(4)[2:], "little")
     type_id = nodeid_from_binary(body)
@@ -193,7 +193,7 @@ def service_id(body: Buffer) -> Any:
 
 
 class Head(NamedTuple):
-    """What matters of a request header."""
+    """The needed fields of a request header."""
 
     handle: int
     diagnostics: int
@@ -201,7 +201,7 @@ class Head(NamedTuple):
 
 
 def request_head(body: Buffer, token: bytes) -> Head | None:
-    """Take the header of a request that carries `token` off `body`; None if it looks otherwise.
+    """Read the header of a request with `token` from `body`; None if it looks different.
 
     `token`: encoded authentication token of the session.
     """
@@ -244,7 +244,7 @@ _NO_ENCODING = ua.QualifiedName()
 
 
 def read_items(body: Buffer, most: int) -> Generator[None, None, ReadItems]:
-    """Take a Read request apart; BadTooManyOperations beyond `most` items."""
+    """Parse a Read request; BadTooManyOperations beyond `most` items."""
     max_age_ms, stamps, count = struct.unpack("<dii", body.read(16))
     if count > most:
         raise ServiceError(ua.StatusCodes.BadTooManyOperations)

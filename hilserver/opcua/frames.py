@@ -1,7 +1,7 @@
-"""Frames of OPC UA's TCP transport (OPC 10000-6, 7.1), cut out of a stream that lies.
+"""Frames of OPC UA's TCP transport (OPC 10000-6, 7.1), cut out of an untrusted stream.
 
-Nothing is kept that the sender is not entitled to: a header is judged before its body is waited
-for, and what may come depends on how far the connection has got.
+Nothing is buffered that the sender is not entitled to send: a header is checked before its body is
+awaited, and the accepted messages depend on the stage of the connection.
 """
 
 import struct
@@ -18,7 +18,7 @@ _Codes = ua.StatusCodes
 
 
 class Stage(IntEnum):
-    """How far a connection has got."""
+    """Stage of a connection."""
 
     NEW = 0
     GREETED = 1
@@ -47,13 +47,13 @@ class FrameReader:
 
     def __init__(self) -> None:
         self._buffer = bytearray()
-        # when the frame that is still incomplete began [s]; None without one
+        # start of the frame that is still incomplete [s]; None without one
         self.since_s: float | None = None
 
     def feed(self, data: bytes, now_s: float) -> Iterator[tuple[bytes, bytes]]:
-        """Add what came in; yield message type and whole frame, in order.
+        """Add received bytes; yield message type and whole frame, in order.
 
-        TransportError if a header is none, or announces more than is accepted.
+        TransportError if a header is invalid, or announces more than is accepted.
         """
         self._buffer += data
         if self.since_s is None and self._buffer:
@@ -81,7 +81,7 @@ class FrameReader:
 
 
 def check_order(stage: Stage, kind: bytes) -> None:
-    """Raise TransportError if a message of that type cannot come now."""
+    """Raise TransportError if a message of that type is not allowed at this stage."""
     if kind not in _ALLOWED[stage]:
         if kind == b"MSG":
             raise TransportError(_Codes.BadTcpSecureChannelUnknown, "no channel is open")

@@ -38,11 +38,11 @@ class InnerServer(QuickInternalServer):
         )
         self.allow_remote_admin = False
         self.max_connections = settings.max_connections
-        # A client that vanished is served until its session ends.
+        # A client that has vanished is served until its session ends.
         self.max_session_timeout_ms = _LONGEST_SESSION_MS
         self.types = TypeTree(self.aspace)
         self.subscription_service = Subscriptions(self.aspace, self.types, settings)
-        # asyncua's event generators send through the server's own session: it was made first.
+        # asyncua's event generators send through the server's own session, which was made before.
         self.isession.subscription_service.trigger_event = self.subscription_service.trigger_event
         self.reader = Reader(self)
         self.sessions: dict[ua.NodeId, Session] = {}
@@ -52,7 +52,7 @@ class InnerServer(QuickInternalServer):
         self.supported_tokens = tuple(tokens)
 
     def new_session(self, processor: Any, policy: Any, name: str | None) -> Session:
-        """Return a new session of that name; BadTooManySessions where there is no place for it."""
+        """Return a new session of that name; BadTooManySessions if there is no place for it."""
         visitor = self.application.visitor(name or "", processor.address)
         if not visitor.has_own_place:
             self._places.create(tuple(self.sessions.values()), processor.address)
@@ -61,7 +61,7 @@ class InnerServer(QuickInternalServer):
         return session
 
     def admit(self, session: Session, user: Any) -> None:
-        """Raise BadTooManySessions where there is no place for a session of that user."""
+        """Raise BadTooManySessions if there is no place for a session of that user."""
         self._places.activate(tuple(self.sessions.values()), session, user)
 
     def end_idle_sessions(self, now_s: float) -> None:

@@ -1,4 +1,4 @@
-"""One monitored item: filters what it sees and queues it within bounds."""
+"""One monitored item: filters changes and queues them within bounds."""
 
 import math
 import struct
@@ -19,7 +19,7 @@ _OVERFLOW = 0x480  # InfoType DataValue and Overflow of a status code (OPC 10000
 
 @dataclass
 class Room:
-    """How much more a session may have monitored."""
+    """How much more a session may monitor."""
 
     items: int
     queued_values: int
@@ -49,7 +49,7 @@ class ValueItem(_Item):
 
     kind: ClassVar[bytes] = DATA_CHANGE
     read: ua.ReadValueId
-    place: Any  # where the value stands
+    place: Any  # that holds the value
     stamps: int
     change: ChangeFilter
     interval_s: float  # sampling interval [s]; 0: every change
@@ -58,10 +58,10 @@ class ValueItem(_Item):
     reported: FixedDataValue | None = None
 
     def sample(self, value: ua.DataValue, now_s: float, slack_s: float = 0.0) -> bool:
-        """Take what stands at the place if it is due and news; return whether it was queued.
+        """Take the value of the place if it is due and new; return whether it was queued.
 
-        `slack_s`: it is due so much earlier, and at most half its interval, so that what falls
-        together with the publishing interval falls into every one of them [s].
+        `slack_s`: it is due so much earlier, at most half its interval, so that an item with the
+        publishing interval is sampled in every one of them [s].
         """
         if self.interval_s:
             now_s += min(slack_s, self.interval_s / 2)
@@ -80,13 +80,13 @@ class ValueItem(_Item):
             queue.popleft() if self.discard_oldest else queue.pop()
         queue.append(fixed)
         if is_full and self.size > 1:
-            # What is lost is marked beside the gap.
+            # A lost value is marked next to the gap.
             end = 0 if self.discard_oldest else -1
             queue[end] = _with_overflow(queue[end])
         return True
 
     def forget(self) -> None:
-        """Begin anew: whatever stands there next is a change."""
+        """Start again: the next value counts as a change."""
         self.queue.clear()
         self.seen = self.reported = None
 
@@ -97,14 +97,14 @@ class ValueItem(_Item):
 
 
 class FixedEvent:
-    """An event that nobody changes after it is made."""
+    """An event that does not change after it is made."""
 
     def __init__(self, emitting_node: ua.NodeId, fields: dict[str, ua.Variant]) -> None:
         self.emitting_node = emitting_node
         self._fields = fields
 
     def field(self, name: str) -> Any:
-        """Return the value of a field, None where it does not exist."""
+        """Return the value of a field, None if it does not exist."""
         return self._fields.get(name, _NULL).Value
 
     def selected(self, clauses: list[ua.SimpleAttributeOperand]) -> list[ua.Variant]:
@@ -135,7 +135,7 @@ class EventItem(_Item):
         return True
 
     def forget(self) -> None:
-        """Drop what is queued."""
+        """Drop the queue."""
         self.queue.clear()
 
     def pop(self) -> bytes:

@@ -44,7 +44,7 @@ async def create_session(processor: Any, params: Any) -> ua.CreateSessionRespons
 
 
 def _check_client(processor: Any, params: ua.CreateSessionParameters) -> None:
-    """Check that the session is asked for by the application that opened the channel."""
+    """Check that the session is requested by the application that opened the channel."""
     policy = processor.policy
     texts = (params.EndpointUrl, params.SessionName, params.ServerUri)
     if any(len(text or "") > _MAX_CLIENT_TEXT for text in texts):
@@ -64,7 +64,7 @@ def _check_client(processor: Any, params: ua.CreateSessionParameters) -> None:
 
 
 async def activate_session(processor: Any, token: Any, params: Any) -> ua.ActivateSessionResponse:
-    """Answer ActivateSession: who proves to be the session's client and a known user gets in."""
+    """Answer ActivateSession: admit a proven client of the session with a known user."""
     iserver, policy = processor.iserver, processor.policy
     session = iserver.sessions.get(token)
     if session is None or (processor.session is not None and session is not processor.session):
@@ -102,7 +102,7 @@ async def activate_session(processor: Any, token: Any, params: Any) -> ua.Activa
 
 
 def _move(session: Session, processor: Any) -> None:
-    """Bind the session of another connection, which has proved to be the same client's."""
+    """Bind the session of another connection of the same, proven client."""
     if session.processor is not None and session.processor.session is session:
         session.processor.session = None
     session.bind(processor, processor.policy)

@@ -1,4 +1,4 @@
-"""The server's log. asyncua's own lines are tamed where all logging is set up."""
+"""The server's log. asyncua's own messages are limited where logging is set up."""
 
 import structlog
 

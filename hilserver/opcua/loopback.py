@@ -1,4 +1,4 @@
-"""Who is on this computer."""
+"""Which addresses are on this computer."""
 
 import ipaddress
 

@@ -1,8 +1,8 @@
-"""Monitored items: sampled as often as was agreed, filtered, queued within bounds.
+"""Monitored items: sampled at the agreed interval, filtered, queued within bounds.
 
-Nothing is pushed: an item looks at its place and takes the value if it is another than last time.
+Nothing is pushed: an item looks at its place and takes the value if it differs from the last one.
 With a sampling interval of 0 it looks after every publish slice, with a longer one when that has
-passed, and in any case not without a turn.
+passed, and always in a turn of its subscription.
 """
 
 import functools
@@ -27,8 +27,8 @@ _Modes = ua.MonitoringMode
 _Attributes = ua.AttributeIds
 _REPORTING = _Modes.Reporting
 MAX_SELECTED = 500  # select clauses of an event item
-MAX_LINKS = 1000  # from items that trigger to those that they trigger, in one subscription
-GIVE_WAY_EVERY = 50  # items: so many are looked at without a pause
+MAX_LINKS = 1000  # between triggering and triggered items, in one subscription
+GIVE_WAY_EVERY = 50  # items that are sampled without a pause
 
 
 class MonitoredItems:
@@ -60,7 +60,7 @@ class MonitoredItems:
 
     @property
     def queued_values(self) -> int:
-        """Room in all queues together, beyond one value each."""
+        """Total size of all queues, not counting one value each."""
         return sum(item.size - 1 for item in self._items())
 
     def get(self, item_id: int) -> Item | None:
@@ -177,7 +177,7 @@ class MonitoredItems:
         self.ready.pop(item_id, None)
         self._rearrange()
         if _Modes.Disabled in (was, mode):
-            item.forget()  # when it is switched on, too: a look under way may have taken a value
+            item.forget()  # also when switched on: sampling under way may have taken a value
         if isinstance(item, ValueItem) and was == _Modes.Disabled != mode:
             self._look_at([item], time.monotonic())
         else:
@@ -214,15 +214,15 @@ class MonitoredItems:
     # --- sampling ---------------------------------------------------------------------------------
 
     def after_frame(self, now_s: float) -> Portions:
-        """Look at what is queued change by change."""
+        """Sample the items that queue every change."""
         return self._in_portions(self._each_frame, now_s)
 
     def before_publishing(self, now_s: float) -> Portions:
-        """Look at all that is due, or nearer to this publishing than to the next."""
+        """Sample all items that are due, or due nearer to this publishing than to the next."""
         return self._in_portions(self._all, now_s, self._publishing_ms() / 2e3)
 
     def _in_portions(self, items: list[ValueItem], now_s: float, slack_s: float = 0.0) -> Portions:
-        """Look at items as they were listed at first; what triggers others comes with them."""
+        """Sample items as listed at the start; all at once if one may trigger others."""
         size = max(1, len(items)) if self._has_links else GIVE_WAY_EVERY
         for first in range(0, len(items), size):
             self._look_at(items[first : first + size], now_s, slack_s)
@@ -230,16 +230,16 @@ class MonitoredItems:
 
     @property
     def has_each_frame(self) -> bool:
-        """Whether there is anything to look at after a frame."""
+        """Whether any item is sampled after a frame."""
         return bool(self._each_frame)
 
     @property
     def has_events(self) -> bool:
-        """Whether anybody watches events."""
+        """Whether events are monitored."""
         return bool(self._events)
 
     def take_event(self, event: FixedEvent) -> Portions:
-        """Queue an event for those who watch the node that emits it."""
+        """Queue an event for the items that monitor its emitting node."""
         for item in tuple(self._events.values()):
             if item.node_id == event.emitting_node and item.take(event):
                 self._note(item)
@@ -251,7 +251,7 @@ class MonitoredItems:
             item.forget()
 
     def _look_at(self, items: list[ValueItem], now_s: float, slack_s: float = 0.0) -> None:
-        # All are sampled before any is noted: one may trigger another further back.
+        # All are sampled before any is noted: one may trigger a later one.
         news = [
             item
             for item in items
@@ -261,9 +261,9 @@ class MonitoredItems:
             self._note(item)
 
     def _note(self, item: Item) -> None:
-        """Put an item on the list of those with something to send, and what it triggers."""
+        """List an item, and those it triggers, as having something to send."""
         if not item.queue or self.get(item.item_id) is not item:
-            return  # deleted while others were looked at
+            return  # deleted while others were sampled
         for number in item.triggers:
             linked = self.get(number)
             if linked is not None and linked.mode == _Modes.Sampling and linked.queue:
@@ -280,14 +280,14 @@ class MonitoredItems:
         return [item for item in self._all if item.size > 1]
 
     def _rearrange(self) -> None:
-        """Have both lists made anew when they are used next: a request may change 1000 items."""
+        """Rebuild both lists at their next use, not at once: a request may change 1000 items."""
         for name in ("_all", "_each_frame"):
             vars(self).pop(name, None)
 
-    # --- what is asked for, revised ---------------------------------------------------------------
+    # --- revision of requested parameters ---------------------------------------------------------
 
     def _revise_sampling(self, asked_ms: float) -> float:
-        """Return the interval that is kept: negative or none means the publishing interval."""
+        """Return the revised interval: a negative or missing one means the publishing interval."""
         if asked_ms is None or not asked_ms >= 0:
             return float(self._publishing_ms())
         if asked_ms == 0:

@@ -14,13 +14,13 @@ from hilserver.opcua.sessions import Session
 
 _Codes, _Ids = ua.StatusCodes, ua.ObjectIds
 _MAX_READ_BYTES = 1 << 20
-"""Of one response to Read: the longest values of the standard have 100 kB and more."""
+"""Limit of one response to Read; the longest values of the standard exceed 100 kB."""
 _SERVER = ua.NodeId(_Ids.Server)
 _GET_MONITORED_ITEMS = ua.NodeId(_Ids.Server_GetMonitoredItems)
 
 
 def read(session: Session, params: encoding.ReadItems) -> Portions:
-    """Answer Read with encoded values; what depends on the user is that of this user."""
+    """Answer Read with encoded values; user-dependent attributes are those of this user."""
     items = limited(session, params.items)
     if not params.max_age_ms >= 0:
         raise ServiceError(_Codes.BadMaxAgeInvalid)
@@ -127,7 +127,7 @@ def translate_paths(
 def register_nodes(
     session: Session, params: ua.RegisterNodesParameters
 ) -> ua.RegisterNodesResponse:
-    """Answer RegisterNodes: node ids are as fast as handles here, and stay what they are."""
+    """Answer RegisterNodes: node ids are as fast as handles here and are returned as they are."""
     response = ua.RegisterNodesResponse()
     response.Parameters.RegisteredNodeIds = list(limited(session, params.NodesToRegister))
     return response

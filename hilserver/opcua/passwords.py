@@ -58,9 +58,9 @@ WINDOW_S = 60.0
 
 
 def keys_of(name: str, address: str) -> tuple[Hashable, ...]:
-    """Return what a log-in counts for: its user name and the address it comes from.
+    """Return the keys that a log-in counts for: user name and client address.
 
-    This computer's own address does not count, nor does none: several users share it.
+    The address of this computer does not count, nor a missing one: several users share it.
     """
     keys = (("name", name[:64]), ("address", address))
     return keys[:1] if not address or is_loopback(address) else keys
@@ -69,7 +69,7 @@ def keys_of(name: str, address: str) -> tuple[Hashable, ...]:
 class FailedAttempts:
     """Counts failures per key in a sliding window.
 
-    The keys are bounded: the one that has been quiet longest is forgotten first.
+    The number of keys is limited: the one without failures for longest is forgotten first.
     """
 
     def __init__(self, limit: int, window_s: float) -> None:
@@ -97,7 +97,7 @@ class FailedAttempts:
             self._failures.popitem(last=False)
 
     def withdraw(self, key: Hashable) -> None:
-        """Take the newest failure of `key` back: nobody judged it."""
+        """Take back the newest failure of `key`: the password was not checked."""
         if failures := self._failures.get(key):
             failures.pop()
 

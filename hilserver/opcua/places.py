@@ -1,17 +1,17 @@
-"""Who gets a session: shares per address and per user, and a reserve for those who matter.
+"""Who gets a session: shares per address and per user, and a reserve for privileged users.
 
 ===============  ==================================================================================
 no log-in yet    yields once it is a second old and others wait, and after 10 s in any case
 no connection    yields when all places are taken
-idle             yields after 5 s without a request, the one that was silent longest first; of those
-                 who hold the most
-watchers         get all places but the reserve: whoever has a right to it finds one
-one address      half of the places, this computer's own apart
+idle             yields after 5 s without a request: of the holder with the most sessions the one
+                 that was silent longest
+watchers         get all places except the reserve, so that users with a right to it find one
+one address      half of the places, except this computer's own
 one user name    half of the places
-has_own_place    counts for none of these: the application limits them itself
+has_own_place    does not count for these: the application limits them itself
 ===============  ==================================================================================
 
-Whoever is refused gets BadTooManySessions.
+A refused client gets BadTooManySessions.
 """
 
 import time
@@ -49,7 +49,7 @@ class Places:
         self._limit(own, self._most)
 
     def activate(self, sessions: Iterable[Any], newcomer: Any, user: Any) -> None:
-        """Make room for the user that `newcomer` now turns out to be."""
+        """Make room for `newcomer`, whose user is known now."""
         if newcomer.visitor.has_own_place:
             return
         others = (s for s in sessions if s.is_activated and s is not newcomer)

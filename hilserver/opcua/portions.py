@@ -1,7 +1,7 @@
 """Requests in portions: decoded, done and encoded one operation after the other, within bounds.
 
-A request may have a thousand operations, and no count says how long they take. Between any two of
-them the event loop may do what else is due, and once a request has used up its time, its other
+A request may have a thousand operations, and their number does not tell how long they take. Between
+any two the event loop may do other work, and once a request has used up its time, its remaining
 operations are answered BadTimeout.
 """
 
@@ -25,7 +25,7 @@ _COUNT_BYTES = 4
 def decoded(kind: type, body: Buffer, most: int) -> Portions:
     """Decode the parameters of a service, whose last field is the list of its operations.
 
-    ServiceError: BadTooManyOperations, or BadDecodingError whatever is wrong with them.
+    ServiceError: BadTooManyOperations, or BadDecodingError for any other error.
     """
     *first, (name, element) = _layout(kind)
     values: dict[str, Any] = {n: take(t, body) for n, t in first}
@@ -43,7 +43,7 @@ def decoded(kind: type, body: Buffer, most: int) -> Portions:
 
 
 def take(kind: Any, body: Buffer) -> Any:
-    """Decode one structure; BadDecodingError whatever is wrong with it."""
+    """Decode one structure; BadDecodingError for any error."""
     return within_bounds(lambda: from_binary(kind, body))
 
 
@@ -65,8 +65,8 @@ def each(
     Parameters
     ----------
     act : callable
-        Does one operation, maybe in portions, and returns its result, or nothing where it is a
-        status code; what it raises as ServiceError is the result of this operation alone.
+        Does one operation, maybe in portions, and returns its result, or None if that is a status
+        code; a ServiceError is the result of this operation alone.
     response : UA structure
         Gets the results.
     kind : type
@@ -117,15 +117,15 @@ def _encode(message: Any, parts: list[bytes]) -> Portions:
 
 
 def _has_list(kind: Any) -> bool:
-    """Whether elements of this type are long themselves."""
+    """Whether elements of this type may be long themselves."""
     return kind in (ua.BrowseResult, ua.BrowsePathResult)
 
 
-# --- what the services share ----------------------------------------------------------------------
+# --- common to the services -----------------------------------------------------------------------
 
 
 def limited(session: Any, items: Sequence[Any] | None) -> Sequence[Any]:
-    """Return `items` if a request may have so many."""
+    """Return `items` if a request may have as many."""
     if not items:
         raise ServiceError(_Codes.BadNothingToDo)
     if len(items) > session.server.settings.max_operations:
@@ -134,12 +134,12 @@ def limited(session: Any, items: Sequence[Any] | None) -> Sequence[Any]:
 
 
 def status_codes(codes: Sequence[int]) -> list[ua.StatusCode]:
-    """Return `codes` as they are sent."""
+    """Return `codes` in the form in which they are sent."""
     return [ua.StatusCode(code) for code in codes]
 
 
 def check_stamps(stamps: int) -> int:
-    """Return the time stamps to return if there are such (OPC 10000-4, TimestampsToReturn)."""
+    """Return `stamps` if it is valid (OPC 10000-4, TimestampsToReturn)."""
     if stamps in (0, 1, 2, 3):
         return int(stamps)
     raise ServiceError(_Codes.BadTimestampsToReturnInvalid)

@@ -1,7 +1,7 @@
 """Answers the messages of one connection.
 
-Every message is answered, or the connection is closed with an Error message that says why. What
-needs a session needs its authentication token too, on the channel that the session is bound to.
+Every message is answered, or the connection is closed with an Error message that has the reason.
+Services of a session also need its authentication token, on the channel the session is bound to.
 """
 
 import inspect
@@ -53,8 +53,8 @@ _MANAGEMENT = {
 _UNDECODABLE = (
     NotEnoughData, struct.error, UnicodeDecodeError, RecursionError, OverflowError, MemoryError,
 )  # fmt: skip
-REQUEST_S = 0.5  # of work for one request; what it has not done by then is refused
-LONGEST_WAIT_S = 10.0  # for the methods that one Call waits for, together
+REQUEST_S = 0.5  # of work for one request; the rest of it is refused
+LONGEST_WAIT_S = 10.0  # total, for the methods that one Call waits for
 
 
 class Processor:
@@ -63,7 +63,7 @@ class Processor:
     def __init__(self, iserver: Any, transport: Any, policies: Sequence[Any]) -> None:
         self.iserver = iserver
         self.session: Session | None = None
-        self.is_congested = False  # the client does not read what was sent to it
+        self.is_congested = False  # the client does not read its answers
         self._transport = transport
         self.sockname = transport.get_extra_info("sockname")
         self.socket = transport.get_extra_info("socket")
@@ -71,8 +71,8 @@ class Processor:
         self.address = str(name[0]) if name else "unknown"
         self._connection = GuardedConnection(policies, iserver.trust, self.address)
         self._is_greeted = False
-        # time that the message being processed has taken, and what it has waited for others;
-        # counted by who gives us turns
+        # time taken so far by the message being processed, and time spent waiting for others;
+        # counted by the connection, which gives us turns
         self.spent_s = self.waited_s = 0.0
 
     @property
@@ -89,7 +89,7 @@ class Processor:
 
     @property
     def stage(self) -> Stage:
-        """How far the connection has got."""
+        """Stage of the connection."""
         if not self._is_greeted:
             return Stage.NEW
         if not self._connection.is_open():
@@ -103,7 +103,7 @@ class Processor:
         return self._connection.has_parts
 
     def process_frame(self, kind: bytes, frame: bytes) -> bool | Portions:
-        """Process one frame, or begin to; the result is False if the connection is to be closed."""
+        """Process one frame, or start to; the result is False if the connection must be closed."""
         try:
             return self._process_frame(kind, frame)
         except Exception as error:  # noqa: BLE001 - whatever it was, it is one connection's
@@ -184,7 +184,7 @@ class Processor:
     # --- answers ----------------------------------------------------------------------------------
 
     def send_body(self, request_id: int, handle: int, body: bytes) -> None:
-        """Send an encoded response, or the fault that it is too long for the client."""
+        """Send an encoded response, or a fault if it is too long for the client."""
         if self._transport.is_closing():
             return  # uvloop raises on a write to a closed connection
         longest = self._connection.max_response_bytes
@@ -196,11 +196,11 @@ class Processor:
         self._transport.write(self._connection.message_bytes(body, request_id))
 
     def send_fault(self, request_id: int, handle: int, code: int) -> None:
-        """Say that a request failed as a whole."""
+        """Send the fault of a request that failed as a whole."""
         self.send_body(request_id, handle, _fault(code, handle))
 
     def _send(self, request_id: int, head: encoding.Head, response: Any) -> Portions:
-        """Send a response, with diagnostics where the client asked for them."""
+        """Send a response, with diagnostics if the client requested them."""
         if not isinstance(response, bytes):
             if (
                 isinstance(response, ua.WriteResponse | ua.CallResponse)
@@ -214,7 +214,7 @@ class Processor:
     # --- services ---------------------------------------------------------------------------------
 
     def _process_message(self, request_id: int, body: Buffer) -> bool | Portions:
-        """Answer one message, or begin to; raise if not even its header can be read."""
+        """Answer one message, or start to; raise if not even its header can be read."""
         service = encoding.service_id(body)
         session, token = self.session, None
         head = None if session is None else encoding.request_head(body, session.token_bytes)
@@ -232,7 +232,7 @@ class Processor:
         return True if response is None else self._finish(response, request_id, head)
 
     def _finish(self, response: Any, request_id: int, head: encoding.Head) -> Portions:
-        """Answer when what was asked for has been done."""
+        """Send the answer when the request has been carried out."""
         try:
             if inspect.iscoroutine(response):
                 response = yield response
@@ -257,7 +257,7 @@ class Processor:
         if service in (_GET_ENDPOINTS, _FIND_SERVERS):
             return self._discover(service, body)
         if service in _REGISTRATION:
-            raise ServiceError(_Codes.BadServiceUnsupported)  # this is no discovery server
+            raise ServiceError(_Codes.BadServiceUnsupported)  # not a discovery server
         if self._connection.is_discovery_only:
             raise ServiceError(_Codes.BadSecurityPolicyRejected)
         if service == _CREATE:
@@ -319,7 +319,7 @@ _FAULT = encoding.numeric_id(_id("ServiceFault"))
 
 
 def explain(response: Any, texts: Sequence[str], wanted: int) -> None:
-    """Add the sentences that a client asked for to a Write or Call response."""
+    """Add sentences to a Write or Call response if the client requested them."""
     if not any(texts) or not wanted & (_OPERATION_TEXT | _OPERATION_ADDITIONAL_INFO):
         return
     table: list[str] = []

@@ -1,9 +1,9 @@
-"""Attributes as clients see them: completed with stamps, cut to an index range, per user.
+"""Attributes for clients: completed with stamps, cut to an index range, per user.
 
 =======================  ========================================================================
-BadIndexRangeInvalid     no range, or of something that has no elements
-BadIndexRangeNoData      a range beyond the elements there are
-BadDataEncodingInvalid   an encoding of what is no structure
+BadIndexRangeInvalid     not a range, or of a value without elements
+BadIndexRangeNoData      a range beyond the existing elements
+BadDataEncodingInvalid   an encoding for a value that is not a structure
 BadDataEncodingUnsupported  another encoding than Default Binary
 =======================  ========================================================================
 """
@@ -26,7 +26,7 @@ _BY_USER = {_Attributes.UserAccessLevel, _Attributes.UserExecutable}
 
 
 def find(address_space: Any, node_id: Any, attribute: int) -> Any:
-    """Return the place where an attribute stands.
+    """Return the place of an attribute.
 
     ServiceError: BadNodeIdUnknown or BadAttributeIdInvalid.
     """
@@ -40,7 +40,7 @@ def find(address_space: Any, node_id: Any, attribute: int) -> Any:
 
 
 def value_at(place: Any, node_id: Any, attribute: int) -> ua.DataValue:
-    """Return what stands at a place."""
+    """Return the value at a place."""
     if place.value_callback:
         return place.value_callback(node_id, attribute)
     if place.value is None:
@@ -49,7 +49,7 @@ def value_at(place: Any, node_id: Any, attribute: int) -> ua.DataValue:
 
 
 def check_encoding(encoding: ua.QualifiedName | None, attribute: int, value: ua.DataValue) -> None:
-    """Raise ServiceError unless the value can be had in this encoding."""
+    """Raise ServiceError unless the value is available in this encoding."""
     name = None if encoding is None else encoding.Name
     if not name:
         return
@@ -62,7 +62,7 @@ def check_encoding(encoding: ua.QualifiedName | None, attribute: int, value: ua.
 
 
 def parse_range(text: str | None) -> slice | None:
-    """Return the elements that an index range names (OPC 10000-4, 7.27), None for all."""
+    """Return the elements of an index range (OPC 10000-4, 7.27), None for all."""
     if not text:
         return None
     bounds = []
@@ -93,7 +93,7 @@ def cut(value: ua.DataValue, part: slice) -> FixedDataValue:
 
 
 class RangePlace(AttributeValue):  # type: ignore[misc]
-    """A part of what stands at another place."""
+    """A part of the value at another place."""
 
     def __init__(self, whole: Any, part: slice) -> None:
         self._whole, self._part = whole, part
@@ -103,7 +103,7 @@ class RangePlace(AttributeValue):  # type: ignore[misc]
 
     @property
     def value(self) -> FixedDataValue:
-        """The part; the same object as long as the whole is."""
+        """The part; the same object as long as the whole is the same."""
         whole = self._whole.value
         if whole is not self._cut_of:
             try:
@@ -116,7 +116,7 @@ class RangePlace(AttributeValue):  # type: ignore[misc]
 
     @value.setter
     def value(self, value: object) -> None:
-        """Ignore what is written."""
+        """Ignore writes."""
 
 
 def completed(value: ua.DataValue, attribute: int, born: datetime) -> FixedDataValue:
@@ -140,7 +140,7 @@ class Reader:
         self._born = datetime.now(UTC)
 
     def read(self, item: Any, user: Any) -> FixedDataValue:
-        """Return one attribute; what cannot be had is a value with a bad status."""
+        """Return one attribute; if that is not possible, a value with a bad status."""
         try:
             return self._read(item, user)
         except ServiceError as error:
@@ -148,7 +148,7 @@ class Reader:
 
     @staticmethod
     def refused(code: int) -> FixedDataValue:
-        """Return a value that says why there is none."""
+        """Return a value with the status that tells why there is none."""
         return FixedDataValue(None, ua.StatusCode(code), None, datetime.now(UTC))
 
     def _read(self, item: Any, user: Any) -> FixedDataValue:
@@ -179,7 +179,7 @@ class Reader:
 
 
 def place_for_items(address_space: Any, item: ua.ReadValueId) -> Any:
-    """Return the place that a monitored item watches; ServiceError as Read would answer."""
+    """Return the place for a monitored item; ServiceError with the code of a Read."""
     place = find(address_space, item.NodeId, item.AttributeId)
     part = parse_range(item.IndexRange)
     value = value_at(place, item.NodeId, item.AttributeId)

@@ -1,10 +1,10 @@
-"""Turns on the event loop for all that clients ask of the server, so that control comes first.
+"""Turns on the event loop for the work of clients, so that control of the robot comes first.
 
-The event loop also carries what drives the robot: the answers of peers, the supervision of their
-silence. Requests and subscriptions are jobs; each is done in portions of `PORTION_S`, and who has
-used least is next: a costly request waits for the short ones of others and not they for it. After
-`BUDGET_S` all rest for `REST_S`, in which the loop does whatever else is due. More load makes those
-wait who make it.
+The event loop also does what drives the robot: the answers of peers, the supervision of their
+silence. Requests and subscriptions are jobs, done in portions of `PORTION_S`. The job that has used
+least time is next: a costly request waits for short ones of others, not the other way round. After
+`BUDGET_S` all rest for `REST_S`, in which the loop does other work. So a client that causes more
+load waits itself.
 """
 
 import asyncio
@@ -22,13 +22,13 @@ PORTION_S = 0.0005
 _LEAST_TURN_S = 20e-6
 
 Portions = Generator[Any, Any, Any]
-"""Work that yields wherever it may give way; what it yields, if anything, is awaited."""
+"""Work that yields wherever it may be interrupted; a yielded value is awaited."""
 
 
 class Job(Protocol):
     """Something that needs turns."""
 
-    # what its turns have taken, counted here; whoever has none begins as the others stand [s]
+    # time its turns have taken, counted here; a new job starts at the level of the others [s]
     used_s: float
 
     def turn(self) -> bool:
@@ -39,8 +39,8 @@ class Job(Protocol):
 def advance(work: Portions, answer: Any = None) -> Any:
     """Do one portion of `work`; return what it waits for, if anything.
 
-    It gets `answer` for what it waited for, an exception is raised in it; StopIteration has the
-    result.
+    `answer` is the result of what it waited for; an exception is raised in it. StopIteration has
+    the result of `work`.
     """
     end_s = time.monotonic() + PORTION_S
     while True:
@@ -51,7 +51,7 @@ def advance(work: Portions, answer: Any = None) -> Any:
 
 
 class Rotation:
-    """Gives turns to jobs: whoever has used least is next."""
+    """Gives turns to jobs: the one that has used least time is next."""
 
     def __init__(self) -> None:
         self._queue: list[tuple[float, int, Job]] = []
@@ -64,10 +64,10 @@ class Rotation:
         return len(self._waiting)
 
     def add(self, job: Job) -> None:
-        """Give a job turns until it has nothing more to do; harmless if it waits already."""
+        """Give a job turns until it has nothing more to do; no effect if it already waits."""
         if job in self._waiting:
             return
-        # Who had nothing to do saves nothing up for later.
+        # A job without work earns no credit for later.
         used_s = job.used_s = max(getattr(job, "used_s", 0.0), self._least_s)
         self._waiting[job] = number = next(self._numbers)
         heapq.heappush(self._queue, (used_s, number, job))
@@ -79,7 +79,7 @@ class Rotation:
         self._waiting.pop(job, None)
 
     def run_now(self) -> None:
-        """Begin at once, also in a rest."""
+        """Start at once, even during a rest."""
         if self._handle is not None:
             self._handle.cancel()
             self._run()
@@ -95,7 +95,7 @@ class Rotation:
             is_more = False
             try:
                 is_more = job.turn()
-            except Exception as error:  # noqa: BLE001 - one client's trouble is not the others'
+            except Exception as error:  # noqa: BLE001 - one client's error must not affect others
                 log.warning("opcua job failed", error=repr(error)[:200])
             now_s = time.monotonic()
             job.used_s = self._least_s + max(now_s - began_s, _LEAST_TURN_S)

@@ -43,14 +43,14 @@ _POLICY_TYPES: dict[Policy, ua.SecurityPolicyType] = {
 
 
 class HardenedServer(Server):  # type: ignore[misc]
-    """asyncua's server on our socket side, with our sessions and subscriptions.
+    """asyncua's server with our transport, sessions and subscriptions.
 
     ConfigError if certificate or key are missing or cannot be used.
 
     Parameters
     ----------
     settings : OpcUaSettings, optional
-        By default open on loopback.
+        By default without security on loopback.
     folder : Path, optional
         Folder that relative paths of the settings start from; the working directory by default.
     """
@@ -71,7 +71,7 @@ class HardenedServer(Server):  # type: ignore[misc]
 
     @property
     def application(self) -> Application:
-        """What answers Write and Call; may be replaced before the first client connects."""
+        """Answers Write and Call; may be replaced before the first client connects."""
         return self.iserver.application  # type: ignore[no-any-return]
 
     @application.setter
@@ -96,7 +96,7 @@ class HardenedServer(Server):  # type: ignore[misc]
         attributes[ua.AttributeIds.Value] = _LiveTime(None)
 
     async def start(self) -> None:
-        """Listen; FailedError if the address cannot be had."""
+        """Listen; FailedError if the address is not available."""
         self._offer()
         host, port = self._get_bind_socket_info()
         self.bserver = Listener(self.iserver, host, port)
@@ -110,9 +110,9 @@ class HardenedServer(Server):  # type: ignore[misc]
             raise address_refused(f"opcua.endpoint: cannot listen on {where}", error) from None
 
     def sample(self) -> None:
-        """Show subscriptions what was written since the last time.
+        """Let subscriptions sample the values written since the last call.
 
-        Without it they look when they publish, and what changed twice until then changed once.
+        Otherwise they sample when they publish, and of several changes only the last is seen.
         """
         self.iserver.subscription_service.after_frame()
 
@@ -138,7 +138,7 @@ class HardenedServer(Server):  # type: ignore[misc]
 
 
 class _LiveTime(AttributeValue):  # type: ignore[misc]
-    """CurrentTime as it is when somebody reads it, not as it was at the last second.
+    """CurrentTime at the moment of the read, not at the last full second.
 
     Clients estimate the offset of our clock from it.
     """
@@ -150,7 +150,7 @@ class _LiveTime(AttributeValue):  # type: ignore[misc]
 
     @value.setter
     def value(self, value: object) -> None:
-        """Ignore what is written: asyncua's clock only informs the subscribers."""
+        """Ignore writes: asyncua's clock only informs the subscribers."""
 
 
 def own_certificate(

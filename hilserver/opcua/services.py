@@ -1,7 +1,7 @@
 """The services of a session (OPC 10000-4): each takes its parameters and returns its response.
 
-Where a list of operations is asked for, each has a status code of its own; what concerns the whole
-request is raised as ServiceError. Most give way between operations: they are generators.
+In a list of operations each has its own status code; an error of the whole request is raised as
+ServiceError. Most services are generators, which yield between operations.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from hilserver.opcua.sessions import Session
 
 
 class Service(NamedTuple):
-    """A service: how its parameters are called, and who answers."""
+    """A service: the type of its parameters, and the function that answers."""
 
     parameters: type
     answer: Callable[[Session, Any], Any]

@@ -1,8 +1,8 @@
-"""A client's session: what it may touch is its own.
+"""A client's session: it has access to its own objects only.
 
 The authentication token is random, and belongs to the connection and the certificate that the
 session was made with. Subscriptions are reached through the session that owns them; Publish
-requests wait here until one of them has something to say.
+requests wait here until a subscription has something to send.
 """
 
 import math
@@ -24,7 +24,7 @@ from hilserver.opcua.subscriptions import Subscription
 _TOKEN_BYTES = 32
 _LEAST_RESPONSE_BYTES = 8192
 _MAX_STATUS_CHANGES = 10
-_SPARE_PUBLISH_REQUESTS = 10  # beside two for each subscription, which python-opcua sends at once
+_SPARE_PUBLISH_REQUESTS = 10  # besides two per subscription, which python-opcua sends at once
 _Codes = ua.StatusCodes
 _numbers = iter(range(1000, 2**31))
 
@@ -44,19 +44,19 @@ class Session:
     def __init__(self, server: Any, processor: Any, policy: Any, visitor: Visitor) -> None:
         self.server = server
         self.user: Any = User(role=UserRole.User)
-        # whether somebody has logged in, and whether it has not ended
+        # whether a user has logged in, and whether it has not ended
         self.is_activated, self.is_open = False, True
         self.session_id = ua.NodeId(next(_numbers))
         self.auth_token = ua.NodeId(secrets.token_bytes(_TOKEN_BYTES), 0, ua.NodeIdType.ByteString)
         self.token_bytes = bytes(nodeid_to_binary(self.auth_token))
         self.nonce = create_nonce(32)
-        # why the operations of the last Write or Call were refused, empty where they were not
+        # why operations of the last Write or Call were refused, empty if accepted
         self.texts: list[str] = []
         self.processor: Any = None  # the connection that the session is bound to
-        # what the client that created it is to the application, and where it is
+        # the client that created it, as the application classifies it, and its address
         self.visitor, self.address = visitor, processor.address
-        self.timeout_s = math.inf  # it ends when it is idle for so long
-        self.max_response_bytes = 0  # longest response that the client takes, 0: any
+        self.timeout_s = math.inf  # idle time after which it ends
+        self.max_response_bytes = 0  # longest response that the client accepts, 0: any
         self.last_active_s = time.monotonic()
         self.pages = ContinuationPoints(server.aspace, server.types)
         self._requests: deque[PublishRequest] = deque()
@@ -69,14 +69,14 @@ class Session:
     def bind(self, processor: Any, policy: Any) -> None:
         """Bind the session to a connection and the certificate that opened its channel.
 
-        What came in over another connection is forgotten.
+        Requests from another connection are forgotten.
         """
         self.processor = processor
         self._requests.clear()
         self._certificate, self._policy_uri = policy.peer_certificate, policy.URI
 
     def lose_connection(self) -> None:
-        """Go on without a connection: another may take the session over, but not its control."""
+        """Continue without a connection: another may take over the session, but not its control."""
         self.processor = None
         self._requests.clear()
         self.server.application.left(self)
@@ -94,12 +94,12 @@ class Session:
 
     @property
     def holder(self) -> tuple[Any, ...]:
-        """Whose places it counts for."""
+        """Key of the holder whose places it counts for."""
         return (self.user.name, self.address, self._certificate)
 
     @property
     def owner(self) -> tuple[Any, ...]:
-        """Who may take over subscriptions of this session: the same user of the same program."""
+        """Key for taking over its subscriptions: the same user of the same program may do so."""
         return (self.user.name, self._certificate, self._policy_uri)
 
     @property
@@ -111,7 +111,7 @@ class Session:
         """Agree on time-out and sizes."""
         asked_ms = params.RequestedSessionTimeout
         shortest, longest = self.server.min_session_timeout_ms, self.server.max_session_timeout_ms
-        # What is no number would never run out.
+        # A time-out of NaN would never expire.
         revised_ms = min(max(asked_ms, shortest), longest) if math.isfinite(asked_ms) else longest
         self.timeout_s = revised_ms / 1e3
         asked = int(params.MaxResponseMessageSize or 0)
@@ -124,7 +124,7 @@ class Session:
         )
 
     def activate(self, user: Any) -> ua.ActivateSessionResult:
-        """Let a user in whose identity has been checked."""
+        """Admit a user whose identity has been checked."""
         self.user, self.is_activated = user, True
         self.nonce = create_nonce(32)
         self.touch()
@@ -170,7 +170,7 @@ class Session:
         return found  # type: ignore[no-any-return]
 
     def publish(self, head: encoding.Head, request_id: int, body: Buffer) -> None:
-        """Take a Publish request: acknowledge what was received, and keep it for later."""
+        """Take a Publish request: process its acknowledgements, and keep it for later."""
         n_own = len(self.subscriptions)
         if not n_own and not self._status_changes:
             raise ServiceError(_Codes.BadNoSubscription)
@@ -199,7 +199,7 @@ class Session:
         return int(_Codes.Good if known else _Codes.BadSequenceNumberUnknown)
 
     def take_publish_request(self, subscription: Subscription) -> PublishRequest | None:
-        """Return a request to answer; without one the subscription is served when one comes."""
+        """Return a request to answer; if there is none, the subscription waits for one."""
         now_s = time.monotonic()
         is_reading = self.processor is not None and not self.processor.is_congested
         while is_reading and self._requests:
@@ -211,7 +211,7 @@ class Session:
         return None
 
     def resume(self) -> None:
-        """Go on sending after the client has read what was sent before."""
+        """Continue sending after the client has read earlier answers."""
         self._serve_late(len(self._requests))
 
     def _serve_late(self, most: int) -> None:
@@ -223,7 +223,7 @@ class Session:
     def answer_publish(
         self, request: PublishRequest, number: int, available: list[int], more: bool, message: bytes
     ) -> None:
-        """Send what a subscription has to say."""
+        """Send the message of a subscription."""
         if self.processor is not None:
             body = encoding.publish_response(
                 request.handle, number, available, more, message, request.results
@@ -231,7 +231,7 @@ class Session:
             self.processor.send_body(request.request_id, request.handle, body)
 
     def forget(self, subscription: Subscription, reason: int) -> None:
-        """Let go of a subscription; tell the client with `reason` if it did not ask for it."""
+        """Release a subscription; notify the client with `reason` if it did not request this."""
         self._late.pop(subscription, None)
         if reason:
             self._status_changes.append((subscription.number, reason))

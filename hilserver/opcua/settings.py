@@ -22,7 +22,7 @@ _PASSWORD_HASH = re.compile(r"\$scrypt\$[A-Za-z0-9+/=,$]+")
 
 
 class Role(IntEnum):
-    """What a user may do; each may do what the ones before may. Everybody reads."""
+    """What a user may do; each role includes the ones before. Everyone may read."""
 
     OBSERVER = 0
     OPERATOR = 1
@@ -42,14 +42,14 @@ def _check_hash(text: str) -> str:
 
 
 def default_application_uri() -> str:
-    """Return the application URI where none is configured."""
+    """Return the application URI if none is configured."""
     return f"urn:{socket.gethostname()}:hilserver"
 
 
 def check_endpoint(text: str) -> str:
     """Return an OPC UA endpoint as it was given.
 
-    ValueError if it is none, or holds a password that everyone could read.
+    ValueError if it is not one, or contains a password, which everyone could read.
     """
     try:
         parts = urlsplit(text)

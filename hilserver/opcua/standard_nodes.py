@@ -21,11 +21,11 @@ from asyncua.server.internal_server import InternalServer
 from hilserver.cache import cache_folder
 
 NODES_PER_PICKLE: Final = 50
-"""Nodes of one pickle: reading holds on to all its intermediates, some 100 MB for all nodes."""
+"""Nodes per pickle: reading one keeps all its intermediates, about 100 MB for all nodes."""
 
 
 class QuickInternalServer(InternalServer):  # type: ignore[misc]
-    """asyncua's inner server; its standard nodes are built once and read from then on."""
+    """asyncua's inner server; its standard nodes are built once and then read from a file."""
 
     async def load_standard_address_space(self, shelf_file: Path | None = None) -> None:
         """Fill the address space; `shelf_file` is where asyncua itself would keep the nodes."""
@@ -48,7 +48,7 @@ class QuickInternalServer(InternalServer):  # type: ignore[misc]
 
     def _write(self, path: Path) -> None:
         nodes = list(self.aspace._nodes.items())
-        # Complete or not there: other processes may start at the same moment.
+        # Complete or absent: other processes may start at the same moment.
         with contextlib.suppress(OSError):
             handle, unfinished = tempfile.mkstemp(dir=path.parent)
             try:
@@ -61,19 +61,19 @@ class QuickInternalServer(InternalServer):  # type: ignore[misc]
 
 
 def nodes_file() -> Path:
-    """Return where the nodes of this version of asyncua are kept."""
+    """Return the file of the nodes of this version of asyncua."""
     return cache_folder("opcua") / f"shared_nodes-{version('asyncua')}.pickles"
 
 
 class _Pickler(pickle.Pickler):
-    """Writes an attribute as a call: read back it takes half of the memory of object and state."""
+    """Writes an attribute as a call: reading it takes half the memory of object and state."""
 
     def reducer_override(self, part: Any) -> Any:
         return (AttributeValue, (part.value,)) if type(part) is AttributeValue else NotImplemented
 
 
 def _share(nodes: Any) -> None:
-    """Let equal attributes be one object, but for the values of variables: those may change."""
+    """Make equal attributes one object, except values of variables, which may change."""
     pool: dict[bytes, Any] = {}
     for node in nodes.values():
         for attribute, place in node.attributes.items():
@@ -83,7 +83,7 @@ def _share(nodes: Any) -> None:
 
 @contextlib.contextmanager
 def _no_collection() -> Iterator[None]:
-    """Tens of thousands of new objects, none of them garbage: collecting would double the time."""
+    """No garbage collection: it would double the time for tens of thousands of live objects."""
     enabled = gc.isenabled()
     gc.disable()
     try:

@@ -1,8 +1,8 @@
 """Values of the standard nodes below Objects that asyncua leaves without one.
 
-A client that reads them would wait for initial data for ever. What this server knows is there: its
-limits, its languages. What it does not have (redundancy, history, PubSub, certificates that are
-managed over OPC UA) says so by the zero of its type: False, 0, nothing.
+A client that reads them would wait for initial data for ever. Known values are filled in: limits,
+languages. Features that the server lacks (redundancy, history, PubSub, certificates that are
+managed over OPC UA) get the zero of their type: False, 0, empty.
 """
 
 from collections.abc import Iterator
@@ -60,7 +60,7 @@ def _known(settings: OpcUaSettings) -> dict[int, Any]:
 
 
 def _variables(address_space: Any) -> Iterator[tuple[ua.NodeId, Any]]:
-    """Yield the standard variables below Objects, which are instances and no types."""
+    """Yield the standard variables below Objects, which are instances, not types."""
     seen, rest = {_OBJECTS}, [_OBJECTS]
     below = {_Ids.Organizes, _Ids.HasProperty, _Ids.HasComponent, _Ids.HasOrderedComponent}
     while rest:
@@ -100,7 +100,7 @@ def _type_of(address_space: Any, node: Any) -> tuple[ua.VariantType, Any, bool]:
 _BUILT_IN = {kind.value: kind for kind in _Type if 0 < kind.value < _STRUCTURE}
 _BUILT_IN |= {_STRUCTURE: _Type.ExtensionObject, _ENUMERATION: _Type.Int32}
 _BUILT_IN |= {24: _Type.Variant, 26: _Type.Double, 27: _Type.Int64, 28: _Type.UInt64}
-"""By number of their data type; the abstract numbers stand for their widest."""
+"""By number of the data type; abstract number types map to their widest one."""
 
 
 def _put(place: Any, kind: ua.VariantType, data_type: Any, is_array: bool, value: Any) -> None:

@@ -21,7 +21,7 @@ def create_subscription(
 def modify_subscription(
     session: Session, params: ua.ModifySubscriptionParameters
 ) -> ua.ModifySubscriptionResponse:
-    """Answer ModifySubscription; the new interval holds at once."""
+    """Answer ModifySubscription; the new interval applies at once."""
     result = ua.ModifySubscriptionResult()
     session.own(params.SubscriptionId).revise(params, result)
     return ua.ModifySubscriptionResponse(Parameters=result)
@@ -46,7 +46,7 @@ def set_publishing_mode(session: Session, params: ua.SetPublishingModeParameters
 
 
 def republish(session: Session, params: ua.RepublishParameters) -> bytes:
-    """Answer Republish with the message as it was sent before."""
+    """Answer Republish with the message exactly as sent before."""
     message = session.own(params.SubscriptionId).retained.get(params.RetransmitSequenceNumber)
     if message is None:
         raise ServiceError(_Codes.BadMessageNotAvailable)
@@ -56,7 +56,7 @@ def republish(session: Session, params: ua.RepublishParameters) -> bytes:
 def transfer_subscriptions(
     session: Session, params: ua.TransferSubscriptionsParameters
 ) -> Portions:
-    """Answer TransferSubscriptions: to the same user of the same program."""
+    """Answer TransferSubscriptions: only to the same user of the same program."""
     subscriptions = session.server.subscription_service.subscriptions
 
     def transfer(number: int) -> ua.TransferResult:

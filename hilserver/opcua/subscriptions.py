@@ -1,7 +1,7 @@
-"""Subscriptions: what was sampled goes out at the publishing interval, within bounds.
+"""Subscriptions: samples are sent at the publishing interval, within bounds.
 
 The states are those of OPC 10000-4, 5.13.1.2. A subscription has turns like every other job of the
-server (`rotation`): one message per turn, so that a long queue keeps nobody waiting.
+server (`rotation`): one message per turn, so that a long queue does not delay others.
 """
 
 import time
@@ -25,9 +25,9 @@ MAX_NOTIFICATIONS = 1000
 _MAX_MESSAGE_BYTES = 48 * 1024
 _MAX_RETAINED, _MAX_RETAINED_BYTES = 100, 128 * 1024
 _MAX_KEEP_ALIVE, _MAX_LIFETIME = 5000, 15_000
-_ANSWER_BYTES = 1024  # what a Publish response has beside its notifications, and more
+_ANSWER_BYTES = 1024  # upper limit for a Publish response without its notifications
 _MAX_SEQUENCE = 2**32 - 1
-_MAX_EVENTS = 100  # that wait to be filtered
+_MAX_EVENTS = 100  # waiting to be filtered
 _Codes = ua.StatusCodes
 
 
@@ -35,7 +35,7 @@ class Subscription:
     """One subscription."""
 
     def __init__(self, service: "Subscriptions", number: int, session: Any) -> None:
-        # who created it is its owner, and may take it over in another session
+        # its creator is the owner, who may take it over in another session
         self.number, self.session, self.owner = number, session, session.owner
         self.revised = ua.CreateSubscriptionResult(SubscriptionId=number)
         self.is_enabled = True
@@ -46,7 +46,7 @@ class Subscription:
             service.settings,
             lambda: float(self.revised.RevisedPublishingInterval),
         )
-        # messages that were not acknowledged yet, by sequence number
+        # messages not acknowledged yet, by sequence number
         self.retained: OrderedDict[int, bytes] = OrderedDict()
         self._retained_bytes = 0
         self._service = service
@@ -62,7 +62,7 @@ class Subscription:
     # --- services ---------------------------------------------------------------------------------
 
     def revise(self, params: Any, result: Any) -> None:
-        """Take over the intervals and limits that are asked for, within bounds."""
+        """Take over the requested intervals and limits, within bounds."""
         shortest = self._service.settings.min_publishing_ms
         asked_ms = params.RequestedPublishingInterval
         # `not >=` also catches NaN.
@@ -79,12 +79,12 @@ class Subscription:
         self.start()
 
     def start(self) -> None:
-        """Begin a publishing interval now."""
+        """Start a publishing interval now."""
         interval_s = self.revised.RevisedPublishingInterval / 1e3
         self._period.start(interval_s, 0.0 if self._is_first else interval_s)
 
     def stop(self) -> None:
-        """Have no more turns."""
+        """Stop publishing and give up its turns."""
         self._period.stop()
         self._service.rotation.drop(self)
 
@@ -99,7 +99,7 @@ class Subscription:
         return message is not None
 
     def serve(self, session: Any) -> None:
-        """Belong to another session from now on."""
+        """Move to another session."""
         self.session, self._unserved_cycles = session, 0
         if self._is_owed:
             self._service.rotation.add(self)
@@ -107,18 +107,18 @@ class Subscription:
     # --- turns ------------------------------------------------------------------------------------
 
     def after_frame(self) -> bool:
-        """Note that there is a new frame; whether a turn is wanted for it."""
+        """Note a new frame; return whether a turn is needed for it."""
         self._has_frame = self.items.has_each_frame
         return self._has_frame
 
     def take_event(self, event: FixedEvent) -> None:
-        """Keep an event for the next turn, if anybody watches for any; the oldest makes room."""
+        """Keep an event for the next turn, if events are monitored; the oldest makes room."""
         if self.items.has_events:
             self._events.append(event)
             self._service.rotation.add(self)
 
     def turn(self) -> bool:
-        """Sample, and send a message if it is time; whether there is more to do now."""
+        """Sample, and send a message if it is time; return whether there is more to do now."""
         if self._work is None:
             work = self._sample()
             if not self._events and len(self.items) <= GIVE_WAY_EVERY:
@@ -136,7 +136,7 @@ class Subscription:
         return True
 
     def _sample(self) -> Portions:
-        """Let the events pass that wait, and look at all that is due, in portions."""
+        """Filter waiting events, and sample all items that are due, in portions."""
         while self._events:
             yield from self.items.take_event(self._events.popleft())
         now_s = time.monotonic()
@@ -212,9 +212,9 @@ def _bounded(asked: int, most: int) -> int:
 class Subscriptions:
     """All subscriptions of the server.
 
-    What a session may have depends on the role of its user (`limits`), what all may have
-    together on the server (`max_*`). Where there is no room in all, subscriptions whose
-    client has lost its connection yield, the oldest first.
+    The limits of a session depend on the role of its user (`limits`), those for all sessions
+    together on the server (`max_*`). If the total is exhausted, subscriptions whose client has
+    lost its connection yield, the oldest first.
     """
 
     def __init__(self, address_space: Any, types: TypeTree, settings: OpcUaSettings) -> None:
@@ -228,14 +228,14 @@ class Subscriptions:
         return [s for s in self.subscriptions.values() if s.session is session]
 
     def after_frame(self) -> None:
-        """Give turns to whoever wants every change."""
+        """Give turns to subscriptions that need every change."""
         for subscription in self.subscriptions.values():
             if subscription.after_frame():
                 self.rotation.add(subscription)
         self.rotation.run_now()
 
     def take_event(self, event: FixedEvent) -> None:
-        """Queue an event for those who watch for it."""
+        """Queue an event in all subscriptions."""
         for subscription in self.subscriptions.values():
             subscription.take_event(event)
 
@@ -246,7 +246,7 @@ class Subscriptions:
         self.take_event(FixedEvent(event.emitting_node, fields))
 
     def create(self, session: Any, params: Any) -> ua.CreateSubscriptionResult:
-        """Create a subscription; BadTooManySubscriptions where there is no room."""
+        """Create a subscription; BadTooManySubscriptions if there is no room."""
         if len(self.of(session)) >= self._share(session).subscriptions:
             raise ServiceError(_Codes.BadTooManySubscriptions)
         if len(self.subscriptions) >= self.settings.max_subscriptions:
@@ -262,14 +262,14 @@ class Subscriptions:
         return result
 
     def remove(self, subscription: Subscription, reason: int = 0) -> None:
-        """Delete a subscription, and say why where its client did not ask for it."""
+        """Delete a subscription; send `reason` if its client did not request this."""
         if self.subscriptions.pop(subscription.number, None) is None:
             return
         subscription.stop()
         subscription.session.forget(subscription, reason)
 
     def room(self, session: Any) -> Room:
-        """Return what a session may still have monitored; orphans yield if others have it all."""
+        """Return what a session may still monitor; orphans yield if nothing is left."""
         share, own = self._share(session), self.of(session)
         room = Room(
             share.monitored_items - sum(len(s.items) for s in own),

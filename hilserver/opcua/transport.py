@@ -1,9 +1,8 @@
 """The socket side of a server: connections with deadlines.
 
-A connection that does not get on is closed: no Hello, no channel or an incomplete message after
-`READ_DEADLINE_S`, no session after `LOGIN_DEADLINE_S`, answers that nobody reads after
-`UNREAD_DEADLINE_S`. When all places are taken, the one that has waited longest without a session
-makes room.
+A connection that makes no progress is closed: no Hello, no channel or an incomplete message after
+`READ_DEADLINE_S`, no session after `LOGIN_DEADLINE_S`, unread answers after `UNREAD_DEADLINE_S`.
+When all places are taken, the one that has waited longest without a session makes room.
 """
 
 import asyncio
@@ -29,14 +28,14 @@ LOGIN_DEADLINE_S = 10.0
 UNREAD_DEADLINE_S = 10.0
 _SWEEP_S = 0.2
 _LONG_S, _LONG_REST_S = 0.002, 0.002
-"""A request that has taken so long rests after each portion: it gets a fifth of the loop."""
+"""A request that has taken so long rests after each portion: it then gets a fifth of the loop."""
 _MAX_UNREAD_BYTES = 256 * 1024
 _MAX_QUEUED_BYTES = 256 * 1024
 _Codes = ua.StatusCodes
 
 
 class Connection(asyncio.Protocol):
-    """One connection; a job that processes one frame after the other, in portions."""
+    """A connection; as a job it processes one frame after the other, in portions."""
 
     def __init__(self, server: "Listener") -> None:
         self._server = server
@@ -56,7 +55,7 @@ class Connection(asyncio.Protocol):
         self.address = ""
 
     def connection_made(self, transport: Any) -> None:
-        """Begin to serve a client, if there is room."""
+        """Start to serve a client, if there is room."""
         self.began_s = self._stage_since_s = time.monotonic()
         self.transport = transport
         self.processor = Processor(self._server.iserver, transport, self._server.policies)
@@ -70,8 +69,8 @@ class Connection(asyncio.Protocol):
         self._server.iserver.asyncio_transports.append(transport)
 
     def connection_lost(self, error: BaseException | None) -> None:  # noqa: ARG002
-        """Let go of everything."""
-        # Who was refused is on neither list, who was evicted on one of them.
+        """Release everything."""
+        # A refused client is on neither list, an evicted one on one of them.
         with contextlib.suppress(ValueError):
             self._server.iserver.asyncio_transports.remove(self.transport)
             self._server.clients.remove(self)
@@ -163,11 +162,11 @@ class Connection(asyncio.Protocol):
             self.transport.resume_reading()
 
     def pause_writing(self) -> None:
-        """Ask nothing more of a client that does not read."""
+        """Read no more requests of a client that does not read its answers."""
         self.processor.is_congested, self._unread_since_s = True, time.monotonic()
 
     def resume_writing(self) -> None:
-        """Go on: it has read."""
+        """Continue: the client has read its answers."""
         self.processor.is_congested, self._unread_since_s = False, 0.0
         if self.processor.session is not None:
             self.processor.session.resume()
@@ -184,13 +183,13 @@ class Connection(asyncio.Protocol):
 
     @property
     def is_active(self) -> bool:
-        """Whether a session is activated on this connection, and it goes on."""
+        """Whether a session is active on this connection, and it is not closing."""
         return self.processor.stage is Stage.ACTIVE and not self.transport.is_closing()
 
     def check_deadlines(self, now_s: float) -> None:
         """Close the connection if it keeps us waiting."""
         if self.transport.is_closing():
-            # It ends when the client has read the rest: not without a limit either.
+            # It ends when the client has read the rest, which also has a limit.
             self._closing_since_s = self._closing_since_s or now_s
             if now_s - self._closing_since_s > READ_DEADLINE_S:
                 self.transport.abort()
@@ -219,7 +218,7 @@ class Listener(BinaryServer):  # type: ignore[misc]
 
     @property
     def policies(self) -> list[Any]:
-        """What is offered."""
+        """The security policies on offer."""
         return self._policies  # type: ignore[no-any-return]
 
     def _make_protocol(self) -> Connection:
@@ -228,8 +227,8 @@ class Listener(BinaryServer):  # type: ignore[misc]
     def make_room(self, address: str) -> bool:
         """Whether one more connection from `address` may come in.
 
-        One address has half of the places, this computer's own all of them. The oldest without a
-        session makes room, of those who have most connections.
+        One address gets half of the places, this computer's own all of them. The oldest connection
+        without a session, of the address with the most, makes room.
         """
         most, clients = self.iserver.max_connections, self.clients
         if not is_loopback(address):

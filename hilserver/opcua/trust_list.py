@@ -4,14 +4,14 @@
 own      certificate.der and key.pem (0600)
 trusted  certificates of clients that may connect and of servers (``peers:``) that we connect to,
          or of authorities that issued theirs
-rejected certificates of clients that knocked, and of servers, that are not trusted; `hilserver
+rejected certificates of untrusted clients that tried to connect, and of servers; `hilserver
          certs trust` moves them
-revoked  certificates that are refused whatever stands in ``trusted``, and revocation lists (CRL)
+revoked  certificates that are refused whatever ``trusted`` contains, and revocation lists (CRL)
          of trusted authorities
 ======== =======================================================================================
 
-A change in a folder acts at the next connection, without a restart. While a file in ``revoked``
-cannot be read nobody is let in: it may revoke any certificate.
+A change in a folder takes effect at the next connection, without a restart. While a file in
+``revoked`` cannot be read no client is admitted: it may revoke any certificate.
 """
 
 import errno
@@ -47,7 +47,7 @@ from hilserver.small_file import read_small
 
 MAX_REJECTED = 100
 KEPT_AT_ONCE, KEPT_WITHIN_S = 10, 60.0
-"""New rejected certificates of an address that are kept in so long: each is written to the disk."""
+"""Limit of rejected certificates kept per address and time, as each is written to disk."""
 MAX_LIST_BYTES = 64_000_000
 FOLDERS = ("own", "trusted", "rejected", "revoked")
 _SHA2 = {
@@ -90,7 +90,7 @@ class _Folder:
         try:
             stamp = {path: _stamp(path) for path in files_in(self.path)}
         except OSError:
-            stamp = {self.path: ()}  # it is no file that can be read, either
+            stamp = {self.path: ()}  # not a readable file either
         if stamp != self.stamp:
             self._read(stamp)
         return self
@@ -104,7 +104,7 @@ class _Folder:
             except (ValueError, OSError) as error:
                 why = self.unread[path] = getattr(error, "strerror", None) or str(error)
                 if isinstance(error, OSError) and error.errno != errno.EFBIG:
-                    self.stamp[path] = None  # no file's: it may pass, so it is read again
+                    self.stamp[path] = None  # equals no stamp: the error may pass, so read again
                 if why != before.get(path):
                     log.error(
                         f"{self.effect}: replace or remove this file", file=str(path), reason=why
@@ -121,7 +121,7 @@ class _Folder:
 
 
 def _stamp(path: Path) -> tuple[int, ...]:
-    """Return what changes with a file; nothing where it is gone."""
+    """Return numbers that change with a file; none if it is gone."""
     try:
         found = path.stat()
     except OSError:
@@ -167,7 +167,7 @@ class TrustList:
         use: x509.ObjectIdentifier = ExtendedKeyUsageOID.CLIENT_AUTH,
         only: x509.Certificate | None = None,
     ) -> Verdict:
-        """Judge the certificate that a peer shows, DER, in the order of OPC 10000-4, 6.1.3.
+        """Judge the certificate (DER) of a peer, in the order of OPC 10000-4, 6.1.3.
 
         The application URI is not known at this point; the session compares it.
 
@@ -176,7 +176,7 @@ class TrustList:
         use : x509.ObjectIdentifier
             What the peer does with its key.
         only : x509.Certificate or None
-            Takes the place of the folder ``trusted``.
+            Replaces the folder ``trusted``.
         """
         try:
             certificate = parse_certificate(data)
@@ -229,7 +229,7 @@ class TrustList:
         return Verdict.GOOD
 
     def has_kept_many(self, address: str) -> bool:
-        """Whether `KEPT_AT_ONCE` certificates of an address have been kept lately."""
+        """Whether `KEPT_AT_ONCE` certificates of an address were kept recently."""
         return self._kept.is_blocked(address, time.monotonic())
 
     def keep_rejected(self, data: bytes, address: str = "") -> Path | None:
@@ -240,7 +240,7 @@ class TrustList:
         Parameters
         ----------
         address : str
-            Where a client comes from; empty for a server that we connect to, whatever it shows.
+            Address of a client; empty for a server that we connect to.
         """
         try:
             certificate = parse_certificate(data)
@@ -264,9 +264,9 @@ class TrustList:
     def own(
         self, private_key: Path | None = None, certificate_path: Path | None = None
     ) -> tuple[x509.Certificate, rsa.RSAPrivateKey]:
-        """Return our certificate and key, those of the folder where no other path is given.
+        """Return our certificate and key, by default those of the folder.
 
-        ConfigError if a file is missing or wrong, or others than its owner can read the key.
+        ConfigError if a file is missing or wrong, or other users can read the key.
         """
         certificate_path = certificate_path or self.folder / "own" / "certificate.der"
         key_path = private_key or self.folder / "own" / "key.pem"
@@ -298,9 +298,9 @@ def file_name(certificate: x509.Certificate) -> str:
 
 
 def is_open_to_others(path: Path) -> bool:
-    """Whether others than its owner can read a file; OSError if it cannot be looked at.
+    """Whether users other than its owner can read a file; OSError if it cannot be examined.
 
-    A credential of systemd lies in a folder of the service alone, whatever the bits of the file say
+    A credential of systemd lies in a private folder of the service, whatever the file's mode bits
     (with an access list they show its mask).
     """
     credentials = os.environ.get("CREDENTIALS_DIRECTORY")
@@ -356,7 +356,7 @@ def _plain_host(host: str) -> str:
 
 
 def _may_authenticate(certificate: x509.Certificate, use: x509.ObjectIdentifier) -> bool:
-    """Whether the extensions allow what is done with the key; absent ones forbid nothing."""
+    """Whether the extensions allow this use of the key; absent ones forbid nothing."""
     for extension in certificate.extensions:
         value = extension.value
         if isinstance(value, x509.KeyUsage) and not (

@@ -1,8 +1,8 @@
 """Where clauses of event filters (OPC 10000-4, 7.7.3): checked and compiled when they are created.
 
-A clause is a tree: an element names others behind it, and each is named once at most, so that an
-event costs no more than its elements. Whatever goes round in a circle, shares an element or is too
-long is refused before the first event comes.
+A clause is a tree: an element refers to later ones, each at most once, so that an event costs no
+more than its elements. A clause with a circle or a shared element, or one that is too long, is
+refused before the first event comes.
 """
 
 import operator
@@ -34,9 +34,9 @@ _LEAST_OPERANDS = {
 
 
 def compile_where(clause: ua.ContentFilter, types: TypeTree) -> Evaluate:
-    """Return a function that tells whether an event passes.
+    """Return a function that decides whether an event passes.
 
-    ServiceError: BadEventFilterInvalid for what is no tree or too long,
+    ServiceError: BadEventFilterInvalid if it is not a tree or too long,
     BadFilterOperatorUnsupported, BadFilterOperandCountMismatch and BadFilterOperandInvalid for
     single elements.
     """
@@ -52,7 +52,7 @@ def compile_where(clause: ua.ContentFilter, types: TypeTree) -> Evaluate:
         try:
             return bool(evaluate(event))
         except TypeError:
-            return False  # of two values that cannot be compared neither is the greater
+            return False  # neither of two values that cannot be compared is greater
 
     return passes
 
@@ -76,7 +76,7 @@ class _Compiler:
 
     def _operand(self, operand: Any, index: int, depth: int) -> Evaluate:
         if isinstance(operand, ua.ElementOperand):
-            # Only forwards, and each once: no circle, and no element is evaluated twice.
+            # Only forwards, and each once: no circles, no element evaluated twice.
             if not index < operand.Index < len(self._elements) or operand.Index in self._named:
                 raise ServiceError(_Codes.BadEventFilterInvalid)
             self._named.add(operand.Index)
