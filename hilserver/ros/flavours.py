@@ -19,7 +19,7 @@ EDU_RELIABLE, EDU_BEST_EFFORT = Qos(depth=2), Qos(reliable=False, depth=2)
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """A topic that we write; `period_s` None: once, for whoever comes late as well."""
+    """A topic that we write; `period_s` None: once, latched for late readers."""
 
     topic: str
     type: str
@@ -36,7 +36,7 @@ DESCRIPTION: Final = Published(
 
 @dataclass(frozen=True, slots=True)
 class Subscribed:
-    """A topic that the host writes; `commands`: its silence counts."""
+    """A topic that the host writes; `commands`: its silence is judged."""
 
     topic: str
     type: str
@@ -56,7 +56,7 @@ class Served:
 
 @dataclass(frozen=True)
 class Flavour:
-    """What one robot program speaks; `enabled_by` names the service that enables the drive."""
+    """Interface of one robot program; `enabled_by` names the service that enables the drive."""
 
     published: tuple[Published, ...]
     subscribed: tuple[Subscribed, ...]

@@ -1,6 +1,6 @@
-"""From messages of the host to values for the input gate; each function takes those of one topic.
+"""From messages of the host to values for the input gate; each function handles one topic.
 
-A message that asks for nothing gives an empty mapping; one that does not fit raises a ValueError
+A message that requests nothing gives an empty mapping; one that does not fit raises a ValueError
 with one sentence.
 """
 
@@ -27,7 +27,7 @@ BUTTONS: Final[Mapping[int, tuple[str, tuple[int, int, int]]]] = {
 """Lights that buttons of a gamepad switch."""
 ENABLE_BUTTON: Final = 10
 AXES: Final = {"forward": 1, "left": 0, "turn": 3, "throttle": 5}
-"""As the real motion node reads ``joy_extended``."""
+"""As read from ``joy_extended`` by the real motion node."""
 LIGHTING_MODES: Final = ("off", "dim", "flash all", "pulsation", "rotation", "running")
 """edu_robot's modes of a lighting."""
 
@@ -42,7 +42,7 @@ def _speeds(by_wheel: Mapping[str, float]) -> Values:
 
 
 def rpm(robot: Robot, message: Any) -> Values:
-    """RotationSpeed: set-points with the plant's signs."""
+    """RotationSpeed: set-points with the signs of the plant."""
     del robot
     return _speeds(
         {wheel: getattr(message, f"{place}_rpm") for wheel, place in outgoing.PLACES.items()}
@@ -56,18 +56,18 @@ def _four(message: Any) -> Sequence[float]:
 
 
 def rpm_thesis(robot: Robot, message: Any) -> Values:
-    """Float32MultiArray in the configured order, plant's signs."""
+    """Float32MultiArray in the configured order, with the signs of the plant."""
     return _speeds(dict(zip(robot.array_order, _four(message), strict=True)))
 
 
 def motor_rpm(robot: Robot, message: Any) -> Values:
-    """Float32MultiArray in edu_robot's order and signs."""
+    """Float32MultiArray with the order and signs of edu_robot."""
     del robot
     return _speeds({w: -speed for w, speed in zip(outgoing.MOTORS, _four(message), strict=True)})
 
 
 def velocity(robot: Robot, message: Any) -> Values:
-    """Twist: scaled down as a whole where it asks for more than the robot can."""
+    """Twist: scaled down as a whole if it exceeds the limits of the robot."""
     return _twist(robot, message.linear.x, message.linear.y, message.angular.z)
 
 
@@ -117,7 +117,7 @@ def _axes(robot: Robot, message: Any) -> Values:
 
 
 def gamepad(robot: Robot, message: Any) -> Values:
-    """Joy: lights and enable at edges of buttons; axes, unless ``joy_extended`` has them."""
+    """Joy: lights and enable at edges of buttons; axes, unless they come by ``joy_extended``."""
     buttons = [int(button) for button in message.buttons]
     before = robot.buttons + [0] * (len(buttons) - len(robot.buttons))
     pressed = {i for i, now in enumerate(buttons) if now and not before[i]}
@@ -165,7 +165,7 @@ def lighting(robot: Robot, message: Any) -> Values:
 # --- services: request to values and response -----------------------------------------------------
 
 Answer = tuple[Values, Callable[[bool], Any]]
-"""What to write, and the response once it is known whether the gate took it."""
+"""Values to write, and a function that makes the response once the gate has decided."""
 
 
 def _sent(robot: Robot, service: str) -> Callable[[bool], Any]:
@@ -194,7 +194,7 @@ def send_imu_mode(robot: Robot, request: Any) -> Answer:
 
 
 def send_imu_calibration(robot: Robot, request: Any) -> Answer:
-    """Nothing to calibrate here."""
+    """Accept; there is nothing to calibrate."""
     del request
     robot.ignore("imu calibration")
     return {}, lambda _: robot.make("std_srvs/srv/Empty_Response")

@@ -1,4 +1,4 @@
-"""From one frame to messages; each function makes those of one topic."""
+"""From one frame to messages; each function makes the messages of one topic."""
 
 import math
 from collections.abc import Iterator
@@ -12,19 +12,19 @@ from hilserver.plant.units import RPM_PER_RAD_S, STANDARD_GRAVITY_M_S2
 from hilserver.ros.robot import Robot
 
 SHARE: Final = 0.02
-"""Standard deviation of odometry by what was driven or turned: wheels on a level floor."""
+"""Standard deviation of odometry per distance or angle: wheels on a level floor."""
 LEAST_M, LEAST_RAD = 1e-3, 1e-3
 UNKNOWN_VARIANCE: Final = 1e6
+"""Variance of what the wheels do not measure, by the convention of ros2_control."""
 _STATES: Final = ("x_m", "y_m", "yaw_rad", "linear_m_s", "angular_rad_s")
 _DEVIATIONS: Final = tuple(f"{name}_sd" for name in _STATES)
 _TOGETHER: Final = ("x_y_cov", "x_yaw_cov", "y_yaw_cov")
-"""Variance of what the wheels do not measure, the convention of ros2_control."""
-ROOM_DEGC: Final = 25.0  # what stands in messages where nothing simulates a temperature
+ROOM_DEGC: Final = 25.0  # in messages if no temperature is simulated
 NO_TEMPERATURE_DEGC: Final = -273.0  # what the real node publishes while its IMU is raw
 MODE_INACTIVE, MODE_REMOTE, MODE_AUTONOMOUS = 1, 2, 4
 KINEMATIC_SKID, KINEMATIC_MECANUM = 1, 2
 MOTORS: Final = ("rr", "fr", "rl", "fl")
-"""edu_robot's order of motors; it also turns all signs around: right wheels forward positive."""
+"""edu_robot's order of motors; it also reverses all signs: right wheels forward positive."""
 PLACES: Final = {place: WHEEL_WORDS[place].replace(" ", "_") for place in CORNERS}
 
 
@@ -40,20 +40,20 @@ def _rotation_speed(robot: Robot, quantity: str) -> Any:
 
 
 def rpm_return(robot: Robot) -> Iterator[Any]:
-    """Measured speeds, plant's signs: right wheels are mirrored."""
+    """Measured speeds with the signs of the plant: right wheels are mirrored."""
     yield _rotation_speed(robot, "speed_rpm")
 
 
 def rpm_target(robot: Robot) -> Iterator[Any]:
-    """Set-points; for bags, on the wire they come from the host."""
+    """Set-points, for bags only: on the wire they come from the host."""
     yield _rotation_speed(robot, "setpoint_rpm")
 
 
 def imu(robot: Robot) -> Iterator[Any]:
-    """Rates and specific force in SI units; the orientation is a heading, as the plane has it.
+    """Rates and specific force in SI units; in the plane the orientation is a heading.
 
-    What nobody measures is NaN and marked as sensor_msgs/Imu prescribes; nothing at all is no
-    message.
+    Unmeasured values are NaN and marked as sensor_msgs/Imu requires; if all are unmeasured there
+    is no message.
     """
     yaw, rate, force_x, force_y = (
         robot.get(f"imu.{name}", math.nan)
@@ -78,7 +78,7 @@ def imu(robot: Robot) -> Iterator[Any]:
 
 
 def _covariance(*values: float) -> Any:
-    """Return zeros, which leave the accuracy open; without any of the values, -1 comes first."""
+    """Return zeros (accuracy unknown); if all values are missing, the first element is -1."""
     matrix = np.zeros(9)
     matrix[0] = -1.0 if all(map(math.isnan, values)) else 0.0
     return matrix
@@ -95,7 +95,7 @@ def tof_thesis(robot: Robot) -> Iterator[Any]:
 
 
 def rpm_return_thesis(robot: Robot) -> Iterator[Any]:
-    """Measured speeds [rpm], in the configured order, plant's signs."""
+    """Measured speeds [rpm] in the configured order, with the signs of the plant."""
     yield _floats(robot, robot.wheels("speed_rpm", robot.array_order))
 
 
@@ -118,7 +118,7 @@ def temperature(robot: Robot) -> Iterator[Any]:
 
 
 def pose_stamped(robot: Robot) -> Iterator[Any]:
-    """Where the simulated navigation tag sees itself."""
+    """Pose measured by the simulated navigation tag."""
     pose = robot.pose(robot["nav.x_m"], robot["nav.y_m"], robot["nav.yaw_rad"])
     yield robot.make("geometry_msgs/msg/PoseStamped", header=robot.header("map"), pose=pose)
 
@@ -129,7 +129,7 @@ def clock(robot: Robot) -> Iterator[Any]:
 
 
 def transforms(robot: Robot) -> Iterator[Any]:
-    """``odom`` to ``base_link``, as the wheels count it."""
+    """``odom`` to ``base_link``, from the wheels."""
     o = robot.odometer
     kind = "geometry_msgs/msg/Transform"
     place = robot.make(
@@ -145,7 +145,7 @@ def transforms(robot: Robot) -> Iterator[Any]:
 
 
 def odometry(robot: Robot) -> Iterator[Any]:
-    """Position and twist as the wheels count them."""
+    """Position and twist, from the wheels."""
     o, (ahead, aside, turning) = robot.odometer, robot.twist()
     place_m, heading_rad = SHARE * o.way_m + LEAST_M, SHARE * o.turned_rad + LEAST_RAD
     speed_m_s = SHARE * math.hypot(ahead, aside) + LEAST_M
@@ -156,7 +156,7 @@ def odometry(robot: Robot) -> Iterator[Any]:
 
 
 def estimate(robot: Robot) -> Iterator[Any]:
-    """Pose and twist of the observer, with their covariances, in ``map``; not before a fix."""
+    """Pose and twist of the observer, with their covariances, in ``map``; none before a fix."""
     if robot.get("estimate.state", 0.0) == 0.0:
         return
     e = {name: robot[f"estimate.{name}"] for name in (*_STATES, *_DEVIATIONS, *_TOGETHER)}
@@ -169,7 +169,7 @@ def estimate(robot: Robot) -> Iterator[Any]:
 
 
 def _planar(ahead: float, aside: float, turn: float) -> NDArray[np.float64]:
-    """Return the covariance of what moves on a plane from variances, shape (6, 6)."""
+    """Return the covariance of planar motion from its variances, shape (6, 6)."""
     return np.diag([ahead, aside, *[UNKNOWN_VARIANCE] * 3, turn])
 
 
@@ -205,7 +205,7 @@ def _odometry(
 
 
 def mode(robot: Robot) -> Any:
-    """edu_robot's mode: what enables the drive."""
+    """edu_robot's mode, which enables the drive."""
     driving = MODE_AUTONOMOUS if robot.autonomous else MODE_REMOTE
     return robot.make(
         "edu_robot/msg/Mode",
@@ -238,7 +238,7 @@ def status_report(robot: Robot) -> Iterator[Any]:
 
 
 def kinematic_description(robot: Robot) -> Iterator[Any]:
-    """Wheel rates [rad/s] per vx, vy, omega, row-major; without rollers nothing goes sideways."""
+    """Wheel rates [rad/s] per vx, vy, omega, row-major; vy has no effect without rollers."""
     ahead = robot.shape.rpm_per_m_s / RPM_PER_RAD_S
     aside = ahead if robot.shape.max_lateral_m_s else 0.0
     turning = -robot.shape.rpm_per_rad_s / RPM_PER_RAD_S

@@ -1,4 +1,4 @@
-"""Quality of service, as far as ROS 2 nodes of robots use it."""
+"""Quality of service, as far as robots' ROS 2 nodes use it."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -13,7 +13,7 @@ class Qos:
     depth: int = 10
 
 
-DEFAULT: Final = Qos()  # what `SystemDefaultsQoS` of a writer gives
-SENSOR_DATA: Final = Qos(reliable=False)  # readers take it: BEST_EFFORT matches every writer
+DEFAULT: Final = Qos()  # of a writer with `SystemDefaultsQoS`
+SENSOR_DATA: Final = Qos(reliable=False)  # for readers: BEST_EFFORT matches every writer
 LATCHED: Final = Qos(latched=True, depth=1)
-"""RELIABLE and TRANSIENT_LOCAL: who comes late gets the last one."""
+"""RELIABLE and TRANSIENT_LOCAL: a late reader gets the last message."""

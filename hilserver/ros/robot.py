@@ -1,4 +1,4 @@
-"""The robot as messages need it: one frame, its stamp, its dimensions."""
+"""The robot for messages: one frame, its stamp, its dimensions."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -15,9 +15,9 @@ NS_PER_S: Final = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """What does not change while the daemon runs."""
+    """Dimensions, which do not change while the daemon runs."""
 
-    # speed of a left wheel that a twist asks for; right wheels are mirrored
+    # speed of a left wheel for a twist; right wheels are mirrored
     rpm_per_m_s: float
     rpm_per_rad_s: float
     max_rpm: float
@@ -54,23 +54,23 @@ class Shape:
 
 @dataclass
 class Odometer:
-    """Position that follows from the wheels' angles, as a robot counts it.
+    """Position from the wheels' angles, as a robot computes it.
 
-    The wheels are coupled to the floor as the nominal kinematics say, so slip shows in the gap to
-    the true pose. Halfway heading: exact on arcs, whatever the time between two frames.
+    It assumes the nominal kinematics, so slip shows as a gap to the true pose. Each step uses the
+    heading at its middle: exact on arcs, whatever the time between two frames.
     """
 
     shape: Shape
     x_m: float = 0.0
     y_m: float = 0.0
     yaw_rad: float = 0.0
-    # what was driven and turned in all, either way: errors grow with it
+    # total distance and angle, regardless of sign: errors grow with them
     way_m: float = 0.0
     turned_rad: float = 0.0
     _before: list[float] | None = None
 
     def reset(self) -> None:
-        """Begin anew where the robot stands."""
+        """Start again at zero, where the robot stands."""
         self.x_m = self.y_m = self.yaw_rad = self.way_m = self.turned_rad = 0.0
 
     def see(self, values: Mapping[str, float]) -> None:
@@ -90,7 +90,7 @@ class Odometer:
 
 
 def _motion(shape: Shape, rpm: Sequence[float]) -> tuple[float, float, float]:
-    """Return what wheels fl, rl, fr, rr [rpm] make: ahead, to the left [m/s], turning [rad/s]."""
+    """Return the motion from wheels fl, rl, fr, rr [rpm]: ahead, left [m/s], turn [rad/s]."""
     fl, rl, fr, rr = rpm
     ahead = 0.25 * (fl + rl - fr - rr) / shape.rpm_per_m_s
     aside = 0.25 * (rl - fl + rr - fr) / shape.rpm_per_m_s if shape.max_lateral_m_s else 0.0
@@ -99,20 +99,20 @@ def _motion(shape: Shape, rpm: Sequence[float]) -> tuple[float, float, float]:
 
 @dataclass
 class Robot:
-    """One frame on its way into messages."""
+    """One frame, to be made into messages."""
 
     types: Types
     shape: Shape
     odometer: Odometer
     values: Mapping[str, float] = field(default_factory=dict)  # scalars by signal name
-    stamp_ns: int = 0  # UTC, or simulated time where nodes follow ``/clock``
+    stamp_ns: int = 0  # UTC, or simulated time if nodes follow ``/clock``
     time_ns: int = 0
-    # of wheels and range finders in arrays that do not say it
+    # order of wheels and range finders in arrays without names
     array_order: tuple[str, ...] = ("fl", "rl", "fr", "rr")
-    frame_prefix: str = ""  # before the names of coordinate frames
-    imu_is_raw: bool = False  # the host has asked for the IMU without orientation
+    frame_prefix: str = ""  # of the names of coordinate frames
+    imu_is_raw: bool = False  # the host has requested the IMU without orientation
     autonomous: bool = False  # edu_robot's mode, which decides which topic drives
-    buttons: list[int] = field(default_factory=list)  # of a gamepad, as they were last
+    buttons: list[int] = field(default_factory=list)  # of a gamepad, last state
     extended_axes: bool = False  # axes come by a topic of their own
     # commands that have no effect here, counted
     ignored: dict[str, int] = field(default_factory=dict)
@@ -129,14 +129,14 @@ class Robot:
         return [self.values[f"wheel.{wheel}.{quantity}"] for wheel in order]
 
     def twist(self) -> tuple[float, float, float]:
-        """Return what the wheels' speeds make: ahead, to the left [m/s] and turning [rad/s]."""
+        """Return the motion from the wheels' speeds: ahead, left [m/s], turn [rad/s]."""
         return _motion(self.shape, self.wheels("speed_rpm", WHEELS))
 
     def ignore(self, what: str) -> None:
         """Count a command that has no effect here."""
         self.ignored[what] = self.ignored.get(what, 0) + 1
 
-    # --- parts that many messages have ------------------------------------------------------------
+    # --- parts of many messages -------------------------------------------------------------------
 
     def make(self, name: str, /, **fields: Any) -> Any:
         """Return a message of type ``package/msg/Name``."""

@@ -29,7 +29,7 @@ MESSAGES: Final[Mapping[str, str]] = {
         "string lighting_name\nuint8 r\nuint8 g\nuint8 b\nstd_msgs/Float32 brightness\nuint8 mode\n"
     ),
 }
-"""Types of EduArt, which no distribution has (BSD-3; constants left out, they are not hashed)."""
+"""Types of EduArt, in no distribution (BSD-3; constants are left out as they are not hashed)."""
 
 SERVICES: Final[Mapping[str, tuple[str, str]]] = {
     "iotbot_interface/srv/SendLighting": (
@@ -74,12 +74,12 @@ EVENT_INFO: Final = "service_msgs/msg/ServiceEventInfo"
 class Types:
     """Every type that the daemon speaks.
 
-    ValueError if a field of `widths` does not exist, or its type is none.
+    ValueError if a field of `widths` does not exist, or its type is invalid.
 
     Parameters
     ----------
     widths : mapping of str
-        Other types of single fields of services: ``SendLighting.command: int32``.
+        Different types for single fields of services: ``SendLighting.command: int32``.
     """
 
     def __init__(self, widths: Mapping[str, str] | None = None) -> None:
@@ -105,15 +105,15 @@ class Types:
             raise ValueError(f"no service has a field '{next(iter(left))}'")
 
     def add(self, name: str, text: str) -> None:
-        """Add a message type, with the types within it that its definition brings along.
+        """Add a message type, with the nested types of its definition.
 
-        ValueError if the definition is none.
+        ValueError if the definition is invalid.
         """
         from rosbags.typesys import TypesysError, get_types_from_msg  # noqa: PLC0415 -- slow
 
         try:
             found = get_types_from_msg(text or "\n", name)
-            if "/srv/" in name:  # which the package takes for messages
+            if "/srv/" in name:  # which the package treats as messages
                 found = {name: next(iter(found.values()))}
             self.store.register(found)
         except TypesysError as error:
@@ -140,7 +140,7 @@ class Types:
         return str(self.store.hash_rihs01(name))
 
     def prepare(self, name: str) -> None:
-        """Make the code for a type now, not with its first message."""
+        """Generate the code for a type now, not with its first message."""
         self.store.get_msgdef(name)
 
     def make(self, name: str, /, **fields: Any) -> Any:
@@ -152,7 +152,7 @@ class Types:
         return bytes(self.store.serialize_cdr(message, message.__msgtype__))
 
     def decode(self, data: bytes, name: str) -> Any:
-        """Return the message that `data` holds; ValueError if it does not hold one of this type."""
+        """Return the message in `data`; ValueError if it is not one of this type."""
         from rosbags.serde import SerdeError  # noqa: PLC0415 -- slow to import
 
         try:
@@ -168,7 +168,7 @@ def _kinds() -> Any:
 
 
 def _widened(service: str, text: str, widths: dict[str, str]) -> str:
-    """Return a definition with the field types of `widths`, which are taken out of it."""
+    """Return a definition with the field types of `widths`; used ones are removed from it."""
     short, lines = service.rpartition("/")[2], []
     for line in text.splitlines():
         kind, field = line.split()
@@ -178,5 +178,5 @@ def _widened(service: str, text: str, widths: dict[str, str]) -> str:
 
 @cache
 def known_types() -> Types:
-    """Return the types as they are by default."""
+    """Return the default types."""
     return Types()
