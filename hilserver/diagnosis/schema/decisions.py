@@ -19,7 +19,7 @@ class ScreenRow:
     statistic: float
     critical: float
     p_adjusted: float
-    size: float | None  # estimate when it is taken alone; None: it is not physically possible
+    size: float | None  # estimate if it is taken alone; None if physically impossible
     standard_error: float  # robust one of `size`
     unit: str
     dof: float  # effective degrees of freedom
@@ -34,8 +34,8 @@ class Decision:
     action : str
         ``taken``, ``refused``, ``swapped`` or ``dropped``.
     held_out_gain : float or None
-        Error before by error after the step on blocks that took no part in the fits, geometric mean
-        over the quantities; below 1 the step costs some. None: it was not tried there.
+        Error before over error after the step, on blocks left out of the fits, as geometric mean
+        over the quantities; below 1 the step makes some worse. None: it was not tried there.
     group : str or None
         Of ``--group``.
     """

@@ -1,7 +1,7 @@
-"""What stands behind the findings: the arrays and tables that the report draws.
+"""The evidence behind the findings: the arrays and tables that the report draws.
 
-The engine fills it at full resolution; the report decimates. Everything here is plain data, so that
-an `Evidence` travels between processes.
+The engine fills it at full resolution; the report decimates. Everything here is plain data, so an
+`Evidence` can travel between processes.
 """
 
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ from hilserver.diagnosis.schema.findings import Findings, Gain, Parameter
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """One measured channel beside both models, at the stamps of its samples.
+    """One measured channel and both models, at the stamps of its samples.
 
     Angles are unwrapped.
     """
@@ -31,30 +31,30 @@ class Series:
     simulated: Array
     # shape (n,): the plant with the terms of the extension; None when there is none
     extended: Array | None
-    run: Indices  # shape (n,): the models begin anew where it rises; it does not fall
+    run: Indices  # shape (n,): the models begin anew where it rises; never decreases
 
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """The way over the floor in one span; each track has shape (n, 2) of x, y [m]."""
+    """The path over the floor in one span; each track has shape (n, 2) of x, y [m]."""
 
     span: int
     measured: Array
     simulated: Array
     extended: Array | None
-    begins: tuple[int, ...] = ()  # rows at which the models begin anew, the first left out
+    begins: tuple[int, ...] = ()  # rows at which the models begin anew, without the first
     group: str = ""  # of logs; empty without groups
 
     @property
     def size_m(self) -> float:
-        """Diagonal of the ground that it covers."""
+        """Diagonal of the area that it covers."""
         across_m = np.nanmax(self.measured, axis=0) - np.nanmin(self.measured, axis=0)
         return float(np.hypot(*across_m))
 
 
 @dataclass(frozen=True, slots=True)
 class CutRow:
-    """Residual of a channel when the replay begins at a cut point: in which block the fault is."""
+    """Residual of a channel when the replay begins at a cut point: it shows the faulty block."""
 
     cut: str  # ``setpoints`` (whole chain), ``duty`` (process only) or ``speed`` (kinematics only)
     channel: str
@@ -70,7 +70,7 @@ class Similarity:
 
     names: tuple[str, ...]  # causes (or ``cause.part``), n of them
     cosine: Array  # shape (n, n): signed; NaN where a sensitivity is zero
-    limit: float = 0.95  # above it two causes are one group
+    limit: float = 0.95  # above it, two causes form a group
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,14 +84,14 @@ class HorizonRow:
 
 @dataclass(frozen=True, slots=True)
 class Dependence:
-    """What remains of a residual against one regressor, in bins."""
+    """The remaining residual against one regressor, in bins."""
 
     # residual of which signal, and against what (``pose.yaw_rad``, ``t_s``)
     channel: str
     unit: str
     regressor: str
     regressor_unit: str
-    # shape (k,): middle of the bin, mean residual and its interval of 95 %, which counts blocks
+    # shape (k,): middle of the bin, mean residual and its 95 % interval, which counts blocks
     x: Array
     mean: Array
     low: Array
@@ -117,13 +117,13 @@ class Course:
 class FittedTerm:
     """A term of the extension: what goes into ``model_patch.yaml``."""
 
-    name: str  # as in ``plant/terms.csv``. Of a group it is the member that was fitted.
+    name: str  # as in ``plant/terms.csv``; for a group, the member that was fitted
     parameter: Parameter
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """All that the report shows beside the findings; what was not made is empty."""
+    """All that the report shows besides the findings; missing parts are empty."""
 
     series: tuple[Series, ...] = ()
     paths: tuple[Path, ...] = ()

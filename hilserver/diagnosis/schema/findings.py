@@ -11,7 +11,7 @@ from hilserver.diagnosis.schema.decisions import Decision
 
 SCHEMA: Final = "hilserver.diagnosis/1"
 ON_OTHER_LOGS: Final = "the gain was measured on other logs: "
-"""How the notice begins that says where the total gain comes from."""
+"""Beginning of the notice that says where the total gain comes from."""
 
 
 class Verdict(StrEnum):
@@ -39,7 +39,7 @@ class Overall(StrEnum):
 
 class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
-    unsaid: ClassVar[Mapping[str, Any]] = {}  # values that the document leaves out
+    unsaid: ClassVar[Mapping[str, Any]] = {}  # values that the document omits
 
     @model_serializer(mode="wrap")
     def _lean(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -65,14 +65,14 @@ class InGroup(_Model):
 
 
 class Parameter(_Model):
-    """A fitted value with its interval of 95 %.
+    """A fitted value with its 95 % interval.
 
     Attributes
     ----------
     value : float
-        Of a parameter that differs by group, the mean over the groups; it has no interval.
+        For a parameter that differs by group, the mean over the groups; it has no interval.
     groups : dict of str to InGroup, or None
-        By group of logs, where it differs; None: it is the same in all.
+        By group of logs, if it differs; None if it is the same in all.
     """
 
     value: float
@@ -99,10 +99,10 @@ class Matters(_Model):
     Attributes
     ----------
     alone : float
-        Mean absolute error over held-out blocks, all other causes on: without this one by with it.
+        Mean absolute error over held-out blocks, all other causes on: without this over with it.
     with_partners : float
         The same without this cause and those whose estimates are correlated with its own: they
-        take over what it explains when it alone is left out.
+        take over what it explains if only it is left out.
     """
 
     alone: float
@@ -134,8 +134,8 @@ class Finding(_Model):
     Attributes
     ----------
     halves : int
-        In how many halves of the log, without the other, it is found. Gains leave it out of a half
-        without it.
+        In how many halves of the log it is found without the other half. For a half without it, the
+        gains leave it out.
     """
 
     verdict: Verdict
@@ -162,7 +162,7 @@ class Detectable(_Model):
 
 
 class NotJudged(_Model):
-    """A cause that the data say nothing about."""
+    """A cause about which the data say nothing."""
 
     cause: str
     reason: str
@@ -204,12 +204,12 @@ class Findings(_Model):
 
 
 def overall(found: Iterable[Finding], *, is_judged: bool = True) -> Overall:
-    """Return the verdict on a log with these findings; too little motion to say is none.
+    """Return the verdict on a log with these findings; too little motion gives none.
 
     Parameters
     ----------
     is_judged : bool
-        False: the log lacks the channels that any cause shows in.
+        False if the log lacks the channels that any cause would show in.
     """
     named = [one for one in found if one.verdict is not Verdict.INSUFFICIENT_EXCITATION]
     silent = Overall.NOTHING_FOUND if is_judged else Overall.NOT_JUDGED
