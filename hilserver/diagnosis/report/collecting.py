@@ -31,7 +31,7 @@ from hilserver.measured.data import MeasuredLog
 from hilserver.measured.names import signal_unit
 
 MOST_PATHS = 4
-"""Paths that are drawn: evenly from those that cover about as much ground as the largest."""
+"""Paths that are drawn: chosen evenly from those that cover about as much ground as the largest."""
 HALF_AS_LARGE = 0.5
 
 
@@ -41,7 +41,7 @@ def evidence(
     terms: tuple[FittedTerm, ...],
     timings_s: Mapping[str, float],
 ) -> Evidence:
-    """Collect what stands behind the findings of one member."""
+    """Collect the evidence behind the findings of one member."""
     extended = bool(terms) and any((p.after != p.before).any() for p in stages)
     prepared = [part.judged.prepared for part in stages]
     start_s = min((float(c.t_s[0]) for c in log.channels.values() if len(c.t_s)), default=0.0)
@@ -106,7 +106,7 @@ def _screen(judged: Judged) -> list[ScreenRow]:
     library, scores = judged.prepared.library, judged.scores
     maxima = null_maxima([scores], np.random.default_rng(0))
     limit = critical(maxima)
-    if limit <= 0.0:  # no cause shows in such data at all
+    if limit <= 0.0:  # no cause at all is visible in such data
         return []
     rows: dict[str, ScreenRow] = {}
     for i, c in enumerate(library.candidates):
@@ -184,7 +184,7 @@ def _similarity(library: Library) -> Similarity:
 
 
 def _range(log: MeasuredLog, stages: Sequence[Part]) -> FittedIn:
-    """Return the range of what happened in the log: outside of it nothing is known."""
+    """Return the range of what happened in the log: beyond it nothing is known."""
     moved: dict[str, Array] = {}
     for p in stages:
         moved |= p.problem.stage.signals(p.judged.point.model.terms, p.judged.point.poses)

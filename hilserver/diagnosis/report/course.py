@@ -14,17 +14,17 @@ from hilserver.diagnosis.schema.evidence import Course
 
 WINDOWS: Final = 8
 FEWEST_SEGMENTS: Final = 6
-"""So many segments are windows of their own, or share them: what moves a pose moves it to the end
-of its segment."""
+"""With this many, segments are the windows, or are grouped in windows: a pose that is moved stays
+moved to the end of its segment."""
 LEAST_INFORMED: Final = 0.05
-"""Of the windows' mean information on a parameter: a window with less is left out."""
+"""Share of the windows' mean information about a parameter; windows with less are left out."""
 
 
 def courses(problem: Problem, point: Point, causes: set[str]) -> list[Course]:
     """Return every parameter of some of the model's causes in windows of time.
 
-    The estimate is linear about the fitted value, all other causes at theirs. Its interval is the
-    larger of the sandwich over the blocks of the window and the one of the noise model.
+    The estimate is linear about the fitted value, with all other causes fixed. Its interval is the
+    larger of the sandwich over the blocks of the window and that of the noise model.
     """
     accepted = problem.accepted(point)
     if accepted is None:
@@ -72,7 +72,7 @@ def _of(
 
 
 def _jacobian(f: Fitted) -> Array:
-    """Return how the public parameters follow the fitted ones, shape (terms, n)."""
+    """Return the derivatives of the public parameters by the fitted ones, shape (terms, n)."""
     base = np.array(list(f.terms.values()))
     out = np.zeros((len(base), f.candidate.n))
     for j, step in enumerate(f.candidate.step):

@@ -1,8 +1,8 @@
-"""Replay of the configured plant from three cut points: which block the error arises in.
+"""Replay of the configured plant from three cut points, to find the block of the error.
 
 From the set-points the whole chain is replayed, from the measured duty the process alone, from the
-measured wheel speeds the kinematics alone. A residual that is larger than the sensors' noise from
-one cut point, and not from the next, arises between the two.
+measured wheel speeds the kinematics alone. A residual that exceeds the sensors' noise from one cut
+point, and not from the next, arises between the two.
 """
 
 from collections.abc import Collection
@@ -25,10 +25,10 @@ CUTS: Final = ("setpoints", "duty", "speed")
 POSE_STEPS: Final = 2
 """Fits of the free initial poses: from the set-points the pose drifts far away."""
 DENSE_SHARE: Final = 0.5
-"""Of the closed loop's time constant: samples so dense show the duty between them."""
-FALL: Final = 8.0  # closed loop's time constants after which the duty moves slowly again
+"""Share of the closed loop's time constant: samples closer than this show the duty in between."""
+FALL: Final = 8.0  # closed-loop time constants after which the duty changes slowly again
 REST: Final = 7.0
-"""Time constants of the process after which a duty that was not recorded no longer counts."""
+"""Time constants of the process after which a duty that was not recorded no longer matters."""
 FEWEST: Final = 20
 
 
@@ -51,7 +51,7 @@ def _from_all(p: Prepared, *, setpoints: bool) -> list[CutRow]:
     Parameters
     ----------
     setpoints : bool
-        The log holds those that the machine got.
+        Whether the log holds those that the machine received.
     """
     stage, rows = p.problem.stage, []
     if isinstance(stage, DriveStage):
@@ -67,7 +67,7 @@ def _from_all(p: Prepared, *, setpoints: bool) -> list[CutRow]:
 
 
 def _of_pose(cut: str, problem: Problem, point: Point) -> list[CutRow]:
-    """Return the residuals of the pose at a point, initial poses free."""
+    """Return the residuals of the pose at a point, with free initial poses."""
     more = _added_by_start(problem, point.predicted, point.poses)
     return _rows(cut, problem, problem.residual(point.predicted), more=more)
 
@@ -102,8 +102,8 @@ def _rows(
     Parameters
     ----------
     more : ndarray, shape (n,), optional
-        Variance of every sample besides: what the noise of the cut's own sensor adds, or, negative,
-        what the fit of the initial poses takes.
+        Further variance of every sample: what the noise of the cut's own sensor adds or, negative,
+        what the fit of the initial poses removes.
     only : ndarray of bool, shape (n,), optional
         Samples that can be judged.
     """
@@ -128,7 +128,7 @@ def _rows(
 def _added_by_start(problem: Problem, predicted: Array, poses: Array) -> Array | None:
     """Return the variance that each sample loses to the fit of its initial pose, negative.
 
-    Of generalised least squares: the diagonal of ``X (X' C^-1 X)^-1 X'``.
+    From generalised least squares: the diagonal of ``X (X' C^-1 X)^-1 X'``.
     """
     columns = problem.nuisance(predicted, poses)
     if columns is None:
@@ -146,8 +146,8 @@ def _process_only(stage: DriveStage, problem: Problem) -> list[CutRow]:
     """Return the residuals of the wheel speeds under the measured duty.
 
     Between its samples the duty is the simulated one plus the interpolated difference. After a step
-    of a set-point it falls within milliseconds, and differently under another controller: where the
-    log does not show that, speeds count only when the process has forgotten it.
+    of a set-point it falls within milliseconds, and differently with another controller. If the log
+    does not show that, speeds count only after the process has forgotten it.
     """
     stack = problem.stack
     _, _, duty = stage.simulate({})
@@ -172,10 +172,10 @@ def _process_only(stage: DriveStage, problem: Problem) -> list[CutRow]:
 
 
 def _unseen(stage: DriveStage, wheel: int, held: Array) -> Mask:
-    """Return the ticks at which a duty falls after a step and its samples are too far apart.
+    """Return the ticks at which a duty falls after a step while its samples are too far apart.
 
-    In a ramp of many steps every sample shows the same moment of the fall, so there it counts as
-    unseen wherever a tick has no sample.
+    In a ramp of many steps every sample shows the same moment of the fall, so there every tick
+    without a sample counts as unseen.
     """
     segments = stage.segments
     segment = stage.stack.segment[stage.stack.edges[DUTIES[wheel]]]
@@ -200,7 +200,7 @@ def _closed_s(robot: RobotParameters) -> float:
 
 
 def _between(stage: DriveStage, edge: slice, at: Array, values: Array) -> Array:
-    """Return samples of one channel, interpolated at every tick and held at segments' ends."""
+    """Return samples of one channel, interpolated at every tick, constant beyond the outer ones."""
     out, first = np.zeros(stage.segments.ticks), stage.segments.first
     segment = stage.stack.segment[edge]
     for i in range(len(stage.segments)):

@@ -1,4 +1,4 @@
-"""What remains of a residual against what it depends on, in bins, for the report."""
+"""The remaining residual as a function of what it depends on, in bins, for the report."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,20 +17,20 @@ from hilserver.diagnosis.schema.evidence import Dependence
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SETPOINTS, SPEEDS, YAW
 from hilserver.measured.names import signal_unit
 
-MOST, EACH = 2, 2  # structures, and regressors of each, that are drawn
-BASE_S: Final = 1.0  # over which the growth of a pose's error is taken
+MOST, EACH = 2, 2  # structures that are drawn, and regressors of each
+BASE_S: Final = 1.0  # over which the growth of a pose's error is measured
 BINS: Final = 24
 FEWEST_IN_A_BIN: Final = 3
 ALIKE: Final = 0.98
-PERIODS: Final = 4.0  # a log so many periods long is folded over the strongest one
+PERIODS: Final = 4.0  # a log of at least this many periods is folded over the strongest one
 
 
 @dataclass(frozen=True)
 class _Left:
-    """What is left of one channel, or of a velocity derived from positions or yaw."""
+    """The rest of one channel, or of a velocity derived from positions or yaw."""
 
     name: str
-    edge: slice  # samples of the stack at whose instants it stands
+    edge: slice  # samples of the stack at whose times it is given
     values: Array
     used: Mask  # shape of `values`
 
@@ -38,7 +38,7 @@ class _Left:
 def dependences(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> list[Dependence]:
     """Return what the remaining error depends on, the strongest structure first.
 
-    Regressors are read off the final model, so that no sensor's noise is in both.
+    Regressors are taken from the final model, so that no sensor's noise is in both.
     """
     out: list[Dependence] = []
     drawn: list[Array] = []
@@ -65,16 +65,16 @@ def dependences(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> l
 
 
 def _alike(x: Array, other: Array) -> bool:
-    """Return whether two regressors are one, as the set-points of both wheels of a side."""
+    """Return whether two regressors are the same, like the set-points of both wheels of a side."""
     if len(x) != len(other) or min(np.ptp(x), np.ptp(other)) == 0.0:
         return False
     return bool(abs(np.corrcoef(x, other)[0, 1]) > ALIKE)
 
 
 def _left(problem: Problem, point: Point, u: Unknown) -> _Left:
-    """Return the remaining error of what a structure explains most of.
+    """Return the remaining error of the channel of which a structure explains most.
 
-    The error of a pose adds up along the way: what is reported is how fast it grows.
+    The error of a pose accumulates along the way, so its growth is reported.
     """
     edges = problem.stack.edges
     residual, used = problem.residual(point.predicted), problem.weights > 0.0
@@ -101,7 +101,7 @@ def _left(problem: Problem, point: Point, u: Unknown) -> _Left:
 
 
 def _rate(problem: Problem, edge: slice, values: Array) -> Array:
-    """Return how fast a channel's residual grows about each sample; NaN at segments' ends."""
+    """Return how fast a channel's residual grows around each sample; NaN at segment ends."""
     stack, out = problem.stack, np.full(len(values), np.nan)
     t_s, segment = stack.t_s[edge], stack.segment[edge]
     for i in np.unique(segment):
@@ -120,7 +120,7 @@ def _rate(problem: Problem, edge: slice, values: Array) -> Array:
 
 
 def _regressors(problem: Problem, point: Point, edge: slice) -> Mapping[str, Array]:
-    """Return what is known at the samples of a channel, by name."""
+    """Return, by name, what is known at the samples of a channel."""
     stage, stack = problem.stage, problem.stack
     row = np.minimum(np.rint(stack.at[edge]).astype(np.int64), stack.high[edge])
     dense = stage.signals(point.model.terms, point.poses)
@@ -129,7 +129,7 @@ def _regressors(problem: Problem, point: Point, edge: slice) -> Mapping[str, Arr
 
 
 def _held(stage: Stage, name: str, edge: slice) -> Array:
-    """Return the value of an input at the samples of a channel: it holds until the next."""
+    """Return the value of an input, which holds until the next, at the samples of a channel."""
     t_s, segment = stage.stack.t_s[edge], stage.stack.segment[edge]
     out = np.zeros(len(t_s))
     for i, span in enumerate(stage.segments.span):
@@ -154,9 +154,9 @@ def _folded(problem: Problem, point: Point, t_s: Array) -> tuple[str, str, Array
 def binned(
     x: Array, residual: Array, block: Indices, bins: int
 ) -> list[tuple[float, float, float]]:
-    """Return middle, mean and half of the interval of 95 % of every bin that has enough blocks.
+    """Return middle, mean and half the 95 % interval of every bin that has enough blocks.
 
-    The interval counts blocks: samples of one hang together.
+    The interval counts blocks, because samples within one are correlated.
     """
     if not len(x) or float(np.ptp(x)) == 0.0:
         return []

@@ -1,4 +1,4 @@
-"""The plots of a report, from the evidence; those of channels over time are in `time_series`."""
+"""The plots of a report, from the evidence; channels over time are in `time_series`."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -30,11 +30,11 @@ SMALLEST_LIKENESS = 0.5
 MAX_LIKE = 22
 INTERVAL_WIDTH = 260.0
 INTERVAL_TICKS = 4
-APART = 1.02  # lines of one plot stand so far apart that their intervals can be read
+APART = 1.02  # distance of the lines in one plot, so that their intervals are legible
 
 
 def path(way: Path) -> Figure:
-    """Draw the way over the floor, to scale."""
+    """Draw the path over the floor, to scale."""
     tracks = [t for t in (way.measured, way.simulated, way.extended) if t is not None]
     x, y = (span_of(*(t[:, i] for t in tracks), margin=0.05) for i in (0, 1))
     inner_w, inner_h = 520.0 - MARGIN_LEFT - MARGIN_RIGHT, 400.0 - MARGIN_TOP - MARGIN_BOTTOM
@@ -72,7 +72,7 @@ def _around(span: tuple[float, float], width: float) -> tuple[float, float]:
 
 
 def horizons(rows: Sequence[HorizonRow]) -> Figure | None:
-    """Draw the gain over the length of a free run, a line for each quantity; none without any."""
+    """Draw the gain over the length of a free run, one line per quantity; None without any."""
     runs = [r for r in rows if math.isfinite(r.gain.ratio) and r.gain.ratio > 0]
     gains = [r.gain for r in runs]
     if all(Change.of(g).is_none for g in gains):
@@ -130,7 +130,7 @@ def likeness(similarity: Similarity) -> Figure | None:
 
 
 def _heat_map(names: Sequence[str], cosine: Array, limit: float) -> Markup:
-    """Draw a square for each pair, framed where its |cos| is above the limit."""
+    """Draw a square for each pair, framed if its |cos| is above the limit."""
     size, left, top = 22.0, 170.0, 6.0
     bottom = top + len(names) * size
     parts = []
@@ -159,7 +159,7 @@ def _heat_map(names: Sequence[str], cosine: Array, limit: float) -> Markup:
 
 
 def dependence(item: Dependence) -> Figure:
-    """Draw what remains of a residual against one regressor."""
+    """Draw the remaining residual against one regressor."""
     name = f"{item.channel} over {item.regressor}"
     labels = f"{item.regressor} [{item.regressor_unit}]", f"remaining error [{item.unit}]"
     plot = Plot(span_of(item.x), span_of(item.low, item.high, np.zeros(1)), *labels, height=250)
@@ -183,12 +183,12 @@ def course(item: Course) -> Figure:
 
 
 def paths(ways: Iterable[Path]) -> list[Figure]:
-    """Draw the ways, in the order of their groups and segments."""
+    """Draw the paths, in the order of their groups and segments."""
     return [path(way) for way in sorted(ways, key=lambda w: (w.group, w.span))]
 
 
 def interval(parameter: Parameter, name: str) -> Markup:
-    """Draw value and interval of a parameter beside its null."""
+    """Draw the value and interval of a parameter, and its null."""
     part = known_part(name)
     null = None if part is None else part.null
     if parameter.ci95 is None or null is None:

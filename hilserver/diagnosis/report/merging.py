@@ -1,4 +1,4 @@
-"""The evidence of several groups of logs as one: plots go on from group to group."""
+"""The evidence of several groups of logs as one: plots continue from group to group."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -14,7 +14,7 @@ PATHS_EACH = 2  # paths of every group that are drawn
 
 
 def merged(parts: Mapping[str, Evidence]) -> Evidence:
-    """Return the evidence of all groups; tables say which group a row is of, if there are any."""
+    """Return the evidence of all groups; tables name the group of a row, if there are any."""
     first = next(iter(parts.values()))
     if len(parts) == 1:
         return first
@@ -57,7 +57,7 @@ def _series(parts: Iterable[Evidence]) -> tuple[Series, ...]:
 
 
 def _screen(parts: Iterable[Evidence]) -> tuple[ScreenRow, ...]:
-    """Return every cause as the group has it that shows it most clearly."""
+    """Return every cause as in the group that shows it most clearly."""
     rows: dict[str, ScreenRow] = {}
     for row in (row for part in parts for row in part.screen):
         if row.cause not in rows or abs(row.statistic) > abs(rows[row.cause].statistic):

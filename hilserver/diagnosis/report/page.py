@@ -36,7 +36,7 @@ def render(findings: Findings, evidence: Evidence) -> str:
     ----------
     findings : Findings
         What was found.
-    evidence : Evidence
+    The evidence for it; empty parts are left out.
         What stands behind it; empty parts are left out.
     """
     gains = words.gains(findings)
@@ -100,7 +100,7 @@ def _contents(main: str) -> list[tuple[str, Markup]]:
 
 
 def _headed(cells: str, head: Sequence[str]) -> Markup:
-    """Label every cell of a row with its column: a phone shows rows as blocks."""
+    """Label every cell of a row with its column, because a phone shows rows as blocks."""
     heads = iter(head)
     text = _CELL.sub(lambda _: f'<td data-head="{escape(next(heads))}"', cells)
     return Markup(text)  # noqa: S704 - escaped already
@@ -108,7 +108,7 @@ def _headed(cells: str, head: Sequence[str]) -> Markup:
 
 @cache
 def environment() -> Environment:
-    """Return what fills the templates: filters, style and words."""
+    """Return the template environment: filters, style and words."""
     made = Environment(
         loader=PackageLoader("hilserver.diagnosis.report"),
         autoescape=True,

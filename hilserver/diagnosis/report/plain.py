@@ -1,4 +1,4 @@
-"""Names of signals as a technician says them: a headline names no ``wheel.fl.speed_rpm``."""
+"""Names of signals in a technician's words: a headline contains no ``wheel.fl.speed_rpm``."""
 
 import re
 from typing import Final
@@ -32,7 +32,7 @@ _OF_WHEELS: Final = {
     "setpoint_rpm": ("set-point", "set-points"),
     "angle_rad": ("angle", "angles"),
 }
-_ALL_FROM: Final = 3  # so many wheels in a row are called the wheels
+_ALL_FROM: Final = 3  # this many wheels in a row are called the wheels
 
 _WHEEL = r"wheel\.(?:fl|rl|fr|rr)\.(\w+)"
 _RUN = re.compile(rf"{_WHEEL}(?:(?:, | and )wheel\.(?:fl|rl|fr|rr)\.\1\b)*(?P<more> and \d+ more)?")
@@ -43,7 +43,7 @@ _UNIT = re.compile(r"_(?:rpm|pct|rad|m|v|a|c|s|nm|n)(?:_s2?)?$")
 
 
 def plain(text: str) -> str:
-    """Return `text` with words for the names of signals, its first letter a capital."""
+    """Return `text` with words for the names of signals, and a capital first letter."""
     text = _RUN.sub(_wheels, _CYCLE.sub(r"a cycle of \1 s", text))
     text = _NAME.sub(_signal, text)
     return text[:1].upper() + text[1:]

@@ -1,4 +1,4 @@
-"""Plots as an SVG file of its own: with title, legend and the colours of light and dark."""
+"""Plots as a separate SVG file: with title, legend and the colours for light and dark."""
 
 from collections.abc import Sequence
 from html import escape
@@ -7,20 +7,20 @@ from typing import Final
 
 from hilserver.diagnosis.report.svg import MARGIN_LEFT, Plot
 
-HEAD_HEIGHT: Final = 66.0  # where the first plot begins: title and legend stand above
+HEAD_HEIGHT: Final = 66.0  # where the first plot begins, below title and legend
 _TITLE_Y, _LEGEND_Y = 24.0, 50.0
 _SAMPLE, _GAP, _LETTER = 28.0, 22.0, 6.5
 
 
 def document(plots: Sequence[Plot], title: str, legend: Sequence[tuple[str, str]]) -> str:
-    """Return plots below each other as a file.
+    """Return plots, one below the other, as a file.
 
     Parameters
     ----------
     plots : sequence of Plot
         The first begins at `HEAD_HEIGHT`.
     legend : sequence of (str, str)
-        Roles of lines and their words.
+        Roles of lines, and their labels.
     """
     style = files("hilserver.diagnosis.report").joinpath("plot.css").read_text(encoding="utf-8")
     width = max(plot.width for plot in plots)

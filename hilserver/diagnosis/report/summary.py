@@ -43,5 +43,5 @@ def one_line(findings: Findings) -> str:
     """Return the verdict on one of many logs."""
     causes = [" or ".join(f.causes) or str(f.verdict) for f in findings.findings]
     if findings.verdict is Overall.NOTHING_FOUND and causes:
-        return ", ".join(causes)  # too little motion to say
+        return ", ".join(causes)  # too little motion for a verdict
     return f"{findings.verdict}: {', '.join(causes)}" if causes else str(findings.verdict)

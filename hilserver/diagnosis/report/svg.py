@@ -17,14 +17,14 @@ MARGIN_LEFT: Final = 68.0
 MARGIN_RIGHT: Final = 14.0
 MARGIN_TOP: Final = 14.0
 MARGIN_BOTTOM: Final = 44.0
-LINE_POINTS: Final = 700  # points of one line; more are drawn as the extremes of so many pieces
-MAX_RUNS: Final = 400  # runs of one line; of more only every second, or third, is drawn
-FEWEST_POINTS: Final = 4  # points of a run, however many there are
+LINE_POINTS: Final = 700  # points of one line; more are drawn as the extremes of pieces
+MAX_RUNS: Final = 400  # runs of one line; of more, only every second or third is drawn
+FEWEST_POINTS: Final = 4  # points of a run, however many runs there are
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """From values to places in the picture, linear or logarithmic."""
+    """From values to positions in the picture, linear or logarithmic."""
 
     low: float
     high: float
@@ -33,7 +33,7 @@ class Scale:
     is_log: bool = False
 
     def __call__(self, values: Array | float) -> Array:
-        """Return the place of each value."""
+        """Return the position of each value."""
         x = np.asarray(values, dtype=np.float64)
         low, high = self.low, self.high
         if self.is_log:
@@ -90,7 +90,7 @@ def label(value: float) -> str:
 
 
 def decimate(x: Array, y: Array, n: int = LINE_POINTS) -> tuple[Array, Array]:
-    """Return at most `n` points that keep smallest and largest value of every piece."""
+    """Return at most `n` points that keep the smallest and largest value of every piece."""
     if len(x) <= n:
         return x, y
     length, longer = divmod(len(x), n // 2)
@@ -101,7 +101,7 @@ def decimate(x: Array, y: Array, n: int = LINE_POINTS) -> tuple[Array, Array]:
 
 
 def _extremes(y: Array, length: int) -> Indices:
-    """Return where pieces of one length have their ends; of one without a number its beginning."""
+    """Return the extremes of pieces of one length; if all are NaN, the beginning of the piece."""
     pieces = y.reshape(-1, length)
     blank = np.isnan(pieces)
     least, most = (
@@ -114,7 +114,7 @@ def _extremes(y: Array, length: int) -> Indices:
 
 
 def runs_of(run: Indices) -> list[slice]:
-    """Return where the runs of a line are: one at least."""
+    """Return where the runs of a line are: at least one."""
     return [slice(a, b) for a, b in pairwise([0, *(np.flatnonzero(np.diff(run)) + 1), len(run)])]
 
 
@@ -129,7 +129,7 @@ def thinned(x: Array, y: Array, run: Indices) -> tuple[Array, Array]:
 
 
 def path_data(x: Array, y: Array) -> str:
-    """Return the ``d`` of a line through the points; it is broken where one is not finite."""
+    """Return the ``d`` of a line through the points; it breaks at points that are not finite."""
     parts, pen = [], "M"
     for px, py in zip(x.tolist(), y.tolist(), strict=True):
         if not (math.isfinite(px) and math.isfinite(py)):
@@ -152,7 +152,7 @@ class Plot:
     y_label: str
     width: float = 520.0
     height: float = 300.0
-    top: float = 0.0  # where the plot begins in a picture of several
+    top: float = 0.0  # where the plot begins in a picture of several plots
     log_x: bool = False
     log_y: bool = False
     _drawn: list[str] = field(default_factory=list)
@@ -179,12 +179,12 @@ class Plot:
         points: int = LINE_POINTS,
         run: Indices | None = None,
     ) -> None:
-        """Draw a line; `role` is its class, `title` what shows when the pointer rests on it.
+        """Draw a line; `role` is its class, `title` appears when the pointer rests on it.
 
         Parameters
         ----------
         run : ndarray of int64, optional
-            The line breaks where it changes; shape as `x`.
+            The line breaks where this changes; shape as `x`.
         """
         kept = decimate(x, y, points) if run is None else thinned(x, y, run)
         self._line(*kept, role, title)
@@ -198,7 +198,7 @@ class Plot:
         points: int = LINE_POINTS,
         begins: Sequence[int] = (),
     ) -> None:
-        """Draw a way in the plane, shape (n, 2): every k-th point; it breaks at `begins`."""
+        """Draw a path in the plane, shape (n, 2): every k-th point; it breaks at `begins`."""
         step = max(1, math.ceil(len(xy) / points))
         gap = np.full((1, 2), np.nan)
         parts = [np.vstack([own[::step], own[-1:], gap]) for own in np.split(xy, begins)]
@@ -227,7 +227,7 @@ class Plot:
                 )
 
     def whiskers(self, x: Array, low: Array, high: Array, role: str) -> None:
-        """Draw an interval at each place."""
+        """Draw an interval at each position."""
         xs, lows = self._place(x, low)
         _, highs = self._place(x, high)
         data = "".join(
@@ -239,7 +239,7 @@ class Plot:
             self._drawn.append(f'<path class="whisker {role}" d="{data}"/>')
 
     def bar(self, first: float, last: float, height: float, role: str, title: str) -> None:
-        """Fill a bar from zero up between two places."""
+        """Fill a bar from zero upwards between two positions."""
         a, b = (float(self.to_x(v)) for v in (first, last))
         y0, y1 = (float(self.to_y(v)) for v in (0.0, height))
         self._drawn.append(
@@ -320,7 +320,7 @@ class Plot:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A drawing with its title above and a sentence below; `legend`: roles and their words."""
+    """A drawing with its title above and a sentence below; `legend`: roles and their labels."""
 
     svg: Markup
     title: str
@@ -330,7 +330,7 @@ class Figure:
 
 
 def picture(plots: Sequence[Plot], name: str) -> Markup:
-    """Return plots below each other as one SVG element; `name` is read aloud."""
+    """Return plots, one below the other, as one SVG element; `name` is for screen readers."""
     width = max(plot.width for plot in plots)
     height = max(plot.top + plot.height for plot in plots)
     inner = "".join(plot.render() for plot in plots)

@@ -1,4 +1,4 @@
-"""What the tables behind a report show, chosen and sorted from findings and evidence."""
+"""What the tables of a report show, chosen and sorted from findings and evidence."""
 
 from collections.abc import Iterable
 from typing import Any, Final
@@ -19,7 +19,7 @@ Row = dict[str, Any]  # cells of a table's row, by name
 
 
 def selected(findings: Findings) -> list[Row]:
-    """Return every decision of the selection; the last one on a cause with its finding."""
+    """Return every decision of the selection; the last one on a cause comes with its finding."""
     in_the_end = {cause: f for f in findings.findings for cause in f.causes}
     out: list[Row] = []
     for row in reversed(findings.decisions):
@@ -44,7 +44,7 @@ def twins(similarity: Similarity | None) -> list[tuple[float, str, str]]:
 
 
 def noises(findings: Findings) -> list[Row]:
-    """Return what every channel shows, of each group by itself."""
+    """Return what every channel shows, separately for each group."""
     of_groups = [(f" ({name})", g.noise) for name, g in (findings.groups or {}).items()]
     return [
         {"channel": f"{channel}{group}", "unit": signal_unit(channel), "noise": noise}
@@ -54,7 +54,7 @@ def noises(findings: Findings) -> list[Row]:
 
 
 def by_reason(not_judged: Iterable[NotJudged]) -> dict[str, list[str]]:
-    """Return the causes that the data say nothing about, by reason."""
+    """Return, by reason, the causes about which the data say nothing."""
     reasons: dict[str, list[str]] = {}
     for item in not_judged:
         reasons.setdefault(item.reason, []).append(item.cause)
@@ -62,7 +62,7 @@ def by_reason(not_judged: Iterable[NotJudged]) -> dict[str, list[str]]:
 
 
 def together(joint: Joint | None) -> list[Row]:
-    """Return all fitted parameters, each with the one whose estimate is most correlated with it."""
+    """Return all fitted parameters, each with the most strongly correlated other one."""
     if joint is None:
         return []
     covariance = np.array(joint.covariance)

@@ -10,11 +10,11 @@ from hilserver.diagnosis.report.plain import plain
 from hilserver.diagnosis.report.svg import MAX_RUNS, Figure, Plot, picture, runs_of, span_of
 from hilserver.diagnosis.schema.evidence import Series
 
-MAX_MARKS = 60  # beginnings of a run that are marked; more of them would be a bar
+MAX_MARKS = 60  # run beginnings that are marked; more of them would merge into a bar
 
 
 def series(item: Series) -> Figure:
-    """Draw one channel above its residual before and after."""
+    """Draw one channel, and below it its residual before and after."""
     t = _continuous(item.t_s, item.run)
     before = item.measured - item.simulated
     after = None if item.extended is None else item.measured - item.extended
@@ -57,7 +57,7 @@ def _anew(begins: int) -> str:
 
 
 def improvement(item: Series) -> float:
-    """Return the mean absolute residual before by that after; 1 without an extension."""
+    """Return the mean absolute residual before over that after; 1 without an extension."""
     if item.extended is None:
         return 1.0
     models = (item.simulated, item.extended)
@@ -66,7 +66,7 @@ def improvement(item: Series) -> float:
 
 
 def _continuous(t_s: Array, run: Indices) -> Array:
-    """Put runs whose times overlap one after the other."""
+    """Place runs whose times overlap one after the other."""
     t, end = t_s.copy(), -math.inf
     for edge in runs_of(run):
         if len(t[edge]) and t[edge][0] < end:

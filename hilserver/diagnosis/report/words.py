@@ -29,12 +29,12 @@ BADGES = {
     Verdict.NO_DIFFERENCE: "No difference",
 }
 LARGE = 1.5
-"""Residual, by what the noise alone would give, from which a replay is clearly wrong; and error
-before, by that after, from which a model is clearly better."""
+"""Residual relative to noise alone from which a replay is clearly wrong; error before relative to
+that after from which a model is clearly better."""
 MOST_TIMES = 1000
-"""By which an error shrinks or grows; more is an error of next to nothing, before or after."""
+"""Largest factor of an error that is shown; beyond it, the error before or after is almost zero."""
 FREE_RUNS = ("position_m", "yaw_rad")
-"""Quantities whose error is taken at the end of a free run; of the others it is the mean."""
+"""Quantities whose error is taken at the end of a free run; for the others it is the mean."""
 COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
 
 
@@ -75,7 +75,7 @@ class Gained:
 
     name: str
     unit: str
-    when: str  # ``after 5 s``; empty where the error does not grow along a run
+    when: str  # ``after 5 s``; empty if the error does not grow along a run
     gain: Gain
     ceiling: float | None
 
@@ -87,7 +87,7 @@ class Gained:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A ratio of errors in words: so many times better, or worse, never 0.5 times better."""
+    """A ratio of errors in words: that many times better, or worse, never 0.5 times better."""
 
     factor: float
     is_better: bool
@@ -106,7 +106,7 @@ class Change:
 
     @property
     def is_none(self) -> bool:
-        """Whether the error is, in two digits, what it was."""
+        """Whether the error is unchanged in two digits."""
         return number(self.factor, digits=2) == "1"
 
     @property
@@ -126,7 +126,7 @@ class Change:
 
 
 def gains(findings: Findings) -> list[Gained]:
-    """Return the gain of every quantity: first where the robot is, last what its sensors show."""
+    """Return the gain of every quantity: first the robot's position, last what its sensors show."""
     order = list(QUANTITIES)
     return [
         Gained(*QUANTITIES[key], when(key, gain), gain, findings.ceiling.get(key))
@@ -135,25 +135,25 @@ def gains(findings: Findings) -> list[Gained]:
 
 
 def when(key: str, gain: Gain) -> str:
-    """Return after which time of a free run an error is taken; nothing where it is a mean."""
+    """Return after what time of a free run an error is taken; empty if it is a mean."""
     return f"after {number(gain.horizon_s, 's', digits=2)}" if key in FREE_RUNS else ""
 
 
 def best(gained: Sequence[Gained]) -> Gained | None:
-    """Return the gain that the page begins with: the first that is clear, or else the largest."""
+    """Return the gain with which the page begins: the first clear one, or else the largest."""
     better = [g for g in gained if g.gain.ratio > 1.0]
     largest = max(better, key=lambda g: g.gain.ratio, default=None)
     return next((g for g in gained if g.is_clear), largest)
 
 
 def held_out(findings: Findings) -> str:
-    """Return what the total gain was measured on, in words."""
+    """Return, in words, what the total gain was measured on."""
     other = any(notice.startswith(ON_OTHER_LOGS) for notice in findings.notices)
     return "other logs" if other else "parts of the recording that were not used for the fit"
 
 
 def of_patch(findings: Findings) -> str:
-    """Return what the patch gains by itself; nothing where that is the total gain."""
+    """Return the gain of the patch on its own; empty if that is the total gain."""
     alone, total = findings.patch_gain, findings.total_gain
     less = [key for key in QUANTITIES if key in alone and key in total
             and Change.of(alone[key]).times != Change.of(total[key]).times]  # fmt: skip
@@ -167,7 +167,7 @@ def of_patch(findings: Findings) -> str:
 
 
 def understated(findings: Findings) -> str:
-    """Return why the total gain leaves causes out that were found; nothing where it does not."""
+    """Return why the total gain leaves out causes that were found; empty if it does not."""
     by = {0: "by neither", 1: "by one alone"}
     missing = [
         f"{' or '.join(f.causes)} ({by[f.halves]})" for f in findings.findings if f.halves < 2
@@ -182,12 +182,12 @@ def understated(findings: Findings) -> str:
 
 
 def is_unchanged(gain: Gain) -> bool:
-    """Return whether an error is, in two digits, what it was."""
+    """Return whether an error is unchanged in two digits."""
     return number(gain.before, digits=2) == number(gain.after, digits=2)
 
 
 def where(cuts: Sequence[CutRow]) -> str:
-    """Return in which block the error arises, as one sentence; nothing where none is large."""
+    """Return in which block the error arises, as one sentence; empty if none is large."""
     judged = {r.cut for r in cuts}
     large = {(r.cut, r.channel.startswith("wheel.")) for r in cuts if is_large(r)}
     named = []
@@ -205,7 +205,7 @@ def where(cuts: Sequence[CutRow]) -> str:
 
 
 def is_large(row: CutRow) -> bool:
-    """Return whether a residual is clearly more than the sensors' noise."""
+    """Return whether a residual clearly exceeds the sensors' noise."""
     return row.expected is not None and row.rms > LARGE * row.expected
 
 
@@ -215,7 +215,7 @@ class Step:
 
     label: str
     text: str = ""
-    # what an unknown structure depends on: this is what to look at
+    # what an unknown structure depends on: this is what to examine
     signals: tuple[str, ...] | None = None
 
 
@@ -239,11 +239,11 @@ def _label(item: Finding, text: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Belonging:
-    """A fitted parameter and whose it is: the machine's, or one of each group of logs."""
+    """A fitted parameter and its owner: the machine, or one of the groups of logs."""
 
     name: str
     parameter: Parameter
-    others: tuple[str, ...]  # causes that could stand in its place
+    others: tuple[str, ...]  # causes that could replace it
 
 
 def belonging(findings: Findings, *, differs: bool) -> list[Belonging]:
