@@ -131,7 +131,7 @@ async def _drives(args: argparse.Namespace, folder: Path) -> list[Result]:
     """Drive with every model; return what was missed, beside a drive without a model."""
     setup_logging("ERROR")
     idle = await beside(None, folder, args.seconds, args.priority)
-    results, asked, progress = [], [], Progress()
+    results, asked, progress = [], [], Progress(lambda: "stopped before it was measured")
     models = sorted(args.models.rglob("*.fmu")) if args.models else []
     models.append(make(folder / "lag.fmu", 3))
     for number, path in enumerate(models):

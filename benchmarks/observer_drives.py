@@ -92,7 +92,7 @@ def diagnosed(
     """
     if not (folder / "findings.json").exists():
         folder.mkdir(parents=True, exist_ok=True)
-        with Progress() as progress:
+        with Progress(lambda: "stopped before it was measured") as progress:
             assembly = assemble_config(config)
             result = diagnose(log(), assembly, seed=seed, jobs=jobs, progress=progress)
         for name, text in documents(result).items():

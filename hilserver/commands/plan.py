@@ -67,7 +67,6 @@ def run(args: argparse.Namespace) -> int:
     """Plan; print what the manoeuvre shows and write the files."""
     if args.out.exists() and not args.out.is_dir():
         raise FailedError(f"{args.out}: is a file; name a folder for the plan")
-    assembly = assemble(config_path(args))
     wish = Wish(
         manoeuvre=args.manoeuvre,
         mapping=args.mapping,
@@ -78,8 +77,8 @@ def run(args: argparse.Namespace) -> int:
         seed=args.seed,
         jobs=os.cpu_count() or 1,
     )
-    with Progress() as progress:
-        document, files = plan(wish, assembly, progress)
+    with Progress(lambda: "stopped before the plan was finished: nothing was written") as progress:
+        document, files = plan(wish, assemble(config_path(args)), progress)
     write_files(args.out, files | {PAGE: render_plan(document)})
     print("\n".join(lines(document)))
     print(

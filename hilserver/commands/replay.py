@@ -157,7 +157,11 @@ class _Replay:
         writer = open_writer(self._args.out, run, range(engine.table.n_slots))
         done, began_s = 0, time.monotonic()
         engine.feed_state(in_rows=plan.feeds_state)
-        with closing(writer), Progress() as progress:
+
+        def stopped() -> str:
+            return f"stopped after {done} of {plan.n_ticks} ticks: {self._args.out} ends there"
+
+        with closing(writer), Progress(stopped) as progress:
             for stretch in plan.stretches:
                 writer.add_state(engine.start_of(stretch))
                 async for batch in engine.play(stretch):

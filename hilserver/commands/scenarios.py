@@ -66,7 +66,8 @@ def _page(args: argparse.Namespace) -> None:
     if page is None:
         raise FailedError("'scenarios page' writes a page of the source: run it in a checkout")
     chosen = [scenario(name) for name in args.names] or list(SCENARIOS.values())
-    with Progress() as progress:
+    k = 0
+    with Progress(lambda: f"stopped after {k} of {len(chosen)} scenarios") as progress:
         for k, one in enumerate(chosen):
             progress(one.name, k / len(chosen))
             page.write_page(args.out, {one.name: page.make_entry(one)})

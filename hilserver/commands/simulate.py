@@ -102,8 +102,12 @@ async def _play(
 ) -> None:
     period_s = assembly.base_period_ns * 1e-9
     n_ticks, done = max(round(duration_s / period_s), 1), 0
+
+    def stopped() -> str:
+        return f"stopped after {done} of {n_ticks} ticks: {out} ends there"
+
     async with Simulation(assembly, play) as simulation:
-        with simulation.log(out) as writer, Progress() as progress:
+        with simulation.log(out) as writer, Progress(stopped) as progress:
             async for batch in simulation.frames(n_ticks):
                 writer.write(batch)
                 if verdict is not None:

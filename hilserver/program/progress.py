@@ -19,7 +19,7 @@ class Progress:
     there is then: the exit code is that of a program that did as it was bidden.
     """
 
-    def __init__(self, stopped: Callable[[], str] | None = None) -> None:
+    def __init__(self, stopped: Callable[[], str]) -> None:
         self._stopped = stopped
         self._start_s = time.monotonic()
         self._footer, self._line = Footer(sys.stderr), ""
@@ -54,7 +54,7 @@ class Progress:
     def __exit__(self, error: object, *_: object) -> None:
         self.end()
         # Not SystemExit alone: a compiler that is interrupted fails in a way of its own.
-        if error is not None and self._stopped is not None and end_was_asked():
+        if error is not None and end_was_asked():
             self.say(f"hilserver: {self._stopped()}", sys.stderr)
 
     def end(self) -> None:

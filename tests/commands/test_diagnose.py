@@ -105,7 +105,7 @@ def test_a_signal_among_many_logs_keeps_the_reports_so_far(stages, tmp_path, mon
 def test_where_there_is_no_terminal_progress_is_plain_lines(monkeypatch, capsys):
     now = [0.0]
     monkeypatch.setattr("hilserver.program.progress.time.monotonic", lambda: now[0])
-    progress = Progress()
+    progress = Progress(lambda: "")
     for second in range(12):
         now[0] = float(second)
         progress("screen", second / 12)

@@ -1,5 +1,8 @@
 """`hilserver simulate`: a scenario in virtual time, from tick 0 on, every frame in the file."""
 
+import os
+import re
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +10,8 @@ import pytest
 
 from hilserver.commands import main
 from hilserver.logs import read_log
+from hilserver.replay.engine import Engine
+from hilserver.replay.simulation import Simulation
 
 SCENARIO = """
 steps:
@@ -51,6 +56,28 @@ def test_a_log_of_set_points_is_played_too(capsys):
     Path("log.csv").write_text(f"{header}\n0,9,9,-9,-9\n0.5,0,0,0,0\n")
     assert main(["simulate", "log.csv", "-o", "out.csv"]) == 0
     assert "replayed 501 ticks" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("command", "batches"), [("simulate", Simulation.frames), ("replay", Engine.play)]
+)
+def test_a_signal_ends_the_file_where_a_sentence_says(monkeypatch, capsys, command, batches):
+    async def interrupted(*what):
+        async for batch in batches(*what):
+            yield batch
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    owner = Simulation if command == "simulate" else Engine
+    monkeypatch.setattr(owner, batches.__name__, interrupted)
+    Path("log.csv").write_text("t_s,twist.linear_m_s\n0,0.1\n20,0\n")
+    drive = "log.csv" if command == "replay" else "drive.yaml"
+    words = ["--duration", "20"] if command == "simulate" else []
+    assert main([command, drive, *words, "-o", "out.mcap"]) == 0
+    said = capsys.readouterr().err.splitlines()[-1]
+    done, n = re.fullmatch(
+        r"hilserver: stopped after (\d+) of (\d+) ticks: out\.mcap ends there", said
+    ).groups()
+    assert 0 < len(read_log(Path("out.mcap"))) == int(done) < int(n)
 
 
 def test_what_cannot_be_played_is_one_sentence(capsys):

@@ -1,6 +1,8 @@
 """Plans: what a manoeuvre can show and cannot, and a better one that the daemon executes."""
 
 import json
+import os
+import signal
 
 import numpy as np
 import pytest
@@ -267,6 +269,16 @@ def test_options_that_make_no_sense_are_refused(tmp_path, capsys, option):
     with pytest.raises(SystemExit):
         main(["plan", "x.yaml", "-o", str(tmp_path), *option])
     assert f"argument {option[0]}: " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("moment", ["assemble", "plan"])
+def test_a_signal_is_one_sentence_and_leaves_nothing(tmp_path, monkeypatch, capsys, moment):
+    interrupted = lambda *_: os.kill(os.getpid(), signal.SIGINT)  # noqa: E731
+    monkeypatch.setattr(f"hilserver.commands.plan.{moment}", interrupted)
+    assert main(["plan", "x.yaml", "-o", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().err
+    assert said == "hilserver: stopped before the plan was finished: nothing was written\n"
+    assert not (tmp_path / "out").exists()
 
 
 def test_too_small_a_room_is_one_sentence(tmp_path, capsys):
