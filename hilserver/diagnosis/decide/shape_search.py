@@ -13,6 +13,7 @@ from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.problem import Point, Problem
 
 PROMISING: Final = 0.5  # share of the best trial's gain from which another shape is worth a search
+NOISE_ERROR: Final = 1.1  # variance of whitened residuals that is the noise model's own error
 FIRST_STRIDE, LAST_STRIDE = 0.4, 0.004
 FAR_OFF: Final = 3.0  # times the loss of an ordinary block
 SHIFTS_M = (0.6, 0.3, 0.15, 0.08, 0.04, 0.02)
@@ -52,11 +53,11 @@ def searched(
 def refined(problem: Problem, point: Point, trials: Sequence[Trial], pool: Executor) -> list[Trial]:
     """Search the shapes of those trials that could win with a better one; sort, the best first.
 
-    If the best trial ends a gross misfit, no shape of another can do better.
+    If the best trial explains a gross misfit nearly whole, no shape of another can do better.
     """
     most = max((trial.gain for trial in trials), default=0.0)
-    ends_it = point.is_gross and not all(trial.point.is_gross for trial in trials)
-    least = most if ends_it else PROMISING * most
+    explained = point.is_gross and point.deviance - most < NOISE_ERROR * len(point.left)
+    least = most if explained else PROMISING * most
 
     def best_shape(trial: Trial) -> Trial | None:
         if trial.candidate.moved is None or trial.gain < least:
