@@ -46,7 +46,7 @@ def reason(error: OSError) -> str:
     return f"{said}; name a file" if error.errno == errno.EISDIR else said
 
 
-_ADDRESSES = {
+ADDRESSES = {
     errno.EADDRINUSE: "end the program that uses it, or choose another port",
     errno.EADDRNOTAVAIL: "name an address of this computer",
     errno.EACCES: "a port below 1024 needs CAP_NET_BIND_SERVICE; choose another one",
@@ -56,10 +56,8 @@ _ADDRESSES = {
 def address_refused(what: str, error: OSError) -> FailedError:
     """Return why an address cannot be used, with the remedy; `what` names section and address."""
     number = error.errno or getattr(error.__context__, "errno", None) or 0
-    # the number of a host that does not resolve is none of the system's
-    why = os.strerror(number) if number > 0 else error.strerror or str(error)
-    remedy = _ADDRESSES.get(number, "check the address")
-    return FailedError(f"{what} ({why.lower()}); {remedy}")
+    why = os.strerror(number) if number > 0 else error.strerror or str(error)  # names: below 0
+    return FailedError(f"{what} ({why.lower()}); {ADDRESSES.get(number, 'check the address')}")
 
 
 _ALIKE, _SHORT = 0.7, 2

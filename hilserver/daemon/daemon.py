@@ -31,7 +31,7 @@ from hilserver.daemon.connections import (
 from hilserver.daemon.outputs import Outputs
 from hilserver.daemon.shadow import GapWatch
 from hilserver.daemon.supervision import Supervision
-from hilserver.errors import EXIT_DONE, EXIT_FAILED, EXIT_SAFETY_LIMIT, address_refused
+from hilserver.errors import ADDRESSES, EXIT_DONE, EXIT_FAILED, EXIT_SAFETY_LIMIT, address_refused
 from hilserver.faults import Play
 from hilserver.io.link_status import PeerStatus
 from hilserver.io.recorder.launch import recorder_inside, running_recorder
@@ -179,6 +179,8 @@ class Daemon:
                     try:
                         await part.start()
                     except OSError as error:
+                        if error.filename is not None or error.errno not in ADDRESSES:
+                            raise
                         raise address_refused(f"{part.section}: cannot start", error) from None
 
     def bring_to_rest(self) -> None:

@@ -6,6 +6,7 @@ Lease, safe state, banner, metrics and OPC UA figures follow from them.
 
 import asyncio
 import contextlib
+import errno
 import json
 import socket
 import time
@@ -141,6 +142,26 @@ async def test_a_port_in_use_is_one_sentence_with_a_remedy():
         with pytest.raises(FailedError, match=r"^udp: cannot start \(.*in use\); end the program"):
             async with Daemon(assemble_config(config), links=(*LINKS, parts)):
                 pass
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        PermissionError(errno.EACCES, "Permission denied", "udp.key"),
+        OSError(errno.ENODEV, "No such device"),
+    ],
+)
+async def test_what_is_no_matter_of_an_address_is_not_called_one(monkeypatch, error):
+    async def start(_link):
+        raise error
+
+    monkeypatch.setattr(UdpLink, "start", start)
+    base = configuration(opcua={"enabled": False}).model_dump()
+    config = UdpConfiguration.model_validate(base | {"udp": {"enabled": True}})
+    with pytest.raises(OSError, match=error.strerror) as caught:
+        async with Daemon(assemble_config(config), links=(*LINKS, parts)):
+            pass
+    assert caught.value is error
 
 
 def test_the_check_of_a_configuration_names_it():
