@@ -12,7 +12,7 @@ from hilserver.signals import RESERVED, Ranges, robot_table
 
 _ROBOT = robot_table(Ranges(1.0, 1.0, 1.0), body=True)
 _TAKEN = RESERVED | {signal.name.partition(".")[0] for signal in (*_ROBOT, *_ROBOT.scalars)}
-"""First parts of the robot's signals and of the folders of the address space."""
+"""First parts of the names of the robot's signals and of folders in the address space."""
 
 
 class BlockConfig(Section):

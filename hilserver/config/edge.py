@@ -73,15 +73,15 @@ class EdgeConfig(LinkSection):
 
     @property
     def drives(self) -> bool:
-        """Whether it takes values."""
+        """Whether it accepts values."""
         return self.enabled and any(group.writable for group in self.groups)
 
     @property
     def driver(self) -> Driver:
-        """Whoever writes on the databus."""
+        """The writers on the databus."""
         who = ("edge", "peer:edge", "the databus")
         return Driver(*who, self.stale_after_ms, self.on_stale, self.drives, has_faults=False)
 
     def about(self, _folder: Path) -> str:
-        """Return the broker."""
+        """Return the address of the broker."""
         return f"mqtt://{self.host}:{self.port}" if self.enabled else ""

@@ -1,4 +1,4 @@
-"""A hall from a file: what the range finders see and the mechatronic model bumps into, as YAML."""
+"""A hall from a YAML file: for the range finders and for contacts of the mechatronic model."""
 
 import math
 from pathlib import Path
@@ -23,16 +23,16 @@ _KEYS: Final = ("walls", "height_m", "thickness_m", "slopes", "thresholds", "box
 class Hall(NamedTuple):
     """A hall for both models."""
 
-    # shape (4 n,); x1, y1, x2, y2 [m] of each wall and of each side of a box: what the range
-    # finders see
+    # shape (4 n,); x1, y1, x2, y2 [m] of each wall and of each side of a box, for the range
+    # finders
     walls: NDArray[np.float64]
-    solids: tuple[Solid, ...]  # what the mechatronic model stands on and bumps into
+    solids: tuple[Solid, ...]  # floor and obstacles of the mechatronic model
 
 
 def load_hall(hall: str, base_dir: Path) -> Hall:
     """Return ``default``, or the hall of a YAML file, whose path is relative to `base_dir`.
 
-    PlantError when the file is missing or something in it is not what it should be.
+    PlantError if the file is missing or invalid.
     """
     if hall == "default":
         return Hall(default_hall(), default_solids())
@@ -42,7 +42,7 @@ def load_hall(hall: str, base_dir: Path) -> Hall:
         content = yaml.safe_load(read_small(path).decode("utf-8"))
     except OSError as error:
         raise PlantError(f"{where} cannot be read: {error.strerror}.") from error
-    except Exception as error:  # a wrong tag makes YAML's reader raise anything
+    except Exception as error:  # a wrong tag makes YAML's reader raise any exception
         reason = (str(error).splitlines() or ["it is no YAML"])[0]
         raise PlantError(f"{where} cannot be read: {reason}.") from error
     walls = content.get("walls") if isinstance(content, dict) else None
@@ -110,7 +110,7 @@ def _size(entry: dict[str, Any], key: str) -> float:
 
 
 def _slope(entry: dict[str, Any]) -> Solid:
-    """Return the slab whose upper side rises from the floor at `from` to `rise_m` at `to`."""
+    """Return a slab whose upper side rises from the floor at `from` to `rise_m` at `to`."""
     (x1, y1), (x2, y2) = _point(entry, "from"), _point(entry, "to")
     run, rise, width = math.hypot(x2 - x1, y2 - y1), _size(entry, "rise_m"), _size(entry, "width_m")
     pitch, yaw = math.atan2(rise, run), math.atan2(y2 - y1, x2 - x1)

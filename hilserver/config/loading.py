@@ -13,10 +13,10 @@ from hilserver.errors import ConfigError, meant
 Model = TypeVar("Model", bound=BaseModel)
 Path_ = Sequence[str | int]
 MAX_BYTES = 1_000_000
-LIVE_BYTES = 100_000  # of a file that a running daemon reads: validating more holds its loop up
+LIVE_BYTES = 100_000  # of a file that a running daemon reads: more would hold up its event loop
 MAX_COMPLAINTS = 20
 MAX_NESTING = 50
-MAX_VALUES = 100_000  # aliases counted as often as they are used
+MAX_VALUES = 100_000  # aliases count as often as they are used
 
 _WANTED = {
     "model_type": "keys and values",
@@ -32,14 +32,14 @@ _WANTED = {
     "bool_type": "true or false",
     "bool_parsing": "true or false",
 }
-"""Kinds of complaints of pydantic in the words of a configuration file."""
+"""Kinds of errors of pydantic, in words that suit a configuration file."""
 _SECTIONS = ("model_type", "dict_type", "tuple_type", "list_type")
 
 
 def load(path: Path, model: type[Model], most_bytes: int = MAX_BYTES) -> Model:
-    """Read, parse and validate a configuration file of `most_bytes`.
+    """Read, parse and validate a configuration file of at most `most_bytes`.
 
-    ConfigError: one line per complaint: file, line, key, what is wrong and what to write instead.
+    ConfigError has one line per complaint: file, line, key, what is wrong, what to write instead.
     """
     root = _parse(path, most_bytes)
     data = _construct(path, root)
@@ -59,7 +59,7 @@ def load(path: Path, model: type[Model], most_bytes: int = MAX_BYTES) -> Model:
 
 
 def place(path: Path | None, location: Path_) -> str:
-    """Return ``file:line: key: `` for a complaint found after loading, however much is known."""
+    """Return ``file:line: key: `` for a complaint after loading, as far as known."""
     key = f"{_key(location)}: " if location else ""
     if path is None or not path.exists():
         return key
@@ -70,7 +70,7 @@ def _parse(path: Path, most_bytes: int = MAX_BYTES) -> yaml.Node | None:
     content, depth = _read(path, most_bytes), 0
     try:
         text = content.decode("utf-8")
-        # Events come one by one; composing recurses, so it is not left to find the depth out.
+        # Check the depth by events first, which come one by one: composing is recursive.
         for event in yaml.parse(text, Loader=yaml.SafeLoader):
             depth += isinstance(event, yaml.CollectionStartEvent)
             depth -= isinstance(event, yaml.CollectionEndEvent)
@@ -113,7 +113,7 @@ def _too_deep(path: Path, mark: Any) -> ConfigError:
 
 _NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
 _UNREADABLE = (ValueError, LookupError, AttributeError)
-"""What YAML's reader raises for ``!!float ''``, ``!!bool maybe``, ``!!timestamp x``."""
+"""Raised by YAML's reader for ``!!float ''``, ``!!bool maybe``, ``!!timestamp x``."""
 
 
 def _construct(path: Path, root: yaml.Node | None) -> Any:
@@ -184,7 +184,7 @@ def _walk(node: yaml.Node, depth: int = 0) -> Iterator[tuple[yaml.Node, int]]:
 
 
 def _booleans(data: Any, result: Any, at: Path_ = ()) -> Iterator[tuple[Path_, bool]]:
-    """Yield where a Boolean stands for a number: YAML takes ``yes`` and ``on`` for true."""
+    """Yield the places of Booleans instead of numbers: YAML reads ``yes`` and ``on`` as true."""
     if isinstance(data, bool):
         if not isinstance(result, bool):
             yield at, data
@@ -207,7 +207,7 @@ def _line(root: yaml.Node | None, location: Path_) -> int:
                 return line
             line, node = found[0][0].start_mark.line + 1, found[0][1]
         elif isinstance(node, yaml.SequenceNode) and isinstance(part, int):
-            if part >= len(node.value):  # what a sweep adds stands in another file
+            if part >= len(node.value):  # added by a sweep, from another file
                 return line
             node = node.value[part]
             line = node.start_mark.line + 1
@@ -277,7 +277,7 @@ def _fields(model: Any) -> dict[str, Any]:
 
 
 def _places_of(model: Any, name: str) -> Iterator[str]:
-    """Give every place below a model where a key is known."""
+    """Yield every place below a model where a key exists."""
     for part, field in _fields(model).items():
         if part == name:
             yield part

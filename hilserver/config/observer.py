@@ -1,4 +1,4 @@
-"""The section ``observer:``, and what a diagnosis says of the noise and of its own uncertainty."""
+"""The section ``observer:``, and what a diagnosis found about noise and its own uncertainty."""
 
 import json
 from pathlib import Path
@@ -21,7 +21,7 @@ DEFAULT_PERIOD_MS = 10.0
 MOST_READ_BYTES = 10_000_000
 NAV_CLOCK = "clock_offset.nav"
 NAMELESS = ("structure_not_in_library", "drift")
-"""Verdicts by which the model is wrong in a way that no constant describes."""
+"""Verdicts that the model is wrong in a way that no constant describes."""
 
 
 class ObserverConfig(Section):
@@ -50,7 +50,7 @@ class ObserverConfig(Section):
 
 
 class _Read(BaseModel):
-    """A part of findings.json; what the observer does not need is left alone."""
+    """A part of findings.json; keys that the observer does not need are ignored."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
 
@@ -63,7 +63,7 @@ class _Noise(_Read):
     step: float | None = Field(None, ge=0)
 
     def as_noise(self) -> Noise:
-        """Return the figures; tails are part of the variance."""
+        """Return the noise figures; tails are part of the variance."""
         dof = self.tail_dof
         wider = (dof / (dof - 2.0)) ** 0.5 if dof is not None and dof > 2.0 else 1.0
         return Noise(self.white_sd * wider, self.ou_sd, self.ou_tau_s or 1.0, self.step or 0.0)
@@ -96,7 +96,7 @@ class _Finding(_Read):
 
 
 class Found(_Read):
-    """What a diagnosis says that the observer uses."""
+    """The findings of a diagnosis that the observer uses."""
 
     schema_: Literal["hilserver.diagnosis/1"] = Field(alias="schema")
     noise: dict[str, _Noise] = Field(default_factory=dict)
@@ -106,13 +106,13 @@ class Found(_Read):
 
     @property
     def nav_late_s(self) -> float:
-        """By how much the navigation's stamps are late where the logs were recorded [s]."""
+        """By how much the navigation's stamps were late in the logs [s]."""
         values = [f.parameters.get(NAV_CLOCK) for f in self.findings]
         return sum(one.value for one in values if one is not None)
 
 
 def load_found(path: Path) -> Found:
-    """Read findings.json; ConfigError: one sentence with file, key and remedy."""
+    """Read findings.json; ConfigError has one sentence with file, key and remedy."""
     try:
         data = json.loads(read_small(path, MOST_READ_BYTES))
     except OSError as error:
@@ -132,9 +132,9 @@ def load_found(path: Path) -> Found:
 def constants_of(
     robot: RobotParameters, found: Found | None, readmit_after: int = READMIT_AFTER
 ) -> NDArray[np.float64]:
-    """Return what the filter's kernels take as `c`.
+    """Return the constants `c` of the filter's kernels.
 
-    PlantError if what was found does not fit the robot.
+    PlantError if the findings do not fit the robot.
     """
     if found is None:
         return constants(figures(robot, {}, readmit_after=readmit_after), [])

@@ -1,4 +1,4 @@
-"""The sections ``page:`` and ``folders:``: the operator page and where its files lie."""
+"""The sections ``page:`` and ``folders:``: the operator page and the folders of its files."""
 
 from pathlib import Path
 from typing import Self

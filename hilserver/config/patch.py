@@ -1,8 +1,8 @@
 """`model_patch.yaml`: terms that a diagnosis has found, and where they were fitted.
 
-Schema 2 adds parameters of any kind: what somebody has tuned and saved. A patch is a set of
-parameters, laid over the configuration for one run. Nothing of it is written into config.yaml: a
-run without it gives the old outputs, bit for bit.
+Schema 2 adds parameters of any kind, tuned and saved by a user. A patch is a set of parameters,
+laid over the configuration for one run. It is never written into config.yaml: a run without it
+gives the old outputs, bit for bit.
 """
 
 import hashlib
@@ -125,13 +125,13 @@ class ModelPatch(Section):
         return self
 
     def _placed(self, text: str, group: str | None) -> str:
-        """Return a complaint about a term with the key where the file has it."""
+        """Return a complaint about a term with its key in the file."""
         if group is None or any(text.startswith(f"terms.{name}") for name in self.terms):
             return text
         return text.replace("terms.", f"groups.{group}.", 1)
 
     def terms_of(self, group: str | None) -> dict[str, PatchTerm]:
-        """Return the terms that all groups share, with those of one group."""
+        """Return the terms shared by all groups, and those of one group."""
         return self.terms if group is None else {**self.terms, **(self.groups or {})[group]}
 
 
@@ -139,20 +139,20 @@ class ModelPatch(Section):
 class Patch:
     """A patch and where it was read from."""
 
-    model: ModelPatch  # with the terms of one group, where it had groups
+    model: ModelPatch  # with the terms of one group, if it has groups
     path: Path | None = None  # None: from a recording
-    group: str | None = None  # the group that was taken
-    of_group: frozenset[str] = frozenset()  # terms that are those of the group alone
+    group: str | None = None  # the chosen group
+    of_group: frozenset[str] = frozenset()  # terms that belong to this group only
 
     @property
     def sha256(self) -> str:
-        """Hash of what it says; comments and order of the file do not count."""
+        """Hash of the content, without comments and order of the file."""
         text = json.dumps(self._content, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     @property
     def provenance(self) -> dict[str, Any]:
-        """What a recording carries, enough to lay the patch over its configuration again."""
+        """For recordings: enough to lay the patch over its configuration again."""
         return {"sha256": self.sha256, "content": self._content}
 
     @property
@@ -162,18 +162,18 @@ class Patch:
 
     @property
     def values(self) -> dict[str, float]:
-        """What it sets, by the full names of the parameters; NaN is null."""
+        """Its values by the full names of the parameters; NaN is null."""
         terms = {f"{TERM}{main_part(n)}": term.value for n, term in self.model.terms.items()}
         return terms | {n: _number(p.value) for n, p in self.model.parameters.items()}
 
     @property
     def parameters(self) -> dict[str, float]:
-        """What schema 2 adds to the terms, but for own blocks."""
+        """Values that schema 2 adds to the terms, without those of own blocks."""
         own = self.model.parameters
         return {named(n, PLANT): v for n, v in self.values.items() if n in own and n in PLANT}
 
     def applied(self, plant: PlantConfig) -> PlantConfig:
-        """Return the plant with the terms of the patch; those of `parameters` are not among them.
+        """Return the plant with the terms of the patch, but not its `parameters`.
 
         ConfigError if the configuration sets one of the terms itself.
         """
@@ -191,7 +191,7 @@ class Patch:
         return plant.changed(terms={**kept, **added})
 
     def entry_at(self, key: str) -> str | None:
-        """Return the entry of the patch that a key of the configuration names, if it is one."""
+        """Return the entry of the patch for a key of the configuration, if there is one."""
         name = key.removeprefix("plant.terms.").removeprefix(TERM)
         own = next((n for n in self.model.terms if name in (n, main_part(n))), None)
         if own is not None:
@@ -220,7 +220,7 @@ def _number(value: float | None) -> float:
 
 
 def load_patch(path: Path, group: str | None = None) -> Patch:
-    """Read a patch, or one of its groups; ConfigError has a line per complaint."""
+    """Read a patch, or one of its groups; ConfigError has one line per complaint."""
     model = load(path, ModelPatch, LIVE_BYTES)
     groups = model.groups or {}
     names = ", ".join(groups)
@@ -237,7 +237,7 @@ def load_patch(path: Path, group: str | None = None) -> Patch:
 
 
 def patch_of(run: Mapping[str, Any]) -> Patch | None:
-    """Return the patch that a recording says its run had.
+    """Return the patch of the run of a recording.
 
     ValueError if it is not one of this version.
     """

@@ -63,7 +63,7 @@ class PeerSecurity(Section):
 
     @property
     def is_secure(self) -> bool:
-        """Whether the link is signed at least."""
+        """Whether the link is at least signed."""
         return self.policy != "None"
 
     @property
@@ -73,7 +73,7 @@ class PeerSecurity(Section):
 
     @property
     def about(self) -> str:
-        """What protects the link, and as whom we log in."""
+        """How the link is protected, and the user name we log in with."""
         how = f"{self.policy} {self.effective_mode}" if self.is_secure else "policy None"
         return how if self.user is None else f"{how}, as user '{self.user}'"
 

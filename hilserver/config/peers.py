@@ -1,8 +1,8 @@
 """The `peers:` section: controllers whose values we read and to which we write.
 
-What stands at ``opc.tcp://`` has nodes, what stands at ``s7://`` has places in data blocks. A node
-is named ``nsu=<namespace URI>;s=<name>`` (looked up again at every connect, because a server
-may number its namespaces anew after a restart) or ``ns=<index>;s=<name>``.
+A peer at ``opc.tcp://`` has nodes, one at ``s7://`` has places in data blocks. A node is named
+``nsu=<namespace URI>;s=<name>`` (looked up again at every connection, because a server may
+renumber its namespaces after a restart) or ``ns=<index>;s=<name>``.
 """
 
 import base64
@@ -32,7 +32,7 @@ _NUMBER_MAX = 2**32 - 1
 
 
 def _wrong_identifier(identifier: str) -> str:
-    """Say what is wrong with ``i=...`` and the like; empty when nothing is."""
+    """Return what is wrong with ``i=...`` and the like; empty if nothing is."""
     kind, value = identifier[0], identifier[2:]
     if kind == "i" and not (
         value.isascii() and value.isdecimal() and len(value) < 12 and int(value) <= _NUMBER_MAX
@@ -52,14 +52,14 @@ def _wrong_identifier(identifier: str) -> str:
 class NodeAddress:
     """A node id whose namespace may still be a URI."""
 
-    # from ``nsu=``, with ``%3B`` and ``%25`` decoded; None when the index is given
+    # from ``nsu=``, with ``%3B`` and ``%25`` decoded; None if the index is given
     namespace_uri: str | None
     namespace_index: int | None  # from ``ns=``
     identifier: str  # the rest, ``s=name``, ``i=number``, ``g=guid`` or ``b=base64``
 
     @classmethod
     def parse(cls, text: str) -> "NodeAddress":
-        """Parse `text`; ValueError with one sentence when it names no node."""
+        """Parse `text`; ValueError with one sentence if it is not a node id."""
         match = _NODE.match(text)
         if match is None:
             raise ValueError(
@@ -195,28 +195,28 @@ class PeerConfig(LinkSection):
 
     @property
     def counter(self) -> str | None:
-        """Address of their counter."""
+        """Address of the peer's counter."""
         return self.heartbeat.read[0] if self.heartbeat.read else self.sequence_node
 
     @property
     def counter_modulus(self) -> int:
-        """Where their counter begins anew."""
+        """Modulus at which the peer's counter wraps."""
         pair = self.heartbeat.read
         return 2**32 if pair is None else 1 << 8 * s7.Address.parse(pair[0]).place.size
 
     @property
     def blocks(self) -> tuple[s7_peer.Block | None, s7_peer.Block | None]:
-        """Of an S7 controller: the data blocks that are read and written."""
+        """Data blocks of an S7 controller that are read and written."""
         return s7_peer.check_blocks(self.read, self.write.values(), self.heartbeat)
 
     def inputs_of(self, node: str) -> tuple[str, ...]:
-        """Return the inputs that the value of `node` goes to; none for a node that is not read."""
+        """Return the inputs that `node` sets; none for a node that is not read."""
         names = self.read.get(node, ())
         return (names,) if isinstance(names, str) else names
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Every input that this peer sets."""
+        """All inputs that this peer sets."""
         return tuple(name for node in self.read for name in self.inputs_of(node))
 
     @property
@@ -261,7 +261,7 @@ class SignalProblem:
 
 def check_signals(peer: PeerConfig, table: SignalTable) -> list[SignalProblem]:
     """Return which signal names of `peer` do not fit the signal table."""
-    known = {signal.name for signal in table}  # without hidden ones
+    known = {signal.name for signal in table}  # hidden ones are left out
     problems = []
     reader: dict[int, str] = {}
     for node, signal in _reads(peer):
@@ -292,7 +292,7 @@ def check_signals(peer: PeerConfig, table: SignalTable) -> list[SignalProblem]:
 
 
 def check_peers(peers: list[PeerConfig]) -> list[SignalProblem]:
-    """Return the names that two peers share, and inputs that two peers would set."""
+    """Return names shared by two peers, and inputs that two peers would set."""
     problems = []
     names, owner = set[str](), dict[str, str]()
     for index, peer in enumerate(peers):

@@ -1,7 +1,7 @@
 """The sections `plant:`, `kinematics:` and `sensors:` of the configuration.
 
-Their models check form and range; what only the whole can tell (a slice too long for the wheel
-loop) `RobotParameters` refuses with one sentence.
+The models check form and range. Errors that concern the whole (a slice too long for the wheel
+loop) are refused by `RobotParameters` with one sentence.
 """
 
 from collections.abc import Mapping
@@ -181,7 +181,7 @@ def to_parameters(
 ) -> RobotParameters:
     """Return the robot that the three sections describe.
 
-    PlantError when a slice is unknown or the robot cannot run with these values.
+    PlantError if a slice is unknown or the robot cannot run with these values.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def to_parameters(
     periods : mapping of str to float
         Period of every slice [s], by name.
     folder : Path, optional
-        Folder of the configuration file, where the hall's path starts; the working directory.
+        Folder of the configuration file, for the hall's path; by default the working directory.
     """
 
     def part(key: str) -> dict[str, Any]:

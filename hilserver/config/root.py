@@ -71,12 +71,12 @@ class Config(Section):
 
     @property
     def drivers(self) -> list[Driver]:
-        """Who may drive over a link, whether or not it is enabled."""
+        """Sources that may drive over a link, whether or not it is enabled."""
         return [link.driver for link in self.links]
 
     @property
     def links(self) -> list[LinkSection]:
-        """What lets somebody drive over a link, enabled or not."""
+        """Sections of the links over which a source may drive, enabled or not."""
         values = (value if isinstance(value, tuple) else (value,) for _, value in self)
         sections = (section for found in values for section in found)
         return [section for section in sections if isinstance(section, LinkSection)]
@@ -85,7 +85,7 @@ class Config(Section):
     def sources(self) -> tuple[Source, ...]:
         """Kinds of sources that exist here, highest priority first.
 
-        One with a section of its own exists where that is enabled.
+        One with a section of its own exists if that is enabled.
         """
         optional = {driver.kind: driver.is_enabled for driver in self.drivers} | {
             "page": self.page.enabled or self.foxglove.enabled,
@@ -95,7 +95,7 @@ class Config(Section):
 
     @property
     def first_source(self) -> Source:
-        """Kind of source that has control at the start; of several that drive the first link's."""
+        """Kind of source that has control at the start; that of the first link that drives."""
         if self.control.source is not None:
             return self.control.source
         return next((link.driver.kind for link in self.links if link.drives), "opcua")
@@ -108,7 +108,7 @@ class Config(Section):
 
 
 def without_passwords(config: Config) -> dict[str, Any]:
-    """Return a configuration as recordings carry it: valid, and without password hashes."""
+    """Return a configuration for recordings: valid, but without password hashes."""
     data = config.model_dump(mode="json")
     for user in data["opcua"]["users"]:
         user["password"] = "$scrypt$removed"  # noqa: S105
@@ -116,5 +116,5 @@ def without_passwords(config: Config) -> dict[str, Any]:
 
 
 def load_config(path: Path | None) -> Config:
-    """Return the configuration of a file, or the defaults; ConfigError has a line per complaint."""
+    """Return the configuration of a file, or the defaults; ConfigError: a line per complaint."""
     return Config() if path is None else load(path, Config)

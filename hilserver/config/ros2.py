@@ -121,7 +121,7 @@ class Ros2Config(LinkSection):
 
     @property
     def may_set_parameters(self) -> bool:
-        """Whether nodes of others change the robot itself."""
+        """Whether other nodes may change the robot itself."""
         return (
             self.role or ("engineer" if self.interface in LOOPBACK else "operator")
         ) == "engineer"

@@ -1,7 +1,7 @@
 """The section ``s7:``, and how data blocks of S7 controllers are written in a configuration.
 
-A place in a block has its type and its offset as TIA Portal shows it: ``at: 4`` and ``type: REAL``,
-``at: 6.1`` and ``type: BOOL``. In `peers` one text names both, as Node-RED's S7 nodes have it:
+A place in a block has a type and an offset as shown by TIA Portal: ``at: 4`` and ``type: REAL``,
+``at: 6.1`` and ``type: BOOL``. In `peers` one text has both, as in Node-RED's S7 nodes:
 ``DB1,REAL4`` and ``DB1,X6.1``.
 """
 
@@ -18,11 +18,11 @@ from hilserver.config.section import Driver, LinkSection, Section
 from hilserver.opcua.loopback import is_loopback
 
 BLOCK_BYTES: Final = 8192
-"""Longest block; a controller's may have eight times as many, which nobody reads at 100 Hz."""
+"""Longest block; a controller's may be eight times longer, too much to read at 100 Hz."""
 
 
 class Form(NamedTuple):
-    """How a type stands in memory: the code of `struct` and its bytes, big-endian."""
+    """Memory form of a type: the code of `struct` and its bytes, big-endian."""
 
     code: str
     size: int
@@ -58,7 +58,7 @@ _ENDPOINT = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a value stands in a block."""
+    """Place of a value in a block."""
 
     type: str
     byte: int  # of its first byte
@@ -66,7 +66,7 @@ class Place:
 
     @classmethod
     def parse(cls, kind: str, at: str) -> Self:
-        """Return the place of a type and an offset; ValueError with one sentence if it is none."""
+        """Return the place of a type and an offset; ValueError with one sentence if invalid."""
         byte, _, bit = at.partition(".")
         if not (byte.isdecimal() and bit in ("", *"01234567")) or len(byte) > 5:
             raise ValueError(f"at '{at}': write the byte, and for a BOOL byte.bit, as 6.1")
@@ -92,7 +92,7 @@ class Place:
 
     @property
     def bits(self) -> range:
-        """Every bit that it takes, counted from the beginning of the block."""
+        """Its bits, counted from the beginning of the block."""
         first = 8 * self.byte + self.bit
         return range(first, first + (1 if self.type == "BOOL" else 8 * self.size))
 
@@ -105,7 +105,7 @@ class Address(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Parse ``DB1,REAL4``; ValueError with one sentence when it is no address."""
+        """Parse ``DB1,REAL4``; ValueError with one sentence if it is not an address."""
         match = _ADDRESS.match(text.upper())
         kind = "" if match is None else _SHORT.get(match["type"], match["type"])
         if match is None or kind not in FORMS:
@@ -120,7 +120,7 @@ class Address(NamedTuple):
 
 
 class Endpoint(NamedTuple):
-    """Where a controller is reached."""
+    """Address of a controller."""
 
     host: str
     port: int
@@ -129,7 +129,7 @@ class Endpoint(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Parse ``s7://host:port/rack/slot``; ValueError with one sentence when it is none."""
+        """Parse ``s7://host:port/rack/slot``; ValueError with one sentence if it is not one."""
         match = _ENDPOINT.match(text)
         if match is None or int(match["slot"]) > 31 or not 0 < int(match["port"] or 102) < 65536:
             raise ValueError(
@@ -141,7 +141,7 @@ class Endpoint(NamedTuple):
 
 
 def check_address(text: str) -> str:
-    """Return an address as it was given."""
+    """Check an address and return it unchanged."""
     Address.parse(text)
     return text
 
@@ -167,7 +167,7 @@ class S7Field(Section):
 
     @property
     def place(self) -> Place:
-        """Where it stands."""
+        """Its place in the block."""
         return Place.parse(self.type, str(self.at))
 
     @model_validator(mode="after")
@@ -227,7 +227,7 @@ class S7Config(LinkSection):
 
     @property
     def driver(self) -> Driver:
-        """Whoever writes into a block."""
+        """The writers of the blocks."""
         server = self.server
         limit_ms, on_stale = (500.0, "ramp") if server is None else (
             server.stale_after_ms, server.on_stale
@@ -245,6 +245,6 @@ class S7Config(LinkSection):
 
     @property
     def drives(self) -> bool:
-        """Whether a client can command: whether a set-point stands in a block."""
+        """Whether a client can command, as a block contains a set-point."""
         layouts = () if self.server is None else self.server.blocks.values()
         return any("setpoint" in field.signal for layout in layouts for field in layout)

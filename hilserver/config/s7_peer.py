@@ -1,4 +1,4 @@
-"""What a peer with an endpoint ``s7://`` asks of its data blocks."""
+"""Requirements on the data blocks of a peer with an endpoint ``s7://``."""
 
 from collections.abc import Iterable
 from typing import Annotated, Final, NamedTuple, Self
@@ -8,7 +8,7 @@ from pydantic import AfterValidator, Field, model_validator
 from hilserver.config.s7 import FORMS, Address, Place, check_address, overlap
 from hilserver.config.section import Section
 
-ONE_PART: Final = 222  # bytes that the smallest message, of 240 bytes, brings at once
+ONE_PART: Final = 222  # bytes of data in the smallest message, which has 240 bytes
 COUNTERS: Final = frozenset(FORMS) - {"BOOL", "REAL", "LREAL"}
 
 Both = Annotated[
@@ -37,10 +37,10 @@ class Heartbeat(Section):
 
 
 class Block(NamedTuple):
-    """What a peer reads or writes: places of one data block."""
+    """Places in one data block that a peer reads or writes."""
 
     number: int
-    places: dict[str, Place]  # by address, as configured; the heartbeat is among them
+    places: dict[str, Place]  # by address as configured, with the heartbeat
     heartbeat: tuple[str, ...]  # its two addresses; empty without one
 
     @property
@@ -55,7 +55,7 @@ class Block(NamedTuple):
 
 
 def block_of(texts: Iterable[str], heartbeat: Both | None) -> Block | None:
-    """Return the block of some addresses, None for none; ValueError if they are no block."""
+    """Return the block of some addresses, None for none; ValueError if they do not form one."""
     pair = heartbeat or ()
     found = {text: Address.parse(text) for text in (*pair, *texts)}
     if not found:

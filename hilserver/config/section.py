@@ -19,7 +19,7 @@ class Section(BaseModel):
     def changed(self, **values: Any) -> Self:
         """Return a copy with other values, which are not checked.
 
-        A mapping for a section within changes that one: ``config.changed(page={"port": 0})``.
+        A mapping changes a section inside: ``config.changed(page={"port": 0})``.
         """
         update = {}
         for name, value in values.items():
@@ -30,19 +30,19 @@ class Section(BaseModel):
 
 
 class Driver(NamedTuple):
-    """Somebody who may drive over a link."""
+    """A source that may drive over a link."""
 
     name: str  # in log, metrics and OPC UA
     source: str  # name under which it writes; the part before a colon is its kind
-    title: str  # what messages call it
-    limit_ms: float  # how long a command holds that is not renewed
+    title: str  # in messages
+    limit_ms: float  # how long a command holds without renewal
     on_stale: str  # what happens to it then
     is_enabled: bool = True
     has_faults: bool = True  # whether faults can be injected
 
     @property
     def kind(self) -> Source:
-        """What it is called where sources are ranked: ``peer``."""
+        """Its kind in the ranking of sources: ``peer``."""
         return cast("Source", self.source.partition(":")[0])
 
 
@@ -51,7 +51,7 @@ class LinkSection(Section):
 
     @property
     def driver(self) -> Driver:
-        """Who drives over it."""
+        """The source that drives over it."""
         raise NotImplementedError
 
     @property
@@ -60,12 +60,12 @@ class LinkSection(Section):
         return self.driver.is_enabled
 
     def about(self, _folder: Path) -> str:
-        """Return what `hilserver check` says of it; empty: off. Paths start from the folder."""
+        """Return its line in `hilserver check`; empty: off. Paths are relative to the folder."""
         return "on" if self.driver.is_enabled else ""
 
 
 def need(module: str, extra: str, who: str) -> None:
-    """Refuse a section whose extra is not installed; `who`: what needs which library."""
+    """Raise if the extra of a section is not installed; `who`: what needs which library."""
     if find_spec(module) is None:
         raise ValueError(
             f"{who}: install it with \"pip install 'hilserver[{extra}]'\", or set enabled: false"
@@ -79,7 +79,7 @@ def schema_text(model: type[BaseModel]) -> str:
 
 
 def of(part: type, name: str) -> Any:
-    """Return the field of a section with default, bounds and meaning of the plant's parameter."""
+    """Return a field with the default, bounds and meaning of the plant's parameter."""
     (item,) = (one for one in fields(part) if one.name == name)
     about = item.metadata
     unit = f" [{about['unit']}]" if about["unit"] else ""

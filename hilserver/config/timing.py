@@ -15,7 +15,7 @@ COMMUNICATION_SLICES = ("publish", "supervise")
 DEFAULT_SLICES = {"plant": 1.0, "sensors": 10.0, "publish": 20.0, "supervise": 100.0}
 MAX_SLICES = 16
 _MISSPELT = 0.8
-"""Likeness (difflib) to a known slice from which a name is taken for a spelling mistake."""
+"""Similarity (difflib) to a known slice from which a name counts as a spelling mistake."""
 Period = Annotated[float, Field(le=3_600_000)]
 
 
