@@ -44,7 +44,7 @@ COMMANDS = {
 }
 
 LONG = ("diagnose", "plan", "sweep")
-"""What has nothing to show before its end; the others say themselves how they ended."""
+"""Commands with nothing to show before their end; the others report an early end themselves."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,7 +1,7 @@
-"""What `hilserver run` says beside its log: where it is reached, and how it is doing.
+"""What `hilserver run` prints in addition to its log: where to reach it, and how it is doing.
 
-People get lines of text and, on a terminal, a line of status that stays below the log. Where the
-log is JSON, the same is one JSON line, so that every line can be parsed.
+People get lines of text and, on a terminal, a status line that stays below the log. If the log is
+JSON, each announcement is one JSON line, so that every line can be parsed.
 """
 
 import asyncio
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Self
 from hilserver import __version__
 from hilserver.program.writer import Footer, Writer
 
-if TYPE_CHECKING:  # what it speaks of takes seconds to import, and its first line does not wait
+if TYPE_CHECKING:  # importing it takes seconds, and the first line must not wait for that
     from hilserver.daemon.daemon import Daemon
 
 STATUS_EVERY_S = 2.0
@@ -25,9 +25,9 @@ _NOWHERE: dict[str, object] = dict.fromkeys(("opcua", "metrics", "shield", "foxg
 
 
 class Announcer:
-    """Says things to people or to programs.
+    """Makes announcements to people or to programs.
 
-    A context manager; at its end the line of status is gone.
+    A context manager; at its end the status line is removed.
     """
 
     def __init__(self, writer: Writer, line_format: str) -> None:
@@ -64,12 +64,12 @@ class Announcer:
             self._footer.show("")
 
     def starting(self) -> None:
-        """Say so, to whoever reads along."""
+        """Say that it is starting, if anyone may be reading."""
         if self._writer.is_watched:
             self.say(f"hilserver is starting, version {__version__}; stop it with Ctrl-C")
 
     def compiling(self, functions: Sequence[str]) -> None:
-        """Say now and then what is being compiled to whoever reads along; none: still the last."""
+        """Say now and then what is being compiled; no functions: still the last ones."""
         now_s = time.monotonic()
         self._compiled += functions
         if not self._writer.is_watched or now_s < self._next_s:
@@ -101,7 +101,7 @@ class Announcer:
 
     @contextlib.asynccontextmanager
     async def showing_status(self, daemon: "Daemon") -> AsyncIterator[None]:
-        """Keep the line of status up to date while the context lasts."""
+        """Keep the status line up to date while the context lasts."""
         if self._footer is None:
             yield
             return

@@ -22,7 +22,7 @@ ELSEWHERE = (
     "attack", "diagnose", "fmu", "mechatronic", "observer", "opcua", "page", "recalibration",
     "ros2", "s7", "shield", "start", "stop", "sweep", "tune",
 )  # fmt: skip
-"""Those of a checkout, in its folder ``benchmarks``."""
+"""Benches of a checkout, in its folder ``benchmarks``."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -162,7 +162,7 @@ def _list(trust: TrustList, expiring_days: int | None) -> int:
         for folder, one in _all(trust)
         if expiring_days is None or (folder in FOLDERS[:2] and _days_left(one) <= expiring_days)
     ]
-    if rows or expiring_days is None:  # cron sends what a job prints
+    if rows or expiring_days is None:  # cron mails what a job prints
         print("\n".join(rows) or "no certificates; 'hilserver certs make' makes one")
     return EXIT_FAILED if rows and expiring_days is not None else EXIT_DONE
 

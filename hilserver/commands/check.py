@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
         write_text(args.schema, schema_text(Config))
         return EXIT_DONE
     assembly = assemble(config_path(args))
-    with assembly.at("blocks"):  # a name or a unit of theirs that OPC UA cannot show
+    with assembly.at("blocks"):  # a block's name or unit may be one that OPC UA cannot show
         address_space(assembly.table)
     check_credentials(assembly)
     print("\n".join(describe(assembly)))
@@ -94,7 +94,7 @@ def _block(block: BlockConfig) -> str:
 
 
 def warnings(assembly: Assembly) -> list[str]:
-    """Return what is allowed and yet hardly meant."""
+    """Return what is allowed but probably not intended."""
     foreign = [
         f"{why}: snapshots leave it as it is, recordings are not replayable"
         for why in assembly.not_replayable

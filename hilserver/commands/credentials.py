@@ -1,4 +1,4 @@
-"""Certificates, keys and passwords of a configuration, looked at before anything starts."""
+"""Certificates, keys and passwords of a configuration, checked before anything starts."""
 
 from hilserver.commands.options import warn
 from hilserver.daemon.assembly import Assembly
@@ -28,7 +28,7 @@ def check_credentials(assembly: Assembly) -> None:
 
 
 def check_page(assembly: Assembly) -> None:
-    """Refuse files that the page could not use, see `check_credentials`; warn of a key for all."""
+    """Like `check_credentials` for the page alone; warn of a key that others can read."""
     tls = assembly.config.page.tls
     if tls is not None:
         with assembly.at("page", "tls"):

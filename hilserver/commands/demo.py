@@ -80,7 +80,7 @@ def demo_assembly(assembly: Assembly, endpoint: str) -> Assembly:
 def twin_assembly(assembly: Assembly, endpoint: str) -> Assembly:
     """Return the same robot beside a "real" one that drives, with recalibration on.
 
-    Windows of two minutes are diagnosed one after the other; a configuration that has the section
+    Windows of two minutes are diagnosed one after the other; a configuration with recalibration
     switched on keeps its own.
     """
     from hilserver.recalibration.robot import peer  # noqa: PLC0415 - brings the injector along
@@ -97,7 +97,7 @@ def twin_assembly(assembly: Assembly, endpoint: str) -> Assembly:
 def _with_peer(assembly: Assembly, peer: PeerConfig) -> Assembly:
     """Return the same robot with one peer, which drives.
 
-    The default limits of overruns are off: a laptop that slept would leave it in the safe state.
+    The default overrun limits are off: a laptop that wakes from sleep would be in the safe state.
     """
     config = assembly.config.changed(peers=(peer,), control={"source": "peer"})
     if config.scheduler.limits == LimitsConfig():

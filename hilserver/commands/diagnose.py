@@ -110,7 +110,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _aid(args: argparse.Namespace, outcome: Outcome) -> str:
-    """Write what helps to go on after an error; return the words that say where it is."""
+    """Write what helps after an error; return the words that say where it is."""
     if not outcome.files:
         return ""
     write_files(args.out, outcome.files)
@@ -184,7 +184,7 @@ def _outcomes(
 
 
 def _folders(logs: list[Path]) -> list[str]:
-    """Return a folder name for every log: its stem, counted where two have the same."""
+    """Return a folder name for every log: its stem, numbered where two are equal."""
     names: list[str] = []
     for log in logs:
         name, number = log.stem, 2

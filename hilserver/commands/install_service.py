@@ -93,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def plan(python: Path, config: Path, user: str, protect_home: str = "yes") -> list[File]:
-    """Return the files of the service, with what is particular to this computer put in."""
+    """Return the files of the service, with the values of this computer filled in."""
     folder = _templates()
     unit = (folder / "hilserver.service").read_text(encoding="utf-8")
     settings = {
@@ -119,7 +119,7 @@ def plan(python: Path, config: Path, user: str, protect_home: str = "yes") -> li
 def check_reachable(paths: list[Path]) -> str:
     """Return the value of ProtectHome= with which an unprivileged service reaches `paths`.
 
-    FailedError if one of them lies where such a service cannot look at all.
+    FailedError if it cannot reach one of them at all.
     """
     protect_home = "yes"
     for path in paths:
@@ -142,7 +142,7 @@ def _package() -> Path:
 
 
 def _templates() -> Path:
-    """Return the folder of the unit: in the repository, or where the wheel has put it."""
+    """Return the folder of the unit: in the repository, or where the wheel puts it."""
     for root in (_package().parent / "deploy", Path(sys.prefix) / "share" / "hilserver"):
         if (root / "systemd" / "hilserver.service").exists():
             return root / "systemd"
@@ -174,7 +174,7 @@ def _make_folder(path: Path, mode: int) -> None:
 
 
 def _tell_system() -> None:
-    """Make the group, apply the udev rule, let systemd read the unit; each where it runs here."""
+    """Make the group, apply the udev rule, let systemd read the unit, where this is possible."""
     for command in (
         ("systemd-sysusers", "/etc/sysusers.d/hilserver.conf"),
         ("udevadm", "control", "--reload"),

@@ -1,4 +1,4 @@
-"""What 'hilserver observe' says and draws of a run of the filter."""
+"""The sentences and the picture that 'hilserver observe' makes of a run of the filter."""
 
 import math
 from collections.abc import Sequence
@@ -22,12 +22,12 @@ DEVIATIONS: Final = Shown.where("deviations")
 
 @dataclass(frozen=True)
 class Observed:
-    """One segment: what was measured, and what is known of it."""
+    """One segment: its measurements, and the estimate from them."""
 
     number: int
     series: Series
     course: Course
-    # of the filter, or of the smoother
+    # by the filter or the smoother
     estimate: Array
     covariance: Array
 
@@ -45,7 +45,7 @@ class Observed:
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Moments at which a pose is known."""
+        """Whether a pose is known, at each moment."""
         return np.asarray(self.course.shown[:, STATE] > 0.0)
 
     @property
@@ -66,7 +66,7 @@ class Observed:
 
 
 def dead_reckoning(p: Parameters, c: Array, one: Observed) -> Array:
-    """Return the path that the wheels alone give, from where a pose is known first; (n, 2)."""
+    """Return the path by the wheels alone, from the first known pose; shape (n, 2)."""
     course = run_filter(p, c, Series(one.series.wheels, np.zeros((0, 4))))
     x, first = course.estimate, int(np.argmax(one.known))
     turn = one.course.estimate[first, YAW] - x[first, YAW]

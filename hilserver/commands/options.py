@@ -67,7 +67,7 @@ def config_path(args: argparse.Namespace) -> Path | None:
 
 
 def out_file(text: str) -> Path:
-    """Return the file to write to, tried now and not after minutes of measuring.
+    """Return the file to write to, tried now rather than after minutes of measuring.
 
     FailedError if it cannot be written.
     """
@@ -91,7 +91,7 @@ def write_text(path: Path, text: str) -> None:
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[Path]:
-    """Give the path to write a whole file to; FailedError names one that the disk does not take."""
+    """Give the path to write a whole file to; FailedError if it cannot be written."""
     try:
         with whole(path) as partial:
             yield partial

@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _by_hand(args: argparse.Namespace) -> Setup:
-    # Beside a daemon none of this is needed.
+    # A page that the daemon starts needs none of this.
     from hilserver.commands.credentials import check_page  # noqa: PLC0415
     from hilserver.commands.page_setup import page_setup  # noqa: PLC0415
     from hilserver.commands.patching import assembled  # noqa: PLC0415

@@ -1,4 +1,4 @@
-"""From an assembly to what the operator page has to know of it."""
+"""What the operator page has to know, taken from an assembly."""
 
 from dataclasses import replace
 from math import isnan

@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
         ),
     )
     on_end(recorder.stop.set)
-    with contextlib.suppress(OSError):  # who may not, keeps up as long as the ring is long
+    with contextlib.suppress(OSError):  # without the right to, the ring's length must do
         os.nice(RECORDER_NICENESS)
     print(f"recording to {recorder.path}; stop it with Ctrl-C", flush=True)
     if recorder.lacks_inputs or args.sparse:

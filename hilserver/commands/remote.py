@@ -16,7 +16,7 @@ from hilserver.program import event_loop
 from hilserver.signals import Ranges, ValueType, robot_table
 
 _WITHIN_S = 20.0
-PARAMETERS = "parameters."  # begins the name of a parameter over OPC UA
+PARAMETERS = "parameters."  # prefix of parameter names over OPC UA
 
 
 def add_connection(parser: argparse.ArgumentParser) -> None:
@@ -29,7 +29,7 @@ def add_connection(parser: argparse.ArgumentParser) -> None:
 
 
 def from_json(text: str) -> Any:
-    """Return what an argument says in JSON; a plain word stands for itself."""
+    """Return the JSON value of an argument; a plain word stands for itself."""
     try:
         return json.loads(text)
     except json.JSONDecodeError:

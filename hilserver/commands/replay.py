@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _open(args: argparse.Namespace) -> tuple[Log, Assembly]:
-    """Read the log and build the plant: that of -c, or that of the log, or the default."""
+    """Read the log and build the plant: from -c, else from the log, else by default."""
     if args.mapping is not None or args.log.is_dir() or args.log.suffix == ".db3":
         return mapped_inputs(args.log, args.mapping, assembled(args))
     if args.config is not None:
@@ -134,7 +134,7 @@ class _Replay:
         return plan_exact(log, engine.table, engine.image.layout, assembly.base_period_ns, start)
 
     def _check_patch(self) -> None:
-        """Refuse another patch: the states of a recording bring the parameters of its run."""
+        """Refuse another patch: a recording's states contain the parameters of its run."""
         recorded = (self._log.run or {}).get("patch") or {}
         named = self._assembly.patch
         if self._args.patch is not None and named and named.sha256 != recorded.get("sha256"):

@@ -65,9 +65,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run; return 0 after a clean end, 3 when policy ``fail`` ended it.
 
-    What takes seconds to import, and minutes to compile, comes after the first line. Nothing is
-    collected until the daemon runs: what is imported and built stays, and looking it through again
-    and again is a third of the start.
+    Slow imports (seconds) and compiling (minutes) come after the first line. The garbage collector
+    is off until the daemon runs: almost everything made so far stays, and scanning it repeatedly
+    takes a third of the start.
     """
     gc.disable()
     if args.scenario_schema is not None:
@@ -100,7 +100,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check_free(image: str, path: Path | None) -> None:
-    """Raise where another daemon runs; a mistake in the file comes first, its name may be one."""
+    """Raise if another daemon has this image, but report a mistake in the file first."""
     try:
         check_free(image)
     except FailedError:
@@ -119,9 +119,9 @@ def _write_schema(path: Path) -> int:
 
 
 def _peek(path: Path | None) -> tuple[str, str]:
-    """Return ``image.name`` and ``logging.format`` of a file that nobody has checked yet."""
+    """Return ``image.name`` and ``logging.format`` of a file that is not checked yet."""
     found = {"image": {"name": DEFAULT_IMAGE}, "logging": {"format": "auto"}}
-    with contextlib.suppress(Exception):  # what is wrong with it, its check says in words
+    with contextlib.suppress(Exception):  # its later check explains what is wrong
         content = {} if path is None else yaml.safe_load(read_small(path).decode("utf-8"))
         for name, section in found.items():
             given = content.get(name) if isinstance(content, dict) else None

@@ -62,7 +62,7 @@ def _recorded(assembly: Assembly, path: Path | None) -> Assembly:
     return dataclasses.replace(assembly, config=config)
 
 
-LINKS_AND_MORE = (*LINKS, recalibration.parts)  # what stands above the daemon is handed to it
+LINKS_AND_MORE = (*LINKS, recalibration.parts)  # rooms above the daemon, which may not import them
 
 
 class Run:
@@ -98,7 +98,7 @@ class Run:
     async def robot(self) -> int:
         """Run until time is over or the scheduler ends; return the exit code."""
         virtual = self._assembly.config.scheduler.backend == "virtual"
-        waits = virtual and self._duration_s is not None  # its first tick is that of the duration
+        waits = virtual and self._duration_s is not None  # the duration starts at its first tick
         daemon = Daemon(
             self._assembly, self._limiter, play=self._play, paused=waits, links=LINKS_AND_MORE
         )
@@ -121,7 +121,7 @@ class Run:
                 return await daemon.wait(self._duration_s)
 
     def _end_when_asked(self, daemon: Daemon) -> None:
-        """From now on a signal cancels the run, and it unwinds; until now it ended at once."""
+        """Let a signal cancel the run, which then unwinds; before, it ends the process at once."""
         loop, task = asyncio.get_running_loop(), asyncio.current_task()
 
         def end() -> None:
@@ -133,7 +133,7 @@ class Run:
 
     @contextlib.contextmanager
     def _listening(self, page: PageConfig) -> Iterator[socket.socket | None]:
-        """Listen for the page and say where; a page that cannot is no reason not to run."""
+        """Listen for the page and say where; if that fails, run without the page."""
         if not page.enabled:
             yield None
             return

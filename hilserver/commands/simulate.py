@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 class Verdict:
-    """Requirements of a file, and what they need of the drive."""
+    """Requirements of a file, and the values of the drive that they need."""
 
     def __init__(self, assembly: Assembly, path: Path) -> None:
         self._judge = Judge(load_requirements(path), assembly.table, path)
@@ -84,11 +84,11 @@ class Verdict:
         self._values: list[NDArray[np.float64]] = []
 
     def add(self, batch: Segmented) -> None:
-        """Keep what the requirements look at."""
+        """Keep the values that the requirements need."""
         self._values.append(batch.frames.values[:, self._slots])
 
     def passed(self) -> bool:
-        """Print every margin; say whether all requirements are met."""
+        """Print every margin; return whether all requirements are met."""
         values = np.concatenate(self._values)
         drive = Drive(self._period_s, dict(zip(self._judge.signals, values.T, strict=True)))
         margins = self._judge.margins(drive)

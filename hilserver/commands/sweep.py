@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
         prepared = prepare(args.sweep, args.config)
         if args.only is not None:
             return _only(prepared, args.only, args.out)
-        rig = rig_for(prepared.job)  # compiles once, and says what is wrong, before any worker
+        rig = rig_for(prepared.job)  # compiles once and reports mistakes before any worker
         if args.dry_run:
             began_s = time.monotonic()
             outcome = rig.drive(prepared.machine(0))

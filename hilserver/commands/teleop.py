@@ -132,7 +132,7 @@ class Driver:
         self._show_at_s = 0.0
 
     def take(self, text: str) -> None:
-        """Take what the terminal sent; nothing at all: it is closed."""
+        """Take what the terminal sent; an empty text means that it is closed."""
         if not text:
             self.ended.set()
         for event in self._reader.feed(text):
@@ -193,7 +193,7 @@ class Driver:
             await self._rest(held)
 
     async def _write(self, values: dict[str, Any]) -> None:
-        """Write; what is refused is shown, a lost daemon raises ConnectionError."""
+        """Write, and show what is refused; a lost daemon raises ConnectionError."""
         try:
             await self._hand.write(values)
             self._complaint = ""

@@ -1,7 +1,7 @@
 """Keys of a terminal: bytes to presses and releases, and which keys are held now.
 
-An ordinary terminal sends presses alone. The kitty keyboard protocol adds repeats and releases
-(https://sw.kovidgoyal.net/kitty/keyboard-protocol/); whether a terminal has it, it answers itself.
+An ordinary terminal sends only presses. The kitty keyboard protocol adds repeats and releases
+(https://sw.kovidgoyal.net/kitty/keyboard-protocol/); the terminal answers whether it has it.
 """
 
 import re
@@ -11,7 +11,7 @@ from enum import Enum, auto
 from typing import Final
 
 ASK: Final = "\x1b[>11u\x1b[?u\x1b[?1004h"
-"""Asks for events of all keys, whether they will come, and for word of the window's focus."""
+"""Asks for events of all keys, whether there will be any, and for changes of the focus."""
 END: Final = "\x1b[?1004l\x1b[<u"
 
 _SEQUENCE = re.compile(r"\x1b\[([?<>]?)([0-9;:]*)([A-Za-z~])|\x1bO([A-D])")
@@ -23,7 +23,7 @@ _LONGEST: Final = 64
 
 
 class Word(Enum):
-    """What comes from a terminal beside keys."""
+    """What comes from a terminal besides keys."""
 
     HAS_RELEASES = auto()
     LOST_FOCUS = auto()
@@ -98,9 +98,9 @@ REPEAT_S: Final = 0.15
 class Hold:
     """Keys that are held: a pure state machine on times in seconds.
 
-    Where releases are reported, a key is held until its own. Elsewhere a terminal shows a held key
+    Where releases are reported, a key is held until its release. Other terminals show a held key
     only by repeating it, after a delay that the user has set: a first press counts for `FIRST_S`,
-    and once repeats come, `REPEAT_S` without one is a release.
+    and once repeats come, `REPEAT_S` without one counts as a release.
     """
 
     def __init__(self) -> None:
@@ -117,7 +117,7 @@ class Hold:
         self._until_s.pop(key, None)
 
     def release_all(self) -> None:
-        """Hold nothing any more."""
+        """Release all keys."""
         self._until_s.clear()
 
     def held(self, now_s: float) -> frozenset[str]:
@@ -132,7 +132,7 @@ class Hold:
 
     @property
     def words(self) -> str:
-        """How a hold ends, for the user."""
+        """How a hold ends, in words for the user."""
         if self.has_releases:
             return "the release of its key (kitty keyboard protocol)"
         return (

@@ -26,7 +26,7 @@ from hilserver.status import UNCERTAIN_LAST_USABLE_VALUE
 EXAMPLE = "hilserver wiring --demo"
 MOVES_RPM = 0.05
 SETTLE_S = 0.4
-STOOD_S = 0.4  # a controller that loses the pose for a moment stops and goes on with the same wheel
+STOOD_S = 0.4  # a controller that loses the pose for a moment stops, then resumes the same wheel
 LOOK_S = 0.005
 UNIT_TOLERANCE = 0.05
 STALE_TOLERANCE_MS = 150.0
@@ -40,12 +40,12 @@ FACTORS = {
     89.0: "the motor's speed, before the gear",
     1 / 89: "divided by the gear ratio once too often",
 }
-"""What a wrong size of a speed usually means."""
+"""What a wrong factor of a speed usually means."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of the table; `complaint` is empty when it is as it should be."""
+    """One line of the table; `complaint` is empty if all is well."""
 
     what: str
     arrived: str
@@ -210,7 +210,7 @@ class Wiring:
 
 
 def complaint(wheel: str, wanted_rpm: float, moving: dict[str, float]) -> str:
-    """Return in words what is wrong with what moved; empty if nothing is."""
+    """Return what is wrong with the wheels that moved, in words; empty if nothing is."""
     if not moving:
         return "it moved too briefly to be measured"
     if len(moving) > 1:
