@@ -31,7 +31,7 @@ LATE: Final = Output(
 
 @dataclass(frozen=True)
 class FmuModel:
-    """What a configuration makes of an FMU; `start` gives a robot its own."""
+    """An FMU as configured; `start` gives each robot its own instance."""
 
     fmu: Fmu
     wiring: Wiring
@@ -39,7 +39,7 @@ class FmuModel:
 
     @property
     def identity(self) -> bytes:
-        """What two runs must share for one to continue the other."""
+        """What two runs must have in common for one to continue the other."""
         start = sorted((v.name, repr(value)) for v, value in self.wiring.start)
         shown = [v.name for v in self.wiring.outputs]
         return repr((self.fmu.sha256, start, shown, self.beside)).encode()
@@ -63,7 +63,7 @@ class FmuModel:
         )
 
     def start(self, name: str, setting: Setting) -> Foreign:
-        """Start it; BlockError if it does not start; one sentence."""
+        """Start it; BlockError, one sentence, if it does not start."""
         try:
             if self.beside:
                 return Beside(self, name, setting)
@@ -81,15 +81,15 @@ def load_fmu_block(
     start: Mapping[str, Start],
     process: bool,
 ) -> tuple[BlockDeclaration, FmuModel]:
-    """Return the block that an FMU is, and what starts it; arguments as in the configuration.
+    """Return the block that an FMU becomes, and its model; arguments as in the configuration.
 
-    BlockError: one sentence: what is wrong with the FMU, or what it has not.
+    BlockError, one sentence: what is wrong with the FMU, or missing in it.
     """
     fmu = read_fmu(reference, base_dir)
     wiring = wire(fmu, inputs, outputs, start)
     if not process:
         try:
-            Library(fmu)  # in a process of its own it is loaded there only
+            Library(fmu)  # with a process of its own it is only loaded there
         except BlockError as error:
             raise BlockError(f"FMU {reference!r} {error}.") from None
     given = {variable.name: value for variable, value in wiring.start}
@@ -112,7 +112,7 @@ def _key() -> str:
 
 
 class _Running:
-    """A started FMU, in this process or its own; attributes as for `Foreign`."""
+    """A started FMU, in this process or another; attributes as in `Foreign`."""
 
     def __init__(self, name: str, part: Instance | Child) -> None:
         self.addresses, self.initial, self.key = part.addresses, part.initial, _key()
@@ -134,7 +134,7 @@ class _Running:
 
 
 class Here(_Running):
-    """An FMU that the step calls itself."""
+    """An FMU that the step calls directly."""
 
     step, keep, adopt = calls.run_here, calls.keep_here, calls.adopt_here
 
@@ -162,12 +162,12 @@ class Beside(_Running):
         status, hurried = int(a[at.A_STATUS]), int(a[at.A_HURRIED])
         late = int(a[at.A_LATE]) - hurried
         if status == at.OK != self._status:
-            self._is_lost = False  # a state was restored: its process goes on from it
+            self._is_lost = False  # a state was restored: its process continues from it
         ended = self._child.look(a, gives_up=status == at.SILENT and not self._is_lost)
         self._is_lost |= ended is not None
         self._status = status
         news = [] if ended is None else [News(f"FMU '{self._name}' {ended}", is_fault=True)]
-        if status != at.SILENT:  # how it ended is said already
+        if status != at.SILENT:  # its end is reported already
             news += self._failed(status)
         if late > self._late and not news:
             news.append(self._holds(f"had no answer in {late - self._late} slices"))

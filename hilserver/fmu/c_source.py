@@ -1,7 +1,7 @@
 """The kernels' machine code as C: every operation of LLVM's listing becomes one of C, in its order.
 
 Both follow IEEE 754, so a compiler that contracts nothing (``-ffp-contract=off``) gives the same
-bits from it as LLVM does. Vectors and whatever else the plant's kernels have no use for is refused.
+bits as LLVM does. Vectors, and all else that the plant's kernels do not use, are refused.
 """
 
 import re
@@ -65,9 +65,9 @@ _LIBM: Final = (
 
 
 def translate(listing: str, entry: str, name: str) -> str:
-    """Return C source for a function of a listing of LLVM and all that it calls.
+    """Return C source for a function in an LLVM listing and for all functions that it calls.
 
-    FailedError if there is an operation that no kernel of the plant has had so far.
+    FailedError if there is an operation that no kernel of the plant has used so far.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def translate(listing: str, entry: str, name: str) -> str:
     entry : str
         The function, as the listing names it.
     name : str
-        What it is called in C.
+        Its name in C.
     """
     listed = re.findall(r"^define ([^\n]*)\{\n(.*?)^\}", listing, re.DOTALL | re.MULTILINE)
     functions = {match(rf".*?@({NAME})\(", head)[0]: (head, body) for head, body in listed}
@@ -97,7 +97,7 @@ def translate(listing: str, entry: str, name: str) -> str:
 
 
 def c_number(value: float) -> str:
-    """Return a number as C has it, to the bit."""
+    """Return a number as a C literal, exact to the bit."""
     if isnan(value):
         return "NAN"
     if isinf(value):
@@ -106,7 +106,7 @@ def c_number(value: float) -> str:
 
 
 class _Function:
-    """One function, as C; `names`: the functions' names in C, by those in the listing."""
+    """One function as C; `names`: C names of the functions, by their names in the listing."""
 
     def __init__(self, head: str, body: str, names: Mapping[str, str]) -> None:
         kind, name, arguments = match(rf"(?:.* )?({TYPE}) @({NAME})\((.*?)\)[^)]*$", head)
@@ -278,7 +278,7 @@ class _Function:
             return f"({_SIGNED[kind]}){values[0]} < 0 ? 0 - {values[0]} : {values[0]}"
         raise FailedError(f"the kernels' machine code calls what C has not: {callee}")
 
-    # --- the way on -------------------------------------------------------------------------------
+    # --- jumps ------------------------------------------------------------------------------------
 
     def _end(self, rest: str, label: str) -> Iterator[str]:
         if rest.startswith("ret"):
@@ -305,7 +305,7 @@ class _Function:
             yield f"else {self._go(targets[1], label)}"
 
     def _go(self, target: str, source: str) -> str:
-        """Return the jump to a block, which sets what it takes from the block it comes from."""
+        """Return the jump to a block; it first sets the block's phi values for this source."""
         name = target[1:].strip('"')
         taken = [(kind, phi, values[source]) for kind, phi, values in self._phis[name]]
         before = [
@@ -330,7 +330,7 @@ def _c_name(name: str) -> str:
 
 
 def _readable(mangled: str, number: int) -> str:
-    """Return the last part of a mangled name, with a number of its own."""
+    """Return the last part of a mangled name, with a number that makes it unique."""
     parts, rest = [], mangled.removeprefix("_ZN")
     while (length := re.match(r"\d+", rest)) is not None:
         begin, n = length.end(), int(length[0])
@@ -340,7 +340,7 @@ def _readable(mangled: str, number: int) -> str:
 
 
 def _words(name: str, text: str) -> str:
-    """Return a constant of 8-byte numbers, written as the bytes that x86-64 has for it."""
+    """Return a constant of 8-byte numbers; the listing has it as little-endian bytes."""
     raw = re.sub(rb"\\([0-9A-F]{2})", lambda m: bytes.fromhex(m[1].decode()), text.encode())
     words = ", ".join(f"{word:#x}" for (word,) in struct.iter_unpack("<Q", raw))
     return f"static const uint64_t {_c_name(name)}[] = {{{words}}};\n"

@@ -1,6 +1,6 @@
 """An FMU called from compiled code: numbers in, a step, numbers out, its state kept and restored.
 
-Nothing here knows Python; what the FMU itself does in a call is its own affair.
+Nothing here uses Python; what the FMU does within a call is beyond our control.
 """
 
 import math
@@ -16,7 +16,7 @@ from hilserver.compiled.libc import monotonic_ns
 
 F8, I8 = float64[::1], int64[::1]
 STEP: Final = int64(int64, float64, F8, F8, F8, F8, I8)
-"""``(tick, dt_s, u, y, x, p, a)``; returns 0, or what went wrong, once."""
+"""``(tick, dt_s, u, y, x, p, a)``; returns 0, or (once) what went wrong."""
 KEEP: Final = void(F8, F8, F8, F8, I8)  # ``(u, y, x, p, a)``, between two ticks
 EXACT: Final = 2.0**53  # integers up to here are float64 without loss
 
@@ -29,7 +29,7 @@ def _place(row: int) -> int:
 
 @kernel()
 def _encode(values: Any, kind: int, size: int, out: Any) -> None:
-    """Write numbers as an FMU's own type has them, one behind the other."""
+    """Write numbers in an FMU's own type, one after another."""
     signed = 1 if kind == at.SIGNED else 0
     high = min(2.0 ** (8 * size - signed) - 1.0, EXACT)
     low = -high - 1.0 if kind == at.SIGNED else 0.0
@@ -51,7 +51,7 @@ def _encode(values: Any, kind: int, size: int, out: Any) -> None:
 
 @kernel()
 def _decode(raw: Any, kind: int, size: int, values: Any) -> None:
-    """Read numbers that an FMU has written in its own type."""
+    """Read numbers that an FMU wrote in its own type."""
     singles, octets = raw.view(np.float32), raw.view(np.uint8)
     for i in range(values.shape[0]):
         if kind == at.FLOAT:
@@ -67,7 +67,7 @@ def _decode(raw: Any, kind: int, size: int, values: Any) -> None:
 
 @kernel()
 def set_values(first: int, n_rows: int, values: Any, a: Any) -> int:
-    """Hand numbers to the variables of some rows, a call for each; return the worst status."""
+    """Set the variables of some rows, one call per row; return the worst status."""
     worst, begin = 0, 0
     for row in range(first, first + n_rows):
         r = _place(row)
@@ -80,14 +80,14 @@ def set_values(first: int, n_rows: int, values: Any, a: Any) -> int:
         references, m = a[a[r + at.R_REFERENCES] :].ctypes.data, a[r + at.R_VARIABLES]
         status = ask(
             a[r + at.R_FUNCTION], a[at.A_INSTANCE], references, m, data, n, 0, 0.0, 0.0
-        )  # the number of values is an argument of 3.0 only
+        )  # FMI 3.0 alone takes the number of values
         worst, begin = max(worst, status), begin + n
     return int(worst)
 
 
 @kernel()
 def get_values(first: int, n_rows: int, values: Any, a: Any) -> int:
-    """Take numbers from the variables of some rows; return the worst status."""
+    """Get the variables of some rows; return the worst status."""
     worst, begin = 0, 0
     for row in range(first, first + n_rows):
         r = _place(row)
@@ -129,7 +129,7 @@ def _do_step(time_s: float, dt_s: float, a: Any) -> int:
 
 @kernel()
 def _changed(p: Any, a: Any) -> bool:
-    """Whether a parameter differs from what was set last, bit by bit; it is then noted."""
+    """Whether a parameter differs, bit by bit, from what was last set; if so, note it."""
     known, now = a[a[at.A_KNOWN] :], p.view(np.int64)
     changed = a[at.A_FRESH] != 0
     a[at.A_FRESH] = 0
@@ -141,9 +141,9 @@ def _changed(p: Any, a: Any) -> bool:
 
 @kernel()
 def advance(n: int, dt_s: float, u: Any, y: Any, x: Any, p: Any, a: Any) -> int:
-    """Take the inputs, do `n` steps, show the outputs; return the worst status.
+    """Set the inputs, do `n` steps, get the outputs; return the worst status.
 
-    With no step to do the inputs stay as well: the outputs are those of the state.
+    With `n` = 0 the inputs stay unchanged too, so the outputs are those of the state.
     """
     n_in, n_p, n_out = a[at.A_INPUTS], a[at.A_PARAMETERS], a[at.A_OUTPUTS]
     worst = set_values(0, n_in, u, a) if n > 0 else at.OK
@@ -181,7 +181,7 @@ def store(x: Any, a: Any) -> int:
 
 @kernel()
 def restore(x: Any, a: Any) -> int:
-    """Let the FMU go on from the state in `x`; return the worst status."""
+    """Let the FMU continue from the state in `x`; return the worst status."""
     size = x[at.X_BYTES]
     if not 0.0 <= size <= a[at.A_CAPACITY]:
         return at.STATE_UNFIT
@@ -199,7 +199,7 @@ def restore(x: Any, a: Any) -> int:
 
 @kernel()
 def give_up(status: int, y: Any, x: Any, a: Any) -> None:
-    """Show no numbers any more, until another state is restored."""
+    """Show no numbers until another state is restored."""
     x[at.X_FAILED] = 1.0
     if a[at.A_STATUS] == 0:
         a[at.A_STATUS] = status
@@ -229,7 +229,7 @@ def run_here(tick: int, dt_s: float, u: Any, y: Any, x: Any, p: Any, a: Any) -> 
 
 @kernel(KEEP)
 def keep_here(u: Any, y: Any, x: Any, p: Any, a: Any) -> None:  # noqa: ARG001
-    """Write the state to `x`, for a snapshot that is taken next."""
+    """Write the state to `x`, for the snapshot that follows."""
     if a[at.A_GET_STATE] != 0 and x[at.X_FAILED] == 0.0:
         status = store(x, a)
         if status > at.WARNING:
@@ -238,7 +238,7 @@ def keep_here(u: Any, y: Any, x: Any, p: Any, a: Any) -> None:  # noqa: ARG001
 
 @kernel(KEEP)
 def adopt_here(u: Any, y: Any, x: Any, p: Any, a: Any) -> None:  # noqa: ARG001
-    """Go on from `x`, which was just restored."""
+    """Continue from `x`, which was just restored."""
     a[at.A_FRESH] = 1
     if a[at.A_GET_STATE] == 0:
         x[at.X_STEPS], x[at.X_FAILED] = a[at.A_STEPS], 1.0 if a[at.A_STATUS] else 0.0

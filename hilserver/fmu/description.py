@@ -1,4 +1,4 @@
-"""What an FMU says of itself: read with FMPy, checked for what a time slice can run."""
+"""The description of an FMU: read with FMPy, and checked for what a time slice can run."""
 
 import platform
 import re
@@ -20,8 +20,8 @@ from hilserver.fmu.layout import BOOLEAN, FLOAT, SIGNED, UNSIGNED
 from hilserver.plant.blocks import BlockError
 
 MISSING: Final = "needs FMPy to be read; install it with: pip install 'hilserver[fmu]'"
-MOST_BYTES: Final = 1 << 30  # that an FMU may unpack to
-MOST_DESCRIPTION_BYTES: Final = 1 << 26  # of its modelDescription.xml, which is read as a whole
+MOST_BYTES: Final = 1 << 30  # size of an unpacked FMU
+MOST_DESCRIPTION_BYTES: Final = 1 << 26  # size of its modelDescription.xml, read as a whole
 _MACHINE: Final = {"AMD64": "x86_64", "arm64": "aarch64"}.get(
     platform.machine(), platform.machine()
 )
@@ -45,7 +45,7 @@ _TYPES: Final[Mapping[int, Mapping[str, tuple[str, int, int]]]] = {
         "String": ("String", -1, 0),
     },
 }
-"""Function suffix, kind and bytes of every type, by version; text has no kind."""
+"""Function suffix, kind and size of every type, by version; text has no numeric kind."""
 
 _UNITS: Final = {
     "": "1", "-": "1", "1": "1", "%": "%", "rad": "rad", "deg": "deg", "rad/s": "rad/s",
@@ -54,7 +54,7 @@ _UNITS: Final = {
     "mV": "mV", "A": "A", "mA": "mA", "Ohm": "ohm", "W": "W", "J": "J", "N": "N", "N.m": "N·m",
     "kg": "kg", "kg.m2": "kg·m²", "degC": "°C", "K": "K", "Pa": "Pa",
 }  # fmt: skip
-"""Units as FMUs write them -> our symbols; others stand in the description of the signal."""
+"""Units as FMUs write them -> our symbols; others go into the description of the signal."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Variable:
     shape: tuple[int, ...]  # () of a scalar
     causality: str
     variability: str
-    unit: str  # our symbol, "1" if the FMU has none or one that we do not know
+    unit: str  # our symbol, "1" if the FMU gives none or an unknown one
     low: float
     high: float
     start: float
@@ -93,7 +93,7 @@ class Variable:
 
 @dataclass(frozen=True)
 class Fmu:
-    """An FMU on disk, unpacked while somebody holds this."""
+    """An FMU on disk, unpacked as long as this object exists."""
 
     path: Path
     folder: Path
@@ -120,8 +120,8 @@ class Fmu:
 def read_fmu(reference: str, base_dir: Path) -> Fmu:
     """Return the FMU of a file, unpacked.
 
-    `reference`: as the configuration names it, relative to `base_dir`. BlockError: one sentence: no
-    FMU, no co-simulation, not for this computer, needs what we lack.
+    `reference`: as the configuration names it, relative to `base_dir`. BlockError, one sentence:
+    not an FMU, no co-simulation, not for this computer, or needs something that we lack.
     """
     path = (base_dir / reference).resolve()
     try:
@@ -249,7 +249,7 @@ def _variables(said: Any, version: int) -> list[Variable]:
 
 
 def _number(text: object, otherwise: float) -> float:
-    """Return a start value or limit as a number; of arrays and text that is not needed."""
+    """Return a start value or limit as a number; not needed for arrays and text."""
     truth: Callable[[str], float | None] = {"true": 1.0, "false": 0.0}.get
     try:
         value = truth(str(text).lower())

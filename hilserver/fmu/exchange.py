@@ -1,12 +1,12 @@
-"""An FMU in a process of its own: what the plant asks at a slice, what the child answers.
+"""An FMU in a process of its own: what the plant requests at a slice, what the child answers.
 
-An ask has a number. The plant takes the answer to the last one and asks the next in the same run:
-outputs are one slice old, and it never waits, not even where it catches up itself and leaves the
-child no time: such slices are counted by themselves. While no answer is there the outputs hold and
-the slices that pass are owed: the next ask is for all of them. How many were late is the block's
-last output and an input of a replay, in which the same slices are late. The child keeps its state
-after every ask, in two places by turns: that before the ask under way is complete when a snapshot
-is taken.
+Requests are numbered. The plant takes the last answer and posts the next request in the same run:
+outputs are one slice old, and it never waits, even when it catches up itself and leaves the child
+no time; such slices are counted separately. Until an answer arrives the outputs hold, and the
+slices that pass are owed: the next request covers all of them. The number of late slices is the
+block's last output and an input of a replay, in which the same slices are late. The child stores
+its state after every request, in two places alternately: the state before the current request is
+complete when a snapshot is taken.
 """
 
 from typing import Any
@@ -21,9 +21,9 @@ from hilserver.compiled.foreign import words_at
 from hilserver.compiled.libc import monotonic_ns, ring_doorbell, sleep_until
 from hilserver.fmu.calls import F8, I8, KEEP, STEP, advance, give_up, restore, store
 
-WHOLE_SLICE = 0.9  # share of a slice's time that a child has had at least
+WHOLE_SLICE = 0.9  # a child given less than this share of a slice was hurried
 WAIT_NS, NAP_NS, LOOKS = 10_000_000_000, 20_000, 2000
-"""In virtual time: how long at most, how long between two looks, after how many looks."""
+"""In virtual time: the longest wait, the sleep between two looks, looks before sleeping."""
 
 
 @kernel()
@@ -75,11 +75,11 @@ def _wait(a: Any, s: Any) -> None:
 
 @kernel(STEP)
 def run_beside(tick: int, dt_s: float, u: Any, y: Any, x: Any, p: Any, a: Any) -> int:  # noqa: ARG001
-    """Show what the child has answered and ask it for the next slice."""
+    """Show the child's answer and ask it for the next slice."""
     if x[at.X_FAILED] != 0.0:
         return 0
     s, n = _shared(a), y.shape[0] - 1
-    was_late = abs(y[n]) > x[at.X_LATE]  # in the run that is replayed
+    was_late = abs(y[n]) > x[at.X_LATE]  # late in the run that is replayed
     if a[at.A_WAITS] != 0 and not was_late:
         _wait(a, s)
     if was_late or a[at.A_DEAD] != 0 or load_acquire(s, at.S_DONE) != s[at.S_ASKED]:
@@ -110,7 +110,7 @@ def run_beside(tick: int, dt_s: float, u: Any, y: Any, x: Any, p: Any, a: Any) -
 
 @kernel(KEEP)
 def keep_beside(u: Any, y: Any, x: Any, p: Any, a: Any) -> None:
-    """Take the state before the ask under way, for a snapshot that is taken next."""
+    """Take the state before the current request, for the snapshot that follows."""
     s = _shared(a)
     if a[at.A_CAPACITY] != 0 and s[at.S_LOAD] != s[at.S_ASKED]:
         words = x.view(np.int64)
@@ -119,7 +119,7 @@ def keep_beside(u: Any, y: Any, x: Any, p: Any, a: Any) -> None:
 
 @kernel(KEEP)
 def adopt_beside(u: Any, y: Any, x: Any, p: Any, a: Any) -> None:
-    """Let the child go on from `x`, which was just restored."""
+    """Let the child continue from `x`, which was just restored."""
     s = _shared(a)
     if a[at.A_CAPACITY] == 0:
         x[at.X_STEPS], x[at.X_PENDING] = s[at.S_STEPS], s[at.S_PENDING]
@@ -133,21 +133,21 @@ def adopt_beside(u: Any, y: Any, x: Any, p: Any, a: Any) -> None:
 
 @kernel(int64(I8, F8, F8, F8, F8, I8, float64))
 def answer(s: Any, u: Any, y: Any, x: Any, p: Any, a: Any, dt_s: float) -> int:
-    """Do what was asked for, in the child; return 1 if anything was.
+    """Do what was requested, in the child; return 1 if anything was.
 
     Parameters
     ----------
     s : ndarray of int64
         The shared words.
     u, y, x, p, a
-        The child's own, as for a step.
+        The child's own arrays, as for a step.
     dt_s : float
         Slice [s].
     """
     number = load_acquire(s, at.S_ASKED)
     loads = s[at.S_LOAD] == number
     if number == s[at.S_DONE] or (s[at.S_CURRENT] == 0 and not loads):
-        return 0  # nothing new, or another child was asked
+        return 0  # nothing new, or the request was for an earlier child
     numbers = s[at.N_SHARED :].view(np.float64)
     _copy_numbers(numbers, u)
     _copy_numbers(numbers[u.shape[0] :], p)

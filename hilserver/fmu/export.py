@@ -1,4 +1,4 @@
-"""The robot as an FMU: description, C sources and what compilers make of them, in one zip."""
+"""The robot as an FMU: description, C sources and the compiled libraries, in one zip."""
 
 import hashlib
 import os
@@ -31,13 +31,13 @@ COMPILERS: Final[Mapping[str, tuple[str, str]]] = {
     "aarch64-linux": ("aarch64-linux-gnu-gcc", "gcc-aarch64-linux-gnu"),
     "x86_64-windows": ("x86_64-w64-mingw32-gcc", "gcc-mingw-w64-x86-64-win32"),
 }
-"""Compiler for a platform, and the Debian package that it comes from."""
+"""Compiler for each platform, and the Debian package that provides it."""
 _FOLDERS: Final = {2: {"x86_64-linux": "linux64", "x86_64-windows": "win64"}, 3: {}}
 _EXPORTED: Final = "{ global: fmi2*; fmi3*; local: *; };\n"
 _HEADERS: Final = {2: ("TypesPlatform", "FunctionTypes"), 3: ("PlatformTypes", "FunctionTypes")}
 _OPTIONS: Final = ("-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math")
-"""None of them changes a bit."""
-_MAIN: Final = "robot_fmu.c"  # the source that takes in all others: it alone is compiled
+"""None of these changes a bit of the results."""
+_MAIN: Final = "robot_fmu.c"  # includes all other sources: it alone is compiled
 _HERE: Final = Path(__file__).parent
 
 
@@ -57,7 +57,7 @@ def export(
     Parameters
     ----------
     composition, robot, base_period_ns
-        Of an assembly.
+        As in an assembly.
     version : int
         2 or 3.
     """
@@ -115,7 +115,7 @@ def _sources(folder: Path, header: str, version: int) -> list[Path]:
     of_fmi = Path(find_spec("fmpy").origin).parent / "c-code"  # type: ignore[union-attr,arg-type]
     for name in _HEADERS[version]:
         shutil.copy(of_fmi / f"fmi{version}{name}.h", folder)
-    if version == 3:  # 2.0 names them in the description of the model
+    if version == 3:  # 2.0 lists them in the model description
         (folder / "buildDescription.xml").write_text(variables.BUILD, encoding="utf-8")
     return sorted(folder.iterdir())
 
@@ -150,7 +150,7 @@ def _header(
     tunable: Sequence[variables.Tunable],
     base_period_ns: int,
 ) -> str:
-    """Return robot.h: all that tells one robot from another."""
+    """Return robot.h: everything that differs between robots."""
     table, sizes = composition.table, _sizes(composition, tunable)
     ticks = {n: round(s * 1e9 / base_period_ns) for n, s in composition.periods_s.items()}
     schedule = [
@@ -215,7 +215,7 @@ def _array(name: str, numbers: NDArray[np.float64]) -> str:
 
 
 def _soundness() -> str:
-    """Return the C function that says whether a state can be gone on from."""
+    """Return the C function that tells whether a state can be continued from."""
     heads, counts = ("setpoint_head", "imu_head", "nav_head"), ("imu_count", "nav_count")
     at, most = State.where, RING
     tests = [f"x[{at(n).start}] >= 0 && x[{at(n).start}] < {most}" for n in heads]

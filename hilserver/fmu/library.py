@@ -55,7 +55,7 @@ _LAST: Final = 8 * at.MESSAGE_WORDS - 1
 
 @kernel()
 def _take(status: int, text: Any, buffer: Any) -> None:
-    """Keep what an FMU says of an error: it may say it in the paced thread."""
+    """Keep an FMU's error message; the paced thread may call this."""
     if status <= at.WARNING:
         return
     i = 0
@@ -107,7 +107,7 @@ class Library:
 
 
 class Instance:
-    """A started FMU, to be stepped by whoever has its addresses; must outlive them."""
+    """A started FMU; it is stepped through its addresses and must outlive them."""
 
     def __init__(self, fmu: Fmu, wiring: Wiring, name: str, slow_ns: int) -> None:
         self._fmu, self._library = fmu, Library(fmu)
@@ -118,7 +118,7 @@ class Instance:
             raise BlockError(f"does not start: {self.message or 'it gives no reason'}")
         self._set_start(dict(wiring.start))
         self._initialise()
-        self.addresses = self._addresses(wiring, slow_ns)  # `a` of the kernels, of this process
+        self.addresses = self._addresses(wiring, slow_ns)  # the kernels' `a`, valid in this process
         self.outputs = np.zeros(wiring.n_outputs)  # `y` at time 0
         a = self.addresses
         n_before = int(a[at.A_INPUTS] + a[at.A_PARAMETERS])
@@ -127,7 +127,7 @@ class Instance:
 
     @property
     def message(self) -> str:
-        """What the FMU said of its last error."""
+        """The FMU's message about its last error."""
         return text_of(self.message_words)
 
     def close(self) -> None:
@@ -171,7 +171,7 @@ class Instance:
             else:
                 of_type = _C_TYPES[first.kind, first.bytes] * n
                 data = of_type(*(_as_start(v, given[v]) for v in same))
-            size = ctypes.c_size_t(n)  # the second is an argument of 3.0 only
+            size = ctypes.c_size_t(n)  # 3.0 alone takes the number of values
             self._call(f"Set{first.type}", references, size, data, size)
 
     def _initialise(self) -> None:
@@ -210,7 +210,7 @@ class Instance:
         return a
 
     def _state(self) -> NDArray[np.float64]:
-        """Return `x` at the start; from now on a state may have twice the bytes of this one."""
+        """Return `x` at the start; later states may have at most twice its size."""
         if not self._fmu.stores_state:
             return np.zeros(at.X_STATE)
         a = self.addresses
@@ -232,13 +232,13 @@ def text_of(words: NDArray[np.int64]) -> str:
 
 
 def _of_one_type(variables: Iterable[Variable]) -> Iterator[list[Variable]]:
-    """Yield neighbours of one type, which go through one call."""
+    """Yield groups of neighbours of one type; a group takes one call."""
     for _, same in itertools.groupby(variables, lambda v: v.type):
         yield list(same)
 
 
 def _packed(references: Sequence[int]) -> NDArray[np.int64]:
-    """Return numbers of 32 bits, two in a word."""
+    """Return 32-bit numbers, two per word."""
     padded = [*references, *[0] * (len(references) % 2)]
     return np.array(padded, dtype=np.uint32).view(np.int64)
 

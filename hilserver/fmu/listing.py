@@ -1,4 +1,4 @@
-"""The text that LLVM has for machine code: its lines by block, and what stands in a line."""
+"""LLVM's text for machine code: its lines by block, and the parts of a line."""
 
 import re
 from typing import Final
@@ -20,7 +20,7 @@ _SIZES: Final = {"double": 8, "ptr": 8, "i1": 1, "i8": 1, "i32": 4, "i64": 8}
 
 
 def blocks(body: str) -> dict[str, list[str]]:
-    """Return the lines of every block by its label."""
+    """Return the lines of every block, by label."""
     blocks: dict[str, list[str]] = {}
     text = re.sub(r"\[\n(.*?)\n\s*\]", lambda m: f"[{m[1]}]".replace("\n", " "), body, flags=re.S)
     lines: list[str] = []
@@ -37,7 +37,7 @@ def blocks(body: str) -> dict[str, list[str]]:
 
 
 def match(pattern: str, text: str) -> tuple[str, ...]:
-    """Return what the groups of a pattern find at the beginning of a line.
+    """Return what the groups of a pattern match at the beginning of a line.
 
     FailedError if it is not such a line.
     """
@@ -48,7 +48,7 @@ def match(pattern: str, text: str) -> tuple[str, ...]:
 
 
 def split(text: str) -> list[str]:
-    """Split at commas that are in no brackets."""
+    """Split at commas outside brackets."""
     depth, pieces = 0, [""]
     for sign in text:
         depth += (sign in "([{<") - (sign in ")]}>")
@@ -60,7 +60,7 @@ def split(text: str) -> list[str]:
 
 
 def size_of(kind: str) -> int:
-    """Return the bytes of a type."""
+    """Return the size of a type in bytes."""
     if kind[0] == "[":
         count, _, of = kind[1:-1].partition(" x ")
         return int(count) * size_of(of)

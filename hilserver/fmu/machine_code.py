@@ -1,8 +1,8 @@
 """The robot's parts as C that needs no Python: `python -m hilserver.fmu.machine_code FILE`.
 
-Run it with `PORTABLE` in the environment: what numba then compiles has no instructions that a
-processor of the architecture may lack, and no vectors. What it calls of numba is private; a test
-says which version moved.
+Run it with `PORTABLE` in the environment: numba then compiles without vectors and without
+instructions that some processor of the architecture lacks. The functions of numba used here are
+private; a test fails when a version changes them.
 """
 
 import re
@@ -30,9 +30,9 @@ from hilserver.plant.shield import shield_step
 from hilserver.plant.tof import tof_step
 
 PARTS: Final = ("robot", "imu", "battery", "shield", "tof", "nav")
-"""By the number with which the C code asks for them.
+"""In the order of the numbers by which the C code selects them.
 
-PACK computes the parameters from physical ones, CARRY takes the state to other parameters.
+PACK computes the parameters from physical ones, CARRY adapts the state to new parameters.
 """
 ROBOT, IMU, BATTERY, SHIELD, TOF, NAV, CARRY, PACK = range(len(PARTS) + 2)
 ENTRY: Final = "hil_part"
@@ -49,9 +49,9 @@ _SIGNATURE: Any = types.int64(types.int64, _F8, _F8, _F8, _F8, _I8, _F8, types.i
 
 @intrinsic  # type: ignore[untyped-decorator]
 def array_at(typing_context: Any, pointer: Any, length: Any) -> Any:
-    """Return the array of `length` numbers at a pointer; nobody counts its references.
+    """Return the array of `length` numbers at a pointer, without a reference count.
 
-    `numba.carray` does count them, with atomic instructions that bind the code to a processor.
+    `numba.carray` counts references, with atomic instructions that tie the code to a processor.
     """
     array = types.Array(pointer.dtype, 1, "C")
 
@@ -79,8 +79,8 @@ def run_part(
 ) -> int:
     """Run one part of the robot once, as a time slice of the daemon does.
 
-    What is `more` are the walls, the new parameters, or the physical ones. Returns `FITS`, or why
-    they do not.
+    `more` are the walls, the new parameters, or the physical ones. Returns `FITS`, or why they do
+    not fit.
     """
     p, x, u = record(p_at, PARAMETERS), record(x_at, STATE), record(u_at, INPUTS)
     y, q = record(y_at, OUTPUTS), record(q_at, STATUS)
@@ -104,9 +104,9 @@ def run_part(
 
 
 def source() -> str:
-    """Return the C source of `ENTRY` and of all that it calls.
+    """Return the C source of `ENTRY` and of all functions that it calls.
 
-    FailedError if this numba keeps its code elsewhere, or makes what C has not.
+    FailedError if this numba keeps its code elsewhere, or emits what has no equivalent in C.
     """
     compiled = numba.cfunc(_SIGNATURE, nopython=True, error_model="numpy", _nrt=False)(run_part)
     try:

@@ -1,4 +1,4 @@
-"""An FMU's process, from the plant's side: started, watched, started again, ended.
+"""An FMU's process, seen from the plant: started, watched, restarted, ended.
 
 It may end in any way at any time; the plant reads its answers from shared memory and never waits.
 """
@@ -26,7 +26,7 @@ from hilserver.program import children
 
 CHILD_START_S: Final = 60.0
 SILENCE_S, LEAST_SLICES = 0.1, 10
-"""Without an answer for so long, and so many slices, it counts as dead."""
+"""Without an answer for this long, and this many slices, it counts as dead."""
 _NO_ANSWER: Final = "does not answer any more and was ended"
 _STOP_S: Final = 0.2
 
@@ -39,7 +39,7 @@ class Order:
     wiring: Wiring
     name: str
     setting: Setting
-    # file descriptors: shared words, what wakes it, where it says how it started
+    # file descriptors: shared words, doorbell, pipe for its `Started`
     memory: int
     bell: int
     ready: int
@@ -49,7 +49,7 @@ class Order:
 
 @dataclass(frozen=True)
 class Started:
-    """What a child says of its start."""
+    """What a child reports when it has started or failed to."""
 
     failure: str  # why it did not start; empty if it did
     initial: NDArray[np.float64]
@@ -58,7 +58,7 @@ class Started:
 
 
 class Child:
-    """The process; its memory and its bell outlive it; BlockError if it does not start."""
+    """The process; its memory and doorbell outlive it; BlockError if it does not start."""
 
     def __init__(self, fmu: Fmu, wiring: Wiring, name: str, setting: Setting) -> None:
         self._what = (fmu, wiring, name, setting)
@@ -79,18 +79,18 @@ class Child:
 
     @property
     def message(self) -> str:
-        """What the FMU said of its last error."""
+        """The FMU's message about its last error."""
         return text_of(self._words[at.S_MESSAGE : at.N_SHARED])
 
     def look(self, a: NDArray[np.int64], *, gives_up: bool) -> str | None:
-        """Return how it ended, once, and start it again; None while it runs.
+        """Return how it ended (once), and restart it; None while it runs.
 
         Parameters
         ----------
         a : ndarray of int64
-            As the step has it.
+            The `a` of the step.
         gives_up : bool
-            The step waits no more: what does not answer is ended.
+            The step no longer waits: a process that does not answer is ended.
         """
         self._take_ready(a)
         running, dead = self._process.poll() is None, bool(a[at.A_DEAD])
@@ -104,7 +104,7 @@ class Child:
         return how
 
     def close(self) -> None:
-        """End it and give its memory back."""
+        """End it and free its memory."""
         self._end()
         for descriptor in (self._memory, self._bell, self._ready):
             if descriptor is not None:
@@ -131,7 +131,7 @@ class Child:
         return process
 
     def _wait(self) -> Started:
-        """Return what the first child says of its start."""
+        """Return the report of the first child."""
         raw, ready = b"", self._ready
         assert ready is not None
         while select.select([ready], [], [], CHILD_START_S)[0]:
@@ -150,7 +150,7 @@ class Child:
         return started
 
     def _take_ready(self, a: NDArray[np.int64]) -> None:
-        """Note that the child that replaces another has started, or has not."""
+        """Note whether the child that replaces another has started."""
         if self._ready is None or not select.select([self._ready], [], [], 0)[0]:
             return
         has_started = bool(os.read(self._ready, 1 << 16))
@@ -183,5 +183,5 @@ def slices_of_silence(period_s: float) -> int:
 
 def _how(process: "subprocess.Popen[bytes]") -> str:
     code = process.returncode
-    # With SIGXCPU the kernel was first, see `worker`.
+    # SIGXCPU: the kernel ended it before we did, see `worker`.
     return _NO_ANSWER if code == -signal.SIGXCPU else children.how_ended(code)

@@ -16,16 +16,16 @@ from hilserver.plant.terms import TERMS
 from hilserver.signals import Signal, SignalTable
 
 N_U, N_Y = Inputs.n_words, Outputs.n_words
-FIRST_INPUT, FIRST_OUTPUT, FIRST_TUNABLE = 1, 1000, 2000  # value references; the time has 0
+FIRST_INPUT, FIRST_OUTPUT, FIRST_TUNABLE = 1, 1000, 2000  # value references; time has 0
 
 
 @dataclass(frozen=True)
 class Tunable:
-    """A parameter: one number of the physical ones."""
+    """A parameter: one of the physical numbers."""
 
     about: Parameter
-    place: int  # of the number
-    start: float  # what the robot has
+    place: int  # index among the physical numbers
+    start: float  # the robot's value
     # range, ends included
     low: float
     high: float
@@ -55,10 +55,10 @@ def tunables(robot: RobotParameters) -> list[Tunable]:
 
 
 def _fixed(robot: RobotParameters) -> set[str]:
-    """Return what is computed when the FMU is made, or means nothing to the robot."""
+    """Return parameters used only when the FMU is made, or without meaning for the robot."""
     causes = {"friction_anisotropy", *robot.meaningless}
     fixed = {f"{TERM}{name}" for name, term in TERMS.items() if term.cause in causes}
-    fixed.add("sensors.battery.initial_charge")  # of the state at the start
+    fixed.add("sensors.battery.initial_charge")  # acts on the initial state only
     if robot.is_mecanum:
         fixed.add("plant.icr_offset_m")
     if (made := physical(robot)).anisotropy_factor != 1.0 or made.anisotropy_shift_m != 0.0:
@@ -75,7 +75,7 @@ def _place(name: str) -> int:
 
 
 def _range(about: Parameter) -> tuple[float, float]:
-    """Return the lowest and the highest value: an end that is none gives way to the next number."""
+    """Return the lowest and highest value; an excluded bound is moved to the next number."""
     section, _, key = about.name.rpartition(".")
     part = SECTIONS.get(section)
     own = {} if part is None else {item.name: item for item in fields(part)}

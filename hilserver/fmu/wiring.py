@@ -14,12 +14,12 @@ _TEXT: Final = -1
 
 @dataclass(frozen=True)
 class Wiring:
-    """Variables in the order in which their values stand in `u`, `p` and `y`."""
+    """Variables in the order of their values in `u`, `p` and `y`."""
 
     inputs: Sequence[Variable]
     parameters: Sequence[Variable]
     outputs: Sequence[Variable]
-    # variables that begin with another value than the FMU says
+    # variables whose start value differs from the FMU's
     start: Sequence[tuple[Variable, Start]]
     left_out: int = 0  # tunable parameters that a block has no room for
 
@@ -54,15 +54,15 @@ def wire(
 ) -> Wiring:
     """Find the variables that a configuration names.
 
-    BlockError if one is not there, or cannot be that.
+    BlockError if one is missing, or cannot be used that way.
 
     Parameters
     ----------
     inputs : mapping of str
         Variable: signal.
     outputs : mapping of str
-        Variable, whatever it is to the FMU: end of the signal's name; empty: all outputs, under
-        their own names.
+        Variable of any causality: end of the signal's name; empty: all outputs, under their own
+        names.
     start : mapping
         Variable: value.
     """
@@ -77,10 +77,10 @@ def wire(
     if not outputs:
         shown = [v for v in fmu.variables.values() if v.causality == "output" and v.kind != _TEXT]
     tunable = [v for v in fmu.variables.values() if _is_tunable(v)]
-    tunable.sort(key=lambda v: v.name not in start)  # those that the user cares about come first
+    tunable.sort(key=lambda v: v.name not in start)  # those that the user has set come first
     wiring = Wiring(
         inputs=list(dict.fromkeys(taken)),
-        # Those of one type are set in one call: what fits together only must not come apart.
+        # Those of one type are set in one call: values that only fit together must not be split.
         parameters=sorted(tunable[:MOST_PER_BLOCK], key=lambda v: v.type),
         outputs=list(dict.fromkeys(shown)),
         start=[(_startable(fmu, name, value), value) for name, value in start.items()],
@@ -100,7 +100,7 @@ def wire(
 def signals(wiring: Wiring, names: Mapping[str, str]) -> tuple[Output, ...]:
     """Return the outputs as they appear in the signal table, in the order of `y`.
 
-    BlockError if two would have one name.
+    BlockError if two would have the same name.
     """
     found = []
     for variable in wiring.outputs:
@@ -122,7 +122,7 @@ def _plain(name: str) -> str:
 
 
 def _whole(fmu: Fmu, name: str) -> Variable:
-    """Return the variable of a name, or of an element of an array: ``u[2]``."""
+    """Return the variable with a name, or the array with an element: ``u[2]``."""
     variable = fmu.variables.get(name) or fmu.variable(name.partition("[")[0])
     if variable.kind == _TEXT:
         raise BlockError(f"'{name}' of {fmu.path.name} is text, which is no signal")

@@ -20,11 +20,11 @@ from hilserver.kernel.composition import Setting
 from hilserver.plant.blocks import BlockError
 from hilserver.program.workers import end_with_parent
 
-_SELDOM_S: Final = 1.0  # so often it looks for an ask whose bell did not ring
+_SELDOM_S: Final = 1.0  # how often it looks for a request whose bell did not ring
 
 
 def main() -> int:
-    """Start the FMU, say so, answer until the parent is gone."""
+    """Start the FMU, report it, answer until the parent is gone."""
     order: Order = pickle.load(sys.stdin.buffer)  # noqa: S301 - of our own parent
     end_with_parent(order.parent)
     ready = os.fdopen(order.ready, "wb")
@@ -59,11 +59,11 @@ def main() -> int:
 
 
 def _be_prompt(setting: Setting) -> None:
-    """Come right behind the plant: as an ordinary process it would wait for its turn for slices.
+    """Run right behind the plant: an ordinary process could wait for its turn for many slices.
 
-    One that never sleeps would then keep others from its core; the kernel ends it (SIGXCPU) after
-    the silence after which the plant gives it up. What the system does not grant here it does not
-    grant to the plant's thread, either, and the audit says so.
+    A process that never sleeps would then keep others from its core; the kernel ends it (SIGXCPU)
+    after the silence for which the plant gives it up. If the system does not grant this, it does
+    not grant it to the plant's thread either, and the audit reports that.
     """
     gc.disable()  # nothing is left to collect
     others = os.sched_getaffinity(0) - {setting.plant_core}
