@@ -1,4 +1,4 @@
-"""What a worker does: drive some machines, and say on what computer that was."""
+"""What a worker does: drive some machines, and identify the computer they ran on."""
 
 import hashlib
 import math
@@ -21,7 +21,7 @@ _PROBES = np.linspace(-3.0, 3.0, 41)
 
 @cache
 def fingerprint() -> str:
-    """Return what two computers must share to give the same bits: kernels, processor, libm."""
+    """Return what computers must have in common for the same bits: kernels, processor, libm."""
     functions = (math.sin, math.cos, math.tan, math.exp, math.atan, math.tanh, math.erf)
     values = [f(x) for f in functions for x in _PROBES.tolist()]
     values += [math.log(abs(x) + 0.1) for x in _PROBES.tolist()]
@@ -31,7 +31,7 @@ def fingerprint() -> str:
 
 def begin_worker(parent: int, memory_mb: float) -> None:
     """Prepare a worker process of this computer."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for whoever started it
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by its parent
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     end_with_parent(parent)
     limit_memory(memory_mb)

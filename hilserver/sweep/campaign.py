@@ -1,8 +1,8 @@
-"""Hands batches of machines to workers, keeps so many on their way, and outlives workers.
+"""Hands batches of machines to workers, with a limited number under way, and survives workers.
 
 Workers are processes of this computer or of a Dask cluster, behind the same interface of
 `concurrent.futures`; nothing here decides where a batch runs. A batch whose worker died is driven
-again, machine by machine, so that one which takes its worker with it is found.
+again, machine by machine, which finds a machine that kills its worker.
 """
 
 import multiprocessing
@@ -21,8 +21,8 @@ from hilserver.sweep.prepare import Job, Machine
 from hilserver.sweep.rig import Outcome
 
 IN_A_BATCH: Final = 8
-BATCHES_AHEAD: Final = 3  # batches on their way for each worker
-LIVES: Final = 3  # a machine that was alone with so many workers that died has failed
+BATCHES_AHEAD: Final = 3  # batches under way for each worker
+LIVES: Final = 3  # a machine fails when this many workers have died with it alone
 STARTS: Final = 30
 Result = tuple[str, list[Outcome]]
 
@@ -36,10 +36,10 @@ class Workers(Protocol):
         """Have machines driven."""
 
     def means_death(self, error: BaseException) -> bool:
-        """Say whether an error means that a worker is gone."""
+        """Return whether an error means that a worker is gone."""
 
     def renew(self) -> None:
-        """Make up for workers that are gone."""
+        """Replace workers that are gone."""
 
 
 class LocalWorkers(AbstractContextManager["LocalWorkers"]):
@@ -65,11 +65,11 @@ class LocalWorkers(AbstractContextManager["LocalWorkers"]):
             return lost
 
     def means_death(self, error: BaseException) -> bool:
-        """Say whether a process is gone, and the pool with it."""
+        """Return whether a process is gone, and the pool with it."""
         return isinstance(error, BrokenProcessPool)
 
     def renew(self) -> None:
-        """Make all processes anew."""
+        """Start all processes anew."""
         self._pool.shutdown(wait=False, cancel_futures=True)
         self._pool = self._new()
 
@@ -93,11 +93,11 @@ class DaskWorkers(AbstractContextManager["DaskWorkers"]):
         return future
 
     def means_death(self, error: BaseException) -> bool:
-        """Say whether Dask gave a batch up because its workers died."""
+        """Return whether Dask gave up a batch because its workers died."""
         return type(error).__name__ in ("KilledWorker", "CancelledError")
 
     def renew(self) -> None:
-        """Leave it to Dask."""
+        """Do nothing: Dask does it."""
 
     def __exit__(self, *_: object) -> None:
         self._executor.shutdown(wait=False)
@@ -107,9 +107,9 @@ class DaskWorkers(AbstractContextManager["DaskWorkers"]):
 def outcomes(
     job: Job, machines: Iterable[Machine], workers: Workers, *, mixed: bool = False
 ) -> Iterator[Result]:
-    """Yield where batches ran and what became of their machines, as they are finished.
+    """Yield where batches ran and the outcomes of their machines, as they finish.
 
-    A computer with other bits than this one is a FailedError, unless `mixed`.
+    FailedError if a computer gives other bits than this one, unless `mixed`.
     """
     source: Iterator[Machine] = iter(machines)
     pending: dict[Future[Result], list[Machine]] = {}
@@ -130,11 +130,11 @@ def outcomes(
 def _taken(
     pending: "dict[Future[Result], list[Machine]]", workers: Workers
 ) -> tuple[list[Result], list[Machine]]:
-    """Wait for batches and take them; return results, and the machines of workers that died."""
+    """Wait for finished batches; return results, and the machines of workers that died."""
     done, _ = wait(pending, return_when=FIRST_COMPLETED)
     errors = [error for future in done if (error := future.exception()) is not None]
     if any(map(workers.means_death, errors)):
-        done, _ = wait(pending)  # of a pool of processes all die, and we make it anew
+        done, _ = wait(pending)  # in a pool of processes all fail together, and it is renewed
         workers.renew()
     results, lost = [], list[Machine]()
     for future in done:
@@ -149,7 +149,7 @@ def _taken(
 
 
 def _alone(job: Job, machine: Machine, workers: Workers) -> Result:
-    """Drive a machine that may have ended a worker, with nobody beside it."""
+    """Drive a machine that may have ended a worker, alone."""
     for _ in range(LIVES):
         _awake(job, workers)
         future = workers.submit(job, [machine])
@@ -167,9 +167,9 @@ def _alone(job: Job, machine: Machine, workers: Workers) -> Result:
 
 
 def _awake(job: Job, workers: Workers) -> None:
-    """Wait for a worker that is ready: one that is killed while it starts is no machine's fault.
+    """Wait for a worker that is ready: no machine is to blame for one killed during its start.
 
-    FailedError if none gets so far.
+    FailedError if no worker becomes ready.
     """
     for _ in range(STARTS):
         error = workers.submit(job, []).exception()

@@ -1,4 +1,4 @@
-"""A machine as a configuration: what ``hilserver run`` takes to be that machine."""
+"""A machine as a configuration, with which ``hilserver run`` simulates that machine."""
 
 from math import isnan
 from pathlib import Path

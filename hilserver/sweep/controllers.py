@@ -1,4 +1,4 @@
-"""A controller in Python: called between two ticks, as often as its period says.
+"""A controller in Python: called between two ticks, once per period.
 
 ::
 
@@ -6,8 +6,8 @@
         def __call__(self, time_s, signals):
             return {"control.mode": 1, "twist.linear_m_s": 0.3 - signals["pose.x_m"]}
 
-It is made anew for each machine. `signals` are those of the tick that has just ended; what it
-returns is latched by the next one.
+It is created anew for each machine. `signals` are those of the tick that has just ended; what it
+returns is latched by the next tick.
 """
 
 import random
@@ -21,18 +21,18 @@ from hilserver.core.leases import Leases
 from hilserver.image import ProcessImage, Row
 from hilserver.signals import Signal, SignalTable
 
-WHO = "scenario"  # source that a controller drives as
+WHO = "scenario"  # the source as which a controller drives
 
 
 class WrongCommand(ValueError):
-    """What a controller returned is no set of commands."""
+    """A controller returned something that is not a set of commands."""
 
 
 class Signals(Mapping[str, float]):
     """The newest values, by name."""
 
     def __init__(self, image: ProcessImage, table: SignalTable) -> None:
-        self.seed = 0  # the machine's; for a controller that draws random numbers
+        self.seed = 0  # of the machine; for a controller that draws random numbers
         self._values = image.frame_values
         self._slots = {s.name: s.slots[0] for s in table if not s.is_array}
 
@@ -47,7 +47,7 @@ class Signals(Mapping[str, float]):
 
 
 class Driver:
-    """Calls controllers and hands over what they command."""
+    """Calls controllers and passes on their commands."""
 
     def __init__(
         self,
@@ -63,11 +63,11 @@ class Driver:
         self._known: dict[str, Signal] = {}
         self._newest: dict[str, Any] = {}
         self._controller: Callable[[float, Signals], Any] = _no_controller
-        # what was commanded, by the tick that latches it; only what has changed
+        # commands, by the tick that latches them; only changes
         self.written: list[tuple[int, dict[str, Any]]] = []
 
     def begin(self, seed: int) -> None:
-        """Make the controller of a machine."""
+        """Create the controller of a machine."""
         random.seed(seed)
         np.random.seed(seed % 2**32)  # noqa: NPY002 - a controller may use it unseeded
         self._signals.seed, self.written, self._newest = seed, [], {}
@@ -78,7 +78,7 @@ class Driver:
     def act(self, tick: int) -> None:
         """Call the controller after `tick`; the next one latches what it commands.
 
-        WrongCommand if it returned what no robot can be commanded.
+        WrongCommand if it returned something that no robot can be commanded.
         """
         commands = self._controller(tick * self._period_s, self._signals)
         if commands is None:
@@ -97,7 +97,7 @@ class Driver:
             raise WrongCommand(f"commands {len(rows)} values at once, too many for the queue")
 
     def end(self) -> None:
-        """Let the controller go, with all that it holds."""
+        """Release the controller and all that it holds."""
         self._controller = _no_controller
 
     def _rows(self, name: str, value: Any) -> Iterator[Row]:

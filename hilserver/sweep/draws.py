@@ -1,8 +1,8 @@
-"""What the machine with an index is: a function of the sweep's file and the index alone.
+"""The machine with an index: a function of the sweep's file and the index alone.
 
-Every number of every machine has a stream of its own (seed, index, name), so neither the number of
+Every number of every machine has its own stream (seed, index, name), so neither the number of
 workers nor another parameter in the file changes it. Uniform numbers go through the inverse of the
-distribution: normal draws need no method of a library that may change.
+distribution, so normal draws do not depend on a library's method, which may change.
 """
 
 import zlib
@@ -23,9 +23,9 @@ _HALF = 2.0**-54  # moves a uniform number off zero, where the normal distributi
 
 @dataclass(frozen=True)
 class Joint:
-    """Parameters of one machine that are known together."""
+    """Parameters of one machine that are known jointly."""
 
-    names: tuple[str, ...]  # of the table of parameters
+    names: tuple[str, ...]  # as in the table of parameters
     value: Array  # shape (k,)
     root: Array  # shape (k, k); times its transpose it is the covariance
 
@@ -36,7 +36,7 @@ class Draws:
 
     seed: int
     population: Mapping[str, Distribution]
-    nominal: Mapping[str, float]  # value of the configuration for each name of `population`
+    nominal: Mapping[str, float]  # configured value for each name of `population`
     joint: Joint | None
     faults: Sequence[FaultShare]
 
@@ -54,7 +54,7 @@ class Draws:
         found: dict[str, float] = {}
         if self.joint is not None:
             z = [self._normal(index, f"joint:{n}") for n in self.joint.names]
-            # Summed in a fixed order: BLAS differs between processors, machines must not.
+            # Summed in a fixed order: BLAS results differ between processors, machines must not.
             for row, name in enumerate(self.joint.names):
                 terms = (float(self.joint.root[row, k]) * z[k] for k in range(len(z)))
                 found[name] = float(self.joint.value[row]) + sum(terms)
@@ -97,7 +97,7 @@ class Draws:
 def root_of(covariance: Array) -> Array:
     """Return a matrix that, times its transpose, is the covariance.
 
-    ValueError if it is none: not symmetric, or with a negative variance.
+    ValueError if it is not a covariance: not symmetric, or with a negative variance.
     """
     if not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-15):
         raise ValueError("is not symmetric")

@@ -1,4 +1,4 @@
-"""What a sweep says about all machines, with intervals: shares, rank correlations, pairs."""
+"""Estimates about all machines, with intervals: shares, rank correlations, pairs."""
 
 import math
 from dataclasses import dataclass
@@ -10,8 +10,8 @@ from scipy import stats
 from hilserver.arrays import Array
 
 LEVEL: Final = 0.95
-LEAST_MACHINES: Final = 10  # machines below which no correlation is reported
-TOGETHER: Final = 0.7  # rank correlation of two drawn parameters from which they count as one group
+LEAST_MACHINES: Final = 10  # with fewer machines no correlation is reported
+TOGETHER: Final = 0.7  # rank correlation above which two drawn parameters form one group
 
 
 def exact_interval(passed: int, n: int) -> tuple[float, float]:
@@ -26,13 +26,13 @@ def exact_interval(passed: int, n: int) -> tuple[float, float]:
 class Influence:
     """How much one parameter, or a group that is drawn together, decides a margin."""
 
-    # more than one: the draws are so correlated that the sweep cannot tell them apart
+    # several if their draws are so correlated that the sweep cannot separate them
     names: tuple[str, ...]
-    rank_correlation: float  # Spearman's, of the first name; its sign says what raises the margin
-    # of 95 % (Fisher's z with the variance of Bonett and Wright, 2000)
+    rank_correlation: float  # Spearman's, of the first name; positive if it raises the margin
+    # 95 % (Fisher's z with the variance of Bonett and Wright, 2000)
     interval: tuple[float, float]
     # 0 .. 1: share of the variance of the margin's ranks that the parameter explains, in any shape;
-    # it decides the order
+    # influences are sorted by it
     strength: float
 
 
@@ -52,7 +52,7 @@ def influences(parameters: dict[str, Array], margin: Array) -> list[Influence]:
 
 
 def explained(values: Array, ranks: Array) -> float:
-    """Return the share of the variance of `ranks` between slices of `values`, less that of chance.
+    """Return the share of the variance of `ranks` between slices of `values`, minus chance.
 
     A parameter that hurts at both ends has no rank correlation; its slices show it.
     """
@@ -81,7 +81,7 @@ def _fisher(r: float, n: int) -> tuple[float, float]:
 
 
 def _grouped(found: list[Influence], drawn: dict[str, Array]) -> list[Influence]:
-    """Put parameters together whose draws go together; the stronger one speaks for both."""
+    """Group parameters whose draws are correlated; the strongest one represents the group."""
     groups: list[Influence] = []
     for item in found:
         (name,) = item.names
@@ -106,6 +106,6 @@ def median_interval(values: Array) -> tuple[float, float, float]:
 
 
 def paired_p(only_first: int, only_second: int) -> float:
-    """Return the probability of so uneven a pair of counts by chance (exact test of McNemar)."""
+    """Return the probability of counts at least this uneven by chance (exact test of McNemar)."""
     n = only_first + only_second
     return 1.0 if n == 0 else float(stats.binomtest(only_first, n, 0.5).pvalue)

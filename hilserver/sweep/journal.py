@@ -1,4 +1,4 @@
-"""What is finished, a line for each machine: it survives whatever ends the sweep."""
+"""Finished machines, one line each: the file survives any end of the sweep."""
 
 import json
 import os
@@ -17,8 +17,7 @@ SCHEMA = "hilserver.sweep/1"
 class Journal:
     """Appends outcomes to a file; with `resume`, knows those of earlier runs.
 
-    FailedError if there is one already and it is not to be continued, or it is that of another
-    sweep.
+    FailedError if a file exists and is not to be continued, or belongs to another sweep.
     """
 
     def __init__(self, folder: Path, key: str, *, resume: bool) -> None:
@@ -33,13 +32,13 @@ class Journal:
         except OSError as error:
             text = (error.strerror or "refused").lower()
             raise FailedError(f"{self.path}: cannot be written: {text}") from None
-        self._file.truncate(end)  # a line that was torn goes
+        self._file.truncate(end)  # cuts off half a line
         self._file.seek(end)
         if not end:
             self._write([head])
 
     def _read(self, head: dict[str, str], *, resume: bool) -> int:
-        """Take over what is there; return how many bytes are whole lines."""
+        """Read what is there; return the number of bytes in whole lines."""
         content = self.path.read_bytes()
         whole = content[: content.rfind(b"\n") + 1]
         if not whole:
@@ -69,7 +68,7 @@ class Journal:
         return len(whole)
 
     def add(self, outcomes: Iterable[Outcome], computer: str) -> None:
-        """Keep outcomes, on the disk when this returns."""
+        """Add outcomes; they are on disk when this returns."""
         rows = []
         for outcome in outcomes:
             row: dict[str, Any] = {"index": outcome.index, "margins": list(outcome.margins)}
@@ -85,7 +84,7 @@ class Journal:
         self._file.flush()
 
     def close(self) -> None:
-        """Have everything on the disk."""
+        """Write everything to disk."""
         self._file.flush()
         os.fsync(self._file.fileno())
         self._file.close()

@@ -1,4 +1,4 @@
-"""A sweep in the words of a test report: a test case for each requirement."""
+"""A sweep as a test report: one test case per requirement."""
 
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -10,7 +10,7 @@ from hilserver.sweep.table import REFUSED, Table
 
 
 def write_junit(path: Path, table: Table) -> None:
-    """Write a test suite; a requirement fails that too few machines meet."""
+    """Write a test suite; a requirement that too few machines meet fails."""
     driven = np.array([status != REFUSED for status in table.status], dtype=bool)
     shares, name = table.about["shares"], str(table.about["sweep"])
     cases, failures = [], 0

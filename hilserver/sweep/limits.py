@@ -1,4 +1,4 @@
-"""What a machine may take of its worker: time, memory, and no output."""
+"""What a machine may use of its worker: limited time and memory, and no output."""
 
 import contextlib
 import os
@@ -8,13 +8,13 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-GRACE_S = 5.0  # so much later the kernel ends a worker whose code does not listen
+GRACE_S = 5.0  # extra time until the kernel ends a worker whose code cannot be interrupted
 _SILENCE = Path(os.devnull).open("w", encoding="utf-8", errors="replace")  # noqa: SIM115
-"""Never closed: controllers keep it, and threads that overlap put it back."""
+"""Never closed: controllers may keep it, and overlapping threads may restore it."""
 
 
 class OutOfTime(BaseException):
-    """The machine's time is over; no 'except Exception' of a controller holds it up."""
+    """The machine's time is over; a controller's 'except Exception' does not catch it."""
 
 
 @contextlib.contextmanager
@@ -22,7 +22,7 @@ def limited(time_s: float) -> Iterator[None]:
     """Raise `OutOfTime` in the block after `time_s`; end the process a little later.
 
     Python code is interrupted in the main thread of a process, where the signal arrives. Compiled
-    code, and threads of a Dask worker, are ended with their process; whoever submitted finds out.
+    code, and threads of a Dask worker, are ended with their process, which the submitter notices.
     """
     in_main = threading.current_thread() is threading.main_thread()
     before = signal.signal(signal.SIGALRM, _over) if in_main else None
@@ -43,7 +43,7 @@ def _over(_number: int, _frame: object) -> None:
 
 
 def limit_memory(megabytes: float) -> None:
-    """Let this process have so much memory more than it has now."""
+    """Let this process have this much more memory than it has now."""
     has = 0
     with contextlib.suppress(OSError):
         words = Path("/proc/self/statm").read_text(encoding="ascii").split()

@@ -1,4 +1,4 @@
-"""Many ticks of one machine: the compiled step without frames for others, clock and statistics."""
+"""Many ticks of one machine: the compiled step without published frames, clock or statistics."""
 
 from typing import Any
 
@@ -44,11 +44,11 @@ def run_ticks(
     step : STEP_TYPE
         The compiled step.
     periods : ndarray of int64
-        Of the compiled slices [ticks].
+        Periods of the compiled slices [ticks].
     slots : ndarray of int64, shape (k,)
         Signals to keep.
     kept : ndarray of float64, shape (k, n)
-        Takes their values, a column for each tick of the drive, from 0 on.
+        Receives their values, one column per tick of the drive, from 0 on.
     """
     for tick in range(first, first + n_ticks):
         planned_ns = tick * period_ns

@@ -138,11 +138,11 @@ _KINDS: Final = {
     "python": ("every_ms",),
     "command": ("lockstep",),
 }
-"""What each kind of controller needs, and what else belongs to it alone."""
+"""Keys that each kind of controller needs, and further keys that only it takes."""
 
 
 class Limits(Section):
-    """What one machine may take; who takes more fails."""
+    """What one machine may use; a machine that uses more fails."""
 
     time_s: float = Field(60.0, gt=0, le=3600, description="on the clock")
     memory_mb: float = Field(1000.0, ge=100, le=1e6, description="beyond what a worker begins with")

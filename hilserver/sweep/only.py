@@ -1,4 +1,4 @@
-"""One machine of a sweep once more, through the whole daemon, with everything written down.
+"""One machine of a sweep once more, through the whole daemon, with everything recorded.
 
 The recording's margins are those of the table, bit by bit; configuration and scenario are files
 that ``hilserver run`` takes.
@@ -33,7 +33,7 @@ CONFIG, SCENARIO, RECORDING, MARGINS = (
 def drive_again(prepared: Prepared, index: int, folder: Path) -> Outcome:
     """Write configuration, scenario, recording and margins of one machine; return its outcome.
 
-    FailedError if there is no such machine, or the daemon drives another way than the sweep.
+    FailedError if there is no such machine, or the daemon's drive differs from the sweep's.
     """
     machine = prepared.machine(index)
     if machine.p is None:
@@ -81,7 +81,7 @@ async def _record(
 def _scenario(
     prepared: Prepared, machine: Machine, written: list[tuple[int, dict[str, Any]]]
 ) -> Scenario:
-    """Return what was played, with what a controller commanded as steps."""
+    """Return the scenario played, with a controller's commands as steps."""
     base, period_s = prepared.job.scenario, prepared.assembly.base_period_ns * 1e-9
     steps = [
         Step(at_s=tick * period_s, write={n: _plain(v) for n, v in values.items()})

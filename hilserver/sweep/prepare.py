@@ -1,4 +1,4 @@
-"""From the file of a sweep to what a worker needs: checked once, by whoever submits."""
+"""From the file of a sweep to what a worker needs: checked once, before it is submitted."""
 
 import hashlib
 import json
@@ -43,13 +43,13 @@ class Machine:
 
     index: int
     seed: int
-    values: Mapping[str, float]  # what was drawn, by full names
+    values: Mapping[str, float]  # drawn values, by full names
     faults: tuple[tuple[int, Fault], ...] = ()  # with their numbers in the file
     # all terms of its plant, drawn or not
     terms: Mapping[str, float | None] = field(default_factory=dict)
     # packed parameters; None for one that cannot be built, `refused` says why
     p: Array | None = None
-    # what its first state has beside zeros
+    # nonzero words of its first state
     state: Mapping[int, float] = field(default_factory=dict)
     refused: str = ""
 
@@ -58,8 +58,8 @@ class Machine:
 class Job:
     """What all machines of a sweep share, as it travels to a worker."""
 
-    key: str  # hash of all that decides a machine's result, but for its index
-    config: Config  # with the controller where that is a block; nothing listens or connects
+    key: str  # hash of all that decides a machine's result, except its index
+    config: Config  # with the controller if it is a block; nothing listens or connects
     folder: Path  # of the configuration
     path: Path  # of the sweep; controllers and checks lie beside it
     scenario: Scenario
@@ -84,10 +84,10 @@ class Prepared:
     robot: RobotParameters
     table: Mapping[str, Parameter]
     draws: Draws
-    left_out: tuple[str, ...]  # parameters of the findings that are none of a robot
+    left_out: tuple[str, ...]  # parameters of the findings that a robot does not have
 
     def machine(self, index: int) -> Machine:
-        """Return the machine with an index; the same on every computer."""
+        """Return the machine with an index, the same on every computer."""
         values, seed = self.draws.values(index), self.draws.plant_seed(index)
         faults = tuple(self.draws.faults_of(index))
         try:
@@ -307,7 +307,7 @@ def _key(
     findings: tuple[Path, Findings] | None,
     path: Path,
 ) -> str:
-    """Return the hash of all that decides results; how many machines there are does not."""
+    """Return the hash of all that decides results; the number of machines does not."""
     digest = hashlib.sha256()
     said = sweep.model_dump(mode="json", by_alias=True, exclude={"machines"})
     parts = (said, config.sha256, scenario.model_dump(mode="json"), kernel_hash(), __version__)

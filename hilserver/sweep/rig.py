@@ -1,6 +1,6 @@
 """Drives machines of one sweep one after the other: one image, one compiled step, many robots.
 
-Every machine begins with the same bytes in the image, so nothing of the one before is left.
+Every machine begins with the same bytes in the image, so nothing is left of the previous one.
 """
 
 from collections.abc import Mapping
@@ -37,9 +37,9 @@ class Outcome:
     """What became of a machine."""
 
     index: int
-    # in the order of the requirements; empty where it could not be driven
+    # in the order of the requirements; empty if it could not be driven
     margins: tuple[float, ...] = ()
-    error: str = ""  # why it could not: the controller raised, took too long, commanded nonsense
+    error: str = ""  # why not: the controller raised, took too long, commanded nonsense
     refused: str = ""  # why there is no such machine
 
     @property
@@ -49,11 +49,11 @@ class Outcome:
 
 
 class _Broken(Exception):
-    """The compiled step gave up; the words say why."""
+    """The compiled step gave up; the text says why."""
 
 
 class Rig:
-    """One robot that becomes every machine of a job."""
+    """One robot that becomes each machine of a job in turn."""
 
     def __init__(self, job: Job) -> None:
         self.job = job
@@ -139,7 +139,7 @@ class Rig:
         return faults_of(image, table, self._period_ns, Parameters.of(p), self._core.events)
 
     def _stage(self) -> None:
-        """Check scenario and faults, and put the scenario's values into the queue of all."""
+        """Check scenario and faults, and put all values of the scenario into the queue."""
         core, job = self._core, self.job
         stage = core.stage()
         stage.check(Play(job.scenario, job.scenario_path))
@@ -186,12 +186,12 @@ class Rig:
 
     @property
     def written(self) -> list[tuple[int, dict[str, Any]]]:
-        """What a Python controller commanded of the last machine, by the tick that latched it."""
+        """Commands of a Python controller to the last machine, by the tick that latched them."""
         return [] if self.driver is None else self.driver.written
 
 
 def judge_of(job: Job, table: SignalTable) -> tuple[Judge, tuple[str, ...]]:
-    """Return what judges a drive, and the signals to keep for it: with those it derives from."""
+    """Return the judge of a drive, and the signals to keep for it and for those it derives."""
     if job.way is None:
         judge = Judge(job.requirements, table, job.path)
         return judge, judge.signals
@@ -211,13 +211,13 @@ def margins_of(
 
 
 def distance_to_way(x_m: Array, y_m: Array, way: Array) -> Array:
-    """Return the distance of points to the nearest piece of a polyline [m], shape (n,).
+    """Return the distance of points to the nearest segment of a polyline [m], shape (n,).
 
     Parameters
     ----------
     x_m, y_m : ndarray, shape (n,)
     way : ndarray, shape (k, 2)
-        Corners, two at least.
+        Corners, at least two.
     """
     nearest = np.full(len(x_m), np.inf)
     for (ax, ay), (bx, by) in pairwise(way.tolist()):
@@ -239,7 +239,7 @@ def scenario_of(scenario: Scenario, machine: Machine) -> Scenario:
 
 
 def _is_ours(problem: BaseException) -> bool:
-    """Whether it is the end of the program, asked for by a signal."""
+    """Whether it is the end of the program, requested by a signal."""
     from hilserver.program.ending import end_was_asked  # noqa: PLC0415
 
     return isinstance(problem, SystemExit) and end_was_asked()

@@ -1,8 +1,8 @@
 """A controller that is a process: an OPC UA client that steps the robot, which waits for it.
 
-Every machine is a daemon of its own in virtual time that stands still; the process is started with
-its address, writes commands and calls Step. Whatever it does, a machine ends: with the drive, with
-the process, or when its time is over.
+Every machine is a daemon of its own, paused in virtual time; the process is started with its
+address, writes commands and calls Step. Whatever the process does, a machine ends: with the drive,
+with the process, or when its time is over.
 """
 
 import asyncio
@@ -34,13 +34,13 @@ from hilserver.sweep.prepare import Job, Machine
 from hilserver.sweep.rig import Outcome, judge_of, margins_of, scenario_of
 
 ENDPOINT, SEED = "{endpoint}", "{seed}"
-"""What stands for the robot's address and the machine's seed in a command."""
+"""Placeholders in a command for the robot's address and the machine's seed."""
 _ADDRESS: Final = "opc.tcp://127.0.0.1:0/hilserver"
 _LAST_LINES: Final = 20
 
 
 class _Failed(Exception):
-    """The machine fails; the words say why."""
+    """The machine fails; the text says why."""
 
 
 class Stepped:
@@ -49,7 +49,7 @@ class Stepped:
     def __init__(self, job: Job) -> None:
         setup_logging("ERROR")
         self.job = job
-        # what the last machine's process commanded, by the tick that latched it
+        # commands of the last machine's process, by the tick that latched them
         self.written: list[tuple[int, dict[str, Any]]] = []
         assembly = assemble_config(job.config, job.folder)
         self._judge, self._kept = judge_of(job, assembly.table)
@@ -65,7 +65,7 @@ class Stepped:
             return Outcome(machine.index, error=str(problem))
 
     async def _margins(self, machine: Machine) -> tuple[float, ...]:
-        """Drive; return the margins; _Failed if there are none."""
+        """Drive and return the margins; _Failed if there are none."""
         job = self.job
         config = Config.model_validate(machine_config(job.config, job.folder, machine))
         assembly = assemble_config(_reachable(config), job.folder)
@@ -84,7 +84,7 @@ class Stepped:
     async def _process(
         self, daemon: Daemon, machine: Machine
     ) -> "AsyncIterator[asyncio.subprocess.Process]":
-        """Run the controller while the context lasts; what it has started ends with it."""
+        """Run the controller while the context lasts; processes that it started end with it."""
         given = self.job.controller
         assert given is not None
         own = {ENDPOINT: daemon.part("opcua").url, SEED: str(machine.seed)}
@@ -141,7 +141,7 @@ class Stepped:
 
 
 class _Watch:
-    """Takes the values of every tick, and notes what the controller commanded."""
+    """Collects the values of every tick and the controller's commands."""
 
     def __init__(self, daemon: Daemon, kept: tuple[str, ...], n_ticks: int) -> None:
         self._daemon, self._n, self._done = daemon, n_ticks, 0
@@ -190,7 +190,7 @@ class _Watch:
         ticks, values = ticks[inside], values[inside]
         if not len(ticks):
             return
-        if ticks[0] == 0:  # a Reset begins anew
+        if ticks[0] == 0:  # after a Reset the drive begins anew
             self.written, self._newest = [], np.array([s.initial for s in self._inputs])
         self.values[:, ticks] = values[:, self._slots].T
         inputs = values[:, [s.slots[0] for s in self._inputs]]
@@ -203,7 +203,7 @@ class _Watch:
 
 
 def _reachable(config: Config) -> Config:
-    """Return the robot with a server that programs of this computer reach and nobody else."""
+    """Return the robot with a server that only programs of this computer can reach."""
     opcua = type(config.opcua)(endpoint=_ADDRESS)
     return config.changed(opcua=opcua, control={"source": "opcua"})
 
@@ -221,7 +221,7 @@ def _typed(signal: Signal, value: float) -> bool | int | float:
 
 
 async def _keep(process: asyncio.subprocess.Process, lines: "deque[str]") -> None:
-    """Read what a process says of its errors and keep the end, until it closes its output."""
+    """Read the error output of a process until it is closed, and keep its end."""
     assert process.stderr is not None
     rest = b""
     while piece := await process.stderr.read(4096):
@@ -233,7 +233,7 @@ async def _keep(process: asyncio.subprocess.Process, lines: "deque[str]") -> Non
 
 
 def _ending(code: int, lines: "deque[str]") -> str:
-    """Return how a process ended, with what it said of it."""
+    """Return how a process ended, with its error message."""
     how = how_ended(code)
     if code == 0:
         return how

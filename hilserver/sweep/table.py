@@ -24,16 +24,16 @@ _TEXTS = ("status", "message", "computer")
 
 @dataclass(frozen=True)
 class Table:
-    """Machines by row."""
+    """One row per machine."""
 
     # shape (n,)
     index: NDArray[np.int64]
     seed: NDArray[np.int64]
-    parameters: Mapping[str, NDArray[np.float64]]  # what was drawn, by full name
+    parameters: Mapping[str, NDArray[np.float64]]  # drawn values, by full name
     faults: Mapping[str, NDArray[np.float64]]  # 1 where a machine has it
-    # by requirement; NaN where a machine could not be driven
+    # by requirement; NaN if a machine could not be driven
     margins: Mapping[str, NDArray[np.float64]]
-    # of `STATUSES`; why; where, if its bits may differ
+    # one of `STATUSES`; the reason; the computer, if its bits may differ
     status: list[str]
     message: list[str]
     computer: list[str]
@@ -50,8 +50,8 @@ class Table:
     def worst_margin(self) -> NDArray[np.float64]:
         """Smallest margin of each machine in units of its requirement's spread, shape (n,).
 
-        Requirements have different units: each margin is divided by the median size of its own.
-        NaN where it could not be driven.
+        Requirements have different units: each margin is divided by the median size of its
+        requirement's margins. NaN if the machine could not be driven.
         """
         worst = np.full(len(self), np.inf)
         for values in self.margins.values():
@@ -62,7 +62,7 @@ class Table:
         return worst
 
     def columns(self) -> dict[str, Any]:
-        """Return what stands in the file, by the name of the column."""
+        """Return the columns of the file by name."""
         return {
             "index": self.index,
             "seed": self.seed,
@@ -76,7 +76,7 @@ class Table:
 
 
 def table_of(prepared: Prepared, journal: Journal, indices: range) -> Table:
-    """Return what is finished, in the order of the indices."""
+    """Return the finished machines, in the order of the indices."""
     found = [index for index in indices if index in journal.done]
     draws, names = prepared.draws, prepared.draws.names
     values = np.empty((len(names), len(found)))
@@ -109,7 +109,7 @@ def table_of(prepared: Prepared, journal: Journal, indices: range) -> Table:
 
 
 def summary(prepared: Prepared) -> dict[str, Any]:
-    """Return what a report says about the sweep, beside the table."""
+    """Return what a report states about the sweep, in addition to the table."""
     sweep = prepared.sweep
     return {
         "schema": "hilserver.sweep_summary/1",
@@ -160,7 +160,7 @@ def _write_csv(path: Path, table: Table) -> Path:
 
 
 def read_table(folder: Path) -> Table:
-    """Return the result that a sweep has left in a folder.
+    """Return the result of a sweep from its folder.
 
     LogError if there is none, or it cannot be read.
     """

@@ -10,11 +10,11 @@ from hilserver.sweep.prepare import Prepared
 from hilserver.sweep.rig import Outcome
 from hilserver.sweep.table import ERROR, PASSED, REFUSED, Table
 
-MOST_TRIED = 1000  # machines that are drawn to say how many cannot be built
+MOST_TRIED = 1000  # machines drawn to estimate how many cannot be built
 
 
 def headline(table: Table) -> str:
-    """Return the share that passes in a sentence."""
+    """Return a sentence on the share that passes."""
     n = len(table) - table.count(REFUSED)
     if n == 0:
         return "No machine could be built: every draw is outside the range of a parameter."
@@ -23,7 +23,7 @@ def headline(table: Table) -> str:
 
 
 def details(table: Table) -> str:
-    """Return how sure the share is, and what else became of machines."""
+    """Return how certain the share is, and what became of the other machines."""
     n = len(table) - table.count(REFUSED)
     low, high = exact_interval(table.count(PASSED), n)
     text = f"95 % between {100 * low:.1f} % and {100 * high:.1f} %."
@@ -35,7 +35,7 @@ def details(table: Table) -> str:
 
 
 def scope(table: Table) -> str:
-    """Return whether the share is about one machine or about many."""
+    """Return whether the share concerns one machine or many."""
     one, many = table.about["of_one_machine"], table.about["population"]
     if one and many:
         return (
@@ -117,7 +117,7 @@ def compare(a: Table, b: Table) -> str:
 
 
 def _shared(a: Table, b: Table) -> tuple[list[int], list[int]]:
-    """Return the rows of the machines that both have."""
+    """Return the rows of the machines that are in both."""
     rows = {int(index): row for row, index in enumerate(b.index)}
     pairs = [(row, rows[int(i)]) for row, i in enumerate(a.index) if int(i) in rows]
     mine, other = [p[0] for p in pairs], [p[1] for p in pairs]

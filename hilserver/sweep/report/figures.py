@@ -1,4 +1,4 @@
-"""What the report of a sweep draws: distributions of margins, what decides, where it fails."""
+"""Figures of a sweep's report: distributions of margins, what decides, where it fails."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -13,7 +13,7 @@ from hilserver.sweep.table import Table
 
 MOST_BARS: Final = 40
 MOST_DOTS: Final = 1500
-"""Dots of a map; of more machines only so many are drawn, failing ones first."""
+"""Most dots in a map; of more machines, failing ones are drawn first."""
 
 
 def unit_text(unit: str) -> str:
@@ -22,13 +22,13 @@ def unit_text(unit: str) -> str:
 
 
 def distribution(name: str, margins: Array, unit: str) -> Figure | None:
-    """Return how the margins of a requirement are distributed, failing ones in their colour."""
+    """Draw how the margins of a requirement are distributed, failing ones in their own colour."""
     finite = margins[np.isfinite(margins)]
     endless = int(np.isneginf(margins).sum())
     if len(finite) < 2:
         return None
     low, high = span_of(finite, np.zeros(1))
-    # An edge lies at zero, so that no bar holds machines of both kinds.
+    # One edge is at zero, so that no bar mixes passing and failing machines.
     width = (high - low) / min(MOST_BARS, max(int(2 * len(finite) ** (1 / 3)), 8))
     edges = np.arange(np.floor(low / width), np.ceil(high / width) + 1) * width
     counts, _ = np.histogram(finite, edges)
@@ -53,10 +53,10 @@ def distribution(name: str, margins: Array, unit: str) -> Figure | None:
 def failing_region(
     table: Table, name: str, found: Sequence[Influence], units: dict[str, str]
 ) -> Figure | None:
-    """Return where in the plane of the two parameters that decide most machines fail."""
+    """Draw where machines fail, in the plane of the two most decisive parameters."""
     margins = table.margins[name]
     driven = np.flatnonzero(~np.isnan(margins))
-    # A fault is there or not: it has no axis.
+    # A fault is present or not: it makes no axis.
     axes = [item.names[0] for item in found if item.names[0] in table.parameters]
     if len(axes) < 2 or not (margins[driven] < 0.0).any():
         return None
@@ -83,7 +83,7 @@ def failing_region(
 
 
 def _shares(plot: Plot, x: Array, y: Array, fails: NDArray[np.bool_]) -> None:
-    """Shade a grid of cells by the share of machines in them that fail."""
+    """Shade a grid of cells by the share of failing machines in each."""
     n = int(min(max(np.sqrt(len(x) / 8.0), 3), 16))
     x_edges, y_edges = np.linspace(*plot.x, n + 1), np.linspace(*plot.y, n + 1)
     total, _, _ = np.histogram2d(x, y, (x_edges, y_edges))

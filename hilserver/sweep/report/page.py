@@ -32,7 +32,7 @@ class Judged:
     name: str
     unit: str
     met: int
-    # of the machines that meet it, with the exact interval
+    # share of the machines that meet it, with the exact interval
     share: float
     low: float
     high: float
@@ -102,7 +102,7 @@ def _judged(table: Table, name: str, n: int) -> Judged:
 
 def _worst(table: Table) -> list[dict[str, Any]]:
     """Return machines to drive again."""
-    size = table.worst_margin  # NaN where the controller failed: those have their own table
+    size = table.worst_margin  # NaN if the controller failed: these have their own table
     order = np.argsort(size, kind="stable")
     rows = [row for row in order.tolist() if not np.isnan(size[row])]
     return [
@@ -117,7 +117,7 @@ def _worst(table: Table) -> list[dict[str, Any]]:
 
 
 def _counted(table: Table, status: str, most: int = 8) -> list[tuple[str, int, int]]:
-    """Return messages of a status, how often each came, and a machine that has it."""
+    """Return the messages of a status, their counts, and one machine with each."""
     found: dict[str, list[int]] = {}
     for row, message in enumerate(table.message):
         if table.status[row] == status:
@@ -129,7 +129,7 @@ def _counted(table: Table, status: str, most: int = 8) -> list[tuple[str, int, i
 
 @cache
 def _environment() -> Environment:
-    """Return what fills the template: that of the diagnosis, with this room's templates."""
+    """Return the template environment: that of the diagnosis, with this room's templates."""
     made = environment().overlay(
         loader=ChoiceLoader(
             [PackageLoader("hilserver.sweep.report"), PackageLoader("hilserver.diagnosis.report")]
