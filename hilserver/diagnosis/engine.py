@@ -254,8 +254,8 @@ def _collected(
 
     Parameters
     ----------
-    Gains of all causes of each stage, if known.
-        Of all causes of each stage, where it is known.
+    gains : iterable of dict of str to Gain or None, optional
+        Gains of all causes of each stage, if known.
     """
     found = [_in(m.name, fault) for m in members for fault in m.faults]
     fitted: dict[int, Fitted] = {}

@@ -135,15 +135,15 @@ def anchor_off(
 def scale_or_anchor(problem: Problem, point: Point) -> tuple[int, float, Anchor] | None:
     """Compare an accepted scale of the navigation with misplaced anchors; None without a scale.
 
-    A scale is the simplest error field that one misplaced anchor can cause, and so the first to be
-    found.
+    A scale is the simplest error field of one misplaced anchor, and so the first to be found.
 
     Returns
     -------
     int
         Index of the scale among the accepted causes.
-    Deviance that one anchor, or all four (less one for each), saves beyond the scale. More than
-    `TIE`: there is no scale; within it, the data do not decide.
+    float
+        Deviance that one anchor, or all four (less one for each), saves beyond the scale. More than
+        `TIE`: there is no scale; within it, the data do not decide.
     Anchor
         The anchor that explains most in place of the scale.
     """

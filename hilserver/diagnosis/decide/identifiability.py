@@ -108,9 +108,9 @@ def rivals(library: Library, point: Point, index: int, near: Sequence[Trial] = (
 
     Parameters
     ----------
-    Others that explained nearly as much when the cause was accepted. A large effect need not
-    look like the slope of its cause: a limit has no effect until it is reached.
-        look like the slope of its cause: a limit does nothing until it is reached.
+    near : sequence of Trial
+        Others that explained nearly as much when the cause was accepted. A large effect need not
+        look like the slope of its cause: a limit has no effect until it is reached.
     """
     problem, taken = library.problem, point.model.causes
     best: dict[str, tuple[Candidate, tuple[float, ...], float]] = {}

@@ -47,7 +47,7 @@ def late_turn(point: Point) -> int | None:
 
 
 def bent_turn(problem: Problem, point: Point, explained: float) -> int | None:
-    """Return the index of a cause that only makes up the small difference of tyres to a gain.
+    """Return the index of a cause that only makes up the small difference between tyres and a gain.
 
     Parameters
     ----------

@@ -94,7 +94,7 @@ def remaining(
 
 
 class Imitation:
-    """The accepted cause that a column of unknown structure most clearly explains better.
+    """The accepted cause that a column of unknown structure most clearly outdoes.
 
     Compared on blocks that neither was fitted to, without what the other causes explain. Only
     columns that could stand in its place count: others explain something else, which may well be

@@ -90,10 +90,9 @@ def holds(problem: Problem, before: Point, after: Point) -> bool:
 def wald(problem: Problem, point: Point, index: int) -> float:
     """Return how far a fitted cause lies from its null, as a normal deviate.
 
-    Tested is a factor of the whole effect of the cause. The slope at the fit says less about a
-    cause that acts in jumps: a robot that nearly missed the edge of a floor turns there quite
-    differently. Only blocks that separate the cause from the others count, see
-    `screen.normal`.
+    The test is of a factor on the whole effect of the cause. The slope at the fit says less about
+    a cause that acts in jumps, such as at the edge of a floor that a robot nearly missed. Only
+    blocks that separate the cause from the others count, see `screen.normal`.
     """
     columns = problem.accepted(point)
     assert columns is not None

@@ -69,8 +69,8 @@ def fit_in_all(
 
     Parameters
     ----------
-    The parameters that differ by group; without it they are determined.
-        The parameters that differ by group; without it they are found.
+    free : ndarray of bool, shape (k,), optional
+        The parameters that differ by group; without it they are determined.
     """
     points = [
         fit(j.prepared.problem, model, j.point) for j, model in zip(members, models, strict=True)

@@ -36,8 +36,8 @@ def render(findings: Findings, evidence: Evidence) -> str:
     ----------
     findings : Findings
         What was found.
-    The evidence for it; empty parts are left out.
-        What stands behind it; empty parts are left out.
+    evidence : Evidence
+        The evidence for it; empty parts are left out.
     """
     gains = words.gains(findings)
     drawn: tuple[Series | Path, ...] = (*evidence.series, *evidence.paths)

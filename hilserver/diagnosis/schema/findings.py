@@ -99,7 +99,7 @@ class Matters(_Model):
     Attributes
     ----------
     alone : float
-        Mean absolute error over held-out blocks, all other causes on: without this over with it.
+        Mean absolute error over held-out blocks without this cause, over that with all causes.
     with_partners : float
         The same without this cause and those whose estimates are correlated with its own: they
         take over what it explains if only it is left out.
