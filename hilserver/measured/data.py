@@ -69,6 +69,8 @@ class MeasuredLog:
     on_ticks: bool = False
     # largest reading, of either sign, of a channel whose sensor is limited
     limits: Mapping[str, float] = field(default_factory=dict)
+    # speeds that the data checks made of angles: their steps are those of a counter
+    made: frozenset[str] = frozenset()
 
     @property
     def drive_is_known(self) -> bool:

@@ -32,7 +32,7 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
     alone = {a: s for a, s in speed_of.items() if a in log and s not in log and len(log[a]) > 1}
     if alone:
         speeds = {speed: _changing(log[angle]) for angle, speed in alone.items()}
-        log = log.without(alone).with_channels(speeds)
+        log = replace(log.without(alone).with_channels(speeds), made=frozenset(speeds))
         made = f"no speed was recorded of {', '.join(alone)}: it is made of how the angles change"
         notices.append(made)
     return replace(log, notices=(*log.notices, *notices)), []

@@ -158,7 +158,7 @@ def _coarse(problem: Problem, base: Point) -> float | None:
     A loop on a coarse speed hunts about its set-point, and no replay stays in step with it for
     long: the measured values themselves show the step, and the ripple counts as noise.
     """
-    names = [n for n in SPEEDS if n in problem.stack.edges]
+    names = [n for n in SPEEDS if n in problem.stack.edges and n not in problem.stage.log.made]
     if not names or not base.is_gross:
         return None
     parts = [problem.stack.edges[n] for n in names]

@@ -473,6 +473,7 @@ def test_angles_of_wheels_alone_are_differentiated(table, size):
     checked = check(log_of(t, {**wheel, "wheel.fl.angle_rad": seen}), ROBOT)
     channel = checked.log[SPEEDS[0]]
     assert "wheel.fl.angle_rad" not in checked.log
+    assert checked.log.made == {SPEEDS[0]}
     assert channel.values == pytest.approx(columns[SPEEDS[0]][1:], abs=0.05)
     assert channel.t_s == pytest.approx(t[1:] - 0.01)
     assert "no speed was recorded of wheel.fl.angle_rad" in checked.log.notices[-1]
