@@ -1,6 +1,8 @@
 """Unit errors: a channel is larger or smaller than all others by the factor of a unit."""
 
 from collections.abc import Iterable
+from itertools import product
+from typing import Final
 
 import numpy as np
 
@@ -18,7 +20,7 @@ from hilserver.diagnosis.checks.motion import (
 from hilserver.diagnosis.checks.support import data_fault, listed
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import UNIT_ALIKE, UNIT_CLOSE, UNITY
-from hilserver.measured.channels import GYRO, IMU_YAW, NAV_X, NAV_Y, POSITION, YAW
+from hilserver.measured.channels import GYRO, IMU_YAW, POSITION, SETPOINTS, SPEEDS, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
@@ -44,12 +46,15 @@ LENGTH = {
     1e-3: "is a thousand times too small",
 }
 SHARE = {0.01: "holds a share of 1 where per cent is meant"}
+SAME_SIDE: Final = (SPEEDS[1], SPEEDS[0], SPEEDS[3], SPEEDS[2])
+ONE_WHEEL_CLOSE: Final = 1.15  # factor by which the ratio of a wheel may miss that of two units
+ALIKE_AXES: Final = 0.6  # share of the misfit that is left where axes have different units
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
     """Find channels in a wrong unit, and convert them."""
     findings: list[Finding] = []
-    for judge in (_wheels, _wheels, _yaw, _gyro, _position, _duty):
+    for judge in (_wheels, _wheels, _wheel, _wheel, _yaw, _gyro, _position, _position, _duty):
         channels, fault = judge(log, robot)
         if fault is None:
             continue
@@ -92,7 +97,8 @@ def _wheels(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault 
     speeds = _there(log, (f"wheel.{wheel}.speed_rpm" for wheel in WHEELS))
     sent = _there(log, (f"wheel.{wheel}.setpoint_rpm" for wheel in WHEELS))
     windows = windows_of(log)
-    travelled = _chord(log)
+    moved = _moved(log)
+    travelled = None if moved is None else np.hypot(*moved)
     by_nav = {
         what: _known(line(rolled(log, what, windows, robot), travelled, 0.02), WHEEL)
         for what in ("speed_rpm", "setpoint_rpm")
@@ -117,6 +123,30 @@ def _wheels(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault 
     return speeds, fault
 
 
+def _wheel(log: MeasuredLog, _: RobotParameters) -> tuple[list[str], Fault | None]:
+    """Judge each wheel by its set-point, or else by the other wheel of its side.
+
+    Of the two that one is wrong whose size differs more from the usual one of its kind.
+    """
+    windows, kinds = windows_of(log), (SPEEDS, SETPOINTS)
+    columns = {n: mean_in(log[n], windows) for kind in kinds for n in _there(log, kind)}
+    size = {n: float(np.abs(log[n].values).mean()) + 1e-9 for n in columns}
+
+    def apart(name: str) -> float:
+        usual = np.median([size[n] for kind in kinds for n in kind if name in kind and n in size])
+        return abs(float(np.log(size[name] / usual)))
+
+    found: dict[str, Fault] = {}
+    for speed, sent, other in zip(SPEEDS, SETPOINTS, SAME_SIDE, strict=True):
+        pair = [name for name in (speed, sent, other) if name in columns][:2]
+        if speed in pair and len(pair) == 2:
+            right, wrong = sorted(pair, key=apart)
+            fault = _known(line(columns[wrong], columns[right], 1e-3), WHEEL, ONE_WHEEL_CLOSE)
+            found |= {} if fault is None else {wrong: fault}
+    first = next(iter(found.values()), None)
+    return [n for n, fault in found.items() if first and fault[0] == first[0]], first
+
+
 def _near(log: MeasuredLog, fault: Fault, robot: RobotParameters, names: list[str]) -> bool:
     """Return whether the robot can drive the converted speeds."""
     fastest = max(float(np.quantile(np.abs(log[name].values), 0.99)) for name in names)
@@ -127,15 +157,14 @@ def _there(log: MeasuredLog, names: Iterable[str]) -> list[str]:
     return [name for name in names if name in log]
 
 
-def _chord(log: MeasuredLog) -> Array | None:
-    """Return the distance per second that the tag moved [m/s]."""
+def _moved(log: MeasuredLog) -> tuple[Array, Array] | None:
+    """Return how fast the tag moved along x and y [m/s]."""
     if not log.has(*POSITION):
         return None
     windows = windows_of(log)
-    x0, x1, dt = ends_in(log[NAV_X], windows)
-    y0, y1, _ = ends_in(log[NAV_Y], windows)
-    result: Array = np.hypot(x1 - x0, y1 - y0) / dt
-    return result
+    ends = [ends_in(log[name], windows) for name in POSITION]
+    (x, y), dt = [last - first for first, last, _ in ends], ends[0][2]
+    return x / dt, y / dt
 
 
 def _gyro(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | None]:
@@ -167,11 +196,26 @@ def _yaw(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | N
 
 
 def _position(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | None]:
-    windows, way = windows_of(log), None
+    """Judge the axes: of all units that they may have, those count that fit the way best."""
+    windows, way, moved = windows_of(log), None, _moved(log)
     for what in ("speed_rpm", "setpoint_rpm"):
         way = rolled(log, what, windows, robot) if way is None else way
-    fault = _known(line(_chord(log), way, 0.02), LENGTH, 2.0)
-    return _there(log, POSITION), fault
+    usual = None if moved is None else line(np.hypot(*moved), way, 0.02)
+    if moved is None or usual is None or 1 / UNITY < usual.slope < UNITY:
+        return [], None
+    fits: dict[tuple[float, float], Line] = {}
+    for of_x, of_y in product((1.0, *LENGTH), repeat=2):
+        fit = line(np.hypot(moved[0] / of_x, moved[1] / of_y), way, 0.02)
+        if fit is not None and 0.5 < fit.slope < 2.0 and fit.correlation > UNIT_ALIKE:
+            fits[of_x, of_y] = fit
+    if not fits:
+        return [], None
+    best = min(
+        fits, key=lambda u: (1.0 - fits[u].correlation ** 2) * (ALIKE_AXES if u[0] == u[1] else 1.0)
+    )
+    factor = max(best, key=lambda unit: abs(np.log(unit)))
+    wrong = [name for name, unit in zip(POSITION, best, strict=True) if unit == factor]
+    return wrong, (factor, fits[best], LENGTH[factor])
 
 
 def _duty(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | None]:

@@ -124,6 +124,12 @@ def test_a_sound_log_in_short_spans_gives_no_finding(seed):
         (("imu.gyro_z_rad_s",), math.pi / 180),
         (NAV[:2], 1000.0),
         (NAV[:2], 100.0),
+        (NAV[:1], 1000.0),
+        (NAV[1:2], 100.0),
+        (SPEEDS[:1], math.pi / 30),
+        (SPEEDS[2:3], 6.0),
+        (SPEEDS[:2], math.pi / 30),
+        (SENT[3:], math.pi / 30),
     ],
 )
 def test_units(table, names, factor):
@@ -135,6 +141,14 @@ def test_units(table, names, factor):
     assert channels == set(names)
     original = columns[names[0]][np.isfinite(columns[names[0]])]
     assert log[names[0]].values == pytest.approx(original)
+
+
+def test_the_unit_of_one_wheel_is_judged_without_setpoints_as_well(table):
+    t, columns = table
+    without = {n: v for n, v in columns.items() if n not in SENT}
+    cause, value, channels, _ = fault(t, scaled(without, SPEEDS[1:2], math.pi / 30))
+    assert (cause, channels) == ("unit_error", {SPEEDS[1]})
+    assert value.value == pytest.approx(math.pi / 30)
 
 
 def test_units_of_a_heading(table):
