@@ -1,4 +1,4 @@
-"""The controller's cycle: pose in, law, set-points out, every 20 ms on absolute deadlines."""
+"""The controller's cycle: pose in, control law, set-points out, every 20 ms (absolute times)."""
 
 import asyncio
 import math
@@ -22,10 +22,10 @@ _log = structlog.get_logger(__name__)
 
 @dataclass(slots=True)
 class PoseWatch:
-    """Tells a living pose from one that was written once."""
+    """Distinguishes a pose that is updated from one that was written once."""
 
     stale_s: float = POSE_STALE_S
-    # the newest one, None while there is none or it is older than `stale_s`
+    # the newest one, None if there is none or it is older than `stale_s`
     pose: Pose | None = None
     _stamp: datetime | None = None
     _seen_s: float = -math.inf
@@ -33,7 +33,7 @@ class PoseWatch:
     def observe(
         self, values: tuple[object, object, object], stamp: datetime | None, now_s: float
     ) -> Pose | None:
-        """Take what the nodes hold at `now_s` (monotonic) and return the usable pose."""
+        """Take the values of the nodes at `now_s` (monotonic) and return the usable pose."""
         if stamp is not None and stamp != self._stamp:
             # The first stamp is the node's own initial value, not a pose.
             if self._stamp is not None:
@@ -47,7 +47,7 @@ class PoseWatch:
 
 @dataclass(slots=True)
 class Controller:
-    """One figure of eight on one server."""
+    """Drives a figure of eight over one server."""
 
     server: ControllerServer
     eight: Eight = field(default_factory=Eight)
@@ -56,7 +56,7 @@ class Controller:
     sequence: int = 0  # counts cycles, modulo 2**32
     # ``eight``: the figure. ``wheels``: each wheel alone, from the first pose on
     pattern: str = "eight"
-    # asked before anybody can know that we listen, and end
+    # read early: before a parent can know that we listen, and end
     parent: int = field(default_factory=os.getppid)
     _s: float = 0.0
     _watch: PoseWatch = field(default_factory=PoseWatch)
@@ -89,7 +89,7 @@ class Controller:
         deadline_s = loop.time()
         while self.sequence % PARENT_CHECK_CYCLES or os.getppid() == self.parent:
             await self.cycle()
-            # A late cycle is not made up for: the next one keeps its place on the grid.
+            # A missed cycle is not repeated: the next one stays on the grid.
             missed = max(0, int((loop.time() - deadline_s) / PERIOD_S))
             deadline_s += (missed + 1) * PERIOD_S
             await asyncio.sleep(deadline_s - loop.time())

@@ -1,6 +1,6 @@
 """Names of the controller's nodes, and the peer configuration that fits them.
 
-The Node-RED flow in deploy/node-red serves the same nodes: what works here works there.
+The Node-RED flow in deploy/node-red serves the same nodes, so that both can be exchanged.
 """
 
 from hilserver.config.peers import PeerConfig

@@ -1,14 +1,14 @@
-"""Follows a figure of eight: the law alone, as pure functions of pose and time step.
+"""Follows a figure of eight: only the control law, as pure functions of pose and time step.
 
 A point at the distance d ahead of the robot is led along the path by feedback linearisation: its
-velocity u is chosen freely and the robot's v and om follow from it, because the point can move
-sideways although the robot cannot::
+velocity u is chosen freely and gives the robot's v and om, because the point can move sideways
+although the robot cannot::
 
         u = path velocity + k (path point - point ahead)
         v  =  u_x cos yaw + u_y sin yaw
         om = (u_y cos yaw - u_x sin yaw) / d
 
-The path point waits when the robot is far behind (saturated wheels, a restart elsewhere).
+The path point waits if the robot is far behind (saturated wheels, a restart elsewhere).
 """
 
 import math
@@ -29,7 +29,7 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Robot:
-    """What the inverse kinematics (5.25) needs: nominal values."""
+    """Nominal values for the inverse kinematics (5.25)."""
 
     wheel_radius_m: float = 0.085
     k_om_per_m: float = 0.31 / (0.25**2 + 0.31**2)  # om = yaw_sign r K_om (w_L + w_R)
@@ -39,7 +39,7 @@ class Robot:
 
 @dataclass(frozen=True, slots=True)
 class Eight:
-    """A lying eight around the origin: x = a sin s, y = b sin 2s."""
+    """A horizontal eight around the origin: x = a sin s, y = b sin 2s."""
 
     # a and b [m]
     half_width_m: float = 1.5
@@ -66,7 +66,7 @@ class Gains:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What the law asks for."""
+    """Output of the control law."""
 
     s: float  # parameter of the path point after this step [rad]
     error_m: float  # distance of the led point from the path point
@@ -82,7 +82,7 @@ def wheel_speeds_rpm(robot: Robot, v_m_s: float, om_rad_s: float) -> dict[str, f
     turning = om_rad_s / (2 * robot.yaw_sign * robot.wheel_radius_m * robot.k_om_per_m)
     left, right = RPM_PER_RAD_S * (straight + turning), RPM_PER_RAD_S * (turning - straight)
     scale = min(1.0, robot.max_rpm / max(abs(left), abs(right), 1e-12))
-    # 90 * (x / 90) may be a last bit more than x, and the daemon refuses what exceeds its limit.
+    # 90 * (x / 90) may exceed x by the last bit, and the daemon refuses values above its limit.
     limit = robot.max_rpm
     left, right = (max(-limit, min(limit, side * scale)) for side in (left, right))
     return dict.fromkeys(LEFT_WHEELS, left) | dict.fromkeys(RIGHT_WHEELS, right)

@@ -20,14 +20,14 @@ _CURRENT_TIME = ua.NodeId(ua.ObjectIds.Server_ServerStatus_CurrentTime)
 
 
 class ControllerServer:
-    """Offers set-points and takes sensors; an async context manager.
+    """Offers set-points and takes sensor values; an async context manager.
 
     Parameters
     ----------
     endpoint : str
         ``opc.tcp://127.0.0.1:<port>/UA/NodeRedAgv``; port 0: any free one.
     more_sensors : sequence of str
-        Nodes that clients may write beside `SENSORS`.
+        Nodes that clients may write in addition to `SENSORS`.
     """
 
     def __init__(self, endpoint: str, *, more_sensors: Sequence[str] = ()) -> None:
@@ -63,7 +63,7 @@ class ControllerServer:
             try:
                 await self._server.start()
             except OSError as error:
-                # A free port can be taken by someone else before we listen on it.
+                # Another program may take a free port before we listen on it.
                 if not wanted.port and attempt < PORT_ATTEMPTS - 1:
                     continue
                 reason = error.strerror or str(error)
@@ -79,7 +79,7 @@ class ControllerServer:
             value = ua.Variant(values[name], TYPES.get(name, ua.VariantType.Double))
             data = ua.DataValue(value, SourceTimestamp=at, ServerTimestamp=at)
             await self._server.write_attribute_value(self._ids[name], data)
-        # asyncua itself moves CurrentTime once a second, too coarse to compare clocks by.
+        # asyncua updates CurrentTime once a second, too coarse for comparing clocks.
         now = ua.DataValue(ua.Variant(datetime.now(UTC), ua.VariantType.DateTime))
         await self._server.write_attribute_value(_CURRENT_TIME, now)
 

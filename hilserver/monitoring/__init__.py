@@ -1,1 +1,1 @@
-"""What the outside sees: metrics, health, logs, and the audit of the system underneath."""
+"""Observability: metrics, health, logs, and the audit of the underlying system."""

@@ -1,8 +1,8 @@
 """The real-time audit: what this system grants to a paced thread, and what it lacks.
 
-Every item is a pure function over the files of /proc, /sys and /dev below a root, so that it can be
-tested on a tree of its own. Missing items degrade the figures, visibly: they stand in the log, in a
-metric and in OPC UA, and never stop the daemon.
+Every item is a pure function of the files of /proc, /sys and /dev below a root, so that it can be
+tested on a tree of its own. Missing items make the figures worse and are shown in the log, in a
+metric and in OPC UA, but never stop the daemon.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,7 +21,7 @@ _GOOD_CLOCKS = ("tsc", "arch_sys_counter", "kvm-clock")
 def audit(scheduler: "Scheduler", root: Path = Path("/")) -> list[Grant]:
     """Return what the system offers, then what it granted to this scheduler."""
     items = [check(root) for check in CHECKS]
-    # Another thread's slack may only be read with privileges: the thread's own answer is better.
+    # Reading another thread's slack needs privileges: prefer the value from the thread itself.
     if all(grant.name != "timer_slack" for grant in scheduler.grants):
         items.append(timer_slack(root, scheduler.thread_id))
     return items + scheduler.grants
@@ -91,7 +91,7 @@ def cpu_dma_latency(root: Path) -> Grant:
 
 
 def cgroup_cpu(root: Path) -> Grant:
-    """Check that the control group takes away neither time nor real-time priority."""
+    """Check that the control group restricts neither time nor real-time priority."""
     wanted = "no quota, real-time allowed"
     for line in _read(root, "proc/self/cgroup").splitlines():
         _, controllers, path = line.split(":", 2)
@@ -109,7 +109,7 @@ def cgroup_cpu(root: Path) -> Grant:
 
 
 def virtualised(root: Path) -> Grant:
-    """Check that no hypervisor stands between this system and the cores."""
+    """Check that there is no hypervisor between this system and the cores."""
     in_vm = any(
         "hypervisor" in line.split()
         for line in _read(root, "proc/cpuinfo").splitlines()
@@ -121,7 +121,7 @@ def virtualised(root: Path) -> Grant:
 
 
 def swap(root: Path) -> Grant:
-    """Check that no memory can be moved to a disk."""
+    """Check that no memory can be swapped to a disk."""
     devices = [line.split()[0] for line in _read(root, "proc/swaps").splitlines()[1:]]
     return _item("swap", not devices, ", ".join(devices) or "none", "none", "swapoff -a")
 

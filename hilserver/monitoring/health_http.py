@@ -1,10 +1,10 @@
 """The endpoint of metrics and health: ``/metrics``, ``/healthz``, ``/readyz`` on the event loop.
 
-The client library's own server brings a thread per request and listens on every address. This one
-shares the daemon's loop and bounds everything a client can make it spend: the size of a request,
-the time to send it and to take the answer, the number of connections (when all places are taken,
-the one that has waited longest makes room), and the work of rendering (an answer serves all scrapes
-of the next `RENDER_EVERY_S`).
+The client library's own server uses a thread per request and listens on every address. This one
+shares the daemon's loop and limits everything that a client can cost: the size of a request, the
+time to send it and to take the answer, the number of connections (when all places are taken, the
+one that has waited longest makes room), and the work of rendering (an answer serves all scrapes of
+the next `RENDER_EVERY_S`).
 """
 
 import asyncio
@@ -33,20 +33,20 @@ class Verdict:
 
 @dataclass(frozen=True, kw_only=True)
 class HealthSources:
-    """What the judgements read."""
+    """Inputs of the health checks."""
 
     state: Callable[[], str]  # state of the daemon in lower case, ``running`` and so on
     # CLOCK_MONOTONIC [ns] of the newest wake-up of the pacing back end; 0 before the first
     heartbeat_ns: Callable[[], int]
     # True once the first ticks after the warm-up met their deadlines
     first_ticks_met: Callable[[], bool]
-    heartbeat_limit_s: float = 1.0  # a pacing back end silent for longer than this [s] is dead
+    heartbeat_limit_s: float = 1.0  # a pacing back end silent for longer [s] is dead
 
 
 def alive(sources: HealthSources, now_ns: int) -> Verdict:
     """Judge the heartbeat of the pacing back end at `now_ns` [CLOCK_MONOTONIC ns].
 
-    It beats also while paused; a frozen one is dead even when the event loop still answers.
+    It also beats while paused; a frozen one is dead even if the event loop still answers.
     """
     heartbeat_ns = sources.heartbeat_ns()
     if heartbeat_ns == 0:
@@ -83,7 +83,7 @@ _log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """An answer; `headers` besides those that every answer has."""
+    """An answer; `headers` in addition to those of every answer."""
 
     status: HTTPStatus
     body: bytes
@@ -91,7 +91,7 @@ class Response:
     headers: tuple[tuple[str, str], ...] = ()
 
     def encode(self, *, is_head: bool = False) -> bytes:
-        """Return the bytes on the wire; a HEAD request gets the head alone."""
+        """Return the bytes to send; a HEAD request gets only the head."""
         fields = (
             ("Content-Type", self.content_type),
             ("Content-Length", str(len(self.body))),
@@ -109,7 +109,7 @@ class Response:
 class HttpServer:
     """Serves metrics and health on one address.
 
-    Port 0 takes a free one. Besides `host_names`, addresses and localhost may be asked for.
+    Port 0 takes a free one. Requests may name addresses, localhost and `host_names` as the host.
     """
 
     def __init__(
@@ -147,7 +147,7 @@ class HttpServer:
     address = url
 
     async def start(self) -> None:
-        """Listen; raise `FailedError` when the address cannot be used."""
+        """Listen; raise `FailedError` if the address cannot be used."""
         try:
             self._server = await asyncio.start_server(
                 self._accept, self.host, self.port, limit=REQUEST_BYTES_MAX
@@ -176,12 +176,12 @@ class HttpServer:
 
         def ended(_: asyncio.Task[None]) -> None:
             self._tasks.pop(task, None)
-            writer.transport.abort()  # also when it was cancelled before its first step
+            writer.transport.abort()  # also if it was cancelled before its first step
 
         task.add_done_callback(ended)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        writer.transport.set_write_buffer_limits(high=0)  # drain then waits for the last byte
+        writer.transport.set_write_buffer_limits(high=0)  # so that drain waits for the last byte
         try:
             answer = await self._answer(reader)
             async with asyncio.timeout(self._timeout_s):
@@ -189,7 +189,7 @@ class HttpServer:
                 await writer.drain()
                 await _linger(reader, writer)
         except (OSError, TimeoutError, asyncio.IncompleteReadError):
-            pass  # it went away or does not read: there is nobody to tell
+            pass  # it has left or does not read: an answer is pointless
 
     async def _answer(self, reader: asyncio.StreamReader) -> bytes:
         try:
@@ -241,7 +241,7 @@ def _sentence(reason: str) -> bytes:
 
 
 async def _linger(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    """Read on for a moment: closing over unread bytes would reset the answer away."""
+    """Keep reading for a moment: closing with unread bytes would reset the connection."""
     writer.write_eof()
     try:
         async with asyncio.timeout(LINGER_S):

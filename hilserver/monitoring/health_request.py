@@ -1,7 +1,7 @@
 """The head of an HTTP/1.1 request, parsed without I/O: GET and HEAD on a short path, nothing more.
 
-A request that is not plainly well-formed is refused: this server answers scrapers and probes, not
-browsers, and every leniency would be a way to mislead it.
+A request that is not clearly well-formed is refused: this server answers scrapers and probes, not
+browsers, and every leniency could be abused.
 """
 
 import re
@@ -34,8 +34,8 @@ class Request:
 def parse_request(head: bytes, names: Collection[str] = ("localhost",)) -> Request:
     """Parse everything up to and including the empty line; raise `RefusedRequestError`.
 
-    `names`: host names, in lower case, that requests may call us by; IP addresses always may. A
-    page in a browser reaches a server on loopback under a name of its own (DNS rebinding).
+    `names`: accepted host names, in lower case; IP addresses are always accepted. Others are not,
+    as a web page can reach a server on loopback under its own name (DNS rebinding).
     """
     request_line, *header_lines = head.removesuffix(b"\r\n\r\n").split(b"\r\n")
     match = _REQUEST_LINE.fullmatch(request_line)

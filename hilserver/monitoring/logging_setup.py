@@ -1,14 +1,14 @@
 """Logging: one chain for our own lines and those of libraries.
 
 Readable on a terminal (local time, no logger names, no ``details``), one JSON object per line
-otherwise (UTC). A line that repeats is printed once per window and counted; the next one that
-passes says how many were left out::
+otherwise (UTC). A repeated line is printed once per window and counted; the next one printed
+has the number of those left out::
 
     overrun  cause=preempted slice=plant ...
     overrun  cause=preempted slice=plant suppressed=1843 ...
 
-What libraries log through the standard library (asyncua, asyncio) takes the same way. An expected
-error is one line; a traceback means a defect.
+Log messages of libraries through the standard library (asyncua, asyncio) are treated alike. An
+expected error is one line; a traceback means a defect.
 """
 
 import asyncio
@@ -32,13 +32,13 @@ if TYPE_CHECKING:  # loading the scheduler takes longer than most commands
 EventDict = MutableMapping[str, Any]
 
 KEYS_MAX = 1024
-# A robot that starts and stops often within a minute must show every change of its state.
+# Every change of state must show, even if a robot starts and stops often within a minute.
 ALLOWED_AT_ONCE = 20
 _OFTEN = {EventKind.STATE, EventKind.SAFE_STATE, EventKind.PEER_LOST, EventKind.PEER_RESTORED}
 TEXT_LENGTH_MAX = 2000
 EXPECTED_ERRORS = (UserError, OSError, TimeoutError, EOFError, asyncio.CancelledError)
 TRACING_LIBRARY = "asyncua"  # logs a traceback whenever a client disconnects in mid-answer
-LIBRARIES = ("asyncua", "asyncio")  # their INFO lines tell nothing to somebody who runs a robot
+LIBRARIES = ("asyncua", "asyncio")  # their INFO lines do not help a user of the robot
 _NUMBERS = re.compile(r"0x[0-9a-fA-F]+|[-+]?\d+(?:\.\d+)?")
 
 
@@ -56,9 +56,9 @@ class _Repeats:
 class RepeatLimiter:
     """A structlog processor that drops a line seen less than `window_s` ago, and counts it.
 
-    Two lines are the same when they differ in nothing but numbers. Events of `_OFTEN` come
-    several times before the limit holds. At most `KEYS_MAX` different lines are remembered; beyond
-    that the one not seen for longest is forgotten.
+    Lines that differ only in numbers count as equal. Events of `_OFTEN` may come several times
+    before the limit applies. At most `KEYS_MAX` different lines are remembered; beyond that the
+    one not seen for longest is forgotten.
     """
 
     def __init__(self, window_s: float, clock_s: Callable[[], float] = time.monotonic) -> None:
@@ -68,7 +68,7 @@ class RepeatLimiter:
         self._seen: dict[str, _Repeats] = {}
 
     def __call__(self, _logger: object, _method: str, event: EventDict) -> EventDict:
-        """Return `event`, with ``suppressed`` where lines were left out; or raise DropEvent."""
+        """Return `event`, with ``suppressed`` if lines were left out; or raise DropEvent."""
         allowed = ALLOWED_AT_ONCE if event.get("kind") in _OFTEN else 1
         text = _NUMBERS.sub("#", str(event.get("event")))
         key = _NUMBERS.sub("#", repr(sorted(event.items())))
@@ -95,7 +95,7 @@ class RepeatLimiter:
     def take_finished(self, *, all_windows: bool = False) -> list[tuple[str, int]]:
         """Return and forget (text, lines left out) of the windows that are over.
 
-        Called from time to time, it tells the end of a burst that no later line would tell.
+        Called from time to time, as the end of a burst may be followed by no further line.
         """
         now_s = self._clock_s()
         over = {
@@ -117,7 +117,7 @@ def setup_logging(
 ) -> RepeatLimiter:
     """Set up structlog and the standard library's logging; may be called again.
 
-    What is returned goes to `report_repeats` now and then.
+    Pass the result to `report_repeats` from time to time.
     """
     out = sys.stderr if stream is None else stream
     is_console = is_readable(line_format, out)
@@ -143,7 +143,7 @@ def setup_logging(
 
 
 def is_readable(line_format: str, out: Stream) -> bool:
-    """Whether lines on `out` are for people: asked for, or `out` is a terminal."""
+    """Whether lines on `out` are for people: as requested, or because `out` is a terminal."""
     return line_format == "console" or (line_format == "auto" and out.isatty())
 
 
@@ -161,21 +161,21 @@ def _rendering(is_console: bool, *, colors: bool) -> list[Any]:
 
 
 def notice(text: str, **details: object) -> None:
-    """Log what was asked for by name, such as a reload, whatever the level."""
+    """Log the result of an explicit request, such as a reload, whatever the level."""
     everything = structlog.make_filtering_bound_logger(logging.NOTSET)
     logger = structlog.get_config()["logger_factory"]("hilserver")
     structlog.wrap_logger(logger, wrapper_class=everything).info(text, **details)
 
 
 def report_repeats(limiter: RepeatLimiter, *, at_end: bool = False) -> None:
-    """Log what was left out in windows that are over; `at_end`: in all of them."""
+    """Log the suppressed lines of windows that are over; `at_end`: of all windows."""
     log = structlog.get_logger(__name__)
     for text, suppressed in limiter.take_finished(all_windows=at_end):
         log.info("repeated lines left out", reason=text, suppressed=suppressed)
 
 
 def log_overrun(overrun: "OverrunReport") -> None:
-    """Log an overrun with its cause; as an error when something followed from it."""
+    """Log an overrun with its cause; as an error if it had a consequence."""
     log = structlog.get_logger("hilserver.scheduler")
     write = log.error if overrun.consequence else log.warning
     write(
@@ -262,7 +262,7 @@ def _drop_what_is_for_programs(_logger: Any, _method: str, event: EventDict) -> 
 
 
 def _printable(_logger: object, _method: str, event: EventDict) -> EventDict:
-    """Bound every text and escape what could forge lines or steer a terminal."""
+    """Limit every text and escape what could forge lines or control a terminal."""
     for name, value in event.items():
         if isinstance(value, str):
             event[name] = _escape(value)

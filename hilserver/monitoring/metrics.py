@@ -1,8 +1,8 @@
 """Prometheus exposition of the daemon's figures.
 
-A custom collector turns the rows that every room declares into metric families at the moment of a
-scrape. Histograms come from the int64 counts that kernels and links keep anyway: counting costs the
-paced path nothing more, and no second set of histograms exists that could disagree with the first.
+A custom collector turns the rows declared by every room into metric families at the moment of a
+scrape. Histograms come from the int64 counts that kernels and links keep anyway: they cost the
+paced path nothing extra, and there is no second set of histograms that could disagree.
 
     metrics = Metrics(Source(scheduler.METRICS, lambda: pace(scheduler)), ...)
     body, content_type = metrics.render()              # what /metrics answers
@@ -43,10 +43,10 @@ class _Entry:
 
 @dataclass(slots=True)
 class LifetimeTotals:
-    """Adds up what every source counted between two readings; a fallen count is a reset.
+    """Adds up the counts of every source between two readings; a lower count is a reset.
 
     A Prometheus counter that goes back looks like a restart of the program. ``ResetStatistics``
-    clears the figures a person looks at; what is exported keeps counting::
+    clears the figures for people; exported ones keep counting::
 
         figure   3  5  5 |reset| 0  2  4
         total    3  5  5         5  7  9
@@ -55,7 +55,7 @@ class LifetimeTotals:
     _entries: dict[Hashable, _Entry] = field(default_factory=dict)
 
     def advance(self, key: Hashable, reading: Reading) -> Reading:
-        """Take in the newest `reading` of `key`; return its total since the process began."""
+        """Add the newest `reading` of `key`; return its total since the process started."""
         entry = self._entry(key, reading)
         was_reset = bool((reading.counts < entry.last.counts).any())
         entry.total += reading.counts if was_reset else reading.counts - entry.last.counts
@@ -64,7 +64,7 @@ class LifetimeTotals:
         return Reading(entry.total.copy(), entry.total_sum_ns)
 
     def rebase(self, key: Hashable, reading: Reading) -> None:
-        """Count on from `reading` without adding it: the source has just been reset."""
+        """Continue from `reading` without adding it: the source has just been reset."""
         self._entry(key, reading).last = reading
 
     def _entry(self, key: Hashable, reading: Reading) -> _Entry:
@@ -84,7 +84,7 @@ _BOUNDS_TEXT = [str(bound_ns / 1e9) for bound_ns in BOUNDS_NS]
 
 
 class Metrics:
-    """The registry of one daemon: the rooms' metrics and the client library's process metrics."""
+    """Registry of one daemon: metrics of the rooms, and process metrics of the client library."""
 
     def __init__(self, *sources: Source[Any]) -> None:
         self.registry = CollectorRegistry(auto_describe=False)
@@ -100,7 +100,7 @@ class Metrics:
 
     @contextmanager
     def statistics_reset(self) -> Iterator[None]:
-        """Surround a reset of any source, so that nothing counted before it is lost."""
+        """Enclose a reset of any source, so that no earlier count is lost."""
         for key, reading in self._collector.readings():
             self._collector.totals.advance(key, reading)
         yield

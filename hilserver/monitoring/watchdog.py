@@ -1,8 +1,8 @@
-"""Ready, alive, state: what the service manager hears from a running daemon.
+"""Ready, alive, state: what a running daemon reports to the service manager.
 
-The watchdog is fed from the heartbeat of the paced loop, never by the event loop alone: systemd
-hears WATCHDOG=1 only when the plant has woken up since the last time. A frozen plant beside a
-living event loop, and a frozen event loop beside a living plant, both end the process.
+The watchdog is fed by the heartbeat of the paced loop, never by the event loop alone: systemd gets
+WATCHDOG=1 only if the plant has woken up since the last time. So systemd ends the process if either
+the plant or the event loop freezes.
 """
 
 import asyncio
@@ -13,7 +13,7 @@ import time
 from collections.abc import AsyncIterator, Callable, Iterator
 
 FEEDS_PER_PERIOD = 4
-LONGEST_LOOK_S = 0.5  # state and readiness are looked at this often at least
+LONGEST_LOOK_S = 0.5  # state and readiness are checked at least this often
 
 
 def notify(*assignments: str) -> bool:
@@ -33,7 +33,7 @@ def notify(*assignments: str) -> bool:
 
 
 def watchdog_period_s() -> float | None:
-    """Return how long [s] the service manager bears silence of this process; None: for ever."""
+    """Return how long [s] the service manager tolerates silence; None: for ever."""
     pid = os.environ.get("WATCHDOG_PID", "")
     period_us = os.environ.get("WATCHDOG_USEC", "")
     if not period_us.isdigit() or pid not in ("", str(os.getpid())):
@@ -42,7 +42,7 @@ def watchdog_period_s() -> float | None:
 
 
 class Watchdog:
-    """Tells the service manager what it wants to know."""
+    """Reports to the service manager."""
 
     def __init__(
         self,
@@ -61,7 +61,7 @@ class Watchdog:
         self._last_status = ""
 
     def look(self) -> None:
-        """Send what has become true since the last look."""
+        """Send what has changed since the last look."""
         messages = []
         if not self._is_ready and self._ready():
             self._is_ready = self._send("READY=1")
@@ -89,7 +89,7 @@ class Watchdog:
 
     @contextlib.asynccontextmanager
     async def watching(self) -> AsyncIterator[None]:
-        """Look again and again; at the end say that the daemon is stopping."""
+        """Look repeatedly; at the end report that the daemon is stopping."""
         period_s = watchdog_period_s()
         pause_s = LONGEST_LOOK_S
         if period_s is not None:

@@ -1,7 +1,7 @@
 """Replay: the inputs of a log through the plant, as fast as possible.
 
-A log of ours brings every input of every tick and a state to begin with: the plant then goes
-through the same bits. A log of others brings set-points that hold until its next row.
+A log of ours contains every input of every tick and an initial state: the plant then reproduces
+the same bits. A log of others contains set-points, each held until the next row.
 """
 
 from hilserver.replay.engine import Comparison, Engine

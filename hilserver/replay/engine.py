@@ -1,4 +1,4 @@
-"""The plant alone, in virtual time, fed with rows, and compared with what a log holds."""
+"""The plant alone, in virtual time, fed with rows and compared with a log."""
 
 from collections import deque
 from collections.abc import AsyncIterator, Mapping
@@ -44,7 +44,7 @@ class Engine:
         await self._core.__aexit__(*exception)
 
     def check(self, what: str, identity: Mapping[str, Any], state: NDArray[np.int64]) -> None:
-        """Refuse what was made by kernels or a configuration that would give other bits.
+        """Refuse a log or state whose kernels or configuration would give other bits.
 
         ConfigError if the configuration differs; LogError if version, kernels or signals differ, or
         the state is of another size.
@@ -68,11 +68,11 @@ class Engine:
             )
 
     def feed_state(self, *, in_rows: bool) -> None:
-        """Say whether the daemon's state comes in the rows, or is ``running`` throughout."""
+        """Set whether the daemon's state comes with the rows, or is always ``running``."""
         self.image.control.state = IN_ROWS if in_rows else DaemonState.RUNNING
 
     def _post(self, changes: deque[Change], until: int) -> list[Change]:
-        """Hand over the changes before the tick `until`, as many as there is room for."""
+        """Hand over the changes before the tick `until`, as far as there is room."""
         posted: list[Change] = []
         while changes and changes[0].tick < until and self._changes.room:
             change = changes.popleft()
@@ -83,12 +83,12 @@ class Engine:
         return posted
 
     def start_of(self, stretch: Stretch) -> State:
-        """Return the state that a stretch begins with."""
+        """Return the state with which a stretch begins."""
         words = self._fresh if stretch.state is None else stretch.state
         return State(stretch.segment, stretch.first_tick, words)
 
     async def play(self, stretch: Stretch) -> AsyncIterator[Segmented]:
-        """Run through a stretch; give its frames."""
+        """Run a stretch; yield its frames."""
         await self._store.restore(self.start_of(stretch).words, stretch.first_tick)
         rows, period_ns = stretch.rows, self.assembly.base_period_ns
         changes = deque(stretch.changes)

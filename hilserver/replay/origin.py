@@ -1,4 +1,4 @@
-"""What a replay begins with: the robot of a recording, or the set-points of a log of others."""
+"""Origin of a replay: the robot of a recording, or the set-points of a log of others."""
 
 from pathlib import Path
 
@@ -23,10 +23,10 @@ SECTIONS = (
 
 
 def assembly_of(log: Log, patch: Patch | None = None) -> Assembly:
-    """Build what the recorded run was built from, or the same with another patch.
+    """Build the assembly of the recorded run, or the same with another patch.
 
     LogError if the recording has no configuration, or one of another version; ConfigError if a file
-    that it names (hall, own block) is not there.
+    that it names (hall, own block) is missing.
     """
     if log.run is None or log.run.get("configuration") is None:
         raise LogError(f"{log.path}: carries no configuration; name the one of its run with -c")
@@ -57,7 +57,7 @@ def mapped_inputs(path: Path, mapping: str | None, assembly: Assembly) -> tuple[
 
 
 def _inputs(path: Path, measured: MeasuredLog) -> Log:
-    """Return the inputs as a table; empty where a row has none."""
+    """Return the inputs as a table, with no value where a row has none."""
     inputs = {name: c for name, c in measured.channels.items() if is_input(name)}
     if not inputs:
         raise LogError(f"{path}: has no set-points; map a column or topic to a set-point")

@@ -1,4 +1,4 @@
-"""From a log to stretches: from which state, at which ticks which inputs."""
+"""From a log to stretches: initial state, and the inputs by tick."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -20,19 +20,19 @@ ENABLE = "drive.enable"
 
 @dataclass(frozen=True)
 class Stretch:
-    """Ticks that follow each other, and the inputs that change in them."""
+    """Consecutive ticks, and the inputs that change in them."""
 
     segment: int
     first_tick: int
     n_ticks: int
     rows: NDArray[np.float64]  # shape (n, 4); tick, slot, value, status; ticks rise
-    state: NDArray[np.int64] | None = None  # the state to begin with; None: that of a fresh start
+    state: NDArray[np.int64] | None = None  # initial state; None: that of a fresh start
     changes: Sequence[Change] = ()  # of the parameters, in the order of their ticks
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a replay does."""
+    """Plan of a replay."""
 
     stretches: Sequence[Stretch]
     feeds_state: bool  # whether the daemon's state (``sim.state``) comes with the rows
@@ -40,17 +40,17 @@ class Plan:
 
     @property
     def n_ticks(self) -> int:
-        """Ticks of all stretches."""
+        """Number of ticks of all stretches."""
         return sum(stretch.n_ticks for stretch in self.stretches)
 
 
 def plan_exact(
     log: Log, table: SignalTable, layout: Layout, base_period_ns: int, start: State | None = None
 ) -> Plan:
-    """Plan a replay that gives the bits of the recorded run.
+    """Plan a replay that reproduces the bits of the recorded run.
 
-    A snapshot `start` takes the place of the states of the recording. LogError if inputs are
-    missing, or there is no state to begin with.
+    A snapshot `start` replaces the states of the recording. LogError if inputs are missing, or
+    there is no initial state.
     """
     slots, values, status = _inputs(log, table)
     ticks = log.ticks(base_period_ns)
@@ -205,7 +205,7 @@ def plan_inputs(log: Log, table: SignalTable, base_period_ns: int) -> Plan:
 
 
 def _mode(log: Log, notices: list[str]) -> int:
-    """Return the mode to begin with; say which set-points take no effect."""
+    """Return the initial mode; add notices on set-points without effect."""
     used = {n for n, values in log.columns.items() if np.isfinite(values).any()}
     given = [mode for mode, names in enumerate(OF_MODE) if used & set(names)]
     if MODE in used:

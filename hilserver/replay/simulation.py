@@ -1,4 +1,4 @@
-"""A scenario through the whole daemon in virtual time: from tick 0 on, every frame kept."""
+"""A scenario through the whole daemon in virtual time: every frame from tick 0 on."""
 
 from collections.abc import AsyncIterator, Iterator
 from contextlib import closing, contextmanager
@@ -19,7 +19,7 @@ BATCH_TICKS, RING_FRAMES = 1000, 2048
 
 
 def quiet(config: Config) -> Config:
-    """Return the same robot with nothing that listens, connects or writes by itself."""
+    """Return the same robot without anything that listens, connects or writes by itself."""
     return config.changed(
         scheduler={"backend": "virtual"},
         control={"source": "scenario"},
@@ -37,9 +37,9 @@ def offline(assembly: Assembly) -> Assembly:
 
 
 class Simulation:
-    """One run of a scenario by a robot that is quiet; an asynchronous context manager.
+    """One run of a scenario by a quiet robot; an asynchronous context manager.
 
-    ConfigError if the scenario names what the robot does not have.
+    ConfigError if the scenario names something that the robot does not have.
     """
 
     def __init__(self, assembly: Assembly, play: Play) -> None:
@@ -56,14 +56,14 @@ class Simulation:
 
     @contextmanager
     def log(self, out: Path) -> Iterator[LogWriter]:
-        """Open a log of all signals, which begins with the state to replay it from."""
+        """Open a log of all signals, which begins with the initial state for a replay."""
         run = make_run(self.image.description)
         with closing(open_writer(out, run, range(self.table.n_slots))) as writer:
             writer.add_state(self.start)
             yield writer
 
     async def frames(self, n_ticks: int) -> AsyncIterator[Segmented]:
-        """Run so many ticks; give their frames, stamped with simulated time."""
+        """Run so many ticks; yield their frames, stamped with simulated time."""
         scheduler, done = self._daemon.scheduler, 0
         while done < n_ticks:
             n = min(BATCH_TICKS, n_ticks - done)

@@ -1,4 +1,4 @@
-"""The scenarios: what is hidden, on which drive, in which channels, and what must come out."""
+"""The scenarios: what is hidden, in which drive and channels, and what must be found."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -247,7 +247,7 @@ SCENARIOS: Final[Mapping[str, Scenario]] = {row[0]: _scenario(*row) for row in _
 
 
 def scenario(name: str) -> Scenario:
-    """Return a scenario by name; FailedError when there is none of this name."""
+    """Return a scenario by name; FailedError if there is none of this name."""
     if name in SCENARIOS:
         return SCENARIOS[name]
     hint = meant(name, SCENARIOS, f"there are {', '.join(SCENARIOS)}.")

@@ -1,4 +1,4 @@
-"""What a scenario is, and what its logs must lead to."""
+"""Definition of a scenario, and of what must be found in its logs."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -8,7 +8,7 @@ from hilserver_injector import Recipe
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Expectation:
-    """What must come out."""
+    """What must be found."""
 
     must_say: tuple[frozenset[str], ...] = ()  # for each, a finding must hold one of these causes
     # causes that one group must hold, because the log cannot tell them apart
@@ -21,7 +21,7 @@ class Expectation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drive:
-    """One drawing of a scenario."""
+    """One random realisation of a scenario."""
 
     # logs by file name; with `against`, the question is whether those differ from `logs`
     logs: Mapping[str, Recipe]

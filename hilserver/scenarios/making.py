@@ -14,9 +14,9 @@ LOGS, AGAINST, SEALED, CONFIG = "logs", "against", "sealed", "config.yaml"
 
 
 def write(scenario: Scenario, seed: int, folder: Path) -> Drive:
-    """Write a scenario into a folder and return it; FailedError when the folder cannot be written.
+    """Write a scenario into a folder and return it; FailedError if the folder cannot be written.
 
-    The logs stand in ``logs`` (and ``against``), what is hidden in ``sealed/truth.json``.
+    The logs are in ``logs`` (and ``against``), the truth is in ``sealed/truth.json``.
     """
     drive = scenario.draw(seed)
     try:

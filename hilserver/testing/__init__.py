@@ -1,5 +1,5 @@
 """Test kit: a pytest plug-in with a robot in it.
 
-``plugin`` is what pytest loads (nothing heavy before the first test that asks for `hil`); ``hil``
-is what a test works with; ``series`` the recorded signals and their tolerance bands.
+``plugin`` is loaded by pytest (nothing heavy before the first test that uses `hil`); ``hil`` is the
+robot in a test; ``series`` are recorded signals and their tolerance bands.
 """

@@ -1,4 +1,4 @@
-"""What a test works with: a daemon that advances when the test says so, or in real time."""
+"""The robot in a test: a daemon that advances on request of the test, or in real time."""
 
 import asyncio
 import math
@@ -25,16 +25,16 @@ DRAIN_EVERY_S = 0.1
 DEFAULT_WAIT_S = 10.0  # of `Hil.wait_for`
 WATCH_EVERY_S = 0.002
 LATE_FACTOR, LATE_S = 5.0, 10.0
-"""In real time a step may take so many times its duration, and so much more, in wall time."""
+"""In real time a step may take its duration times the first plus the second, in wall time."""
 
 
 class HilError(AssertionError):
-    """The test asked for something that the simulation refuses; one sentence says what."""
+    """The simulation has refused a request of the test; one sentence says which."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One value of one signal, and when it was."""
+    """One value of one signal, and its time."""
 
     value: float
     tick: int
@@ -57,7 +57,7 @@ class Hil:
 
     @property
     def tick(self) -> int:
-        """Number of the tick that comes next."""
+        """Number of the next tick."""
         return self.daemon.scheduler.tick
 
     @property
@@ -133,7 +133,7 @@ class Hil:
         self.journal.wrote(tick * self._period_s, values)
 
     async def set_parameter(self, name: str, value: float | None) -> int:
-        """Change a parameter, named as in config.yaml; return the tick from which on it acts.
+        """Change a parameter, named as in config.yaml; return the first tick with the new value.
 
         HilError if it is refused.
         """
@@ -177,10 +177,10 @@ class Hil:
         *,
         timeout_s: float = DEFAULT_WAIT_S,
     ) -> Sample:
-        """Advance until a value of `signal` satisfies `predicate`; every tick is looked at.
+        """Advance until a value of `signal` satisfies `predicate`; every tick is checked.
 
-        `timeout`, or `timeout_s`: simulated time [s]. HilError when none has within it; says what
-        it was last.
+        `timeout`, or `timeout_s`: simulated time [s]. HilError if no value does within it; it has
+        the last value.
         """
         timeout_s = timeout_s if timeout is None else timeout
         slot = self._slot(signal)
@@ -244,7 +244,7 @@ class Hil:
         return names
 
     def clear_faults(self, name: str | None = None) -> None:
-        """End the fault `name`, or all; forces stay."""
+        """End the fault `name`, or all; forces remain."""
         try:
             self.daemon.faults.clear(name)
         except ValueError as error:
@@ -256,7 +256,7 @@ class Hil:
         self.inject({"fault": "force", "signal": signal, "value": value})
 
     def unforce(self, signal: str) -> None:
-        """Let a forced signal go."""
+        """Release a forced signal."""
         self.clear_faults(f"force:{signal}")
 
     # --- life -------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""What a test did and when, so that a failure can be played again as a scenario."""
+"""What a test did and when, so that a failure can be repeated as a scenario."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -8,7 +8,7 @@ from hilserver.faults.scenario import MAX_STEPS
 
 
 class Journal:
-    """Writes and faults of one test, in the order they came."""
+    """Writes and faults of one test, in their order."""
 
     def __init__(self) -> None:
         self.left_out = 0
@@ -23,7 +23,7 @@ class Journal:
         self._steps.append({"at_s": round(at_s, 9), key: dict(values)})
 
     def injected(self, at_s: float, fault: Fault) -> None:
-        """Note a fault; its times counted from `at_s`."""
+        """Note a fault, whose times count from `at_s`."""
         entry = fault.model_dump(exclude_none=True, exclude_defaults=True)
         entry.pop("for_s", None)
         entry["from_s"] = round(at_s + fault.from_s, 9)
@@ -32,7 +32,7 @@ class Journal:
         self._faults.append(entry | {"name": fault.title, "seed": fault.seed or 0})
 
     def cleared(self, at_s: float, name: str | None) -> None:
-        """Note that a fault, or all but forces, has ended."""
+        """Note the end of a fault, or of all except forces."""
         for entry in self._faults:
             is_meant = entry["fault"] != "force" if name is None else entry["name"] == name
             if is_meant and entry.get("until_s", at_s + 1.0) > at_s > entry["from_s"]:

@@ -1,4 +1,4 @@
-"""What is kept of a failed test: recording, scenario, configuration, seed."""
+"""Files kept of a failed test: recording, scenario, configuration, seed."""
 
 import json
 import re
@@ -19,7 +19,7 @@ from hilserver.testing.hil import Hil
 
 
 def keep(hil: Hil, folder: Path, test: str) -> Path:
-    """Write everything that plays the failure again below `folder`; return where."""
+    """Write everything that repeats the failure below `folder`; return the place."""
     place = folder / re.sub(r"[^A-Za-z0-9_.-]+", "_", test)[-120:]
     place.mkdir(parents=True, exist_ok=True)
     hil.tap.drain()
@@ -58,7 +58,7 @@ def write_recording(hil: Hil, place: Path) -> None:
 
 
 def _segmented(frames: Sequence[Frame]) -> Iterator[Segmented]:
-    """Begin a batch where frames are missing, and a segment where the simulation was set back."""
+    """Begin a new batch after missing frames, and a new segment after a reset of the simulation."""
     numbers, ticks = (
         np.array([getattr(frame, name) for frame in frames], dtype=np.int64)
         for name in ("number", "tick")

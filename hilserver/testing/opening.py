@@ -23,8 +23,8 @@ _DEFAULTS: dict[str, Any] = {
     "opcua": {"enabled": False},
     "metrics": {"enabled": False},
 }
-"""Sections that a test has unless it brings its own: patient with a busy computer, and without
-servers (OPC UA's takes two seconds to start). A configuration file is taken as it is."""
+"""Default sections of a test: tolerant of a busy computer, and without servers (that of OPC UA
+takes two seconds to start). A configuration file is used as it is."""
 
 
 @asynccontextmanager
@@ -37,7 +37,7 @@ async def open_hil(
 ) -> AsyncIterator[Hil]:
     """Run a daemon for one test.
 
-    Sections replace those of `_DEFAULTS`; `faults` are defects of the shield from the beginning on.
+    Sections replace those of `_DEFAULTS`; `faults` are defects of the shield from the start.
     ConfigError has one sentence with file, line and key.
     """
     if isinstance(config, Path):

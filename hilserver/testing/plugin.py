@@ -1,7 +1,7 @@
-"""The pytest plug-in: fixture `hil`, tests as async generators, requirements, what failed is kept.
+"""The pytest plug-in: fixture `hil`, async generator tests, requirements, files of failed tests.
 
-Projects that do not test a robot load this file too: it imports nothing but pytest, and looks at
-nothing but tests that ask for `hil`.
+Projects that do not test a robot load this file, too: it imports only pytest, and affects only
+tests that use `hil`.
 """
 
 import functools
@@ -107,7 +107,7 @@ def advancing(test: Callable[..., AsyncGenerator[object, float]]) -> Callable[..
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Note in the report which requirements a test verifies."""
+    """Add the requirements that a test verifies to the report."""
     for item in items:
         for mark in item.iter_markers("requirement"):
             item.user_properties += [("requirement", str(name)) for name in mark.args]
@@ -118,7 +118,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture
 def hil_config() -> None:
-    """Override it where only your fixtures know the configuration, such as a controller's port."""
+    """Override it if only your fixtures know the configuration, such as a controller's port."""
 
 
 async def _hil(request: pytest.FixtureRequest, hil_config: Any) -> AsyncIterator["Hil"]:
@@ -152,7 +152,7 @@ else:
 
 
 def _wishes(request: pytest.FixtureRequest, given: Any) -> dict[str, Any]:
-    """Return what markers (the nearest wins), the fixture, options and ini file ask for."""
+    """Return the settings of markers (the nearest wins), fixture, options and ini file."""
     config = request.config
     marked: dict[str, Any] = {}
     for mark in request.node.iter_markers("hil"):
@@ -193,7 +193,7 @@ def _path(name: Any, folder: Path) -> Path | None:
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, Any, Any]:
-    """Keep recording, scenario and seed of a failed test, and say where."""
+    """Keep recording, scenario and seed of a failed test, and report the place."""
     report: Any = yield
     if call.when == "call" and report.failed and _HIL in item.stash:
         from hilserver.testing.keep import keep  # noqa: PLC0415

@@ -1,4 +1,4 @@
-"""Recorded signals, and the bands that they have to stay in."""
+"""Recorded signals, and the bands in which they have to stay."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -90,7 +90,7 @@ class Series:
         part._fail_where(~(distance <= tolerance), f"left the reference +- {tolerance:g}")
 
     def settle_time_s(self, target: float, tolerance: float) -> float | None:
-        """Return after which time it stays within `tolerance` of `target` [s]; None: never."""
+        """Return the time after which it stays within `tolerance` of `target` [s]; None: never."""
         self._need_samples()
         outside = np.flatnonzero(~(np.abs(self.values - target) <= tolerance))
         if outside.size == 0:
@@ -100,7 +100,7 @@ class Series:
         return float(self.time_s[outside[-1] + 1] - self.time_s[0])
 
     def assert_settles(self, target: float, tolerance: float, *, within_s: float) -> None:
-        """Fail if it is not within `tolerance` of `target` for good after `within_s` [s]."""
+        """Fail if it does not stay within `tolerance` of `target` after `within_s` [s]."""
         found_s = self.settle_time_s(target, tolerance)
         wanted = f"{target:g} +- {tolerance:g} {self.unit} within {within_s:g} s"
         if found_s is None:

@@ -1,4 +1,4 @@
-"""Takes every frame out of the ring: for captures, and for the recording of a failed test."""
+"""Takes every frame from the ring, for captures and for the recording of a failed test."""
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
@@ -18,7 +18,7 @@ MAX_NUMBERS = 20_000_000
 
 
 class Tap:
-    """Drains the ring of frames; nobody waits for it, what it misses it counts."""
+    """Drains the ring of frames; nothing waits for it, missed frames are counted."""
 
     def __init__(self, image: ImageReader) -> None:
         self._image = image
@@ -28,7 +28,7 @@ class Tap:
         self.captures: list[Capture] = []
 
     def drain(self) -> list[Frame]:
-        """Take what is new; return it."""
+        """Take the new frames; return them."""
         frames: list[Frame] = []
         head = self._image.head
         for number in range(self._next, head):
