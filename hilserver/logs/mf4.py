@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 META: Final = "hilserver.meta.json"
 STATUS: Final = ".status"
-UNKNOWN: Final = datetime.fromtimestamp(0, UTC)  # a log does not say when it was recorded
+UNKNOWN: Final = datetime.fromtimestamp(0, UTC)  # a log has no date of recording
 
 
 def write_mf4(log: Log, path: Path, unit_of: Callable[[str], str]) -> None:

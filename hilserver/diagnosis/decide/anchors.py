@@ -166,7 +166,7 @@ def scale_or_anchor(problem: Problem, point: Point) -> tuple[int, float, Anchor]
 
 
 def _rival(library: Library, point: Point) -> float:
-    """Return the most that any cause of the library would save, less what it costs."""
+    """Return the most that any cause of the library would save, minus its cost."""
     gain = library.scores(point).gain
     saved = (
         float(gain[library.owner == i].max()) - cost(c, 0.0)

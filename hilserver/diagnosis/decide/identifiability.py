@@ -172,7 +172,7 @@ def with_best_rivals(
 ) -> tuple[Point, dict[str, list[Rival]]]:
     """Swap causes for better rivals until none is left; return the rivals that tie.
 
-    A rival that leaves less, but larger errors on held-out blocks, is not better.
+    A rival that leaves less deviance, but larger errors on held-out blocks, is not better.
 
     Parameters
     ----------

@@ -53,7 +53,7 @@ class Judged:
     scrubs: bool
     anchor: tuple[Anchor, float] | None = None  # an anchor that is off, and its p
     in_doubt: Anchor | None = None
-    """An anchor that could stand in the place of an accepted scale of the navigation."""
+    """An anchor that could replace an accepted scale of the navigation."""
 
     @property
     def lasting(self) -> Model:

@@ -27,7 +27,7 @@ TURNING = "velocity.angular_rad_s"
 
 
 def scrubs(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> bool:
-    """Return whether the turn is much smaller than the wheels say, and late or irregular."""
+    """Return whether the turn is much smaller than by the wheels, and late or irregular."""
     log, robot = problem.stage.log, problem.stage.robot
     if robot.wheelbase_m is None or robot.is_mecanum or not log.has(*POSITION, YAW):
         return False

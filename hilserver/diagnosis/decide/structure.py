@@ -40,7 +40,7 @@ class Unknown:
     t: float
     critical: float  # what t must exceed, among all families
     p: float
-    gain: float  # deviance that the whole family saves, less one per column
+    gain: float  # deviance that the whole family saves, minus one per column
 
 
 def remaining(
@@ -61,8 +61,8 @@ def remaining(
     -----
     A gross misfit of a model without any cause is always reported: if no family is significant,
     because the misfit is in few blocks, the one that explains most is returned. Single samples that
-    are far off, such as those of a slow sensor near a step, are no gross misfit. Where set-points
-    are followed there is no such rule: one may have come and gone between two rows of the log.
+    are far off, such as those of a slow sensor near a step, are no gross misfit. This does
+    not apply where set-points are followed: one may have come and gone between two rows.
     """
     stack, accepted = problem.stack, problem.accepted(point)
     blocks = Blocks.of(stack.block, stack.n_blocks)
@@ -162,7 +162,7 @@ def _saved_held_out(problem: Problem, columns: Array, target: Array) -> Array:
 
 
 def joint_gain(white: Array, left: Array) -> float:
-    """Return the deviance that all columns save together, less one per column."""
+    """Return the deviance that all columns save together, minus one per column."""
     shown = white[:, white.any(axis=0)]
     return saved(shown, left, RIDGE) - float(shown.shape[1])
 

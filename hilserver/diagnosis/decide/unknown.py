@@ -41,7 +41,7 @@ class Family:
 
 
 def families_of(problem: Problem, point: Point) -> Iterator[Family]:
-    """Yield the families that a disturbance of what a stage replays could depend on."""
+    """Yield the families on which a disturbance of a stage could depend."""
     stage = problem.stage
     if isinstance(stage, PoseStage):
         found = _of_the_body(Motion(stage, problem, point), problem, point)
@@ -53,7 +53,7 @@ def families_of(problem: Problem, point: Point) -> Iterator[Family]:
 
 
 def _of_the_body(m: Motion, problem: Problem, point: Point) -> Iterator[Raw]:
-    """Yield what a disturbance of the body's velocity could depend on."""
+    """Yield the families on which a disturbance of the body's velocity could depend."""
     v, om, on, edges = m.v, m.om, m.moving, problem.stack.edges
     ahead, aside, turn = m.ahead, m.aside, m.turn
     if not m.stage.begins_anew:
@@ -152,7 +152,7 @@ def _unit(values: Array) -> Array:
 
 
 def _of_the_drive(stage: DriveStage, problem: Problem, point: Point) -> Iterator[Raw]:
-    """Yield what a disturbance of speed and duty could depend on."""
+    """Yield the families on which a disturbance of speed and duty could depend."""
     stack = problem.stack
     _, seen, duty = stage.simulate(point.model.terms)
     rate = 1.0 / stage.segments.period_s

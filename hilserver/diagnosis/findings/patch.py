@@ -25,7 +25,7 @@ def make_patch(diagnosis: Diagnosis, findings_sha256: str) -> ModelPatch | None:
     diagnosis : Diagnosis
         Its evidence holds the fitted terms and the range of the data.
     findings_sha256 : str
-        Hash of the findings.json that is written beside it.
+        Hash of the findings.json that is written next to it.
     """
     findings, evidence = diagnosis.findings, diagnosis.evidence
     if not evidence.extension:

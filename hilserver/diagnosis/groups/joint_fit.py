@@ -27,7 +27,7 @@ class JointFit:
     """A model in all groups."""
 
     members: tuple[Judged, ...]
-    points: tuple[Point, ...]  # of each group, fitted by itself
+    points: tuple[Point, ...]  # of each group, fitted on its own
     fits: tuple[GroupFit, ...]  # what the logs of each group show on their own
     all: Together  # values and covariances, including what is shared
 

@@ -80,7 +80,7 @@ class PlanDocument(_Model):
 
 
 def prospect(outlook: Outlook, duration_s: float) -> Prospect:
-    """Return an outlook as it stands in the document."""
+    """Return an outlook in the form of the document."""
     return Prospect(
         duration_s=round(duration_s, 3),
         score=round(outlook.score, 3),

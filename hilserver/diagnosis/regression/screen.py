@@ -39,7 +39,7 @@ class Scores:
     own: Array  # shape (blocks, k): sum of squares of the efficient column over each block
     t: Array  # shape (k,): sum of the scores over its deviation, as a normal deviate
     deviation: Array  # shape (k,)
-    freedom: Array  # shape (k,): degrees of freedom of the deviation: blocks that count, less one
+    freedom: Array  # shape (k,): degrees of freedom of the deviation: blocks that count, minus one
     information: Array  # shape (k,): sum of squares of the efficient column
     gain: Array  # shape (k,): deviance that the direction would save, linearly
     size: Array  # shape (k,): step along the direction that would save it
