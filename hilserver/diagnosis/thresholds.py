@@ -106,7 +106,7 @@ REST_LEVEL: Final = 0.001  # family-wise error of each test of what causes leave
 REST_LEAST_GAIN: Final = 40.0  # deviance that it must save, of structure on held-out blocks, too
 INSTEAD_LEAST_GAIN: Final = 20.0  # deviance that a change or an anchor in a cause's place must save
 LEAST_USEFUL: Final = 0.001  # share of the samples' variance; less is useless
-DOMINANCE: Final = 4.0  # times what structure explains; less, and a cause has to go
+DOMINANCE: Final = 4.0  # times what structure explains; less leaves a cause in doubt
 
 # Drift and comparison
 COMPARE_LEVEL: Final = 0.01  # family-wise error (specification)
