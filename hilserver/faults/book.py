@@ -1,4 +1,4 @@
-"""Who injects, ends, forces and lists: one book for scenario, OPC UA and tests."""
+"""Injects, ends, forces and lists: one book for scenarios, OPC UA and tests."""
 
 import itertools
 import time
@@ -61,7 +61,7 @@ class Faults:
         self._tick = tick
         self._lines = lines
         self._notes: dict[int, _Note] = {}
-        self._leaving: dict[int, int] = {}  # number: mail after which it is gone
+        self._leaving: dict[int, int] = {}  # number: it is gone once this many commands are taken
         self._numbers = itertools.count(time.time_ns())
 
     # --- commands ---------------------------------------------------------------------------------
@@ -69,8 +69,8 @@ class Faults:
     def inject(self, *faults: object, start_tick: int | None = None) -> list[str]:
         """Inject faults, all in the same tick; return their names.
 
-        `start_tick`: tick from which their times count; None: the next one. ValueError: one
-        sentence; then none of them was injected.
+        `start_tick`: tick from which their times count; None: the next one. ValueError, one
+        sentence, means that none of them was injected.
         """
         parsed = [parse_fault(fault) for fault in faults]
         commands: list[Command] = []
@@ -123,11 +123,11 @@ class Faults:
         self._tell(f"fault cleared: {name}", 300)
 
     def force(self, signal: str, value: float) -> None:
-        """Hold `signal` at `value`, whatever anyone writes or computes."""
+        """Hold `signal` at `value`, whatever is written or computed."""
         self.inject({"fault": FORCE, "signal": signal, "value": value})
 
     def unforce(self, signal: str) -> None:
-        """Let a forced signal go; ValueError if it is not forced."""
+        """Release a forced signal; ValueError if it is not forced."""
         name = f"{FORCE}:{signal}"
         if not self._removals(name):
             raise ValueError(f"'{signal}' is not forced; forced are {self.forced or 'none'}")
@@ -143,12 +143,12 @@ class Faults:
             line.clear()
 
     def expect_room(self) -> None:
-        """ControlRefused while the plant has no room for what `reset` hands over."""
+        """ControlRefused while the plant has no room for the commands of `reset`."""
         if self._mailbox.room < _RESET_ROWS:
             raise ControlRefused("the plant has not taken the last faults yet; ask again")
 
     def skip_timed(self) -> None:
-        """Drop the timed inputs that wait."""
+        """Drop all waiting timed inputs."""
         self._mailbox.send([self._skip])
 
     @property
@@ -158,7 +158,7 @@ class Faults:
     # --- views ------------------------------------------------------------------------------------
 
     def active(self) -> list[ActiveFault]:
-        """Return what waits or acts: injected faults, forces, faults of links."""
+        """Return all that waits or acts: injected faults, forces, faults of links."""
         acting = {entry.number: entry for entry in reversed(self._acting())}
         taken = self._mailbox.tail
         self._notes = {
@@ -191,7 +191,7 @@ class Faults:
         return "; ".join(a.place for a in self.active() if a.fault == FORCE)
 
     def counts(self) -> dict[str, int]:
-        """Return the number of acting faults and of forces, for the metric."""
+        """Return the numbers of acting faults and of forces, for the metric."""
         active = [a for a in self.active() if a.is_acting]
         forces = sum(a.fault == FORCE for a in active)
         return {"injected": len(active) - forces, "forced": forces}
@@ -209,7 +209,7 @@ class Faults:
     # --- inside -----------------------------------------------------------------------------------
 
     def _acting(self) -> list[Entry]:
-        """Return the modifiers in the arena that no command on its way will end."""
+        """Return the modifiers in the arena that no pending command will end."""
         taken = self._mailbox.tail
         self._leaving = {n: mail for n, mail in self._leaving.items() if mail > taken}
         return [entry for entry in self._mailbox.acting() if entry.number not in self._leaving]
@@ -278,7 +278,7 @@ def _shown(name: str, fault: str, place: str, entry: Entry | None, tick: int) ->
 
 
 def describe(fault: Fault) -> str:
-    """Return a fault in one line: name and everything that was given."""
+    """Return a fault in one line: its name and all that was given."""
     given = fault.model_dump(exclude_defaults=True, exclude={"fault", "name", "signal", "peer"})
     details = ", ".join(f"{key} {value}" for key, value in given.items())
     return f"{fault.title} ({details})" if details else fault.title

@@ -1,7 +1,7 @@
 """Faults of a peer link: on the event loop, in wall time, with bounded queues.
 
-A link fault falsifies when values arrive, never the values. The link's session runs on as it is;
-only ``disconnect`` cuts it and keeps it from connecting.
+A link fault falsifies when values arrive, never the values. The link's session stays as it is; only
+``disconnect`` cuts it and keeps it from reconnecting.
 """
 
 import asyncio
@@ -39,7 +39,7 @@ class LinkFault:
         return here and now_s >= self.from_s and not self.is_over(now_s)
 
     def drops(self, now_s: float) -> bool:
-        """Whether a batch is lost; for `every_s` all or none are."""
+        """Whether a batch is lost; the answer holds for `every_s`."""
         if now_s >= self._until_next_s:
             self._drops = self.random.random() < (self.fault.probability or 0.0)
             self._until_next_s = now_s + (self.fault.every_s or 0.0)
@@ -54,7 +54,7 @@ class LinkFault:
 
 
 class Line:
-    """The link to one peer, as its faults let it be."""
+    """The link to one peer, under its faults."""
 
     def __init__(self, name: str, clock_s: Callable[[], float] = time.monotonic) -> None:
         self.name = name
@@ -111,7 +111,7 @@ class Line:
 
     async def _next_look(self) -> None:
         if self._faults:
-            await asyncio.sleep(QUEUE_LOOK_S)  # they begin and end by themselves
+            await asyncio.sleep(QUEUE_LOOK_S)  # faults begin and end on their own
             return
         await self._news.wait()
         self._news.clear()
@@ -134,7 +134,7 @@ class Line:
 
 
 class Lane(Generic[T]):
-    """What travels in one direction: batches with the time at which they arrive."""
+    """Batches that travel in one direction, with the time of their arrival."""
 
     def __init__(self, line: Line, direction: str) -> None:
         self._line = line

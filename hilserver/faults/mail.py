@@ -1,4 +1,4 @@
-"""The way of commands into the compiled step, and the look at what acts there."""
+"""How commands get into the compiled step, and what acts there is read."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ class Command:
 
 
 class Mailbox:
-    """Producer of the mail, reader of the table; belongs to the event loop's thread."""
+    """Sends the commands and reads the table; belongs to the event loop's thread."""
 
     def __init__(self, image: ProcessImage) -> None:
         self._image = image

@@ -21,7 +21,7 @@ class Form:
     """Parameters of one kind of fault, and where it can sit."""
 
     text: str
-    # parameters that have to, or may, be given
+    # parameters that must, or may, be given
     needs: tuple[str, ...] = ()
     takes: tuple[str, ...] = ()
     on: tuple[str, ...] = ("signal",)  # ``signal``, ``peer`` or neither
@@ -178,7 +178,7 @@ class Fault(Section):
 
     @property
     def title(self) -> str:
-        """Its name, or one made from kind and place."""
+        """Its name, or one made from its kind and place."""
         place = self.signal or self.peer
         return self.name or (f"{self.fault}:{place}" if place else self.fault)
 
@@ -201,7 +201,7 @@ def parse_fault(data: object) -> Fault:
 
 
 def parse_faults(text: str) -> list[Fault]:
-    """Return the faults of a JSON text, an object or a list of them; ValueError if it is none."""
+    """Return the faults of a JSON text, an object or a list; ValueError if it is neither."""
     if len(text) > MAX_JSON:
         raise ValueError(f"the text is longer than {MAX_JSON} characters")
     try:

@@ -27,7 +27,7 @@ def _entry(kind: Kind, **given: float) -> Entry:
 
 @dataclass(frozen=True, slots=True)
 class ShieldFigures:
-    """What the shield's driver computes with."""
+    """Figures that the shield's driver computes with."""
 
     rpm_per_m_s: float
     rpm_per_rad_s: float
@@ -153,7 +153,7 @@ class Planner:
 
 
 def check_range(signal: Signal, value: float) -> None:
-    """Raise ValueError if `value` is none that the signal can have."""
+    """Raise ValueError if the signal cannot have `value`."""
     if not signal.low <= value <= signal.high:
         raise ValueError(
             f"{signal.name} = {value:g} is outside {signal.low:g} .. {signal.high:g} {signal.unit}"

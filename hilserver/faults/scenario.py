@@ -1,4 +1,4 @@
-"""Timed scenarios: what is written, and what is wrong on which port from when to when.
+"""Timed scenarios: what is written when, and which faults act from when to when.
 
 ::
 
@@ -118,7 +118,7 @@ class Stage:
         self.drives = False  # True from a scenario that drives until `stop`
 
     def check(self, play: Play) -> None:
-        """Look every signal, range and peer up; ConfigError names file, line and key."""
+        """Check every signal, range and peer; ConfigError names file, line and key."""
         scenario, path = play
         for index, fault in enumerate(scenario.faults):
             try:
@@ -134,7 +134,7 @@ class Stage:
         self._check_parameters(scenario, path)
 
     def _check_parameters(self, scenario: Scenario, path: Path | None) -> None:
-        """Refuse what would not fit, were nothing else changed meanwhile."""
+        """Refuse values that would not fit if nothing else changed meanwhile."""
         values: dict[str, float] = {}
         for index, step in enumerate(scenario.steps):
             for name, value in step.set_.items():
@@ -166,7 +166,7 @@ class Stage:
             self._faults.inject(*scenario.seeded_faults, start_tick=start_tick)
 
     def stop(self) -> None:
-        """Let no step of a scenario act any more."""
+        """Cancel all further steps of a scenario."""
         self._faults.skip_timed()
         self._parameters.schedule()
         self.drives = False

@@ -1,4 +1,4 @@
-"""Child processes: started for a context, asked to end at its end, killed if they do not."""
+"""Child processes: started for a context, asked to end when it ends, else killed."""
 
 import asyncio
 import contextlib
@@ -35,8 +35,8 @@ async def started(
 
     Ctrl-C does not reach it: it ends us first, and we end the child.
 
-    A child that may take no time to end (`stop_limit_s` 0) is killed; else it gets SIGTERM first.
-    Options are those of `asyncio.create_subprocess_exec`.
+    With `stop_limit_s` 0 the child is killed at once; else it gets SIGTERM first. Options are those
+    of `asyncio.create_subprocess_exec`.
     """
     process = await asyncio.create_subprocess_exec(
         *command, stdin=asyncio.subprocess.DEVNULL, start_new_session=True, **options
@@ -48,7 +48,7 @@ async def started(
 
 
 async def end(process: asyncio.subprocess.Process, name: str, stop_limit_s: float) -> None:
-    """End a child, at last by force; parameters as for `started`."""
+    """End a child, if need be by force; parameters as for `started`."""
     if process.returncode is not None:
         return
     with contextlib.suppress(ProcessLookupError):
@@ -72,9 +72,9 @@ def how_ended(code: int | None) -> str:
 
 
 async def write(process: asyncio.subprocess.Process, text: bytes) -> None:
-    """Write to a child's standard input; nothing comes of it where the child has ended."""
+    """Write to a child's standard input; no effect if the child has ended."""
     if process.stdin is not None:
-        with contextlib.suppress(ConnectionError, RuntimeError):  # uvloop's word for a closed pipe
+        with contextlib.suppress(ConnectionError, RuntimeError):  # uvloop's error for a closed pipe
             process.stdin.write(text)
             await process.stdin.drain()
 
@@ -82,7 +82,7 @@ async def write(process: asyncio.subprocess.Process, text: bytes) -> None:
 async def line_of(
     process: asyncio.subprocess.Process, pattern: re.Pattern[bytes], within_s: float
 ) -> re.Match[bytes] | None:
-    """Return the first line on standard output that `pattern` is found in.
+    """Return the first line on standard output in which `pattern` is found.
 
     None if the child ends, or does not print one in time.
     """

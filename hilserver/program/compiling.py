@@ -1,7 +1,7 @@
-"""Compiles in a child, and says what: a start that compiles takes a minute or two.
+"""Compiles in a child and reports progress: a start that compiles takes a minute or two.
 
 A compiler cannot be interrupted; a process can be killed. The child goes through the same start, so
-that the cache on disk has all of it.
+that everything is then in the cache on disk.
 """
 
 import contextlib
@@ -34,9 +34,9 @@ class _Compiling(event.Listener):  # type: ignore[misc]
 
 @contextlib.contextmanager
 def telling(tell: Callable[[str], None]) -> Iterator[None]:
-    """Call `tell` with the name of every function that is compiled in the block, in its thread.
+    """Call `tell` with the name of every function compiled in the block, in the compiling thread.
 
-    What comes from the cache is not compiled.
+    Functions from the cache are not compiled.
     """
     with event.install_listener("numba:compile", _Compiling(tell)):
         yield
@@ -51,7 +51,7 @@ def in_child(command: Sequence[str], tell: Callable[[Sequence[str]], None]) -> I
     command : sequence of str
         Its child's `main` is `as_child`. It runs once, and only if something is not in the cache.
     tell : callable
-        Called every second, and whenever it goes on, with the functions that it compiles now.
+        Called every second, and at each report, with the functions whose compilation begins.
     """
     load, waiting = FunctionCache.load_overload, [command]
 
@@ -70,7 +70,7 @@ def in_child(command: Sequence[str], tell: Callable[[Sequence[str]], None]) -> I
 
 
 def _run(command: Sequence[str], tell: Callable[[Sequence[str]], None]) -> None:
-    """Run a child to its end; one that fails leaves its work, and what it complains of, to us."""
+    """Run a child to its end; if it fails, we do its work and meet its errors ourselves."""
     quiet = {"stdin": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "start_new_session": True}
     with children.piped([*command, str(os.getpid())], name="compiler", **quiet) as child:
         assert child.stdout is not None
@@ -82,8 +82,8 @@ def _run(command: Sequence[str], tell: Callable[[Sequence[str]], None]) -> None:
 
 
 def as_child(main: Callable[[], object], parent: int) -> None:
-    """Run `main` and tell `parent` what it compiles; end with it, and when it says so."""
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)  # the parent's guard takes its own signals
+    """Run `main` and report to `parent` what it compiles; end when the parent ends or asks."""
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)  # the parent's guard blocks them for us, too
     end_with_parent(parent)
     with telling(lambda name: print(name, flush=True)):
         main()

@@ -17,9 +17,9 @@ _hang_ups: list[int] = []
 def ended_by_signals() -> Iterator[None]:
     """Let the signals raise SystemExit within the block.
 
-    A KeyboardInterrupt would not do: even one that is caught makes the interpreter end itself by
-    SIGINT when it passed through a module that runs Python code from C. A program that can be
-    stopped in order replaces the handlers: `on_end`, or `event_loop.end_event`.
+    KeyboardInterrupt would not do: even if caught, it makes the interpreter end itself by SIGINT
+    when it has passed through a module that runs Python code from C. A program that can stop in an
+    orderly way replaces the handlers: `on_end`, or `event_loop.end_event`.
     """
     _caught.clear()
     if threading.current_thread() is not threading.main_thread():
@@ -37,7 +37,7 @@ def ended_by_signals() -> Iterator[None]:
 
 def _end(number: int, _frame: object) -> None:
     _caught.append(number)
-    sys.unraisablehook = lambda _: None  # an interrupted callback of the compiler is no news
+    sys.unraisablehook = lambda _: None  # an interrupted compiler callback is expected
     raise SystemExit(EXIT_DONE)
 
 
@@ -56,7 +56,7 @@ def on_end(stop: Callable[[], object]) -> None:
 
 @contextlib.contextmanager
 def hang_ups_wait() -> Iterator[None]:
-    """Let a SIGHUP wait for `event_loop.hang_ups` within the block; by itself it would end us."""
+    """Keep a SIGHUP for `event_loop.hang_ups` within the block; otherwise it would end us."""
     is_main = threading.current_thread() is threading.main_thread()
     if not is_main or signal.getsignal(signal.SIGHUP) is not signal.SIG_DFL:
         yield
@@ -70,7 +70,7 @@ def hang_ups_wait() -> Iterator[None]:
 
 
 def hang_up_waits() -> bool:
-    """Return True, once, when a SIGHUP has come that waits."""
+    """Return True, once, if a SIGHUP has come and is kept."""
     waits = bool(_hang_ups)
     _hang_ups.clear()
     return waits

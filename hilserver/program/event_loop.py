@@ -1,4 +1,4 @@
-"""Programs that run an event loop: uvloop, and the signals that come while it runs."""
+"""Programs with an event loop: uvloop, and signals while it runs."""
 
 import asyncio
 import contextlib
@@ -22,7 +22,7 @@ def run(main: Coroutine[Any, Any, T]) -> T:
 def end_event() -> asyncio.Event:
     """Return an event that SIGINT and SIGTERM set from now on; it is set if one has come already.
 
-    Call it when the program can be stopped in order; until then a signal ends it at once.
+    Call it once an orderly stop is possible; until then a signal ends the program at once.
     """
     asked, loop = asyncio.Event(), asyncio.get_running_loop()
     for number in ENDING:
@@ -48,7 +48,7 @@ def hang_ups() -> Iterator[asyncio.Event]:
 
 
 async def end(*tasks: asyncio.Future[Any] | None) -> None:
-    """Cancel tasks and wait until they have ended, whatever their end is."""
+    """Cancel tasks and wait until they have ended in any way."""
     running = [task for task in tasks if task is not None]
     for task in running:
         task.cancel()

@@ -1,4 +1,4 @@
-"""Gives code back to the system that works at the start alone."""
+"""Gives memory of code that is only used at the start back to the system."""
 
 import ctypes
 import re
@@ -14,9 +14,9 @@ _UNTOUCHED = re.compile(
 
 
 def give_back_code() -> None:
-    """Take the compiler (67 MB) and cryptography (6 MB) out of memory; what is called comes again.
+    """Drop the compiler (67 MB) and cryptography (6 MB) from memory; used pages are loaded again.
 
-    Only where no page was written to, and before memory is locked: locked pages stay.
+    Only mappings without written pages, and before memory is locked: locked pages stay.
     """
     madvise = getattr(ctypes.CDLL(None), "madvise", None)
     if madvise is None:

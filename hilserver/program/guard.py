@@ -1,9 +1,9 @@
-"""A thread that ends the process when SIGINT or SIGTERM asks for it, whatever its others do.
+"""A thread that ends the process at SIGINT or SIGTERM, whatever its other threads do.
 
-Python runs a signal handler between two instructions of the main thread, and an event loop looks at
-signals between two callbacks: a compiler, or a callback that never returns, holds both up. Here
-every other thread blocks the signals, and the guard waits for them. While nothing can be stopped in
-order, the first one ends the process at once. Afterwards the program has `ANSWER_S` to take note
+Python runs a signal handler between two instructions of the main thread, and an event loop handles
+signals between two callbacks: a compiler, or a callback that never returns, delays both. Here every
+other thread blocks the signals, and the guard waits for them. Until an orderly stop is possible,
+the first signal ends the process at once. From then on the program has `ANSWER_S` to acknowledge it
 and `STOP_S` to end; a second signal ends it at once.
 """
 
@@ -19,15 +19,15 @@ from typing import NoReturn
 from hilserver.errors import EXIT_DONE, EXIT_FAILED
 from hilserver.program.ending import ENDING
 
-ANSWER_S, STOP_S = 1.5, 2.1  # from the signal on
-CHILD_S = 0.2  # so long a child may take to end before it is killed
+ANSWER_S, STOP_S = 1.5, 2.1  # counted from the signal
+CHILD_S = 0.2  # time for a child to end before it is killed
 _LOOK_S = 0.05
 _cleanups: list[Callable[[], object]] = []
 _limits_s = [STOP_S]
 
 
 def on_forced_end(cleanup: Callable[[], object]) -> Callable[[], None]:
-    """Have `cleanup` called when the process is ended by force; return what revokes that."""
+    """Have `cleanup` called if the process is ended by force; return a function to revoke that."""
     _cleanups.append(cleanup)
 
     def revoke() -> None:
@@ -38,7 +38,7 @@ def on_forced_end(cleanup: Callable[[], object]) -> Callable[[], None]:
 
 
 def allow(seconds: float) -> None:
-    """Give the end so much time, from the signal on: a slow disk may need it."""
+    """Allow this much time from the signal to the end: a slow disk may need it."""
     _limits_s.append(seconds)
 
 
@@ -48,7 +48,7 @@ class Guard:
     def __init__(self, signals: Collection[int]) -> None:
         self._signals = signals
         self.say: Callable[[str], object] = lambda _: None  # must not block
-        # whether a signal has come, and the exit code of an end by force that was taken note of
+        # whether a signal has come; exit code of a forced end, unless the program is blocked
         self.is_asked, self.code = False, EXIT_DONE
         self._stop: Callable[[], object] | None = None
         self._if_blocked: Callable[[], object] = lambda: None
@@ -57,23 +57,23 @@ class Guard:
         self._thread.start()
 
     def on_end(self, stop: Callable[[], object], if_blocked: Callable[[], object]) -> None:
-        """Let the first signal call `stop` instead of ending at once; both in this thread.
+        """Let the first signal call `stop` instead of ending at once; both run in this thread.
 
-        `if_blocked` is called before the end when nobody has answered.
+        `if_blocked` is called before the end if `answer` was not.
         """
         self._stop, self._if_blocked = stop, if_blocked
 
     def answer(self) -> None:
-        """Say that the program has taken note and is about to end."""
+        """Acknowledge the signal: the program is about to end."""
         self._is_answered = True
 
     def forward(self, number: int, *_: object) -> None:
-        """Take a signal that reached another thread all the same."""
+        """Take a signal that reached another thread after all."""
         signal.pthread_kill(self._thread.ident or 0, number)
 
     def close(self) -> None:
         """End the thread, unless a signal has come: then it watches the process to its end."""
-        if self._is_leaving:  # what fails now, fails because its children are being ended
+        if self._is_leaving:  # errors now only come from its children being ended
             self._thread.join()
         if not self.is_asked:
             self._is_over = True
@@ -103,7 +103,7 @@ class Guard:
         for cleanup in reversed(_cleanups):
             with contextlib.suppress(Exception):
                 cleanup()
-        self.say(f"{why}, exit code {code}")  # last: the other threads still say what they do
+        self.say(f"{why}, exit code {code}")  # last, after the output of the other threads
         os._exit(code)
 
 
@@ -129,7 +129,7 @@ def _children() -> list[int]:
 
 
 def _end_children() -> None:
-    """End our children, first politely; those that have ended are nobody's business."""
+    """End our children, first with SIGTERM; ignore those that have ended."""
     deadline_s = time.monotonic() + CHILD_S
     for number in (signal.SIGTERM, signal.SIGKILL):
         for child in _children():

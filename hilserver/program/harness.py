@@ -19,7 +19,7 @@ def run(main: Callable[[], int]) -> int:
         try:
             return _run(main)
         except (Exception, SystemExit):
-            # What is interrupted in the middle (a compiler, above all) may fail in its own way.
+            # Interrupted code (a compiler, above all) may raise an error of its own.
             if end_was_asked():
                 return EXIT_DONE
             raise
@@ -37,7 +37,7 @@ def _run(main: Callable[[], int]) -> int:
     except MemoryError:
         print("hilserver: there is not enough memory for this; take smaller files", file=sys.stderr)
         return EXIT_FAILED
-    except BrokenPipeError:  # nobody reads what we print: a pager, or who started us, has ended
+    except BrokenPipeError:  # the reader of our output, such as a pager, has ended
         _drop_output()
         return EXIT_FAILED
     except OSError as error:
@@ -50,7 +50,7 @@ def _run(main: Callable[[], int]) -> int:
 
 
 def _drop_output() -> None:
-    """Keep the interpreter from flushing at its end what nobody takes."""
+    """Keep the interpreter from flushing output at its exit that nobody reads."""
     if sys.stdout is not None:
         with contextlib.suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -14,7 +14,7 @@ _HERE = Path(__file__).resolve().parents[1]
 
 
 def load_callable(reference: str, folder: Path) -> Callable[..., Any]:
-    """Import what a reference names, a file from `folder` on; ConfigError if that fails."""
+    """Import what a reference names, a file relative to `folder`; ConfigError if that fails."""
     place, colon, name = reference.rpartition(":")
     if not colon or not place or not name:
         raise ConfigError(f"{reference!r}: write file.py:name or package.module:name")
@@ -48,7 +48,7 @@ def _module(place: str, folder: Path) -> ModuleType:
 
 
 def described(error: BaseException, most: int = 300) -> str:
-    """Return an exception of a user's code in one line: kind, text, and the line of that code."""
+    """Return an exception of a user's code in one line: type, text, and source line."""
     where, trace = "", error.__traceback__
     while trace is not None:
         file = Path(trace.tb_frame.f_code.co_filename)

@@ -13,10 +13,10 @@ LINE_EVERY_S = 5.0
 
 
 class Progress:
-    """What is being done and how much of it is done, once it takes longer than two seconds.
+    """Shows the current stage and its progress, once it takes longer than two seconds.
 
-    A context manager; at its end the bar is gone. Where a signal is its end, `stopped` says what
-    there is then: the exit code is that of a program that did as it was bidden.
+    A context manager that removes the bar at its end. If a signal ends it, `stopped` says what is
+    left, since the exit code is then that of success.
     """
 
     def __init__(self, stopped: Callable[[], str]) -> None:
@@ -44,7 +44,7 @@ class Progress:
             self._footer.show(line)
 
     def say(self, line: str, file: TextIO) -> None:
-        """Print a line where the bar stood."""
+        """Print a line in place of the bar."""
         self.end()
         print(line, file=file, flush=True)
 
@@ -53,7 +53,7 @@ class Progress:
 
     def __exit__(self, error: object, *_: object) -> None:
         self.end()
-        # Not SystemExit alone: a compiler that is interrupted fails in a way of its own.
+        # Not SystemExit alone: an interrupted compiler may raise something else.
         if error is not None and end_was_asked():
             self.say(f"hilserver: {self._stopped()}", sys.stderr)
 

@@ -1,4 +1,4 @@
-"""Where process images lie, and whether one is in use; known before anything heavy is imported."""
+"""Where process images are, and whether one is in use, without any heavy import."""
 
 import fcntl
 import os
@@ -10,7 +10,7 @@ from hilserver.errors import FailedError
 
 FOLDER: Final = Path("/dev/shm")  # noqa: S108 -- POSIX shared memory on Linux
 MADE_UP: Final = "auto"
-"""First part of the names that nobody chose: nobody would ever take them over."""
+"""Prefix of generated names, which no later daemon would ever take over."""
 DEFAULT_IMAGE: Final = "robot"
 _NAME: Final = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 
@@ -23,16 +23,16 @@ def path_of(name: str) -> Path:
 
 
 def in_use(name: str) -> FailedError:
-    """Return what is said when a living daemon has the image `name`."""
+    """Return the error for an image `name` that a running daemon uses."""
     return FailedError(
         f"another hilserver uses the process image '{name}'; stop it or set image.name"
     )
 
 
 def check_free(name: str) -> None:
-    """Refuse the name of an image that a living daemon has; whoever makes it looks again.
+    """Raise FailedError if a running daemon uses the image `name`.
 
-    FailedError if it is in use.
+    Only an early check: it is repeated when the image is made.
     """
     if name == MADE_UP or not _NAME.fullmatch(name):
         return

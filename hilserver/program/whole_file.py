@@ -8,16 +8,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 _OPEN_FILES = ("/dev/std", "/dev/fd/", "/proc/")
-"""How names of open files begin: ``/dev/stdout`` may lead to a plain file that others hold."""
+"""How names of open files begin: ``/dev/stdout`` may be a plain file that others have open."""
 _STAYS = {errno.EACCES, errno.EPERM, errno.EROFS, errno.EBUSY}
-"""Errors of a folder, or of a mount, in which a file may be written to and not replaced."""
+"""Errors of a folder or mount in which a file can be written to but not replaced."""
 
 
 @contextlib.contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """Give the path to write to; at the end the file has its name, after an error there is none.
+    """Give the path to write to; the file gets its name at the end, and is discarded on an error.
 
-    A device or a pipe is written to as it is, and a link stays one. Owner and mode stay. Only a
+    A device or a pipe is written to directly, and a link stays one. Owner and mode are kept. Only a
     file that cannot be replaced is written in place.
     """
     if str(path.absolute()).startswith(_OPEN_FILES) or (path.exists() and not path.is_file()):
@@ -37,7 +37,7 @@ def whole(path: Path) -> Iterator[Path]:
 
 
 def _begun(partial: Path) -> bool:
-    """Make the file, for nobody else to read yet; return False where the folder takes none."""
+    """Make the file, readable by nobody else yet; return False if the folder does not allow it."""
     try:
         partial.touch(0o600)
     except OSError as error:
@@ -48,7 +48,7 @@ def _begun(partial: Path) -> bool:
 
 
 def _replace(path: Path, partial: Path) -> None:
-    with contextlib.suppress(OSError):  # not there yet, or a disk without owners and modes
+    with contextlib.suppress(OSError):  # no such file yet, or a disk without owners and modes
         before = path.stat()
         partial.chmod(before.st_mode & 0o777)
         os.chown(partial, before.st_uid, before.st_gid)
@@ -61,7 +61,7 @@ def _replace(path: Path, partial: Path) -> None:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file and hand it to the disk before it gets its name."""
+    """Write a file, and flush it to disk before it gets its name."""
     with whole(path) as partial, partial.open("wb") as file:
         file.write(content)
         file.flush()

@@ -1,4 +1,4 @@
-"""Worker processes for many tasks that do not know each other; they end when their parent does."""
+"""Worker processes for many independent tasks; they end when their parent does."""
 
 import contextlib
 import ctypes
@@ -19,10 +19,10 @@ PR_SET_PDEATHSIG = 1
 
 
 def end_with_parent(parent: int) -> None:
-    """Ask the kernel to end this worker when the process that started it ends, however it does.
+    """Ask the kernel to end this worker when the process that started it ends in any way.
 
-    Otherwise the workers of a campaign that was killed go on with what is queued. Linux; elsewhere
-    nothing happens.
+    Otherwise the workers of a killed campaign would continue with queued tasks. Linux only;
+    elsewhere nothing happens.
     """
     prctl = getattr(ctypes.CDLL(None), "prctl", None)
     if prctl is None:
@@ -33,10 +33,10 @@ def end_with_parent(parent: int) -> None:
 
 
 def lower(nice: int) -> None:
-    """Lower the priority of this process, and of its session where it leads one.
+    """Lower the priority of this process, and of its session if it leads one.
 
-    With autogroups a session competes as a whole, with its own value (sched(7)): within one that
-    has a single process `nice` says nothing.
+    With autogroups a session competes as a whole, with its own value (sched(7)): in a session with
+    a single process, `nice` alone has no effect.
     """
     os.nice(nice)
     if os.getsid(0) == os.getpid():
@@ -49,9 +49,9 @@ def in_processes(
 ) -> Generator[tuple[int, R], None, None]:
     """Yield the index and result of every task, as they come.
 
-    Who stops before the end closes the generator (`contextlib.closing`), and the workers end at
-    once; otherwise the interpreter would wait at its end for all that is queued. FailedError if a
-    worker process is ended from outside.
+    To stop early, close the generator (`contextlib.closing`): the workers then end at once;
+    otherwise the interpreter would wait at its exit for all queued tasks. FailedError if a worker
+    process is ended from outside.
     """
     if workers <= 1 or len(tasks) <= 1:
         yield from ((index, function(task)) for index, task in enumerate(tasks))
@@ -72,4 +72,4 @@ def in_processes(
                 worker.terminate()
             raise
         finally:
-            pool.shutdown(cancel_futures=True)  # waits: else its thread ends beside the interpreter
+            pool.shutdown(cancel_futures=True)  # waits: else its thread runs on at exit

@@ -1,7 +1,7 @@
 """Lines for a terminal or a pipe, written by a thread that may block.
 
-Ctrl-S, or a pipe whose reader stands still, blocks who writes to it. The event loop hands its lines
-over and goes on; what does not fit in the buffer is lost and counted.
+Ctrl-S, or a pipe that is not read, blocks its writer. The event loop hands its lines over and
+continues; lines that do not fit in the buffer are lost and counted.
 """
 
 import contextlib
@@ -29,7 +29,7 @@ class Writer:
         self.lost_line = lost_line
         self.encoding = stream.encoding
         self._stream, self._is_terminal = stream, stream.isatty()
-        self._fd = -1  # a stream in memory takes everything at once
+        self._fd = -1  # a stream in memory never blocks
         with contextlib.suppress(OSError):
             self._fd = stream.fileno()
         self._texts: deque[bytes] = deque()
@@ -67,7 +67,7 @@ class Writer:
         """Nothing to do: the thread writes at once."""
 
     def drain(self, within_s: float = DRAIN_WITHIN_S) -> None:
-        """Wait until everything is written, at most so long."""
+        """Wait until everything is written, at most `within_s`."""
         with self._news:
             self._news.wait_for(lambda: not self._held_bytes, within_s)
 
@@ -88,7 +88,7 @@ class Writer:
                 self._news.notify_all()
 
     def _write(self, data: bytes) -> bool:
-        """Write all of it; False when nobody will ever take anything."""
+        """Write all of it; False if nothing can ever be written again."""
         while data:
             try:
                 data = data[os.write(self._fd, data) :]
@@ -115,11 +115,11 @@ class Footer:
         return self._terminal.encoding
 
     def isatty(self) -> bool:
-        """Whether the terminal is one."""
+        """Whether the terminal really is one."""
         return self._terminal.isatty()
 
     def show(self, line: str) -> None:
-        """Replace the line, by none at the end; what is wider than the terminal is left out."""
+        """Replace the line, by "" at the end; text wider than the terminal is cut off."""
         columns = shutil.get_terminal_size().columns
         self._line = line[: columns - 1]
         self.write("")
@@ -127,7 +127,7 @@ class Footer:
 
     def write(self, text: str) -> int:
         """Write whole lines above the line."""
-        # The cursor returns to the left: what another program writes begins a line, too.
+        # The cursor returns to the left, so that another program's output starts at its margin.
         footer = f"{self._line}\r" if self._line else ""
         self._terminal.write(f"{_WIPE}{text}{footer}")
         return len(text)
