@@ -2,7 +2,7 @@
 
 import argparse
 
-from hilserver.commands.options import add_config, add_patch, out_file, writing
+from hilserver.commands.options import add_config, add_patch, out_file
 from hilserver.commands.patching import assembled
 from hilserver.errors import EXIT_DONE
 from hilserver.fmu.export import COMPILERS, export
@@ -33,8 +33,7 @@ def run(args: argparse.Namespace) -> int:
     named = [] if args.platforms == "none" else args.platforms.split(",")
     platforms = [name.strip() for name in named if name.strip()]
     robot = assembly.composition, assembly.robot, assembly.base_period_ns
-    with writing(args.out) as out:
-        export(out, *robot, args.fmi, platforms)
+    export(args.out, *robot, args.fmi, platforms)
     step_ms = assembly.base_period_ns * 1e-6
     made_for = ", ".join(platforms) or "any compiler"
     print(f"wrote {args.out}: FMI {args.fmi}.0 for {made_for}, step {step_ms:g} ms")

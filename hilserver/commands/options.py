@@ -1,14 +1,13 @@
 """Options that several commands share."""
 
 import argparse
-import contextlib
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from hilserver.errors import FailedError, reason
-from hilserver.program.whole_file import whole
+from hilserver.program.whole_file import writing
 
 DEFAULT_CONFIG = Path("config.yaml")
 
@@ -84,19 +83,9 @@ def out_file(text: str) -> Path:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file that was asked for, as `writing` does."""
+    """Write a file that was asked for whole; FailedError names one that the disk does not take."""
     with writing(path) as partial:
         partial.write_text(text, encoding="utf-8")
-
-
-@contextlib.contextmanager
-def writing(path: Path) -> Iterator[Path]:
-    """Give the path to write a whole file to; FailedError if it cannot be written."""
-    try:
-        with whole(path) as partial:
-            yield partial
-    except OSError as error:
-        raise FailedError(f"cannot write {path}: {reason(error)}") from None
 
 
 def number(

@@ -25,6 +25,7 @@ from hilserver.plant.layout import RING, Inputs, Outputs, Parameters, State
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.physical import REASONS, Physical, physical
 from hilserver.program import children
+from hilserver.program.whole_file import writing
 
 COMPILERS: Final[Mapping[str, tuple[str, str]]] = {
     "x86_64-linux": ("gcc", "gcc"),
@@ -52,7 +53,7 @@ def export(
     """Write the FMU of a robot.
 
     ConfigError if the robot has parts that an FMU cannot have; FailedError if a compiler is missing
-    or fails.
+    or fails, or the disk does not take the file.
 
     Parameters
     ----------
@@ -71,7 +72,7 @@ def export(
         folder = Path(name)
         sources = _sources(folder / "sources", header, version)
         libraries = {p: _linked(folder, p) for p in platforms}
-        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
+        with writing(path) as out, zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as packed:
             packed.writestr("modelDescription.xml", text)
             for file in sources:
                 packed.write(file, f"sources/{file.name}")

@@ -7,6 +7,8 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+from hilserver.errors import FailedError, reason
+
 _OPEN_FILES = ("/dev/std", "/dev/fd/", "/proc/")
 """How names of open files begin: ``/dev/stdout`` may be a plain file that others have open."""
 _STAYS = {errno.EACCES, errno.EPERM, errno.EROFS, errno.EBUSY}
@@ -58,6 +60,16 @@ def _replace(path: Path, partial: Path) -> None:
         if error.errno not in _STAYS or not path.exists():
             raise
         shutil.copyfile(partial, path)
+
+
+@contextlib.contextmanager
+def writing(path: Path) -> Iterator[Path]:
+    """Give the path to write a whole file to; FailedError if it cannot be written."""
+    try:
+        with whole(path) as partial:
+            yield partial
+    except OSError as error:
+        raise FailedError(f"cannot write {path}: {reason(error)}") from None
 
 
 def write_whole(path: Path, content: bytes) -> None:

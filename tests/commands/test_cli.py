@@ -344,7 +344,9 @@ def test_a_word_too_many_is_named_with_the_usage_of_its_command(here, words, hin
     assert hint in said.splitlines()[-1]
 
 
-@pytest.mark.parametrize("words", [["check", "--schema"], ["signals", "-o"], ["fmu", "-o"]])
+@pytest.mark.parametrize(
+    "words", [["check", "--schema"], ["signals", "-o"], ["fmu", "--platforms", "none", "-o"]]
+)
 def test_a_full_disk_leaves_the_file_of_before(here, tmp_path, monkeypatch, words):
     def fill(place, *_, **__):
         with place.open("wb") as file:
@@ -352,9 +354,20 @@ def test_a_full_disk_leaves_the_file_of_before(here, tmp_path, monkeypatch, word
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(Path, "write_text", fill)
-    monkeypatch.setattr("hilserver.commands.fmu.export", fill)
+    monkeypatch.setattr("hilserver.fmu.export.zipfile.ZipFile", fill)
+    monkeypatch.setattr("hilserver.fmu.export._sources", lambda *_: [])
     (tmp_path / "out").write_bytes(b"good")
     code, _, said = here(*words, "out")
     assert code == 1
     assert said == "hilserver: cannot write out: no space is left for it; free some\n"
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("out", b"good")]
+
+
+def test_a_full_disk_elsewhere_is_not_laid_to_the_fmu(here, monkeypatch):
+    def fill(folder, *_):
+        raise OSError(errno.ENOSPC, "No space left on device", str(folder / "robot.h"))
+
+    monkeypatch.setattr("hilserver.fmu.export._sources", fill)
+    code, _, said = here("fmu", "--platforms", "none", "-o", "robot.fmu")
+    assert code == 1
+    assert said.endswith("/sources/robot.h: no space left on device\n")
