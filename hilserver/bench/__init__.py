@@ -1,1 +1,1 @@
-"""Every figure that the README quotes, measured with its reference in the same run."""
+"""Every figure quoted in the README, measured with its reference in the same run."""

@@ -44,8 +44,8 @@ def run(command_line: list[str], duration_s: int) -> NDArray[np.int64]:
 def companion(*, period_us: int, duration_s: int) -> Iterator[None]:
     """Run cyclictest without real-time priority beside a block of `duration_s` [s].
 
-    In the reference's blocks a second paced thread, the subject's, runs beside cyclictest. This one
-    makes the subject's blocks equal.
+    In the blocks of the reference a second paced thread, that of the subject, runs beside
+    cyclictest. This one makes the blocks of the subject equal.
     """
     command_line = command(period_us=period_us, priority=0, duration_s=duration_s + 2, bins=1)
     options = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}

@@ -62,7 +62,7 @@ class Comparison:
 
     @property
     def raw(self) -> dict[str, Any]:
-        """Everything that was measured: latency [us] -> count, per block."""
+        """All measured data: latency [us] -> count, per block."""
         return {
             "cyclictest_command": self.command,
             "load": self.load,
@@ -93,7 +93,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> list[report.Result]:
-    """Measure; the raw histograms stand in the first figure of each back end."""
+    """Measure; the raw histograms are in the first figure of each back end."""
     results = []
     for backend in ("thread", "timerfd") if args.backend == "both" else (args.backend,):
         for beside in dict.fromkeys(((), args.beside)):
@@ -110,7 +110,7 @@ def compare(
 ) -> Comparison:
     """Measure one back end and cyclictest in alternating blocks."""
     comparison = Comparison(backend)
-    # Fail before anything is started if cyclictest is missing.
+    # If cyclictest is missing, fail before anything is started.
     cyclictest.command(period_us=1, priority=0, duration_s=1, bins=1)
     subject_of = SUBJECTS[args.subject]
     how: dict[str, Any] = {"period_us": args.period_us, "priority": args.priority}

@@ -1,7 +1,7 @@
 """What `bench jitter` measures: the daemon under OPC UA load, or the bare pacing loop.
 
-A subject is a process of its own. Its linear histogram is read from shared memory while it runs, as
-the difference of two looks, so that measuring costs it nothing.
+A subject is a separate process. Its linear histogram is read from shared memory while it runs, as
+the difference of two readings, so that the measurement does not load it.
 """
 
 import contextlib
@@ -30,18 +30,18 @@ N_CLIENTS, N_NODES, RATE_HZ = 10, 50, 20
 
 @dataclass(frozen=True)
 class Place:
-    """Where the daemon and what it serves besides meet: files in a folder, the page at a port."""
+    """Where the daemon meets other programs it serves: files in a folder, the page at a port."""
 
     folder: Path
     port: int
-    pacing_thread: int = 0  # of the daemon, once it runs
+    pacing_thread: int = 0  # thread id in the daemon, once it runs
 
 
 @dataclass(frozen=True)
 class Companion:
-    """What the daemon serves besides its OPC UA clients."""
+    """A program that the daemon serves in addition to its OPC UA clients."""
 
-    section: str  # of the configuration; `settings` makes its content
+    section: str  # of the configuration; `settings` returns its content
     settings: Callable[[Place], Mapping[str, Any]]
     # keeps a program at the other end busy while its context lasts; yields it in words
     busy: Callable[[Place], contextlib.AbstractContextManager[str]]
@@ -52,7 +52,7 @@ class Subject:
     """A running process under measurement."""
 
     statistics: Statistics  # its figures, in shared memory
-    # what loads it, in words; grows when the load ends
+    # its load in words; completed when the load ends
     load: list[str] = field(default_factory=list)
 
     def measure(self, duration_s: float) -> NDArray[np.int64]:
@@ -75,10 +75,10 @@ class Subject:
 
     @contextlib.contextmanager
     def standing_back(self) -> Iterator[None]:
-        """Let the pacing thread go on without its real-time priority.
+        """Let the pacing thread continue without its real-time priority.
 
-        While cyclictest runs, the subject must stay the same load, and must not compete with
-        cyclictest at the same priority, which no second program does while the subject is measured.
+        While cyclictest runs, the subject must remain the same load, but not compete with it at
+        the same priority: the subject has no such competitor while it is measured.
         """
         priority, thread = self.priority, self.statistics.thread_id
         if priority > 0:
@@ -148,9 +148,9 @@ def _settings(backend: str, period_us: int, priority: int, image: str, url: str)
                 "publish": 20 * period_us / 1000,
                 "supervise": 100 * period_us / 1000,
             },
-            "policy": "skip",  # as cyclictest: one late wake-up is one sample
+            "policy": "skip",  # like cyclictest: one late wake-up is one sample
             "realtime": {"priority": priority},
-            "limits": {"single_overrun_ms": None, "consecutive_overruns": None},  # it drives on
+            "limits": {"single_overrun_ms": None, "consecutive_overruns": None},  # it keeps driving
         },
         "image": {"name": image},
         "opcua": {"endpoint": url},
@@ -166,7 +166,7 @@ def _statistics_of(image: str) -> Statistics:
 
 
 def _load_report(clients: "subprocess.Popen[str]", duration_s: float) -> str:
-    """End the clients and say how much of the load was really there."""
+    """End the clients and report how much of the load was actually achieved."""
     try:
         output, _ = clients.communicate(timeout=20)
     except subprocess.TimeoutExpired:
@@ -182,7 +182,7 @@ def _load_report(clients: "subprocess.Popen[str]", duration_s: float) -> str:
 
 
 def _wait_for(attach: Callable[[], Statistics], process: "subprocess.Popen[str]") -> Statistics:
-    """Attach to a process that starts; its pacing thread must be running."""
+    """Attach to a process that is starting, once its pacing thread runs."""
     deadline = time.monotonic() + PACING_WITHIN_S
     while time.monotonic() < deadline:
         if process.poll() is not None:

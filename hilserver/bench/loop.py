@@ -1,10 +1,10 @@
-"""Set-point to output and back over TCP: two processes, both directions, the daemon as it is run.
+"""Set-point to output and back over TCP: two processes, both directions, the daemon as in use.
 
-This process is the controller, an OPC UA server as on the IOT2050; the daemon is a process of its
-own that reads from it and writes to it. The set-point of one wheel changes sign at random moments.
-The controller's action ``wheel.fl.duty_pct`` follows in the very tick that latches the set-point,
-so the first duty of the new sign that is written back marks the first published output that
-contains the change. Measured is from the change here to that write arriving here.
+This process is the controller, an OPC UA server as on the IOT2050; the daemon is another process
+that reads from it and writes to it. The set-point of one wheel changes sign at random moments. The
+controller output ``wheel.fl.duty_pct`` follows in the same tick that latches the set-point, so the
+first duty with the new sign that is written back marks the first published output that contains
+the change. The measured time is from the change here to the arrival of that write here.
 """
 
 import argparse
@@ -83,7 +83,7 @@ class Loop:
             await asyncio.sleep(PERIOD_S)
 
     async def ready(self, ended: Callable[[], str | None]) -> None:
-        """Wait until the wheels turn as commanded; FailedError if the daemon does not come up."""
+        """Wait until the wheels turn as commanded; FailedError if the daemon does not start."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(DAEMON_WITHIN_S):
                 while not self.duty_pct * self.target_rpm > 0:
@@ -110,7 +110,7 @@ class Loop:
 
 
 def peer(endpoint: str, mode: str) -> PeerConfig:
-    """Return the demo's peer, in `mode`, with the duty written back as well."""
+    """Return the peer of the demo, in `mode`, with the duty written back as well."""
     config = demo_peer(endpoint)
     write = config.write | {"wheel.fl.duty_pct": node_id(DUTY)}
     return config.changed(mode=mode, write=write)
@@ -118,7 +118,7 @@ def peer(endpoint: str, mode: str) -> PeerConfig:
 
 @contextlib.asynccontextmanager
 async def daemon(config: PeerConfig) -> AsyncIterator[Callable[[], str | None]]:
-    """Run ``hilserver run`` against one peer; give a function that tells how it has ended."""
+    """Run ``hilserver run`` against one peer; give a function that returns how it has ended."""
     document = {
         "image": {"name": "auto"},
         "opcua": {"enabled": False},
@@ -165,7 +165,7 @@ async def measure(mode: str, changes: int, seed: int) -> list[float]:
 
 
 def intervals(mode: str) -> dict[str, float]:
-    """Return every interval [ms] that a change waits for on its way, by name."""
+    """Return every interval [ms] that a change has to wait for, by name."""
     config, scheduler = demo_peer("opc.tcp://127.0.0.1:1/"), SchedulerConfig()
     reading = (
         {"publishing_ms": config.publishing_ms}

@@ -14,13 +14,13 @@ _DEPTH = 6
 
 
 class Load:
-    """Counts what the clients have done."""
+    """Counts the reads of the clients."""
 
     def __init__(self, url: str, n_nodes: int, rate_hz: float) -> None:
         self._url = url
         self._n_nodes = n_nodes
         self._period_s = 1.0 / rate_hz
-        # read requests answered; those that began a whole period too late
+        # read requests answered; requests that started a whole period too late
         self.reads = 0
         self.late = 0
 
@@ -42,7 +42,7 @@ class Load:
 
 
 async def _variables(start: Node, n_nodes: int) -> list[Node]:
-    """Return `n_nodes` variables of our namespaces; the same ones again if there are too few."""
+    """Return `n_nodes` variables of our namespaces, repeated if there are too few."""
     found: list[Node] = []
     level = [start]
     for _ in range(_DEPTH):

@@ -1,7 +1,7 @@
-"""A process that only paces: an empty step, and an event loop that has something to do.
+"""A process that only paces: an empty step, and a busy event loop.
 
 ``python -m hilserver.bench.pacing_subject BACKEND FILE PERIOD_US PRIORITY`` paces until its
-standard input ends; its statistics lie in FILE.
+standard input ends; its statistics are in FILE.
 """
 
 import asyncio
@@ -39,7 +39,7 @@ async def pace(backend: str, path: Path, period_us: int, priority: int) -> None:
         values=np.zeros(64),
         words=np.zeros(64, dtype=np.int64),
         backend=backend,
-        policy=OverrunPolicy("skip"),  # as cyclictest: one late wake-up is one sample
+        policy=OverrunPolicy("skip"),  # like cyclictest: one late wake-up is one sample
         realtime=RealtimeSettings(priority=priority),
         statistics_array=map_statistics(path, words_needed(len(SLICES), HISTOGRAM_BINS)),
         linear_bins=HISTOGRAM_BINS,

@@ -1,6 +1,6 @@
-"""How long one tick of the plant takes, beside the same recurrence in C.
+"""How long one tick of the plant takes, compared with the same recurrence in C.
 
-Blocks of both programs alternate in one run, so that whatever else the machine does hits both; the
+Blocks of both programs alternate in one run, so that other work of the machine affects both; the
 median over the blocks is compared. The C program is built for this machine, with -O3 and without
 fast-math.
 """
@@ -83,7 +83,7 @@ def _block_ns(run: Callable[[int], None], ticks: int) -> float:
 def run(args: argparse.Namespace) -> list[Result]:
     """Measure and return ``step_ns``, ``step_pointer_ns`` and ``step_all_terms_ns``.
 
-    FailedError when there is no C compiler.
+    FailedError if there is no C compiler.
     """
     blocks = int(getattr(args, "blocks", None) or BLOCKS)
     ticks = int(getattr(args, "ticks", None) or TICKS_PER_BLOCK)

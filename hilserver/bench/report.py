@@ -29,11 +29,11 @@ class Result:
     reference: float | None = None  # the same figure of the reference program, in the same unit
     reference_name: str | None = None
     ratio: float | None = None
-    raw: Any = None  # histograms, blocks, command lines: whatever the figure was made from
+    raw: Any = None  # histograms, blocks, command lines: the data behind the figure
 
 
 def machine() -> dict[str, Any]:
-    """Describe the machine well enough to read a figure, without names that identify it."""
+    """Describe the machine well enough to interpret a figure, without identifying names."""
     model = platform.processor() or "unknown"
     for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
         if line.startswith("model name"):
@@ -77,7 +77,7 @@ PERCENTILES = (50.0, 99.0, 99.9)
 def percentile_us(counts: NDArray[np.int64], percent: float) -> float:
     """Return the smallest latency [us] that `percent` % of the samples do not exceed.
 
-    Bin i holds latencies of i to i + 1 us; the last bin holds what is longer. NaN without samples.
+    Bin i holds latencies of i to i + 1 us, the last bin longer ones, too. NaN without samples.
     """
     total = int(counts.sum())
     if total == 0:
@@ -97,7 +97,7 @@ def ratio_interval(
     """Return the 95 % interval of the ratio of the medians over the blocks.
 
     Percentile bootstrap over the blocks (2000 draws, fixed seed): how far the ratio would move if
-    the same computer were measured again. A wide interval says that the tail is the computer's.
+    the same computer were measured again. A wide interval means the tail is the computer's.
     """
     ours = np.array([percentile_us(block, percent) for block in blocks])
     theirs = np.array([percentile_us(block, percent) for block in reference])

@@ -1,7 +1,7 @@
 """Atomic loads, stores and fences for kernels that share memory with other threads and processes.
 
 A plain store may be moved by the compiler (and, on ARM, by the processor): the sequence number of a
-frame would then announce data that are not there yet. These intrinsics emit LLVM's atomic
+frame could then announce data that is not written yet. These intrinsics emit LLVM's atomic
 instructions on elements of int64 arrays.
 """
 

@@ -1,9 +1,9 @@
-"""Where compiled kernels are cached, and the one decorator that all kernels use.
+"""Cache of compiled kernels, and the one decorator that all kernels use.
 
-numba's file cache looks at the modification time of the file a function stands in, not at the
+numba's file cache checks the modification time of the file that contains a function, not the
 functions it calls. A changed callee would silently run in its old form. The cache directory is
-therefore keyed by a hash of the source of every kernel room (and of numba itself). Kernels of other
-rooms call those and their own room's: they have a directory within, keyed by their room's sources.
+therefore keyed by a hash of the sources of all kernel rooms (and the version of numba). Kernels of
+other rooms call those and their own room's: they have a subdirectory, keyed by those sources.
 """
 
 import hashlib
@@ -23,9 +23,9 @@ from hilserver.cache import cache_folder
 
 
 def _without_linear_algebra() -> None:
-    """Load numba's arrays without scipy's linear algebra: 15 MB and a tenth of the start.
+    """Load numba's arrays without scipy's linear algebra: saves 15 MB and a tenth of the start.
 
-    numba only asks whether it is there. What calls it, perhaps a user's block, loads it then.
+    numba only checks that it exists. Code that calls it, perhaps a user's block, loads it then.
     """
     asks, linalg.ensure_blas = linalg.ensure_blas, lambda: None
     import_module("numba.np.arraymath")
@@ -70,7 +70,7 @@ def cache_dir() -> Path:
 
 @cache
 def room_dir(room: Path) -> Path:
-    """Return the directory of the kernels that stand in one folder."""
+    """Return the directory for the kernels of one folder."""
     if not room.is_relative_to(_PACKAGE) or room.relative_to(_PACKAGE).parts[0] in _KERNEL_ROOMS:
         return cache_dir()
     return cache_dir() / hash_of(sorted(room.glob("*.py")))

@@ -1,7 +1,7 @@
-"""Calls into a C library by addresses that are known at run time only.
+"""Calls into a C library by addresses that are known only at run time.
 
-An address is a plain int64 in an array of the caller: the compiled code holds none, so its cache on
-disk stays valid from one process to the next. Integers and pointers travel in the same registers
+An address is a plain int64 in an array of the caller: the compiled code contains none, so its cache
+on disk stays valid from one process to the next. Integers and pointers travel in the same registers
 (System V x86-64, AAPCS64), so every argument is an int64.
 """
 
@@ -45,8 +45,8 @@ def ask(
 ) -> Any:
     """Call the C function at `address`; return its int.
 
-    Integers, pointers and booleans are `a` to `f`, doubles are `x` and `y`, wherever they stand
-    among each other: the two travel in registers of their own.
+    Integers, pointers and booleans are `a` to `f`, doubles are `x` and `y`, whatever their order in
+    the signature: the two kinds use separate registers.
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:

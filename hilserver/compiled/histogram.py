@@ -1,7 +1,7 @@
 """Fixed 1-2-5 histograms of int64 counts: filled in kernels, exported without conversion.
 
-The bounds run from 1 us to 10 s; a count stands in the first bucket whose upper bound is not below
-the value, the last bucket takes what exceeds 10 s.
+The bounds run from 1 us to 10 s; a value counts in the first bucket whose upper bound is not below
+it, values above 10 s in the last bucket.
 """
 
 from typing import Any
@@ -27,7 +27,7 @@ def bucket_index(value_ns: int) -> int:
 
 
 class Histogram125:
-    """A duration histogram filled from Python, in the shape the kernels use."""
+    """A duration histogram filled from Python, in the same form as in kernels."""
 
     def __init__(self) -> None:
         # shape (N_BUCKETS,); count per bucket, not cumulated
@@ -47,7 +47,7 @@ class Histogram125:
         return int(self.counts.sum())
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Reset all counts."""
         self.counts[:] = 0
         self.sum_ns = 0
         self.last_ns = None

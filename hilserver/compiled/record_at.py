@@ -1,4 +1,4 @@
-"""A record within a kernel; `records` says what one is."""
+"""A record within a kernel, see `records`."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from numba.extending import intrinsic
 def record_at(typing_context: Any, array: Any, place: Any, layout: Any) -> Any:
     """Return the record of `layout` whose first word is ``array[place]``; not checked.
 
-    It keeps no array alive: one that a kernel makes for itself must be used after its record.
+    It does not keep the array alive: an array made in a kernel must be used after its record.
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -23,7 +23,7 @@ def record_at(typing_context: Any, array: Any, place: Any, layout: Any) -> Any:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def assign(typing_context: Any, target: Any, source: Any) -> Any:
-    """Copy all numbers of a record to another one of the same layout."""
+    """Copy all numbers of a record to another of the same layout."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         n_bytes = context.get_constant(types.intp, signature.args[0].size)

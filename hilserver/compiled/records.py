@@ -1,8 +1,8 @@
 """Records: the numbers of an array by name, over the same memory, in Python and in kernels.
 
-A subclass of `Record` is a layout: its annotations name the numbers in their order, the comments
-beside them say unit and meaning. ``float`` and ``int`` are a word of 8 bytes each, an array, or a
-list of records, is ``Annotated`` with its shape; a record may hold others::
+A subclass of `Record` is a layout: its annotations name the numbers in their order, comments next
+to them give unit and meaning. ``float`` and ``int`` are words of 8 bytes; an array, or a list of
+records, is ``Annotated`` with its shape; a record may contain others::
 
     Wheels = Annotated[NDArray[np.float64], 4]
 
@@ -15,8 +15,8 @@ list of records, is ``Annotated`` with its shape; a record may hold others::
     x = Motion.of(array)  # in Python
     x = record_at(array, place, MOTION)  # in a kernel
 
-Both copy nothing: ``x.speed[i]`` is a word of `array`. A kernel that has a record as an argument
-gets it as one pointer, where an array is seven numbers.
+Neither copies anything: ``x.speed[i]`` is a word of `array`. As an argument of a kernel a record is
+one pointer, an array seven numbers.
 """
 
 from typing import TYPE_CHECKING, Any, ClassVar, Self, get_args
@@ -42,7 +42,7 @@ def _number(hint: Any) -> np.dtype[Any]:
 if TYPE_CHECKING:
 
     class _Void:
-        """What we use of NumPy's; its stubs call it final, and every name one of its attributes."""
+        """The part of NumPy's class in use: its stubs make it final and accept any attribute."""
 
         base: NDArray[Any]
 
@@ -64,9 +64,9 @@ else:
 
 
 class Record(_Void):
-    """Numbers by name; what a subclass annotates is its layout."""
+    """Numbers by name; the annotations of a subclass are its layout."""
 
-    layout: ClassVar[np.dtype[Any]]  # what NumPy and numba know of it
+    layout: ClassVar[np.dtype[Any]]  # for NumPy and numba
     n_words: ClassVar[int]  # its length in words of 8 bytes
 
     def __init_subclass__(cls, word: type | None = None) -> None:
@@ -95,7 +95,7 @@ class Record(_Void):
 
     @classmethod
     def where(cls, name: str) -> slice:
-        """Return where in an array the words of a field stand."""
+        """Return the place of a field's words in an array."""
         fields = cls.layout.fields
         assert fields is not None
         number, offset = fields[name][:2]
@@ -103,7 +103,7 @@ class Record(_Void):
 
     @property
     def numbers(self) -> NDArray[np.float64]:
-        """The array that the record lies in, its words alone."""
+        """The words of the record in its array."""
         numbers: NDArray[np.float64] = self.base.view(np.float64)
         return numbers
 
@@ -112,7 +112,7 @@ class Record(_Void):
         return self.of(self.numbers.copy())
 
     def __reduce__(self) -> Any:
-        """Pickle the numbers: what NumPy makes of a scalar could not be written to."""
+        """Pickle the numbers: a scalar restored by NumPy would be read-only."""
         return self.of, (self.numbers.copy(),)
 
 
