@@ -87,9 +87,12 @@ def _parse(words: Sequence[str]) -> argparse.Namespace:
         sub.set_defaults(run=module.run)
     args, left = parser.parse_known_args(words)
     if left:
-        is_configuration = left[0].endswith((".yaml", ".yml")) and "config" in args
-        hint = f"; write '-c {left[0]}'" if is_configuration else ""
-        sub.error(f"{asked} takes no '{left[0]}'{hint}")
+        word = left[0]
+        if word.endswith((".yaml", ".yml")) and "config" in args and args.config is None:
+            sub.error(f"{asked} takes no '{word}'; write '-c {word}'")
+        if word.startswith("-"):
+            sub.error(f"{asked} takes no '{word}'")
+        sub.error(f"unrecognized arguments: {' '.join(left)}")
     return args
 
 
