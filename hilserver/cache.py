@@ -1,4 +1,4 @@
-"""The folder where programs keep what they would otherwise make anew."""
+"""The folder for results that programs would otherwise have to compute again."""
 
 import errno
 import os
@@ -21,7 +21,7 @@ def cache_folder(name: str) -> Path:
 
 
 def _own(path: Path) -> None:
-    """Let nobody else write to `path`: what lies there is unpickled and executed."""
+    """Let nobody else write to `path`: its files are unpickled and executed."""
     found = path.stat()
     if found.st_uid not in (0, os.geteuid()):
         reason = f"belongs to another user (id {found.st_uid})"

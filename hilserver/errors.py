@@ -61,11 +61,11 @@ def address_refused(what: str, error: OSError) -> FailedError:
 
 
 _ALIKE, _SHORT = 0.7, 2
-"""Least likeness of a name that was meant; shorter ones are part of too many others."""
+"""Least similarity to the intended name; names this short are part of too many others."""
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
-    """Return the name that was probably meant: one spelt alike, or the first that holds it."""
+    """Return the name that was probably meant: a similar one, or the first that contains it."""
     names = list(known)
     close = difflib.get_close_matches(name, names, n=1, cutoff=_ALIKE)
     holds = [n for n in names if len(name) > _SHORT and name.lower() in n.lower()]
@@ -73,12 +73,12 @@ def nearest(name: str, known: Iterable[str]) -> str | None:
 
 
 def meant(name: str, known: Iterable[str], otherwise: str) -> str:
-    """Return the hint behind a name that does not exist."""
+    """Return the hint to follow a name that does not exist."""
     near = nearest(name, known)
     return otherwise if near is None else f"did you mean '{near}'?"
 
 
 def no_signal(name: str, known: Iterable[str]) -> str:
-    """Return the sentence for a name that no signal has."""
+    """Return the sentence for a signal name that does not exist."""
     hint = meant(name, known, "see 'hilserver signals'")
     return f"there is no signal '{name}'; {hint}"

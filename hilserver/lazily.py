@@ -1,7 +1,7 @@
-"""Names of a package that need the compiler, imported when one of them is asked for.
+"""Names of a package that need the compiler, imported on first use.
 
 numba takes 70 MB and most of a second. A process that only watches (page, recorder, a command)
-imports the same packages as the daemon, and does without.
+imports the same packages as the daemon, but without numba.
 """
 
 from collections.abc import Callable
@@ -15,7 +15,7 @@ def lazily(package: str, **modules: tuple[str, ...]) -> Callable[[str], Any]:
     Parameters
     ----------
     modules : tuple of str
-        For each of its modules the names that it defines.
+        For each module of the package, the names that it defines.
     """
     home = {name: module for module, names in modules.items() for name in names}
 

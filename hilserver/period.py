@@ -1,9 +1,9 @@
 """Periods on the event loop.
 
 Timers of an event loop are not exact: uvloop counts whole milliseconds and fires up to one too
-early, a busy loop fires late, and a handle that was due already can still fire after it was
-replaced. Whoever compares with a clock of its own then finds that it is not due, and waits for a
-call that never comes. Here the clock is asked in one place.
+early, a busy loop fires late, and a handle that was already due can still fire after it was
+replaced. Code that compares with its own clock may then find that nothing is due, and wait for a
+call that never comes. Here the clock is read in one place.
 """
 
 import asyncio
@@ -13,7 +13,7 @@ from collections.abc import Awaitable, Callable
 from typing import Protocol
 
 _EARLY_S = 0.001
-"""A loop's timers are early by at most this: waited for in addition, so that one call is enough."""
+"""A loop's timers are early by at most this; it is added to each wait, so that one is enough."""
 
 
 class Handle(Protocol):
@@ -24,10 +24,10 @@ class Handle(Protocol):
 
 
 class Period:
-    """Calls once in every period, on a grid that stays.
+    """Calls once per period, on a fixed grid.
 
-    A timer that fires too early waits for the rest, one that fires twice calls once, and periods
-    that a late one has missed are not made up for.
+    After a timer that fires too early it waits for the rest, a timer that fires twice calls once,
+    and missed periods are not made up for.
     """
 
     def __init__(
@@ -46,12 +46,12 @@ class Period:
         return self._handle is not None
 
     def start(self, period_s: float, first_s: float) -> None:
-        """Call in `first_s`, and every `period_s` from then on; replaces what was planned."""
+        """Call in `first_s`, then every `period_s`; replaces earlier plans."""
         self._period_s, self._due_s = period_s, self._clock() + first_s
         self._plan(first_s)
 
     def stop(self) -> None:
-        """Call no more."""
+        """Stop calling."""
         if self._handle is not None:
             self._handle.cancel()
             self._handle = None
@@ -79,10 +79,10 @@ async def every(
     cycle: Callable[[], Awaitable[float | None]],
     skipped: Callable[[int], None] = lambda _count: None,
 ) -> None:
-    """Run `cycle` on absolute deadlines, one at a time; those that passed meanwhile are skipped.
+    """Run `cycle` on absolute deadlines, one at a time; deadlines missed meanwhile are skipped.
 
-    A cycle may return the time [s] from its deadline to the next one. `skipped` takes the number of
-    deadlines left out.
+    A cycle may return the time [s] from its deadline to the next one. `skipped` is called with the
+    number of skipped deadlines.
     """
     loop = asyncio.get_running_loop()
     deadline = loop.time()

@@ -1,4 +1,4 @@
-"""Small files that a user names, read whole; neither a pipe nor an endless device holds us up."""
+"""Small files that a user names, read whole; a pipe or an endless device cannot block us."""
 
 import errno
 import os
@@ -9,7 +9,7 @@ LARGEST = 1_000_000
 
 
 def read_small(path: Path, most_bytes: int = LARGEST) -> bytes:
-    """Return what a file holds; OSError, in words, where it is none or larger than `most_bytes`."""
+    """Return a file's content; OSError if it is not regular or larger than `most_bytes`."""
     fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     with os.fdopen(fd, "rb") as file:
         if not stat.S_ISREG(os.fstat(fd).st_mode):

@@ -1,12 +1,12 @@
 """Wake latency of the paced plant against cyclictest, in alternating blocks.
 
-Blocks of the subject and of cyclictest alternate at the same period, priority and load, and per
-percentile the medians over the blocks are compared: the tail of a shared virtual machine hits both.
+Blocks of the subject and of cyclictest alternate at the same period, priority and load, and for
+each percentile the medians over the blocks are compared: a shared computer's tail affects both.
 
 The load is the same in both kinds of blocks. The daemon keeps pacing, publishing and serving its
-clients while cyclictest runs, but its pacing thread then has no real-time priority; and while the
+clients while cyclictest runs, but its pacing thread then has no real-time priority. While the
 daemon is measured, a second cyclictest without real-time priority runs beside it. So there is
-always one real-time thread that is measured and one ordinary thread of the same period.
+always one measured real-time thread and one ordinary thread of the same period.
 """
 
 import argparse
@@ -117,7 +117,7 @@ def compare(
     with subject_of(backend, **how, beside=beside) as subject:
         comparison.load = subject.load
         bins = len(subject.statistics.linear_counts)
-        # The event loop has no real-time priority; cyclictest is then shown at the one asked for.
+        # The event loop has no real-time priority; cyclictest then runs at the requested one.
         priority = subject.priority if backend == "thread" else args.priority
         comparison.command = cyclictest.command(
             period_us=args.period_us, priority=priority, duration_s=args.block_s, bins=bins

@@ -43,7 +43,7 @@ class Companion:
 
     section: str  # of the configuration; `settings` returns its content
     settings: Callable[[Place], Mapping[str, Any]]
-    # keeps a program at the other end busy while its context lasts; yields it in words
+    # runs a busy program at the other end while its context lasts; yields a description of it
     busy: Callable[[Place], contextlib.AbstractContextManager[str]]
 
 

@@ -54,7 +54,7 @@ def _through_pointer(step: Any, p: Any, x: Any, u: Any, y: Any, q: Any, ticks: i
 
 
 class _Numba:
-    """One compiled robot with its arrays, turning while it drives."""
+    """One compiled robot with its arrays, driving a curve."""
 
     def __init__(self, robot: RobotParameters) -> None:
         self.p, self.x = pack(robot), initial_state(robot)

@@ -1,4 +1,4 @@
-"""The form in which every measured figure is printed and written: schema ``hilserver.bench/1``.
+"""The format in which measured figures are printed and written: schema ``hilserver.bench/1``.
 
 Latencies come as linear histograms in bins of 1 us, as cyclictest prints them.
 """

@@ -1,6 +1,6 @@
 """Tools for compiled code: the `kernel` decorator with its cache, libc calls, atomics.
 
-The lowest room of the house.
+The lowest room in the list of layers.
 """
 
 from typing import TYPE_CHECKING

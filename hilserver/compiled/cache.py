@@ -58,7 +58,7 @@ def hash_of(sources: Iterable[Path], *extra: str) -> str:
 
 @cache
 def kernel_hash() -> str:
-    """Return the hash of all kernel sources; recordings and snapshots carry it."""
+    """Return the hash of all kernel sources; recordings and snapshots contain it."""
     return hash_of(kernel_sources())
 
 
@@ -77,10 +77,10 @@ def room_dir(room: Path) -> Path:
 
 
 def kernel(*signature: Any, **options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile a function without Python objects, without the interpreter lock, cached on disk.
+    """Compile a function without Python objects and interpreter lock, cached on disk.
 
-    No fast-math and no error model surprises: the same inputs give the same bits in every pacing
-    back end. Division follows IEEE 754 (``error_model="numpy"``): a kernel never raises.
+    Without fast-math the same inputs give the same bits in every pacing back end. Division follows
+    IEEE 754 (``error_model="numpy"``): a kernel never raises.
     """
     settings = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": False} | options
 

@@ -20,7 +20,7 @@ _WORD, _STATUS, _DOUBLE = ir.IntType(64), ir.IntType(32), ir.DoubleType()
 def call(
     typing_context: Any, address: Any, first: Any, second: Any, third: Any, fourth: Any
 ) -> Any:
-    """Call the C function at `address`; one that takes fewer arguments ignores the last."""
+    """Call the C function at `address`; one with fewer parameters ignores the last arguments."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         function = ir.FunctionType(ir.VoidType(), [_WORD] * 4)

@@ -41,5 +41,5 @@ def sleep_until(deadline_ns: int, timespec: Any) -> None:
 
 @kernel()
 def ring_doorbell(file_descriptor: int, one: Any) -> int:
-    """Add 1 to an eventfd; `one` is an int64[1] holding 1. Return libc's answer (8 or -1)."""
+    """Add 1 to an eventfd; `one` is an int64[1] holding 1. Return libc's result (8 or -1)."""
     return int(libc_write(file_descriptor, one.ctypes, 8))

@@ -70,7 +70,7 @@ class Record(_Void):
     n_words: ClassVar[int]  # its length in words of 8 bytes
 
     def __init_subclass__(cls, word: type | None = None) -> None:
-        """Make the layout; with `word` all numbers are of this type instead of their own."""
+        """Make the layout; with `word` all numbers have this type instead of their own."""
         own = cls.__mro__[: cls.__mro__.index(Record)]
         hints = {k: v for c in reversed(own) for k, v in c.__annotations__.items()}
         fields = []
@@ -90,7 +90,7 @@ class Record(_Void):
 
     @classmethod
     def zeros(cls) -> Self:
-        """Return a record of its own memory, all zero."""
+        """Return a record with memory of its own, all zero."""
         return cls.of(np.zeros(cls.n_words))
 
     @classmethod
@@ -108,7 +108,7 @@ class Record(_Void):
         return numbers
 
     def copy(self) -> Self:
-        """Return a record of its own memory with the same numbers."""
+        """Return a record with memory of its own and the same numbers."""
         return self.of(self.numbers.copy())
 
     def __reduce__(self) -> Any:
