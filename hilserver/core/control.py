@@ -218,7 +218,7 @@ class Control:
         self._go(self._next(Command.END), reason)
 
     def supervise(self) -> None:
-        """Take over what the plant has acted on already."""
+        """Take over stops and faults that the plant has already acted on."""
         self._take_stop()
         if code := self._image.control.first_fault:
             self.enter_safe(fault_of(code).text, cause=None)

@@ -148,7 +148,7 @@ class Reader:
 
     @staticmethod
     def refused(code: int) -> FixedDataValue:
-        """Return a value with the status that tells why there is none."""
+        """Return a value whose status is the reason why there is none."""
         return FixedDataValue(None, ua.StatusCode(code), None, datetime.now(UTC))
 
     def _read(self, item: Any, user: Any) -> FixedDataValue:

@@ -141,7 +141,7 @@ async def _hil(request: pytest.FixtureRequest, hil_config: Any) -> AsyncIterator
 
 
 def _without_asyncio() -> None:
-    """Say what is missing."""
+    """Fail, as pytest-asyncio is missing."""
     pytest.fail("the fixture hil needs pytest-asyncio: install hilserver[test]", pytrace=False)
 
 

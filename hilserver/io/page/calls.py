@@ -81,7 +81,7 @@ def may_work(browser: Browser) -> None:
 
 
 class LogIns:
-    """Counts failed log-ins as the daemon does, whose answer does not tell that one has to wait."""
+    """Counts failed log-ins as the daemon does, whose answer hides that one has to wait."""
 
     def __init__(self, limit: int) -> None:
         self._attempts = FailedAttempts(limit, WINDOW_S)

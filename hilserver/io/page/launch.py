@@ -71,7 +71,7 @@ async def _run(setup: Setup, listener: socket.socket) -> int:
         start_new_session=True,  # Ctrl-C ends the daemon first, and the daemon ends the page
     )
     try:
-        # its standard input stays open: its end tells the page that we are gone
+        # its standard input stays open until we end, which ends the page
         await children.write(process, setup.to_json().encode() + b"\n")
         return await process.wait()
     finally:
