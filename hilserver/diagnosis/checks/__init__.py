@@ -19,6 +19,7 @@ from hilserver.diagnosis.checks import (
     copied,
     dropouts,
     limited,
+    markers,
     messages,
     orientation,
     repetitions,
@@ -37,6 +38,7 @@ FAR_S = 1e5
 Check = Callable[[MeasuredLog, RobotParameters], tuple[MeasuredLog, list[Finding]]]
 
 ORDER: Final[tuple[Check, ...]] = (
+    markers.find,
     repetitions.find_stuck,
     copied.find,
     setpoint_runs.find_interpolated,
