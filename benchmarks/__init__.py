@@ -1,6 +1,6 @@
-"""What measures hilserver beside its peers and rivals, and the campaign of its diagnosis.
+"""Benches that compare hilserver with its peers and rivals, and the campaign of its diagnosis.
 
-It runs from a checkout and is no part of the installed package: ``python -m benchmarks NAME``.
+They run from a checkout and are not part of the installed package: ``python -m benchmarks NAME``.
 """
 
 BENCHES = {

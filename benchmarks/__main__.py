@@ -1,4 +1,4 @@
-"""``python -m benchmarks NAME``: as ``hilserver bench NAME`` in a checkout."""
+"""``python -m benchmarks NAME`` does the same as ``hilserver bench NAME`` in a checkout."""
 
 import sys
 

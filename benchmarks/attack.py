@@ -1,10 +1,10 @@
-"""The OPC UA server under attack: malformed packets and floods, beside a healthy client.
+"""The OPC UA server under attack: malformed packets and floods, next to a healthy client.
 
 The daemon, the healthy client and the attacker are processes on loopback. Blocks alternate so that
-all see the same machine: idle, attack, and as a control the same load on a second daemon, because
-on one computer any load costs the plant something. Where there are two cores the pacing thread has
-one for itself: attacker and client stand for other computers. Every packet goes over a connection
-of its own; what the server neither answers nor closes is counted, and the slowest answer is
+all see the same conditions: idle, attack, and as a control the same load on a second daemon,
+because on one computer any load costs the plant something. With two cores the pacing thread has one
+for itself: attacker and client represent other computers. Every packet has a connection of its own;
+connections that the server neither answers nor closes are counted, and the slowest answer is
 compared with its read deadline.
 """
 
@@ -47,10 +47,10 @@ _AT_ONCE = 60
 _PER_BLOCK = 2000
 _WARM_UP = 400
 _UNANSWERED_S = 10 * READ_DEADLINE_S
-"""A busy computer may hold up both ends for seconds."""
+"""A busy computer may delay both ends for seconds."""
 
 Work = Callable[[str, Campaign], Awaitable[None]]
-"""What is done to the daemon at an address; what becomes of packets is noted in the campaign."""
+"""An attack on the daemon at an address; the fate of packets is counted in the campaign."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -81,7 +81,7 @@ async def send_packets(url: str, some: Iterator[Packet], campaign: Campaign) -> 
                     await _send(url, packet, campaign)
                     break
                 except (OSError, TimeoutError, ua.UaError):
-                    await asyncio.sleep(0.1)  # no place free for the valid part before it
+                    await asyncio.sleep(0.1)  # no connection free for the valid part before it
             else:
                 campaign.not_sent += 1
 
@@ -154,9 +154,9 @@ async def attack(args: argparse.Namespace) -> Campaign:
         subject = await stack.enter_async_context(running_target(campaign.plant_core))
         other = None if args.no_control else await stack.enter_async_context(running_control())
         campaign.pacing_priority = subject.pacing_priority
-        # The attacker stands for another computer: it must not take the plant's core itself.
+        # The attacker represents another computer: it must not itself take the plant's core.
         os.nice(_ATTACKER_NICENESS)
-        # Caches fill and memory settles before the baseline is taken.
+        # Caches must fill and memory settle before the baseline is taken.
         await send_packets(subject.url, packets(_WARM_UP, args.seed + 1), Campaign())
         subject.reads_ms()
         campaign.baseline_mb = subject.memory_mb
@@ -197,7 +197,7 @@ async def _block(
 
 
 def _stolen_s() -> float:
-    """Return the processor time that the hypervisor has given to others so far, all cores."""
+    """Return the processor time of all cores that the hypervisor gave to others so far."""
     words = Path("/proc/stat").read_text(encoding="ascii").split("\n", 1)[0].split()
     return int(words[8]) / os.sysconf("SC_CLK_TCK")
 

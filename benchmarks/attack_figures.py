@@ -1,4 +1,4 @@
-"""What a campaign of attacks has shown: its blocks, and the figures made from them."""
+"""Results of a campaign of attacks: its blocks, and the figures made from them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ from hilserver.bench.report import Result
 READ_DEADLINE_S = 2.0
 NO_ANSWER = "no answer"
 IDLE, ATTACK, CONTROL = "idle", "attack", "control"
-"""Kinds of blocks; in a control block the same goes to a daemon that is not the subject."""
+"""Kinds of blocks; a control block attacks a daemon that is not the subject."""
 _MOST_KEPT = 20
 
 
@@ -23,7 +23,7 @@ class Block:
     stolen_s : float
         Processor time that the hypervisor gave to others.
     ages_ms : list of float
-        Age of the peer's newest set-points, in the ticks that were looked at.
+        Age of the peer's newest set-points, in the sampled ticks.
     safe_ticks : int
         How many of these were in the safe state.
     """
@@ -41,7 +41,7 @@ class Block:
 
 @dataclass
 class Campaign:
-    """All blocks, and what became of the packets."""
+    """All blocks, and the fate of the packets."""
 
     blocks: list[Block] = field(default_factory=list)
     sent: dict[str, int] = field(default_factory=lambda: dict.fromkeys(STAGES, 0))
@@ -114,7 +114,7 @@ def results(campaign: Campaign) -> list[Result]:
     found += _missed("missed_ticks", busy, idle, "idle blocks")
     if control:
         found += _missed("missed_ticks_to_load", busy, control, "the same load elsewhere")
-    # What the hypervisor takes, no priority wins back; it takes more from a computer that works.
+    # No priority regains time that the hypervisor takes, and it takes more from a busy computer.
     calm_busy, calm_idle = ([b for b in blocks if b.stolen_s == 0] for blocks in (busy, idle))
     if calm_busy and calm_idle:
         found += _missed("missed_ticks_unstolen", calm_busy, calm_idle, "idle, nothing stolen")
@@ -126,8 +126,8 @@ def _missed(
 ) -> list[Result]:
     """Compare rates of missed ticks.
 
-    Ticks are missed in bursts, and then not as a Poisson process: the interval given is the wider
-    one of the exact one for Poisson rates and of the bootstrap over blocks.
+    Ticks may be missed in bursts, which is no Poisson process: the wider of the exact interval for
+    Poisson rates and the bootstrap interval over blocks is given.
     """
     rows = [[(b.missed_ticks, b.duration_s) for b in blocks] for blocks in (busy, reference)]
     (count, time_s), (ref_count, ref_s) = [

@@ -1,4 +1,4 @@
-"""Floods: much of what a server has to bear, each within bounds and on loopback only."""
+"""Floods of requests that a server has to withstand, each bounded and on loopback only."""
 
 import asyncio
 import contextlib
@@ -18,7 +18,7 @@ _REFUSED = (OSError, ua.UaError, TimeoutError)
 
 
 async def _until(end_s: float, attack: Callable[[], Awaitable[None]]) -> None:
-    """Attack again and again; a refusal is what the server is there for."""
+    """Attack repeatedly; a refusal is the server's correct answer."""
     while time.monotonic() < end_s:
         with contextlib.suppress(*_REFUSED):
             async with asyncio.timeout(max(0.1, end_s - time.monotonic())):
@@ -27,7 +27,7 @@ async def _until(end_s: float, attack: Callable[[], Awaitable[None]]) -> None:
 
 
 async def idle_sockets(url: str, end_s: float) -> None:
-    """Keep 300 sockets open that say nothing."""
+    """Keep 300 silent sockets open."""
 
     async def hold() -> None:
         async with Wire(url) as wire:
@@ -48,7 +48,7 @@ async def sessions(url: str, end_s: float) -> None:
 
 
 async def deaf_consumer(url: str, end_s: float) -> None:
-    """Ask for much and read nothing of it."""
+    """Request a lot and read none of it."""
     request = ua.BrowseRequest()
     description = ua.BrowseDescription(NodeId=ua.NodeId(ua.ObjectIds.BaseObjectType))
     description.ResultMask, description.BrowseDirection = 63, ua.BrowseDirection.Both
@@ -93,7 +93,7 @@ async def publishing_interval_zero(url: str, end_s: float) -> None:
 
 
 async def two_gigabytes(url: str, end_s: float) -> None:
-    """Announce 2 GB and begin to send them."""
+    """Announce 2 GB and start to send it."""
 
     async def announce() -> None:
         async with Wire(url) as wire:
@@ -105,7 +105,7 @@ async def two_gigabytes(url: str, end_s: float) -> None:
 
 
 async def chunks(url: str, end_s: float) -> None:
-    """Send chunk after chunk and never the last one, before and after the log-in."""
+    """Send chunk after chunk but never the last one, before and after the log-in."""
 
     async def flood(logged_in: bool) -> None:
         async with Wire(url) as wire:
@@ -125,7 +125,7 @@ async def chunks(url: str, end_s: float) -> None:
 
 
 async def endless_sessions(url: str, end_s: float) -> None:
-    """Create sessions whose time-out is no number, and go away."""
+    """Create sessions whose time-out is not a number, and leave."""
 
     async def create() -> None:
         async with Wire(url) as wire:
@@ -143,7 +143,7 @@ async def endless_sessions(url: str, end_s: float) -> None:
 
 
 async def orphans(url: str, end_s: float) -> None:
-    """Leave subscriptions behind, as many as there may be."""
+    """Leave as many subscriptions behind as the server permits."""
 
     async def leave() -> None:
         async with Wire(url) as wire:
@@ -155,7 +155,7 @@ async def orphans(url: str, end_s: float) -> None:
 
 
 async def monitored_items(url: str, end_s: float) -> None:
-    """Watch as much as the limits admit, as often, with queues as long as they may be."""
+    """Monitor as many items as the limits admit, at the highest rate, with the longest queues."""
 
     async def watch() -> None:
         async with Wire(url) as wire:
@@ -177,7 +177,7 @@ async def monitored_items(url: str, end_s: float) -> None:
 
 
 async def numbers_that_are_none(url: str, end_s: float) -> None:
-    """Ask for intervals, ages and dead bands that are no numbers."""
+    """Ask for intervals, ages and dead bands that are not numbers."""
 
     async def ask() -> None:
         async with Wire(url) as wire:

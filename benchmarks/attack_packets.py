@@ -1,4 +1,4 @@
-"""Malformed OPC UA packets: valid captures, and what a seeded generator makes of them."""
+"""Malformed OPC UA packets: valid captures, mutated by a seeded generator."""
 
 import random
 import struct
@@ -13,7 +13,7 @@ from asyncua.ua.ua_binary import struct_to_binary
 from benchmarks.wire import frame, hello, open_channel
 
 STAGES = ("raw", "hello", "channel", "session")
-"""What goes before the packet: nothing, Hello, an open channel, an activated session."""
+"""What precedes the packet: nothing, Hello, an open channel, an activated session."""
 _HEAD = 24
 _CAPTURED = datetime(2024, 1, 1, tzinfo=UTC)
 _LENGTHS = (-1, 0, 1, -(2**31), 2**31 - 1, 2**16, 2**24)
@@ -30,7 +30,7 @@ class Packet:
         A whole frame, or what a mutation left of it; channel, token and sequence numbers of a
         message are filled in when it is sent, unless the mutation hit them.
     keeps_head : bool
-        Whether they are to be filled in.
+        Whether these numbers are to be filled in.
     """
 
     stage: str
@@ -53,7 +53,7 @@ def _encoded(request: Any) -> bytes:
 
 
 def requests() -> list[object]:
-    """Return one valid request of every service that a client may ask for, or should not."""
+    """Return one valid request of every service, including those that clients should not use."""
     node, value = ua.NodeId("wheel.fl.setpoint_rpm", 2), ua.AttributeIds.Value
     read = ua.ReadRequest()
     read.Parameters.NodesToRead = [ua.ReadValueId(NodeId=node, AttributeId=value)] * 4

@@ -1,7 +1,7 @@
 """A healthy client that reads at a fixed rate, in a process of its own.
 
-``python -m benchmarks.attack_probe URL``: each line on standard input asks for the latencies
-of the reads since the line before, one JSON list [ms] on standard output.
+``python -m benchmarks.attack_probe URL``: each line on standard input requests the latencies
+of the reads since the previous line, one JSON list [ms] on standard output.
 """
 
 import asyncio

@@ -1,4 +1,4 @@
-"""What is attacked: a daemon and its healthy client, processes of their own on loopback."""
+"""The target of the attack: a daemon and its healthy client, separate processes on loopback."""
 
 import asyncio
 import contextlib
@@ -19,7 +19,7 @@ from hilserver.program.children import piped, python
 from hilserver.scheduler import Statistics
 
 _LOOK_BACK, _EVERY = 1500, 2
-"""Frames: fewer than the ring keeps; every second one shows an age to 2 ms."""
+"""Frames: fewer than the ring keeps; every second one gives ages to 2 ms."""
 _SAFE = 3
 _CONTROL = {
     "scheduler": {
@@ -28,7 +28,7 @@ _CONTROL = {
         "realtime": {"priority": 0, "lock_memory": False, "hold_latency_target": False},
     }
 }
-"""The second daemon serves the same nodes as often, and competes with no plant."""
+"""The second daemon serves the same nodes at the same rate, and competes with no plant."""
 
 
 class PeerWatch:
@@ -37,7 +37,7 @@ class PeerWatch:
     Attributes
     ----------
     safe_ticks : int
-        Ticks that were looked at in the safe state.
+        Sampled ticks in the safe state.
     """
 
     def __init__(self, image: ImageReader) -> None:
@@ -75,7 +75,7 @@ class Target:
 
     @property
     def missed_ticks(self) -> int:
-        """Ticks of the plant that did not take place."""
+        """Skipped ticks of the plant."""
         return self.statistics.tick.missed_ticks
 
     @property
@@ -118,7 +118,7 @@ def _pipes(process: "subprocess.Popen[str]") -> tuple[IO[str], IO[str]]:
 
 @contextlib.asynccontextmanager
 async def running_target(cpu: int | None) -> AsyncIterator[Target]:
-    """Start a daemon and a healthy client; `cpu` is for the pacing thread alone."""
+    """Start a daemon and a healthy client; only the pacing thread may use `cpu`."""
     # With policy `skip` every late tick is one missed tick.
     settings = {"scheduler": {"policy": "skip", "realtime": {"cpu": cpu}}}
     image = f"bench-attack-{os.getpid()}"
@@ -134,16 +134,16 @@ async def running_target(cpu: int | None) -> AsyncIterator[Target]:
 
 @contextlib.asynccontextmanager
 async def running_control() -> AsyncIterator[str]:
-    """Start a second daemon for the same load, which leaves the first alone; give its address."""
+    """Start a second daemon that takes the same load instead of the first; give its address."""
     async with running_daemon(_CONTROL, f"bench-control-{os.getpid()}") as (url, _):
         yield url
 
 
 def core_for_the_plant() -> int | None:
-    """Leave one core to the plant and return its number; None if there is but one.
+    """Reserve one core for the plant and return its number; None if there is only one.
 
-    Attacker and clients stand for other computers: neither their load nor their system calls,
-    which an ordinary kernel does not interrupt, are the daemon's.
+    Attacker and clients represent other computers: neither their load nor their system calls, which
+    an ordinary kernel does not interrupt, must affect the daemon.
     """
     cores = os.sched_getaffinity(0)
     if len(cores) < 2:

@@ -25,7 +25,7 @@ from hilserver.measured.channels import GYRO, POSITION, YAW
 
 MOST_CAUSES: Final = 8
 TRIED: Final = 3
-"""Candidates of a round of `stepwise` that are fitted: those of the largest linear gains."""
+"""Candidates that a round of `stepwise` fits: those with the largest linear gains."""
 MOST_RUNS: Final = 40
 
 
@@ -37,9 +37,9 @@ def applies(problem: Problem) -> bool:
 class NineTerms:
     """Eight terms and one delay of the navigation, by least squares of the pose.
 
-    Speed ahead, speed aside and turn rate of the body are linear in the wheels' speed v and turn
-    om: scale, rotation gain, both cross terms, the centre of rotation, and the products v |om|,
-    v om and |v| om, those of three that are the same for left and right.
+    Forward speed, sideways speed and turn rate of the body are linear in the wheels' speed v and
+    turn om: scale, rotation gain, both cross terms, the centre of rotation, and the products
+    v |om|, v om and |v| om, which are the same for left and right.
     """
 
     NULL: Final = (1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
@@ -82,7 +82,7 @@ class NineTerms:
         return np.asarray(np.interp(at, np.arange(len(source)), source))
 
     def missed(self, predicted: Array) -> tuple[Array, Array]:
-        """Return what is left of position (both coordinates) and yaw, initial poses free."""
+        """Return the residuals of position (both coordinates) and yaw, with free initial poses."""
         stack, values = self.stack, self.stack.values
         x, y, yaw = (stack.edges[name] for name in (*POSITION, YAW))
         owner = stack.segment[yaw]
@@ -97,11 +97,11 @@ class NineTerms:
         return np.concatenate([off.real, off.imag]), turn - heading[owner]
 
     def fitted(self, test: int | None = None) -> Array:
-        """Return the nine values, of all samples or of those outside one fold."""
+        """Return the nine values, fitted to all samples or to those outside one fold."""
         x, y, yaw = (self.stack.edges[name] for name in (*POSITION, YAW))
         own = [np.concatenate([self.fold[x], self.fold[y]]) != test, self.fold[yaw] != test]
         theta = np.array(self.NULL)
-        for _ in range(2):  # each kind by what is left of it: metres beside radians
+        for _ in range(2):  # metres and radians, each scaled by its residual
             scales = [
                 _rms(m[k]) for m, k in zip(self.missed(self.predict(theta)), own, strict=True)
             ]
@@ -132,7 +132,7 @@ def nine_terms(prepared: Prepared) -> Array:
 
 
 class EndErrors(NineTerms):
-    """The same terms by what the gain is measured with: the error at the end of free runs."""
+    """The same terms, fitted to the measure of the gain: the error at the end of free runs."""
 
     BY_M: Final = 0.05
     BY_RAD: Final = 0.05
@@ -149,7 +149,7 @@ class EndErrors(NineTerms):
         self.problem, self.runs = problem, runs
 
     def fitted(self, test: int | None = None) -> Array:
-        """Return the nine values by the runs that lie outside one half."""
+        """Return the nine values, fitted to the runs outside one half."""
         start, end, edge = self.runs.start[YAW], self.runs.end[YAW], self.stack.edges[YAW]
         half = self.stack.half[self.stack.block[edge]]
         keep = (half[start] != test) & (half[end] != test)
@@ -186,9 +186,9 @@ def nine_terms_by_end(prepared: Prepared) -> Array:
 
 
 def stepwise(prepared: Prepared) -> Array:
-    """Return the held-out prediction of causes taken one by one as Schwarz's criterion (BIC) says.
+    """Return the held-out prediction of causes added one by one by Schwarz's criterion (BIC).
 
-    It counts every sample as one of its own, and asks neither for significance nor for rivals.
+    It treats all samples as independent, and tests neither significance nor rival causes.
     """
     problem = prepared.problem
     return held_out(problem, [_stepwise(prepared, test).predicted for test in (0, 1)])
@@ -216,7 +216,7 @@ def _stepwise(prepared: Prepared, test: int) -> Point:
 
 
 def _most_promising(prepared: Prepared, point: Point, rows: NDArray[np.bool_]) -> list[Candidate]:
-    """Return the candidates that would save most if they were linear, one of each cause."""
+    """Return the candidates that would reduce the loss most if linear, one of each cause."""
     library, order = prepared.library, prepared.library.blocks.order
     keep = rows[prepared.problem.stack.block][order]
     columns, left = library.columns[keep], point.left[order][keep].astype(np.float32)

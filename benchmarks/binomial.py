@@ -1,4 +1,4 @@
-"""How sure a share is: exact interval of a binomial proportion."""
+"""The uncertainty of a share: exact interval of a binomial proportion."""
 
 from scipy.stats import beta
 

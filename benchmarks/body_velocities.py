@@ -1,7 +1,7 @@
-"""Velocities of the body as position, heading and gyro show them: what rivals on velocities fit.
+"""Velocities of the body from position, heading and gyro: the data for rivals on velocities.
 
-The replay of the configured plant goes through the same smoothing as the measurement, so what is
-left of the velocities holds no error of the smoothing, and no cause of the plant.
+The replay of the configured plant goes through the same smoothing as the measurement, so the
+residual velocities contain neither errors of the smoothing nor causes that the plant has.
 """
 
 from collections.abc import Mapping
@@ -17,25 +17,25 @@ from hilserver.measured.channels import GYRO, POSITION, YAW
 
 STEP_S: Final = 0.05
 WINDOW: Final = 21
-"""Steps of the grid that a velocity is smoothed over."""
+"""Steps of the grid over which a velocity is smoothed."""
 ORDER: Final = 3
 
 AHEAD, ASIDE, TURN, GYRO_TURN = "ahead", "aside", "turn", "gyro"
 
 
 class BodyVelocities:
-    """What is left of the body's velocities, on a grid of its own, and the replay's motion there.
+    """Residuals of the body's velocities, on a grid of their own, and the replay's motion there.
 
     Attributes
     ----------
     replayed : mapping of str to ndarray, shape (n,)
-        Speed ahead, aside [m/s] and turn rate [rad/s] of the replay, the gyro's likewise.
+        Forward and sideways speed [m/s], turn rate and gyro's rate [rad/s] of the replay.
     left : mapping of str to ndarray, shape (n,)
         Measured minus replayed.
     yaw_rad : ndarray, shape (n,)
         Measured heading, smoothed.
     block, fold : ndarray of int64, shape (n,)
-        Those of the nearest sample of the heading.
+        Block and fold of the nearest sample of the heading.
     """
 
     def __init__(self, prepared: Prepared) -> None:
@@ -53,7 +53,7 @@ class BodyVelocities:
         self.fold = stack.fold[self.block]
 
     def _spread(self) -> None:
-        """Lay a grid over what every channel covers of each segment."""
+        """Lay a grid over the part of each segment that all channels cover."""
         stack, stage = self.problem.stack, self.problem.stage
         step = STEP_S / stage.segments.period_s
         rows, self.parts = [], []
@@ -71,7 +71,7 @@ class BodyVelocities:
         self.at = np.concatenate(rows) if rows else np.empty(0)
 
     def _own(self, segment: int, *, kept: bool = True) -> list[NDArray[np.int64]]:
-        """Return where the samples of a segment lie, channel by channel."""
+        """Return the indices of the samples of a segment, channel by channel."""
         stack, found = self.problem.stack, []
         for name in self.names:
             edge = stack.edges[name]
@@ -104,7 +104,7 @@ class BodyVelocities:
         return out
 
     def rate(self, values: Array) -> Array:
-        """Return the smoothed derivative of what stands on the grid, per second."""
+        """Return the smoothed derivative of values on the grid, per second."""
         return self._smooth(values, 1)
 
     def _velocities(self, values: Array) -> dict[str, Array]:
@@ -117,7 +117,7 @@ class BodyVelocities:
         return found
 
     def _nearest(self) -> NDArray[np.int64]:
-        """Return the sample of the heading next to every row of the grid."""
+        """Return the sample of the heading nearest to each row of the grid."""
         stack, out = self.problem.stack, np.empty(len(self.at), dtype=np.int64)
         for i, part in self.parts:
             own = self._own(i)[self.names.index(YAW)]
@@ -126,7 +126,7 @@ class BodyVelocities:
         return out
 
     def predicted(self, left: Mapping[str, Array]) -> Array:
-        """Return the prediction of all samples by the replay and what is left of its velocities."""
+        """Return the prediction of all samples from the replay and residual velocities."""
         stack, out = self.problem.stack, self.base.copy()
         velocity = self.replayed[AHEAD] + 1j * self.replayed[ASIDE]
         more = left[AHEAD] + 1j * left[ASIDE]

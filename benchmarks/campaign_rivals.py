@@ -1,4 +1,4 @@
-"""What rivals of the diagnosis make of the logs of the campaign, beside its own answer."""
+"""Answers of rivals of the diagnosis on the logs of the campaign, next to its own."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -21,7 +21,7 @@ from hilserver.plant.parameters import RobotParameters
 
 
 def require() -> None:
-    """Ask for every library that a rival needs.
+    """Check that every library is there that a rival needs.
 
     Raises
     ------
@@ -35,8 +35,8 @@ def require() -> None:
 def answers(case: Case, log: MeasuredLog, robot: RobotParameters) -> dict[str, Any]:
     """Return the answer of every rival that has one, as plain data by its name.
 
-    On velocities rivals are asked about logs without an effect, and single causes that PySINDy has
-    terms for.
+    Rivals on velocities only get logs without an effect, and single causes for which PySINDy has
+    terms.
     """
     found: dict[str, Any] = {}
     if case.group == "single":

@@ -41,7 +41,7 @@ class Tab:
 
     @classmethod
     async def open(cls, session: aiohttp.ClientSession, port: int) -> Self:
-        """Open an empty one."""
+        """Open an empty tab."""
         async with session.put(f"http://127.0.0.1:{port}/json/new?about:blank") as answer:
             address = (await answer.json())["webSocketDebuggerUrl"]
         return cls(await session.ws_connect(address, max_msg_size=0))
@@ -93,7 +93,7 @@ class Tab:
         return float((await self.ask("Runtime.getHeapUsage"))["usedSize"])
 
     async def traced(self, seconds: float) -> list[dict[str, Any]]:
-        """Return the events of the time line over so many seconds."""
+        """Return the events of the time line over `seconds`."""
         self._trace, self._traced = [], asyncio.Event()
         config = {"includedCategories": ["devtools.timeline", "__metadata"]}
         await self.ask("Tracing.start", transferMode="ReportEvents", traceConfig=config)
@@ -114,7 +114,7 @@ class Tab:
                 self._traced.set()
 
     async def close(self) -> None:
-        """Close it."""
+        """Close the tab."""
         with contextlib.suppress(FailedError, ConnectionError):
             await self.ask("Page.close")
         self._reading.cancel()

@@ -1,4 +1,4 @@
-"""A Dask cluster on this computer: a scheduler and workers as processes of their own."""
+"""A Dask cluster on this computer: a scheduler and workers, each a process."""
 
 import contextlib
 import os
@@ -46,7 +46,7 @@ def _wait(address: str, workers: int) -> None:
 
 
 def worker_pids(address: str) -> list[int]:
-    """Return the processes of a cluster's workers, as they are now."""
+    """Return the current processes of a cluster's workers."""
     from distributed import Client  # noqa: PLC0415 - an extra
 
     with Client(address, timeout=START_WITHIN_S) as client:

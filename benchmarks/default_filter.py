@@ -1,8 +1,7 @@
-"""A Kalman filter as robots have it that nobody has diagnosed: five states, default covariances.
+"""A Kalman filter as on robots without a diagnosis: five states, default covariances.
 
-Of the kind of `robot_localization`: the pose moves with the speeds of the state, wheels and gyro
-are measurements of these, and process noise is what its documentation gives as the default.
-Kinematics are the configured ones.
+Like `robot_localization`: the pose moves with the speeds in the state, wheels and gyro measure
+these, and process noise is the default in its documentation. Kinematics are the configured ones.
 """
 
 import math
@@ -18,9 +17,9 @@ from hilserver.plant.layout import Parameters
 PROCESS: Final = np.array([0.05, 0.05, 0.06, 0.025, 0.02])
 """Variance per second of x, y, yaw, speed and turn rate (ekf_node's process_noise_covariance)."""
 POSE: Final = np.array([0.05**2, 0.05**2, 0.015**2])
-"""Of the navigation: what its data sheet says."""
+"""Of the navigation, from its data sheet."""
 TWIST: Final = np.array([1e-3, 1e-3])
-"""Of the wheels' odometry: what drivers publish when nobody has asked."""
+"""Of the wheels' odometry, as drivers publish it by default."""
 RATE: Final = 0.006**2
 
 

@@ -1,8 +1,8 @@
 """The campaign: hidden causes in hundreds of logs, diagnosed in processes, then scored.
 
-Results are appended to a file as they come: an interrupted campaign goes on where it stopped.
-With `--recordings` the logs are real ones, and simple rivals are measured beside the diagnosis; or
-drawings of their blocks take part in the campaign.
+Results are appended to a file as they come: an interrupted campaign continues where it stopped.
+With `--recordings` the logs are real ones, and simple rivals are compared with the diagnosis; or
+drawings of their blocks are part of the campaign.
 """
 
 import argparse
@@ -32,7 +32,7 @@ from hilserver.program.workers import in_processes
 from hilserver.scenarios import SCENARIOS
 
 GROUPS = (*CLASSES, "scenario", "size")
-"""`size` hides every cause at the smallest size that the null logs say they would have shown."""
+"""`size` hides every cause at the smallest size that null logs state they would have shown."""
 PROGRESS_EVERY_S = 5.0
 
 
@@ -137,7 +137,7 @@ def _groups(text: str) -> list[str]:
 
 
 def _drawn(args: argparse.Namespace) -> Iterator[Drawn]:
-    """Yield so many drawings of the recordings, in turn."""
+    """Yield the wanted number of drawings, from the recordings in turn."""
     files = [(mapping, file) for mapping, files in args.recordings for file in files]
     for k in range(args.drawn):
         mapping, file = files[k % len(files)]
@@ -162,7 +162,7 @@ def _wanted(
 
 
 def _at_smallest_size(records: Iterable[Record], seeds: range) -> Iterator[Case]:
-    """Yield every required cause at the size that null logs of its kind state, median over them."""
+    """Yield every required cause at the median of the sizes that null logs of its kind state."""
     nulls = [r for r in records if r["group"] == "null"]
     if not nulls:
         msg = "--class size needs the sizes that null logs state: run --class null,size."
@@ -180,7 +180,7 @@ def _at_smallest_size(records: Iterable[Record], seeds: range) -> Iterator[Case]
 
 
 def _work_off(args: argparse.Namespace, results: Results) -> list[str]:
-    """Run every case that has no result; return the keys of all that were asked for."""
+    """Run every case that has no result; return the keys of all requested cases."""
     asked: list[str] = []
     job = partial(work, with_rivals=True) if args.rivals else work
     for group in ["recording"] if args.recordings else _groups(args.groups):

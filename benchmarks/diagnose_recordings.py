@@ -1,7 +1,7 @@
-"""Real recordings: what the diagnosis gains beside simple rivals, on the same held-out blocks.
+"""Real recordings: gains of the diagnosis and of simple rivals, on the same held-out blocks.
 
 Selection of causes is repeated without each half of the blocks, as in every diagnosis. Results are
-appended to a file as they come: what was interrupted goes on where it stopped.
+appended to a file as they come: an interrupted run continues where it stopped.
 """
 
 import sys
@@ -38,9 +38,9 @@ from hilserver.program.workers import in_processes
 
 QUANTITIES: Final = {"position_m": "position", "yaw_rad": "yaw"}
 NINE_TERMS: Final = ("nine terms", "nine terms, end errors")
-"""The one of the larger geometric mean is the bar, quantity by quantity."""
+"""The one with the larger geometric mean is the bar, for each quantity."""
 OWN: Final = ("diagnose_recordings", "baselines", "sindy", "gaussian_process")
-"""Modules here that a result depends on, beside the engine."""
+"""Modules here on which a result depends, in addition to the engine."""
 
 
 class Row(BaseModel):
@@ -50,7 +50,7 @@ class Row(BaseModel):
     ----------
     engine : float
     ahead : mapping of str to Gain
-        Error of each rival by that of the diagnosis; its interval is of pairs, block by block.
+        Error of each rival divided by that of the diagnosis; its interval is from pairs of blocks.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -61,13 +61,13 @@ class Row(BaseModel):
     ahead: Mapping[str, Gain]
 
     def gain(self, rival: str) -> float:
-        """Return what a rival gains."""
+        """Return the gain of a rival."""
         return self.engine / self.ahead[rival].ratio
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """A file that is read by a mapping: a file of its own, or a built-in one by name."""
+    """A file and its mapping: a file too, or the name of a built-in one."""
 
     mapping: str
     file: Path
@@ -86,7 +86,7 @@ def measure(mapped: Iterable[tuple[str, Sequence[Path]]], resume: Path, jobs: in
     mapped : iterable of (str, sequence of Path)
         A mapping, and its logs.
     resume : Path
-        Results so far: what has one there is not measured again.
+        Results so far: recordings in it are not measured again.
     jobs : int
         Worker processes.
     """
@@ -136,7 +136,7 @@ def _table(rows: Sequence[Row]) -> str:
 
 
 def against_rivals(name: str, log: MeasuredLog, robot: RobotParameters) -> Iterator[Row]:
-    """Yield what the diagnosis and its rivals gain on one log."""
+    """Yield the gains of the diagnosis and its rivals on one log."""
     rng = np.random.default_rng(0)
     judged = examine(log, robot, rng, 1, Tracker()).judged
     own = machine(log, robot)

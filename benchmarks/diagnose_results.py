@@ -1,7 +1,7 @@
-"""Results of a campaign: lines of JSON in a file that outlives an interruption.
+"""Results of a campaign: lines of JSON in a file that survives an interruption.
 
-Every line carries the hash of the sources that made it, so results of another engine or injector
-stay in the file and are not counted.
+Every line has the hash of the sources that made it: results of another engine or injector stay in
+the file but are not counted.
 """
 
 import hashlib
@@ -16,7 +16,7 @@ import hilserver
 from benchmarks.diagnose_table import Record
 
 ROOMS: Final = ("diagnosis", "measured", "plant", "scenarios")
-"""What a finding or its score depends on, beside the campaign's own worker and scoring."""
+"""Rooms on which a finding or score depends, besides the campaign's own worker and scoring."""
 OWN: Final = ("diagnose_scoring", "diagnose_worker")
 DIGITS: Final = 12
 
@@ -29,7 +29,7 @@ def sources(own: Sequence[str] = OWN, more: Sequence[str] = ()) -> str:
     own : sequence of str
         Modules of the campaign itself.
     more : sequence of str
-        Rooms of the package, beside those of the engine.
+        Further rooms of the package, besides those of the engine.
     """
     package = Path(hilserver.__file__).parent
     folders = [package / r for r in (*ROOMS, *more)] + [Path(hilserver_injector.__file__).parent]
@@ -43,14 +43,14 @@ def sources(own: Sequence[str] = OWN, more: Sequence[str] = ()) -> str:
 
 
 class Results:
-    """The results in a file that the present sources made in one setting.
+    """The results in a file that the current sources made in one setting.
 
     Parameters
     ----------
     setting : str
-        How the logs were changed: results of other lengths or noise are others.
+        How the logs were changed: another length or noise is another setting.
     of : str, optional
-        Hash of the sources; those of the campaign of the diagnosis.
+        Hash of the sources; default: those of the campaign of the diagnosis.
 
     Attributes
     ----------

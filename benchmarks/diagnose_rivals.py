@@ -1,4 +1,4 @@
-"""The table of the diagnosis and its rivals, a column each, on the logs that all of them got."""
+"""The table of the diagnosis and its rivals, one column each, on the logs that all of them got."""
 
 from collections.abc import Sequence
 from typing import Any, Final
@@ -14,7 +14,7 @@ DIAGNOSIS, PYSINDY = "diagnosis", "PySINDy"
 
 
 def rival_table(records: Sequence[Record]) -> list[str]:
-    """Return the table; nothing where no rival was asked."""
+    """Return the table; empty if no rival was run."""
     mine = [record for record in records if "gains" in record]
     if not mine:
         return []

@@ -1,4 +1,4 @@
-"""A diagnosis against the truth: what was right, what was wrong, what was missed."""
+"""A diagnosis compared with the truth: what was right, wrong or missed."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,7 @@ LARGEST_GROUP: Final = 5
 """A group that lists everything is a wrong answer."""
 WITHIN: Final = 0.2
 SHARE: Final = 0.9
-"""Of the joint ellipsoid."""
+"""Probability of the joint ellipsoid."""
 _NAMES: Final = frozenset(
     {Verdict.NAMED, Verdict.NAMED_GROUP, Verdict.DRIFT, Verdict.DATA_FAULT, Verdict.DIFFERS}
 )
@@ -25,7 +25,7 @@ _SILENT: Final = frozenset({Verdict.INSUFFICIENT_EXCITATION, Verdict.NO_DIFFEREN
 
 @dataclass
 class Value:
-    """A fitted value beside the true one."""
+    """A fitted value and the true one."""
 
     true: float
     fitted: float
@@ -42,8 +42,8 @@ class Ellipsoid:
     inside : bool
         Whether it holds the truth.
     width : float
-        Its mean half axis by the sizes of the effects: of one parameter the half width of the
-        interval; of several the geometric mean.
+        Its mean half axis relative to the sizes of the effects: for one parameter the half width of
+        the interval, for several the geometric mean.
     """
 
     inside: bool
@@ -52,16 +52,16 @@ class Ellipsoid:
 
 @dataclass
 class Score:
-    """What came of one case.
+    """Score of one case.
 
     Attributes
     ----------
     outcome : str
-        right, missed, vague (a group of too many, or another verdict for the right cause),
+        right, missed, vague (too large a group, or another verdict for the right cause),
         unknown (a structure outside the library instead of the name) or, where nothing is hidden,
         false_alarm.
     wrong : list of str
-        Names that a finding gave with confidence and that do not hold the truth.
+        Names given with confidence by a finding that does not contain the truth.
     found : list of str
         All findings, as ``verdict:cause|cause``.
     """
@@ -109,7 +109,7 @@ def score(case: Case, findings: Findings) -> Score:
 
 
 def _is_wrong(finding: Finding, answer: Answer) -> bool:
-    """Return whether a finding names with confidence what is not there."""
+    """Return whether a finding confidently names something that is not there."""
     if finding.verdict not in _NAMES:
         return False
     truth = frozenset().union(*answer.causes) if answer.causes else frozenset()
@@ -117,7 +117,7 @@ def _is_wrong(finding: Finding, answer: Answer) -> bool:
 
 
 def _one(loud: Sequence[Finding], wanted: frozenset[str], answer: Answer) -> str:
-    """Return the outcome for one thing that is hidden."""
+    """Return the outcome for one hidden effect."""
     holding = [f for f in loud if f.verdict in _NAMES and names(f) & wanted]
     if not holding:
         unknown = any(f.verdict == Verdict.STRUCTURE_NOT_IN_LIBRARY for f in loud)
@@ -126,7 +126,7 @@ def _one(loud: Sequence[Finding], wanted: frozenset[str], answer: Answer) -> str
         if len(finding.causes) > LARGEST_GROUP:
             continue
         if answer.verdict == Verdict.NAMED_GROUP and len(names(finding) & answer.together) < 2:
-            continue  # one of two twins alone: a coin was tossed
+            continue  # one of two twins alone is a coin toss
         if answer.verdict in {Verdict.DRIFT, Verdict.DATA_FAULT} and (
             finding.verdict != answer.verdict
         ):
@@ -166,7 +166,7 @@ def _values(loud: Sequence[Finding], answer: Answer) -> dict[str, Value]:
 
 
 def value_of(name: str, true: float, fitted: float, ci95: tuple[float, float] | None) -> Value:
-    """Return a fitted value beside the true one; near is near by the size of the effect."""
+    """Return a fitted value and the true one; nearness is relative to the size of the effect."""
     null = TERMS[_full(name)].null or 0.0
     return Value(
         true=true,
@@ -177,7 +177,7 @@ def value_of(name: str, true: float, fitted: float, ci95: tuple[float, float] | 
 
 
 def ellipsoid_of(joint: Joint, truth: Mapping[str, float]) -> Ellipsoid | None:
-    """Return the ellipsoid of 90 % over the true parameters; None unless it has all of them."""
+    """Return the 90 % ellipsoid of the true parameters; None unless it has all of them."""
     names = [_full(name) for name in joint.parameters]
     if not truth or any(_full(name) not in names for name in truth):
         return None

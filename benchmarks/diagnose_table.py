@@ -1,4 +1,4 @@
-"""The table of the campaign: each row a count, its interval of 95 % and what it must reach."""
+"""The table of the campaign: each row a count, its 95 % interval and its bound."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -19,7 +19,7 @@ class Row:
     Attributes
     ----------
     least, most : float or None
-        Bound that the share must keep; None: only reported.
+        Bounds of the share; None: only reported.
     """
 
     name: str
@@ -30,7 +30,7 @@ class Row:
 
     @property
     def share(self) -> float:
-        """Count by trials; NaN without trials."""
+        """Count divided by trials; NaN without trials."""
         return self.count / self.trials if self.trials else float("nan")
 
     @property
@@ -40,7 +40,7 @@ class Row:
 
     @property
     def verdict(self) -> str:
-        """Yes, no, or nothing where there is no bound or no trial."""
+        """Yes, no, or nothing if there is no bound or no trial."""
         if not self.trials or (self.least is None and self.most is None):
             return ""
         low, high = self.least or 0.0, 1.0 if self.most is None else self.most
@@ -101,7 +101,7 @@ def _alarmed(record: Record) -> bool:
 
 
 def _more_than_faults(record: Record) -> bool:
-    """Return whether anything but a fault that is there was found in a sound machine's log."""
+    """Return whether more than the true faults was found in a sound machine's log."""
     return bool(record["wrong"]) or any("data_fault:" not in found for found in record["found"])
 
 
@@ -122,7 +122,7 @@ def _right(record: Record) -> bool:
 
 
 def markdown(records: Sequence[Record], heading: Iterable[str]) -> str:
-    """Return table, causes one by one, and who was taken for whom."""
+    """Return the table, the causes one by one, and which cause was taken for which."""
     lines = [*heading, "", "| measure | figure | ci95 | logs | bound | reached |"]
     lines.append("|---|---|---|---|---|---|")
     for row in rows(records):
@@ -176,13 +176,13 @@ def _each(records: Sequence[Record]) -> list[str]:
 
 
 def _inside(records: Sequence[Record], by: str) -> str:
-    """Return how many intervals hold the truth."""
+    """Return how many intervals contain the truth."""
     inside = [v["in_ci95"] for r in records for v in r.get(by, {}).values()]
     return f"{sum(map(bool, inside))} of {len(inside)}" if inside else ""
 
 
 def _confusion(records: Sequence[Record]) -> list[str]:
-    """Return what was said for each single cause, most frequent first."""
+    """Return the findings for each single cause, most frequent first."""
     lines = ["| hidden | said (times) |", "|---|---|"]
     for name in sorted({r["name"] for r in records if r["group"] in {"single", "outside"}}):
         said: Counter[str] = Counter()

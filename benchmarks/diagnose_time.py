@@ -29,7 +29,7 @@ HIDDEN: Final[Mapping[str, Mapping[str, float]]] = {
 
 
 def time_spent(duration_s: float | None, jobs: int) -> list[Result]:
-    """Return the CPU time of warm diagnoses, documents included; of other lengths if asked for."""
+    """Return the CPU time of warm diagnoses, documents included; of other lengths if requested."""
     reuse_memory()  # as the command does
     _spent_s({}, 30.0, jobs)  # compiles
     found = []
@@ -44,7 +44,7 @@ def time_spent(duration_s: float | None, jobs: int) -> list[Result]:
 
 
 def _spent_s(causes: Mapping[str, float], length_s: float, jobs: int) -> dict[str, float]:
-    """Return the CPU time of each part of a diagnosis, by what it reports to be doing."""
+    """Return the CPU time of each part of a diagnosis, by its reported stage."""
     recipe = Recipe(seed=1, causes=causes, duration_s=length_s)
     log, assembly = measured(make(recipe)[0], recipe), assemble(None)
     spent: dict[str, float] = {}

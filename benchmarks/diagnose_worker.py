@@ -39,7 +39,7 @@ def _engine() -> tuple[Diagnose, Assembly]:
 
 
 def measured(table: Table, recipe: Recipe) -> MeasuredLog:
-    """Return the log as the reader would: empty cells are no samples."""
+    """Return the log as the reader would: empty cells are not samples."""
     channels = {}
     for name, values in table.columns.items():
         there = np.isfinite(values)
@@ -66,7 +66,7 @@ class Staged:
 
 
 DRAWN: Final = 2.0 / 3.0
-"""Share of a recording's blocks in a drawing; drawn twice, a block would predict itself."""
+"""Share of a recording's blocks in a drawing; a block drawn twice would predict itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ class Drawn:
 
     @property
     def name(self) -> str:
-        """The recording."""
+        """Name of the recording."""
         return self.file.stem
 
     @property
@@ -90,7 +90,7 @@ class Drawn:
         return f"{self.group}/{self.name}/{self.seed}"
 
     def log(self) -> MeasuredLog:
-        """Return the blocks that are drawn; segments where the recording names none."""
+        """Return the drawn blocks (or segments, if the recording has no blocks)."""
         whole = read_measured([self.file], self.mapping)
         blocks = np.array([k if s.block is None else s.block for k, s in enumerate(whole.spans)])
         rng = np.random.default_rng([self.seed, zlib.crc32(self.name.encode())])
@@ -108,12 +108,12 @@ class Drawn:
 def work(case: Case | Staged | Drawn, *, with_rivals: bool = False) -> dict[str, Any]:
     """Return the record of one case: plain data, one line of the results file.
 
-    An engine that breaks on a log is a result too: outcome ``crashed``.
+    An engine that fails on a log is a result too: outcome ``crashed``.
 
     Parameters
     ----------
     with_rivals : bool
-        Record what rivals of the diagnosis say, too.
+        Also record the answers of rivals.
     """
     seed, kind = (
         (case.recipe.seed, case.recipe.kind) if isinstance(case, Case) else (case.seed, case.kind)
@@ -141,7 +141,7 @@ def work(case: Case | Staged | Drawn, *, with_rivals: bool = False) -> dict[str,
 
 
 def made_worse(diagnosis: Diagnosis) -> list[str]:
-    """Return the reported quantities that a model patch makes worse: whole intervals below 1."""
+    """Return the reported quantities that a patch makes worse: whole intervals below 1."""
     if not diagnosis.evidence.extension:
         return []
     gains = diagnosis.findings.total_gain

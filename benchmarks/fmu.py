@@ -1,10 +1,10 @@
-"""The robot as an FMU beside the daemon's own step, and FMUs of others beside the paced plant.
+"""The robot as an FMU compared with the daemon's own step, and foreign FMUs beside the paced plant.
 
 A step of the FMU, called through its function pointers, and the same kernels as the daemon compiles
-them for this processor run in blocks that alternate, with all terms on. FMUs of others run paced,
-in the thread and in a process of their own, after a drive without any; one that does wrong on
-demand (`tests/fmu/model.c`) does it beside the plant. ``--models`` takes a folder of FMUs, such as
-the Reference FMUs of the Modelica Association.
+them for this processor run in alternating blocks, with all terms on. Foreign FMUs run paced, in the
+thread and in a process of their own, after a drive without any; one that misbehaves on demand
+(`tests/fmu/model.c`) does so beside the plant. ``--models`` takes a folder of FMUs, such as the
+Reference FMUs of the Modelica Association.
 """
 
 import argparse
@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> list[Result]:
-    """Measure; return ``fmu_step_ns``, the missed ticks of every drive and what was replayed."""
+    """Measure; return ``fmu_step_ns``, the missed ticks of every drive and the replays."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         return [_cost(folder), *asyncio.run(_drives(args, folder))]
@@ -93,13 +93,13 @@ def _cost(folder: Path) -> Result:
             samples[name].append((time.perf_counter_ns() - start_ns) / STEPS)
     pairs = np.array([samples["fmu"][1:], samples["daemon"][1:]])
     fmu, daemon = np.median(pairs, axis=1)
-    ratio = float(np.median(pairs[0] / pairs[1]))  # of neighbours: what else runs hits both
+    ratio = float(np.median(pairs[0] / pairs[1]))  # of neighbours: other load affects both
     text = f"the daemon's kernels; at most {MOST}"
     return Result("fmu_step_ns", float(fmu), "ns", float(daemon), text, ratio, samples)
 
 
 def _exported(path: Path) -> Callable[[int], None]:
-    """Return what runs a block of steps of the FMU."""
+    """Return a function that runs a block of steps of the FMU."""
     fmu = read_fmu(str(path), path.parent)
     signals = {f"wheel.{w}.setpoint_rpm": "" for w in SPEEDS}
     wiring = wire(fmu, signals, {"pose.x_m": "x"}, {})
@@ -115,7 +115,7 @@ def _exported(path: Path) -> Callable[[int], None]:
 
 
 def _own(assembly: Assembly) -> Callable[[int], None]:
-    """Return what runs a block of the daemon's kernels, in the order and periods of its slices."""
+    """Return a function that runs a block of the daemon's kernels, as its slices do."""
     made = assembly.composition
     ticks = {n: round(s * 1e9 / assembly.base_period_ns) for n, s in made.periods_s.items()}
     of_part = {part.name: ticks[part.slice] for part in made.parts}
@@ -128,7 +128,7 @@ def _own(assembly: Assembly) -> Callable[[int], None]:
 
 
 async def _drives(args: argparse.Namespace, folder: Path) -> list[Result]:
-    """Drive with every model; return what was missed, beside a drive without a model."""
+    """Drive with every model; return the missed ticks, compared with a drive without a model."""
     setup_logging("ERROR")
     idle = await beside(None, folder, args.seconds, args.priority)
     results, asked, progress = [], [], Progress(lambda: "stopped before it was measured")

@@ -1,4 +1,4 @@
-"""A paced drive beside an FMU: what the plant missed, how it ended, whether it comes again."""
+"""A paced drive with an FMU: ticks missed, how it ended, whether a replay reproduces it."""
 
 import asyncio
 import contextlib
@@ -29,27 +29,27 @@ class Model:
 
 @dataclass(frozen=True)
 class Drive:
-    """What came of it."""
+    """Result of a drive."""
 
     process: bool
     ticks: int
-    missed: int  # ticks that the plant gave up
+    missed: int  # ticks that the plant skipped
     state: str
     reason: str  # of the state
     events: list[str]
-    # "equal", "differs", "not replayable", "late" where an answer was, or "" if not asked for
+    # "equal", "differs", "not replayable", "late" if an answer was, or "" if not requested
     replayed: str
 
 
 async def beside(
     model: Model | None, folder: Path, seconds: float, priority: int, *, replay: bool = False
 ) -> Drive:
-    """Drive for some seconds at 1 kHz with a recorder; replay what was recorded if asked to.
+    """Drive for some seconds at 1 kHz with a recorder; replay the recording if asked to.
 
     Raises
     ------
     ConfigError
-        If the model is one that does not run here.
+        If the model cannot run here.
     """
     log = folder / "drive.mcap"
     config = _config(model, log, priority)

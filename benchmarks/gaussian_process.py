@@ -1,6 +1,6 @@
-"""A Gaussian process on what is left of the body's velocities: a ceiling that names no cause.
+"""A Gaussian process on the residual velocities of the body: an upper bound that names no cause.
 
-It takes them for any smooth function of the replay's speed, turn rate and their derivatives.
+It models them as any smooth function of the replay's speed, turn rate and their derivatives.
 """
 
 import warnings
@@ -17,7 +17,7 @@ from hilserver.diagnosis.regression.stages import Prepared
 LEARNED_FROM: Final = 300
 MOST: Final = 1500
 LENGTHS: Final = (1.0, 100.0)
-"""Of the kernel, in standard deviations of each input."""
+"""Bounds of the kernel's length, in standard deviations of each input."""
 
 
 def gaussian_process(prepared: Prepared) -> Array:
@@ -37,8 +37,8 @@ def gaussian_process(prepared: Prepared) -> Array:
 def _mean(inputs: Array, left: Array, rows: NDArray[np.int64]) -> Array:
     """Return the mean of the process at all inputs, given some rows.
 
-    The kernel is learned from rows that share no measurement: noise that neighbours share would
-    pass for structure. The mean is over as many as memory allows.
+    The kernel is learned from rows without common measurements: noise shared by neighbours would
+    be taken for structure. The mean uses as many rows as memory allows.
     """
     from sklearn.exceptions import ConvergenceWarning  # noqa: PLC0415 (an extra)
     from sklearn.gaussian_process import GaussianProcessRegressor  # noqa: PLC0415
@@ -49,7 +49,7 @@ def _mean(inputs: Array, left: Array, rows: NDArray[np.int64]) -> Array:
     smooth = ConstantKernel(1.0, (1e-4, 1e4)) * RBF(2.0, LENGTHS)
     learning = GaussianProcessRegressor(smooth + WhiteKernel(0.5, (1e-4, 10.0)))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)  # at a bound: nothing is left to learn
+        warnings.simplefilter("ignore", ConvergenceWarning)  # at a bound: nothing more to learn
         learning.fit(inputs[apart], left[apart] / scale)
     process = GaussianProcessRegressor(learning.kernel_, optimizer=None)
     rows = rows[:: max(1, -(-len(rows) // MOST))]

@@ -1,6 +1,6 @@
-"""`bench jitter` with what the daemon may do besides: page, body, ROS 2, shield, observer.
+"""`bench jitter` with other tasks of the daemon: page, body, ROS 2, shield, observer.
 
-Each has a section of the configuration; a link has a program at its other end that keeps it busy.
+Each is a section of the configuration; for a link, a program at its other end keeps it busy.
 """
 
 import argparse
@@ -38,7 +38,7 @@ def _ros2(_: Place) -> dict[str, Any]:
 
 
 def _computed(section: str, settings: Mapping[str, Any], words: str) -> Companion:
-    """Return what needs nobody at another end."""
+    """Return a companion without another end."""
     return Companion(section, lambda _: settings, lambda _: contextlib.nullcontext(words))
 
 
@@ -90,7 +90,7 @@ COMPANY: Final[Mapping[str, Companion]] = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the bench, and what the daemon serves besides."""
+    """Add the options of the bench, and the companions of the daemon."""
     jitter.add_arguments(parser)
     parser.add_argument(
         "--with",
@@ -103,7 +103,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def chosen(text: str) -> tuple[Companion, ...]:
-    """Return what is named in ``page,ros2``.
+    """Return the companions named in a text such as ``page,ros2``.
 
     Raises
     ------

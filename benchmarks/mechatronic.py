@@ -1,9 +1,9 @@
-"""What the mechatronic model costs: a step beside plain mj_step, and the plant's wake latency.
+"""Cost of the mechatronic model: a step compared with plain mj_step, and the plant's wake latency.
 
-The steps of both run on the same model, in blocks that alternate. For the latency a paced plant
-without the body, one with it and again one without take turns; the ratio of their p99 is given with
-the interval of 95 % that drawing the rounds anew (bootstrap) gives it, beside that of two plants
-without the body, which shows what the computer itself adds.
+Both step the same model, in alternating blocks. For the latency, paced plants without the body,
+with it, and again without it take turns; the ratio of their p99 is given with its 95 % bootstrap
+interval over the rounds, next to the ratio of the two plants without the body, which shows the
+variation of the computer itself.
 """
 
 import argparse

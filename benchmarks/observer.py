@@ -1,8 +1,8 @@
-"""The observer: is it where it says, how much better than what else there is, what does it cost.
+"""The observer: whether its intervals hold, how much it improves on alternatives, what it costs.
 
-Robots with two hidden causes each are diagnosed, then driven anew; the true pose is known every
-millisecond. The navigation falls silent for 60 s. Beside it: the wheels alone without the patch,
-and a filter with default covariances.
+Robots with two hidden causes each are diagnosed, then driven again; the true pose is known every
+millisecond. The navigation is silent for 60 s. The alternatives are the wheels alone without the
+patch, and a filter with default covariances.
 """
 
 import argparse
@@ -35,7 +35,7 @@ STEPS, PERIOD_S = 2000, 0.01
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the drives are, how many, and where they are kept."""
+    """Add the kind and number of drives, and the folder where they are kept."""
     parser.add_argument("--diagnoses", type=int, default=200, help="robots, each diagnosed once")
     parser.add_argument("--drives", type=int, default=5, help="drives of each")
     parser.add_argument("--jobs", type=int, default=2, help="worker processes; default 2")
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> list[Result]:
-    """Drive and time; a line a drive is added to drives.jsonl in the folder."""
+    """Drive and time; each drive adds a line to drives.jsonl in the folder."""
     if args.recordings is not None:
         return measure(args.recordings, args.keep, args.jobs)
     return [*figures(_scores(args)), *costs()]

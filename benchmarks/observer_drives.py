@@ -1,4 +1,4 @@
-"""Drives of the injector for the observer: diagnosed once, then driven anew, with dense truth."""
+"""Drives of the injector for the observer: diagnosed once, then driven again, with dense truth."""
 
 from collections.abc import Callable, Iterator, Set
 from dataclasses import dataclass, replace
@@ -29,14 +29,14 @@ from hilserver.program.progress import Progress
 
 DRIVE_S: Final = 150.0
 CUT_S: Final = (80.0, 140.0)
-"""In which the navigation is silent."""
+"""Interval in which the navigation is silent."""
 ASKED_S: Final = (20.0, 80.0)
-"""Out of which one instant is drawn."""
+"""Interval in which one instant is drawn."""
 
 
 @dataclass(frozen=True)
 class Robot:
-    """What is diagnosed once, and how often it is driven then."""
+    """A robot that is diagnosed once, and the number of drives that follow."""
 
     key: str
     recipe: Recipe
@@ -51,11 +51,11 @@ class Robot:
 
 @dataclass(frozen=True)
 class Score:
-    """What one drive shows."""
+    """Results of one drive."""
 
     key: str
-    nees: float  # of the pose at a random instant
-    cut: float  # of the position at the end of the cut
+    nees: float  # NEES of the pose at a random instant
+    cut: float  # NEES of the position at the end of the cut
     observer_m: float  # errors of the position there
     reckoning_m: float  # of the wheels alone, unpatched
     default_m: float
@@ -73,22 +73,22 @@ def recipes() -> Iterator[tuple[str, Recipe]]:
 
 @dataclass(frozen=True)
 class Known:
-    """What a diagnosis has found of a robot."""
+    """What a diagnosis has found out about a robot."""
 
     robot: RobotParameters  # with its patch
     constants: Array  # of its filter
-    late_s: float = 0.0  # by how much the stamps of the navigation are late
+    late_s: float = 0.0  # delay of the navigation's time stamps
 
 
 def diagnosed(
     folder: Path, log: Callable[[], MeasuredLog], config: Config, seed: int, jobs: int = 1
 ) -> Known:
-    """Return what is known of a robot.
+    """Return what is known about a robot.
 
     Parameters
     ----------
     folder : Path
-        Holds the diagnosis, or gets it.
+        Contains the diagnosis; otherwise it is written there.
     """
     if not (folder / "findings.json").exists():
         folder.mkdir(parents=True, exist_ok=True)
@@ -105,7 +105,7 @@ def diagnosed(
 
 
 def without_navigation(series: Series, cut_s: tuple[float, float]) -> Series:
-    """Return a series whose navigation is silent for a while."""
+    """Return a series without navigation in an interval."""
     s = series.samples
     silent = (s[:, 0] != GYRO) & (s[:, 1] >= cut_s[0]) & (s[:, 1] < cut_s[1])
     return Series(series.wheels, s[~silent])
@@ -117,14 +117,14 @@ def angle(values: Array) -> Array:
 
 
 def scored(one: Robot) -> list[Score]:
-    """Diagnose a robot, and return what its drives show."""
+    """Diagnose a robot, and return the results of its drives."""
     recipe, folder = one.recipe, one.keep / sources() / one.key
     known = diagnosed(folder, lambda: measured(make(recipe)[0], recipe), Config(), recipe.seed)
     return [score(one.key, recipe, known, number) for number in range(one.n_drives)]
 
 
 def score(key: str, recipe: Recipe, known: Known, number: int) -> Score:
-    """Return what drive `number` of a diagnosed robot shows."""
+    """Return the results of drive `number` of a diagnosed robot."""
     again = replace(recipe, seed=recipe.seed + 1000 * (number + 1), duration_s=DRIVE_S)
     table, truth = make(again)
     log = measured(table, again)
@@ -135,7 +135,7 @@ def score(key: str, recipe: Recipe, known: Known, number: int) -> Score:
     error[:, YAW] = angle(error[:, YAW])
     rng = np.random.default_rng([recipe.seed, number])
     at, end = (int(np.searchsorted(t, when)) for when in (rng.uniform(*ASKED_S), CUT_S[1]))
-    end -= 1  # the last moment before it speaks again
+    end -= 1  # the last moment before the navigation returns
     nees, cut = (
         float(error[k, :n] @ np.linalg.solve(course.covariance[k, :n, :n], error[k, :n]))
         for k, n in ((at, 3), (end, 2))

@@ -1,8 +1,8 @@
 """Real recordings with motion capture: the navigation is silent every other 20 s.
 
-Each robot is diagnosed from drives of one kind and observed on those of another. Beside it: the
-wheels alone without the patch, and a filter with default covariances. The stamps of the capture are
-put right for all of them, and for the truth, by what the diagnosis says of its clock.
+Each robot is diagnosed from drives of one kind and observed on drives of another. It is compared
+with the wheels alone without the patch, and a filter with default covariances. The time stamps of
+the capture are corrected for all of them, and for the truth, by the clock that the diagnosis found.
 """
 
 from collections.abc import Iterator
@@ -41,8 +41,8 @@ class Machine:
 
     folder: str
     mapping: str
-    learned: str  # pattern of the logs that are diagnosed
-    driven: str  # and of those that are observed
+    learned: str  # pattern of the diagnosed logs
+    driven: str  # pattern of the observed logs
 
 
 MACHINES: Final = (
@@ -53,16 +53,16 @@ MACHINES: Final = (
 
 @dataclass(frozen=True)
 class Drive:
-    """What one drive shows.
+    """Results of one drive.
 
     Attributes
     ----------
     errors : ndarray, shape (cuts, 4)
-        Of the position at the end of each cut [m], in the order of `HOW`.
+        Errors of the position at the end of each cut [m], in the order of `HOW`.
     nees : ndarray, shape (cuts,)
-        Of the observer's position there.
+        NEES of the observer's position there.
     nis : ndarray
-        Of the samples, by their number of values.
+        NIS of the samples, by their number of values.
     """
 
     errors: Array
@@ -71,12 +71,12 @@ class Drive:
 
 
 def measure(root: Path, keep: Path, jobs: int) -> list[Result]:
-    """Return the figures of every robot whose recordings are there; a diagnosis has `jobs` threads.
+    """Return the figures of all robots with recordings; a diagnosis uses `jobs` threads.
 
     Raises
     ------
     FailedError
-        If there are none.
+        If there are no recordings.
     """
     there = [one for one in MACHINES if any((root / one.folder).glob(one.learned))]
     if not there:
@@ -109,7 +109,7 @@ def _drive(known: Known, plain: RobotParameters, own: Series, raw: Series) -> Dr
     t = own.wheels[:, 0]
     cut = _silent(t, t[0])
     begins = np.flatnonzero(~cut[:-1] & cut[1:])
-    begins = begins[t[begins] + CUT_S < t[-1]]  # a silence that the drive cuts short is none
+    begins = begins[t[begins] + CUT_S < t[-1]]  # a silence that lasts past the end is not counted
     ends = np.array([k + int(np.argmin(cut[k + 1 :])) for k in begins])
     true = _truth(raw, t)
     rest = [Series(s.wheels, s.samples[~_silent(s.samples[:, 1], t[0])]) for s in (own, raw)]
@@ -131,7 +131,7 @@ def _drive(known: Known, plain: RobotParameters, own: Series, raw: Series) -> Dr
 
 
 def _truth(series: Series, t: Array) -> Array:
-    """Return x, y [m] and yaw [rad] that the capture shows, shape (n, 3)."""
+    """Return x, y [m] and yaw [rad] from the capture, shape (n, 3)."""
     s = series.samples
     place, heading = s[s[:, 0] == POSITION], s[s[:, 0] > POSITION]
     yaw = np.unwrap(heading[:, 2])
@@ -141,7 +141,7 @@ def _truth(series: Series, t: Array) -> Array:
 
 
 def _reckoned(wheels: Array, true: Array, begins: Indices, ends: Indices) -> Array:
-    """Return where the wheels alone lead from the true pose of one moment to another."""
+    """Return the positions at `ends` by the wheels alone, from the true poses at `begins`."""
     turn = true[begins, 2] - wheels[begins, 2]
     way = (wheels[ends, 0] - wheels[begins, 0]) + 1j * (wheels[ends, 1] - wheels[begins, 1])
     way = way * np.exp(1j * turn)

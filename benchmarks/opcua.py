@@ -1,9 +1,9 @@
-"""What it costs to be watched over OPC UA, beside asyncua's own server in the same run.
+"""The cost of OPC UA clients, compared with asyncua's own server in the same run.
 
-Each block starts with new clients: so many subscribe to the same values, which change with every
-publish slice, and a small C program counts what arrives. The processor time is that of the whole
-server process, plant included; the same time without clients is given beside it. Blocks of both
-servers alternate.
+Each block starts with new clients, all subscribed to the same values, which change with every
+publish slice; a small C program counts what arrives. The processor time is that of the whole server
+process, plant included; the time without clients is given as well. Blocks of both servers
+alternate.
 """
 
 import argparse
@@ -44,7 +44,7 @@ _COMMANDS = (
 
 @dataclass
 class Subject:
-    """A server and what was measured of it."""
+    """A server and its measurements."""
 
     name: str
     url: str
@@ -63,7 +63,7 @@ class Subject:
         return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
     def memory_mb(self, what: str = "VmRSS") -> float:
-        """Return a figure of the process's memory [MB]."""
+        """Return a memory figure of the process [MB]."""
         for line in Path(f"/proc/{self.pid}/status").read_text(encoding="ascii").splitlines():
             if line.startswith(f"{what}:"):
                 return int(line.split()[1]) * 1024 / 1e6

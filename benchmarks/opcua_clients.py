@@ -21,7 +21,7 @@ _FLAGS = ("-std=gnu11", "-O2")
 
 
 class Delivered(NamedTuple):
-    """What the clients have received."""
+    """Counts of what the clients have received."""
 
     values: int
     messages: int
@@ -29,7 +29,7 @@ class Delivered(NamedTuple):
 
 
 def build(folder: Path) -> Path:
-    """Compile the clients; FailedError where there is no compiler."""
+    """Compile the clients; FailedError if there is no compiler."""
     compiler = shutil.which("cc")
     if compiler is None:
         raise FailedError("the bench needs a C compiler (Debian: apt-get install gcc)")
@@ -51,7 +51,7 @@ class Clients:
     async def subscribe(
         self, count: int, nodes: Sequence[ua.NodeId], interval_ms: float, queue_size: int
     ) -> None:
-        """Connect and subscribe `count` clients; what costs the server most comes last."""
+        """Connect and subscribe `count` clients; what is costliest for the server comes last."""
         made = [await self._connect(interval_ms) for _ in range(count)]
         for wire, number in made:
             items = ua.CreateMonitoredItemsRequest()
@@ -80,7 +80,7 @@ class Clients:
         return wire, int(made.Parameters.SubscriptionId)
 
     def _keep(self, wire: Wire) -> None:
-        """Take the socket away from the event loop; what has come in already is not counted."""
+        """Take the socket away from the event loop; data received so far is not counted."""
         transport: Any = wire._writer.transport
         transport.pause_reading()
         own = transport.get_extra_info("socket").dup()
@@ -91,7 +91,7 @@ class Clients:
         self._state += struct.pack("<III", wire.channel, wire.token, wire._sequence + 1) + token
 
     async def run(self, program: Path, duration_s: float) -> Delivered:
-        """Count what is delivered for a while; only once for each set of clients."""
+        """Count deliveries for `duration_s`; only once per set of clients."""
         numbers = [own.fileno() for own in self._sockets]
         process = await asyncio.create_subprocess_exec(
             program,
@@ -106,7 +106,7 @@ class Clients:
         return Delivered(*map(int, out.split()))
 
     def close(self) -> None:
-        """Disconnect without a word."""
+        """Disconnect without notice."""
         for own in self._sockets:
             own.close()
 

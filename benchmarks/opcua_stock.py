@@ -1,7 +1,7 @@
 """asyncua's own server with Doubles that change at a fixed rate: the reference of `bench opcua`.
 
-``python -m benchmarks.opcua_stock PORT NODES RATE_HZ`` prints a line when it listens and
-serves until its standard input ends.
+``python -m benchmarks.opcua_stock PORT NODES RATE_HZ`` prints a line once it listens, and serves
+until its standard input ends.
 """
 
 import asyncio

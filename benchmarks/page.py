@@ -1,8 +1,8 @@
-"""What the operator page costs: its server, the plant's deadlines, and the browser.
+"""Cost of the operator page: its server, the plant's deadlines, and the browser.
 
-The robot drives the demonstration's figure of eight. Blocks in which twenty clients take thirty
-frames a second alternate with blocks in which they are away; a third kind without clients shows how
-much the computer itself varies. Short by default; ``--full`` for the figures that are quoted.
+The robot drives the demo's figure of eight. Blocks in which twenty clients take thirty frames a
+second alternate with blocks without clients; a third kind, also without clients, shows the
+variation of the computer itself. Short by default; ``--full`` for the figures that are quoted.
 """
 
 import argparse
@@ -40,12 +40,12 @@ Counts = NDArray[np.int64]
 
 @dataclass
 class Clients:
-    """A process with so many of them."""
+    """A process with several clients."""
 
     process: "subprocess.Popen[str]"
 
     def tell(self, word: str) -> list[int]:
-        """Give an order; return the frames that each has got so far."""
+        """Send an order; return how many frames each client has received so far."""
         stdin, stdout = self.process.stdin, self.process.stdout
         if stdin is None or stdout is None:
             raise FailedError("the clients have no pipes")
@@ -70,7 +70,7 @@ class Server:
         return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
     def private_mb(self) -> float:
-        """Return the memory that is its own [MB]."""
+        """Return its private memory [MB]."""
         text = Path(f"/proc/{self.pid}/smaps_rollup").read_text(encoding="ascii")
         lines = (line.split() for line in text.splitlines() if line.startswith("Private_"))
         return sum(int(words[1]) for words in lines) * 1024 / 1e6
@@ -85,7 +85,7 @@ class Blocks:
     watched: list[Counts] = field(default_factory=list)
 
     def result(self, watched: list[Counts], name: str) -> Result:
-        """Return the ratio of the 99th percentiles of a kind of block and the idle ones."""
+        """Return the ratio of the 99th percentiles of a kind of blocks and of the idle ones."""
         value = median_of_blocks_us(watched, _PERCENT)
         idle = median_of_blocks_us(self.idle, _PERCENT)
         raw = {
@@ -113,7 +113,7 @@ async def _measure(args: argparse.Namespace) -> list[Result]:
     pairs, block_s = args.pairs or (20 if args.full else 4), args.block_s or (5 if args.full else 2)
     load = os.getloadavg()[0]
     image, port = f"bench-page-{os.getpid()}", free_port()
-    limits = {"single_overrun_ms": None, "consecutive_overruns": None}  # it has to drive on
+    limits = {"single_overrun_ms": None, "consecutive_overruns": None}  # it has to keep driving
     settings = {
         "page": {"port": port, "rate_hz": RATE_HZ},
         "scheduler": {"policy": "skip", "limits": limits},
@@ -134,7 +134,7 @@ async def _measure(args: argparse.Namespace) -> list[Result]:
 
 
 def _page_of(pid: int) -> int:
-    """Return the process of the page that belongs to a daemon."""
+    """Return the page's process of a daemon."""
     for task in Path(f"/proc/{pid}/task").iterdir():
         for child in (task / "children").read_text(encoding="ascii").split():
             if b"--beside" in Path(f"/proc/{child}/cmdline").read_bytes():
@@ -190,7 +190,7 @@ def _plant(server: Server, plant: Subject, url: str, pairs: int, block_s: float)
 
 
 def _lazy(url: str) -> Result:
-    """One of three stops reading: what the others get, next to what they got before."""
+    """One of three clients stops reading: the rate of the others, compared with that before."""
     _say("a client that stops reading")
     with _clients(url, 3) as clients:
         rates = []

@@ -1,6 +1,6 @@
-"""What the page costs the browser: script per frame, the first picture, its heap.
+"""Cost of the page in the browser: script per frame, the first picture, its heap.
 
-Times are those of the main thread's processor clock, so that other load does not count.
+Times are processor times of the main thread, so that other load does not count.
 """
 
 import asyncio
@@ -96,7 +96,7 @@ async def _draws_when_still(tab: Tab) -> float:
 
 
 async def _heap_growth(tab: Tab, frames: int) -> float:
-    """Return by how much the heap has grown over so many frames, half of them in Watch."""
+    """Return the growth of the heap over `frames` frames, half of them in Watch."""
     for view in ("watch", "drive"):
         await _show(tab, view, 2000)
     before = await tab.heap_bytes()
@@ -116,7 +116,7 @@ async def _show(tab: Tab, view: str, frames: int) -> None:
 
 
 def _per_frame_ms(events: list[dict[str, Any]], rate_hz: float) -> list[float]:
-    """Return the script time of the main thread in every period of a frame [ms]."""
+    """Return the script time of the main thread in each frame period [ms]."""
     threads: dict[tuple[int, int], list[dict[str, Any]]] = defaultdict(list)
     for event in events:
         if event.get("ph") == "X" and event["name"] in _SCRIPTS and "tdur" in event:
@@ -129,7 +129,7 @@ def _per_frame_ms(events: list[dict[str, Any]], rate_hz: float) -> list[float]:
     start_us, period_us, end_us = ours[0]["ts"], 1e6 / rate_hz, 0.0
     sums: dict[int, float] = defaultdict(float)
     for event in ours:
-        if event["ts"] >= end_us:  # not inside another one
+        if event["ts"] >= end_us:  # not nested in the previous one
             end_us = event["ts"] + event["dur"]
             sums[int((event["ts"] - start_us) / period_us)] += event["tdur"] / 1e3
     return [sums[k] for k in range(max(sums) + 1)]

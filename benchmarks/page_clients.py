@@ -1,7 +1,7 @@
-"""``python -m benchmarks.page_clients URL N``: browsers without a screen, as they are asked.
+"""``python -m benchmarks.page_clients URL N``: headless clients of the page, on command.
 
-One word a line on standard input, one line of JSON as the answer: ``connect``, ``disconnect``,
-``count`` (frames of each so far), ``stop`` and ``go`` (the first one stops reading, reads on).
+One word per line on standard input, one line of JSON as the answer: ``connect``, ``disconnect``,
+``count`` (frames of each so far), ``stop`` and ``go`` (the first client stops or resumes reading).
 """
 
 import asyncio
@@ -13,7 +13,7 @@ import sys
 import aiohttp
 
 _SHOWN = ("pose.", "velocity.", "wheel.", "tof.", "lights.", "sim.", "battery.")
-"""Beginning of the names that the Drive view shows."""
+"""Prefixes of the names that the Drive view shows."""
 _NICENESS = 5
 _SIGNALS = 60
 

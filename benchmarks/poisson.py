@@ -1,4 +1,4 @@
-"""Are two rates of rare events the same? Exact conditional interval, and bootstrap over blocks."""
+"""Ratio of two rates of rare events: exact conditional interval, and bootstrap over blocks."""
 
 import math
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ def rate_ratio_interval(
     Returns
     -------
     low, high : float
-        0 and infinity where the counts tell nothing.
+        0 and infinity if the counts contain no information.
     """
     low, high = clopper_pearson(count, count + reference, confidence)
     scale = reference_s / time_s
@@ -39,8 +39,8 @@ def block_ratio_interval(
 ) -> tuple[float, float]:
     """Return the interval of the ratio of two rates by a bootstrap over blocks.
 
-    It holds for events in bursts, as long as one block tells nothing of the next. Half an event is
-    added to both counts: a resample without any has a ratio, too (percentile interval of Efron and
+    It holds for events in bursts, as long as blocks are independent. Half an event is added to both
+    counts, so that a resample without events has a ratio too (percentile interval of Efron and
     Tibshirani 1993).
 
     Parameters

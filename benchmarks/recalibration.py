@@ -1,16 +1,16 @@
-"""Whether the model keeps up: a robot of another program changes, and its twin follows.
+"""Whether the model keeps up: a robot simulated by another program changes, and its twin follows.
 
-Every row of the table is some robots, each over several windows; all of it is in virtual time. A
-line for each robot is appended to a file: who stops goes on where it was.
+Each row of the table covers several robots, each over several windows, all in virtual time. One
+line per robot is appended to a file, so that an interrupted run continues where it stopped.
 
 kinds
-    A hidden cause appears in the middle of a window. Proposed within three windows from that one,
-    and nothing wrong; the gap after it is accepted, on a window that took no part.
+    A hidden cause appears in the middle of a window. Whether it, and nothing wrong, is proposed
+    within three windows from that one; the gap once accepted, on a window not used for it.
 back
-    A cause appears, and goes again: the second proposal takes the first back.
+    A cause appears and disappears: the second proposal takes the first back.
 null
     Nothing changes but the floor, within its noise. How often something is named, and confirmed;
-    both windows are of one track. The rate a year is extrapolated.
+    both windows are from one track. The rate per year is extrapolated.
 wake
     Wake latency of the daemon while a window is diagnosed beside it, on a quiet computer.
 """
@@ -55,9 +55,9 @@ BACK: Final = ("rotation_gain", "gyro_bias", "actuation_delay", "nav_latency", "
 ROWS: Final = ("kinds", "back", "null")
 WAKE: Final = "wake"
 DEADLINE: Final = 3
-"""Windows within which it is proposed, from the one in which it appears."""
+"""Windows within which a cause must be proposed, counted from its appearance."""
 FLOOR: Final = 0.001
-"""Rotation gain by which the floor differs from window to window: below any size worth a name."""
+"""Variation of the rotation gain between windows, from the floor: too small to be named."""
 NULLS_OF_EACH: Final = 10
 RESULTS: Final = Path("build/recalibration/results.jsonl")
 Record = Mapping[str, Any]
@@ -81,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> list[Result]:
-    """Run what has no line yet; return the table."""
+    """Run robots without a result; return the table."""
     if unfit := [n for n in args.kinds if CAUSES[n].kind != "drive"]:
         raise FailedError(f"--kinds: {unfit[0]} does not show in a drive; leave it out")
     own = ("recalibration", "recalibration_robot")
@@ -99,7 +99,7 @@ def run(args: argparse.Namespace) -> list[Result]:
 
 
 def cases(args: argparse.Namespace) -> Iterator[Case]:
-    """Yield the robots of the rows that are asked for."""
+    """Yield the robots of the requested rows."""
     made = {"kinds": kinds, "back": back, "null": nulls}
     for row in args.rows:
         yield from made[row](args) if row in made else ()
@@ -115,7 +115,7 @@ def kinds(args: argparse.Namespace) -> Iterator[Case]:
 
 
 def back(args: argparse.Namespace) -> Iterator[Case]:
-    """Yield robots whose cause goes again."""
+    """Yield robots whose cause disappears again."""
     for k, name in enumerate(BACK):
         hidden = drawn(name, args)
         drives = (Drive(1, {}), Drive(3, hidden), Drive(3, {}))
@@ -134,13 +134,13 @@ def nulls(args: argparse.Namespace) -> Iterator[Case]:
 
 
 def drawn(name: str, args: argparse.Namespace) -> dict[str, float]:
-    """Return a cause at its size; its sign and shape are drawn."""
+    """Return a cause at its size, with random sign and shape."""
     rng = np.random.default_rng([args.seed, *name.encode()])
     return CAUSES[name].draw(rng, args.scale)
 
 
 def is_right(name: str, terms: Mapping[str, Any]) -> bool:
-    """Whether a patch has a cause, or what no drive can tell from it, and nothing else."""
+    """Whether a patch has only a cause and its twins, which no drive can separate from it."""
     twins = {other for pair in TWINS if name in pair for other in pair}
     return bool(terms) and {term.partition(".")[0] for term in terms} <= {name, *twins}
 
@@ -183,7 +183,7 @@ def _in_time(r: Record) -> bool:
 
 
 def _size(r: Record) -> tuple[float, bool] | None:
-    """Return error, as a share of the size, and whether the interval holds it, at the end."""
+    """Return the final error relative to the size, and whether the interval has the truth."""
     name = next(iter(r["hidden"]))
     last = r["proposed"][-1]["terms"].get(name)
     if last is None:
@@ -215,7 +215,7 @@ def _null(records: Sequence[Record]) -> Iterator[Result]:
         low, high = clopper_pearson(k, of)
         yield Result(what, k, f"of {of}", raw=(low, high))
         yield Result(f"{what}, upper end of 95 %", 100 * high, "%")
-    # A confirmation has its level; that of a name is what was measured.
+    # The level of a confirmation is set; the rate of names is measured.
     chance = Spending().confirmation(window_s) * YEAR_S / window_s
     yield Result("false a year, extrapolated", named / n * chance, "", 1, "at most")
     upper = clopper_pearson(named, n)[1] * chance

@@ -1,6 +1,6 @@
-"""A robot of another program over many windows, under the rules of the daemon, in virtual time.
+"""A robot of another program over many windows, by the daemon's rules, in virtual time.
 
-The same loop and the same looks; every window is looked at, and every proposal is accepted.
+The same loop and looks as in the daemon; every window is diagnosed, every proposal accepted.
 """
 
 import tempfile
@@ -31,7 +31,7 @@ class Drive:
     Attributes
     ----------
     before : mapping of str to float, optional
-        What is hidden up to the middle of the drive; the same throughout.
+        What is hidden up to the middle of the drive; default: the same throughout.
     """
 
     windows: int
@@ -48,7 +48,7 @@ class Case:
     drives: tuple[Drive, ...]
     window_s: float
     seed: int
-    hidden: Values = field(default_factory=dict)  # what has to be found
+    hidden: Values = field(default_factory=dict)  # causes to be found
     appears: int = 0  # window in which it appears; from 1
     measured_noise: bool = False
 
@@ -61,16 +61,16 @@ class Case:
 
 @dataclass
 class Outcome:
-    """What came of a case.
+    """Result of a case.
 
     Attributes
     ----------
     looks, confirmations : list of str
         Verdicts, in order.
     proposed : list of dict
-        Window, causes, terms (value, interval, value before), gain where it was confirmed.
+        Window, causes, terms (value, interval, value before), gain on the confirming window.
     effects : dict of list of float
-        By proposal: gap before by gap after of the quantities that gained where it was confirmed.
+        By proposal: gap before divided by gap after, for quantities with a confirmed gain.
     loaded : dict of float
         Terms that run at the end.
     """
@@ -108,7 +108,7 @@ def windows(case: Case, folder: Path) -> Iterator[Path]:
 
 
 class Robot:
-    """A robot of a case: its loop, the model that runs, and what has come of it."""
+    """A robot of a case: its loop, its running model, and the result so far."""
 
     def __init__(self, case: Case) -> None:
         self.outcome = Outcome()
@@ -116,7 +116,7 @@ class Robot:
         self._loop = Loop(case.window_s, Spending(), 0.0)
 
     def window(self, path: Path) -> None:
-        """Look at one window, and accept what is proposed."""
+        """Diagnose one window, and accept what is proposed."""
         self._number += 1
         now_s, loop, outcome = self._number * self._window_s, self._loop, self.outcome
         todo = loop.todo(self._number, outcome.loaded, now_s)
@@ -127,7 +127,7 @@ class Robot:
         if proposal is not None and proposal.stage is Stage.OPEN:
             outcome.proposed.append(summary(self._number, proposal))
             decided = loop.decided(Step.ACCEPT, proposal.number)
-            loop.adopt(decided, self._number)  # the window that follows begins after it
+            loop.adopt(decided, self._number)  # the next window begins after it
             outcome.loaded = {n: t.value for n, t in decided.terms.items()}
 
     def _count(self, notes: Sequence[Note]) -> None:
@@ -145,12 +145,12 @@ class Robot:
 
 
 def order(todo: Todo, path: Path) -> Order:
-    """Return the order to look at a window of the robot that is configured by default."""
+    """Return the order to look at a window of the default robot."""
     return Order(todo, str(path), without_passwords(Config()), str(path.parent), {}, "")
 
 
 def summary(window: int, proposal: Proposal) -> dict[str, Any]:
-    """Return what a proposal says."""
+    """Return a proposal as plain data."""
     terms = {n: (t.value, t.ci95, t.present) for n, t in proposal.terms.items()}
     gain = {n: q.ratio for n, q in proposal.gain.items()}
     causes = list(proposal.causes)
@@ -158,7 +158,7 @@ def summary(window: int, proposal: Proposal) -> dict[str, Any]:
 
 
 def gained(proposal: Proposal) -> list[float]:
-    """Return the effect on the quantities that gained where it was confirmed."""
+    """Return the effect on the quantities whose gain was confirmed."""
     names = [n for n, q in proposal.gain.items() if q.ci95 is not None and q.ci95[0] > 1.0]
     return [proposal.effect[n].ratio for n in names if n in proposal.effect]
 
@@ -174,5 +174,5 @@ def run(case: Case) -> Outcome:
 
 
 def counts(outcomes: Sequence[Mapping[str, Any]], key: str) -> Counter[str]:
-    """Return how often which verdict came."""
+    """Return the number of each verdict."""
     return Counter(verdict for one in outcomes for verdict in one[key])

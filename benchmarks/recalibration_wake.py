@@ -1,7 +1,7 @@
-"""What a diagnosis beside the daemon costs the pacing: blocks with one alternate with others.
+"""Effect of a diagnosis beside the daemon on pacing: blocks with and without one alternate.
 
-The daemon serves the OPC UA clients of `bench jitter` all the time. A process with the share that a
-look has by default diagnoses one window again and again; it is stopped while a block rests.
+The daemon serves the OPC UA clients of `bench jitter` all the time. A process with the default
+share of a look diagnoses one window repeatedly; it is stopped during blocks without diagnosis.
 """
 
 import argparse
@@ -44,7 +44,7 @@ class Looks:
 
     @contextlib.contextmanager
     def busy(self, place: Place) -> Iterator[str]:
-        """Run it; its first look is over when it begins, so nothing is compiled any more."""
+        """Run it; its first look ends before the context begins, so all is compiled by then."""
         order = place.folder / process.ORDER
         order.write_text(self.order(place).text(), encoding="utf-8")
         with piped(
@@ -56,11 +56,11 @@ class Looks:
                 self.say("change")
                 self._awaited()
             finally:
-                self.say("change")  # who is stopped does not end
+                self.say("change")  # a stopped process cannot end
 
     @staticmethod
     def order(place: Place) -> Order:
-        """Write a window; return the order to look at it, with a share as by default."""
+        """Write a window; return the order to look at it, with the default share."""
         window, config = place.folder / "window.csv", RecalibrationConfig()
         make(Recipe(seed=1, causes=HIDDEN, duration_s=WINDOW_S))[0].write_csv(window)
         cores = process.other_cores(place.pacing_thread, config.cpu)
@@ -75,12 +75,12 @@ class Looks:
             raise FailedError(f"a look beside the daemon found {verdict or 'nothing, and ended'}")
 
     def say(self, order: str) -> None:
-        """Let it go on, or rest."""
+        """Let it continue, or rest."""
         os.kill(self._process.pid, signal.SIGSTOP if order == "rest" else signal.SIGCONT)
 
 
 def main() -> None:
-    """Look at a window again and again; print each verdict."""
+    """Look at a window repeatedly; print each verdict."""
     order = Order.of(Path(sys.argv[1]).read_text(encoding="utf-8"))
     take(order.share)
     while True:

@@ -1,11 +1,11 @@
 """ROS 2 over DDS: rate, latency, losses and cost, next to two other DDS programs in the same run.
 
-A daemon publishes everything that the flavour `iotbot_shield` has to a Fast DDS program and takes
-its commands, 50 a second. At the same time a Cyclone DDS program in C writes a RELIABLE and a
-BEST_EFFORT topic at the same rate to the same reader, and reads the same commands: what two
-programs without us lose, and how long they take. Latency is from the time stamp that DDS gives a
-sample when it is written to its arrival in the reader's callback; losses are gaps in the sequence
-of its writer. Cost is the daemon's processor time, beside that of a daemon without ROS 2.
+A daemon publishes everything in the flavour `iotbot_shield` to a Fast DDS program and takes its
+commands, 50 a second. At the same time a Cyclone DDS program in C writes a RELIABLE and a
+BEST_EFFORT topic at the same rate to the same reader, and reads the same commands: the losses and
+latency of two programs without hilserver. Latency is from the time stamp that DDS gives a sample
+when it is written to its arrival in the reader's callback; losses are gaps in its writer's
+sequence. Cost is the daemon's processor time, compared with that of a daemon without ROS 2.
 """
 
 import argparse
@@ -55,28 +55,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 class Commands(Histogram125):
-    """Keeps every latency of a command."""
+    """Keeps the latency of every command."""
 
     def __init__(self) -> None:
         super().__init__()
         self.all_us: list[float] = []
 
     def observe(self, value_ns: int) -> None:
-        """Keep it."""
+        """Keep one latency."""
         super().observe(value_ns)
         self.all_us.append(value_ns * 1e-3)
 
 
 @dataclass
 class Stream:
-    """What a reader got of one topic: latency [us] and sequence of the writer."""
+    """Samples of one topic in a reader: latency [us] and sequence number of the writer."""
 
     late_us: list[float] = field(default_factory=list)
     sequence: list[int] = field(default_factory=list)
 
     @property
     def lost(self) -> int:
-        """Samples between the first and the last that are missing."""
+        """Number of missing samples between the first and the last."""
         return max(self.sequence) - min(self.sequence) + 1 - len(set(self.sequence))
 
 
@@ -95,7 +95,7 @@ class Peer:
             *self._command, stdin=asyncio.subprocess.PIPE, stdout=self._file
         )
         deadline_s = time.monotonic() + START_WITHIN_S
-        # The position in the file is the child's: look without moving it.
+        # The child shares the position in the file: read without moving it.
         while os.pread(self._file.fileno(), len(READY), 0) != READY:
             if self._process.returncode is not None or time.monotonic() > deadline_s:
                 raise FailedError(f"{self._command[0]} finds no other program in its DDS domain")
@@ -119,7 +119,7 @@ class Peer:
             await process.wait()
 
     def streams(self) -> dict[str, Stream]:
-        """Return what it read, by topic."""
+        """Return the samples that it read, by topic."""
         found = {topic: Stream() for topic in self._topics}
         self._file.seek(0)
         for line in self._file:
@@ -134,7 +134,7 @@ class Peer:
 
 @dataclass
 class Seen:
-    """What one run showed."""
+    """Results of one run."""
 
     ours: dict[str, Stream]
     theirs: dict[str, Stream]

@@ -1,7 +1,7 @@
-"""Two DDS programs that others have written: Fast DDS in C++ and Cyclone DDS in C, from Debian.
+"""Two programs with foreign DDS libraries from Debian: Fast DDS in C++, Cyclone DDS in C.
 
-Both are configured as ROS 2 configures them, read and write any topic as CDR, and say how late a
-sample came. Bench and tests build them.
+Both are configured as by ROS 2, read and write any topic as CDR, and print the latency of each
+sample. Bench and tests build them.
 """
 
 import shutil
@@ -30,7 +30,7 @@ BASE: Final = {
     "float64": "double",
 }
 IDENTITY: Final = "unsigned long long guid; long long sequence_number;"
-"""What rmw_cyclonedds puts before request and response."""
+"""Fields that rmw_cyclonedds puts before request and response."""
 
 
 def dds_name(type_name: str) -> str:
@@ -56,7 +56,7 @@ def arguments(domain: int, endpoints: Iterable[Endpoint]) -> list[str]:
 
 
 def build_fast_dds(folder: Path) -> Path:
-    """Compile the Fast DDS peer; some seconds.
+    """Compile the Fast DDS peer, which takes some seconds.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def build_cyclone(folder: Path, type_names: Iterable[str]) -> Path:
     (folder / "types.idl").write_text(idl(known_types(), names), encoding="ascii")
     rows = (f'{{"{dds_name(n)}", &{dds_name(n).replace("::", "_")}_desc}},\n' for n in names)
     (folder / "table.h").write_text("".join(rows), encoding="ascii")
-    _run("idlc", "-t", "types.idl", folder=folder)  # rmw_cyclonedds announces no type either
+    _run("idlc", "-t", "types.idl", folder=folder)  # like rmw_cyclonedds, it announces no type
     program = folder / "ros2_cyclone"
     with as_file(files("benchmarks") / "ros2_cyclone.c") as source:
         made = ("-O0", "-I.", str(source), "types.c", "-o", str(program), "-lddsc", "-lpthread")
@@ -100,13 +100,13 @@ def _run(tool: str, *words: str, folder: Path | None = None) -> None:
 
 
 def idl(types: Types, names: Sequence[str]) -> str:
-    """Return the definitions of types, and of all within them, in OMG's IDL 4.2."""
+    """Return the definitions of types, nested ones included, in OMG's IDL 4.2."""
     from rosbags.interfaces import Nodetype  # noqa: PLC0415 -- slow to import
 
     written: dict[str, str] = {}
 
     def word(kind: Any, rest: Any) -> tuple[str, str]:
-        """Return type and what stands behind the member's name."""
+        """Return the type, and the text that follows the member's name."""
         if kind == Nodetype.NAME:
             define(rest)
             return dds_name(rest), ""

@@ -1,8 +1,8 @@
-"""A controller closes a loop of 100 Hz over S7: age of its set-points, and the way there and back.
+"""A controller closes a 100 Hz loop over S7: age of its set-points, and round-trip time.
 
-The controller is the server of python-snap7 in a process of its own. It counts set-points out; an
-own block of the plant hands each on, and it comes back in the block that we write. The reference is
-python-snap7's client, which sends back what it reads, at the same period and without a robot.
+The controller is the server of python-snap7 in a process of its own. It sends counted set-points;
+an own block of the plant passes each on, and it returns in the block that we write. The reference
+is python-snap7's client, which sends back what it reads, at the same period and without a robot.
 """
 
 import argparse
@@ -35,7 +35,7 @@ LAST = BYTES - 4
 
 @block(inputs=("value",), outputs=(Output("value", unit="rpm", low=-100.0, high=100.0),))
 def echo(dt_s, u, y, x, p):  # type: ignore[no-untyped-def]  # noqa: ARG001
-    """Hand the set-point on."""
+    """Pass the set-point on."""
     y[0] = u[0]
 
 
@@ -137,7 +137,7 @@ def _p99_ns(durations: Histogram125) -> float:
 
 
 def _first_seen(image: ProcessImage, slot: int, since: int, seen: dict[int, int]) -> int:
-    """Note the first tick [ns] with each number of the controller; return where to go on."""
+    """Note the first tick [ns] with each number of the controller; return where to continue."""
     head = image.head
     for number in range(since, head):
         frame = image.frame(number)

@@ -1,7 +1,7 @@
-"""A controller with a cycle of 10 ms: the server of python-snap7, a number out and its echo back.
+"""A controller with a 10 ms cycle: the server of python-snap7, which sends numbers to be echoed.
 
-``python -m benchmarks.s7_controller server PORT SECONDS`` prints JSON: what it sent when, and how
-long each number took to come back [ms]. ``client PORT SECONDS`` is the reference at the other end:
+``python -m benchmarks.s7_controller server PORT SECONDS`` prints JSON: what it sent when, and the
+time until each number came back [ms]. ``client PORT SECONDS`` is the reference at the other end:
 the client of python-snap7, which reads the number and writes it back in the same period.
 """
 
@@ -20,7 +20,7 @@ COMING, GOING = 1, 2
 
 
 def number(index: int) -> float:
-    """Return the set-point [rpm] of a cycle; it comes again after `NUMBERS` of them."""
+    """Return the set-point [rpm] of a cycle; it repeats after `NUMBERS` cycles."""
     return (index % NUMBERS - NUMBERS // 2) * STEP
 
 

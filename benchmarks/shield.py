@@ -1,8 +1,8 @@
 """The shield's serial line: rate, lateness of its responses, cost.
 
-A host in a process of its own asks the daemon over a pseudo-terminal. In every block cyclictest
-runs at the same time, at the priority of the line's thread. Lateness is from the earliest moment
-that a line of 115200 baud permits to the write, both stamped by the writer.
+A host in a process of its own sends requests to the daemon over a pseudo-terminal. In every block
+cyclictest runs at the same time, at the priority of the line's thread. Lateness is from the
+earliest time that 115200 baud permit to the write, both stamped by the writer.
 """
 
 import argparse
@@ -36,7 +36,7 @@ HOST_LIMIT_S = 60.0
 
 @dataclass
 class Blocks:
-    """What the blocks showed."""
+    """Results of the blocks."""
 
     late: list[Counts] = field(default_factory=list)
     reference: list[Counts] = field(default_factory=list)

@@ -1,4 +1,4 @@
-"""A host that asks the shield at a steady rate, a program of its own: line, rate [Hz], time [s].
+"""A program that polls the shield at a steady rate; arguments: line, rate [Hz], time [s].
 
 Prints the round trips [ms], request written to response complete, as JSON.
 """
@@ -16,7 +16,7 @@ LONGEST_S = 1.0
 
 
 def main(line: str, rate_hz: float, seconds: float) -> None:
-    """Enable the motors, then ask; a response that stays away is left out."""
+    """Enable the motors, then poll; missing responses are left out."""
     host = os.open(line, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     round_trips_ms = [_ask(host, request(Command.ENABLE))]
     speeds = request(Command.SET_RPM, struct.pack("<4h", -2000, -2000, 2000, 2000))

@@ -1,9 +1,9 @@
-"""PySINDy as a rival of the diagnosis: few terms of what is left of the body's velocities.
+"""PySINDy as a rival of the diagnosis: a sparse model of the residual velocities of the body.
 
-Sequentially thresholded least squares (Brunton et al., PNAS 113, 2016) of each velocity by itself.
-A threshold is the smallest effect [m/s or rad/s, root of mean square] that a term may have: the
-largest whose held-out error lies within one standard error of the least. It sees velocities only:
-for causes of the drive, of a region and of outliers it has no term.
+Sequentially thresholded least squares (Brunton et al., PNAS 113, 2016) for each velocity alone. The
+threshold is the smallest effect [m/s or rad/s, RMS] that a term may have: the largest one whose
+held-out error is within one standard error of the minimum. It only sees velocities: it has no terms
+for causes of the drive, for regions or for outliers.
 """
 
 import warnings
@@ -23,7 +23,7 @@ Pair = tuple[str, str]
 
 THRESHOLDS: Final = np.geomspace(3e-4, 0.3, 13)
 PARTS: Final = 6
-"""Parts that are held out in turn to choose a threshold."""
+"""Number of parts that are held out in turn to choose a threshold."""
 
 
 def _of(*pairs: str) -> frozenset[Pair]:
@@ -57,7 +57,7 @@ CAUSES: Final[Mapping[str, frozenset[Pair]]] = {
     "gyro_scale": _of("gyro: om"),
     "imu_latency": _of("gyro: dom"),
 }
-"""The terms that each cause makes, to first order."""
+"""The terms that each cause produces, to first order."""
 
 
 def library() -> Any:
@@ -92,7 +92,7 @@ def sindy(prepared: Prepared) -> Array:
 
 
 def said(prepared: Prepared) -> list[list[str]]:
-    """Return the causes that PySINDy's terms stand for, each with those of the same terms."""
+    """Return the causes that PySINDy's terms indicate, in groups with the same terms."""
     body = BodyVelocities(prepared)
     known = terms(body, headed=True)
     names, columns = list(known), _stacked(known)
@@ -104,10 +104,10 @@ def said(prepared: Prepared) -> list[list[str]]:
 
 
 def mapped(found: set[Pair], velocities: frozenset[str]) -> list[list[str]]:
-    """Return causes that make the terms, those first that make most of them and fewest others.
+    """Return causes that explain the terms, first those that explain most and add fewest others.
 
-    Causes of the same terms are one group; terms that no cause makes for the most part stand for
-    none.
+    Causes with the same terms are one group. A cause that adds as many terms as it explains is not
+    returned.
     """
     makes = {c: frozenset(p for p in pairs if p[0] in velocities) for c, pairs in CAUSES.items()}
     groups: list[list[str]] = []
@@ -131,7 +131,7 @@ def terms(body: BodyVelocities, *, headed: bool) -> dict[str, Array]:
     Parameters
     ----------
     headed : bool
-        With those of the heading in the room, which name a cause but cannot predict.
+        Include terms of the heading in the room, which indicate a cause but cannot predict.
     """
     v, om = body.replayed[AHEAD], body.replayed[TURN]
     dv, dom = body.rate(v), body.rate(om)
@@ -152,7 +152,7 @@ def _stacked(known: Mapping[str, Array]) -> Array:
 
 
 def sparse(columns: Array, left: Array, block: NDArray[np.int64]) -> Array:
-    """Return the weight of each term, most of them 0, shape (terms,)."""
+    """Return the weight of each term, mostly 0, shape (terms,)."""
     scale = np.sqrt(np.mean(columns**2, axis=0)) + 1e-12
     columns = columns / scale
     _, number = np.unique(block, return_inverse=True)

@@ -1,7 +1,7 @@
-"""From the command line to the first tick, and what daemon and page keep in memory.
+"""Time from the command line to the first tick, and memory of daemon and page.
 
-The reference is a process that only imports the libraries that the daemon is made of. On a busy
-computer the processor time of the start says more than the seconds that passed.
+The reference is a process that only imports the daemon's libraries. On a busy computer the
+processor time of the start is a better measure than the elapsed time.
 """
 
 import argparse
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> list[Result]:
-    """Start the daemon with its page again and again."""
+    """Start the daemon with its page repeatedly."""
     cold = []
     for _ in range(args.cold):
         with tempfile.TemporaryDirectory(prefix="hilserver-cache-") as empty:
@@ -136,6 +136,6 @@ def _cpu_s(pid: int) -> float:
 
 
 def _megabytes(status: str) -> float:
-    """Return the resident memory in a text of /proc/PID/status [MB]."""
+    """Return the resident memory from the text of /proc/PID/status [MB]."""
     found = re.search(r"VmRSS:\s+(\d+) kB", status)
     return 0.0 if found is None else int(found[1]) * 1.024e-3

@@ -1,10 +1,10 @@
-"""How late a robot stops: dead-man and Stop, idle and beside every attack that a watcher can make.
+"""How late a robot stops: dead-man and Stop, idle and under every attack possible for a watcher.
 
-A client drives over the page, OPC UA or ROS 2, a process of its own. Dead-man: it falls silent, and
-the time counts from its last message; late is what exceeds the configured deadline. Stop: the time
+A client, a process of its own, drives over the page, OPC UA or ROS 2. Dead-man: it falls silent,
+and time counts from its last message; only time beyond the configured deadline is late. Stop: time
 counts from the press, over the page's open socket, for OPC UA by its method (while the interpreter
-lock is held by the page, as everywhere else). Both end where the set-points begin to fall, read in
-shared memory by another process. All of it takes an hour and a half.
+lock is held by the page, as everywhere else). Both end when the set-points begin to fall, read in
+shared memory by another process. The whole bench takes an hour and a half.
 """
 
 import argparse
@@ -21,7 +21,7 @@ SEED = 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what is tried, and how often."""
+    """Add the choice and the number of trials."""
     parser.add_argument("--trials", type=int, default=200, help="for each figure")
     for name, known in (("source", SOURCES), ("attack", ATTACKS)):
         parser.add_argument(
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> list[Result]:
-    """Try, and return the worst of every row beside its limit."""
+    """Run the trials; return the worst time of every row with its limit."""
     sources, attacks = args.source or SOURCES, args.attack or ATTACKS
     found = []
     for row in _rows(sources, attacks, args.trials):

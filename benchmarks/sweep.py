@@ -1,8 +1,8 @@
-"""What a sweep costs: machines a minute, what Dask adds on the same cores, memory.
+"""Cost of a sweep: machines per minute, the overhead of Dask on the same cores, memory.
 
-A machine drives 60 s with a plant of 1 kHz and its sensors. Rates count from when all workers are
-warm. Blocks on processes and on a Dask cluster of as many workers alternate, and both stay alive.
-With --truth, sweeps whose truth is known are swept instead, a line of JSON each.
+A machine drives 60 s with a 1 kHz plant and its sensors. Rates count once all workers are warm.
+Blocks on processes and on a Dask cluster with as many workers alternate, and both stay alive. With
+--truth, sweeps with known truth run instead, one line of JSON each.
 """
 
 import argparse
@@ -29,7 +29,7 @@ from hilserver.sweep.estimates import LEAST_MACHINES, median_interval
 from hilserver.sweep.prepare import Prepared, prepare
 
 COMPILED_A_MINUTE, PYTHON_A_MINUTE, MOST_MB, DASK = 3000.0, 600.0, 1000.0, 1.10
-"""What the figures have to reach."""
+"""Required figures."""
 DRIVE_S, SHORT_S = 60.0, 0.2
 SAMPLE_S: Final = 0.2
 CONTROLLER = """
@@ -140,7 +140,7 @@ def _rates(folder: Path, args: argparse.Namespace) -> Iterator[Result]:
 
 
 def _a_minute(prepared: Prepared, workers: Workers, count: int) -> float:
-    """Return machines a minute, from when each worker has driven a batch."""
+    """Return machines per minute, once each worker has driven a batch."""
     first, n, done, began_s = 2 * count * IN_A_BATCH, prepared.sweep.machines, 0, 0.0
     counted = 0
     for _, batch in outcomes(prepared.job, map(prepared.machine, range(n + first)), workers):
@@ -167,7 +167,7 @@ def _memory(folder: Path, args: argparse.Namespace) -> Iterator[Result]:
 
 
 def _peak_mb(path: Path, workers: int) -> float:
-    """Return the most memory of a whole sweep, all its processes together."""
+    """Return the peak memory of a whole sweep, all its processes together."""
     out = path.with_suffix("")
     command = python(
         "-m", "hilserver", "sweep", str(path), "-o", str(out), "--workers", str(workers)
@@ -192,7 +192,7 @@ def _family(pid: int) -> list[int]:
 
 
 def _mb(pid: int) -> float:
-    """Return the memory of a process; what it shares counts in proportion."""
+    """Return the memory of a process; shared memory counts in proportion."""
     try:
         text = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii")
     except OSError:

@@ -1,8 +1,8 @@
-"""Sweeps whose truth is known, and what they say.
+"""Sweeps whose truth is known, and their results.
 
-The controller is a block that fails exactly where a computed function of two of its three
-parameters is negative, so the share of all machines that pass, what decides it and where it fails
-are known without a simulation. Each truth is a line: what is true, and what the sweep found.
+The controller is a block that fails exactly where a given function of two of its three parameters
+is negative, so the share of machines that pass, the decisive parameters and the failing region are
+known without a simulation. Each truth is one line: the truth, and what the sweep found.
 """
 
 import json
@@ -78,7 +78,7 @@ def _swept(prepared: Prepared, folder: Path, workers: int = 2) -> Table:
 
 
 def _line(name: str, truth: float, table: Table, margin: str) -> dict[str, Any]:
-    """Return what is true, and what the sweep says."""
+    """Return the truth and the sweep's result."""
     passed = table.count(PASSED)
     low, high = exact_interval(passed, len(table))
     found = influences(dict(table.parameters), table.margins[margin])
@@ -107,20 +107,20 @@ def _of_block(
         table = _swept(_sweep(Path(folder), function, machines), Path(folder))
     line = _line(name, truth, table, "limit")
     true = margin(*(table.parameters[f"blocks.limit.{n}"] for n in "abc")) >= 0.0
-    # The map draws each machine where it is, in the colour of its margin.
+    # The map draws each machine at its parameters, in the colour of its margin.
     line["wrong_on_the_map"] = int((true != (np.array(table.status) == PASSED)).sum())
     return line
 
 
 def linear(machines: int = MACHINES) -> dict[str, Any]:
-    """Sweep what passes where a - 2 b + 0.3 is not negative, whatever c is: 0.575 of all."""
+    """Sweep a block that passes if a - 2 b + 0.3 is not negative, for any c: 0.575 of all."""
     return _of_block(
         "linear", "p[0] - 2.0 * p[1] + 0.3", lambda a, b, _: a - 2.0 * b + 0.3, 0.575, machines
     )
 
 
 def not_monotone(machines: int = MACHINES) -> dict[str, Any]:
-    """Sweep what passes where 0.25 - c^2 + 0.1 a is not negative: c hurts at both ends."""
+    """Sweep a block that passes if 0.25 - c^2 + 0.1 a is not negative: c fails at both ends."""
     truth = (0.35**1.5 - 0.15**1.5) / 0.3
     return _of_block(
         "not monotone",
@@ -132,9 +132,9 @@ def not_monotone(machines: int = MACHINES) -> dict[str, Any]:
 
 
 def correlated(machines: int = MACHINES) -> dict[str, Any]:
-    """Sweep a robot that turns far enough or not; its gain is known together with a latency.
+    """Sweep a robot that turns far enough or not; its gain is known jointly with a latency.
 
-    The truth is the probability of the gains from which it does, found by bisection.
+    The truth is the probability of the gains for which it does, found by bisection.
     """
     joint = {
         "parameters": ["rotation_gain", "nav_latency"],
@@ -165,7 +165,7 @@ def correlated(machines: int = MACHINES) -> dict[str, Any]:
 
 
 def _probability(prepared: Prepared) -> float:
-    """Return the probability that the drawn gain is one that passes."""
+    """Return the probability that a drawn gain passes."""
     rig, machine = Rig(prepared.job), prepared.machine(0)
 
     def margin(gain: float) -> float:
@@ -185,7 +185,7 @@ def _probability(prepared: Prepared) -> float:
 
 
 def coverage(sweeps: int = SWEEPS, machines: int = MACHINES_OF_EACH) -> dict[str, Any]:
-    """Sweep again and again with other seeds: how often the interval holds the truth."""
+    """Sweep repeatedly with other seeds: how often the interval contains the truth."""
     truth, held = 0.575, 0
     with tempfile.TemporaryDirectory(prefix="hilserver-truth-") as folder:
         prepared = _sweep(Path(folder), "p[0] - 2.0 * p[1] + 0.3", machines)
@@ -199,7 +199,7 @@ def coverage(sweeps: int = SWEEPS, machines: int = MACHINES_OF_EACH) -> dict[str
 
 
 def binomial(draws: int = BINOMIAL_DRAWS) -> dict[str, Any]:
-    """Draw shares and counts: how often the estimator's interval holds the share."""
+    """Draw shares and counts: how often the estimator's interval contains the share."""
     rng = np.random.default_rng(1)
     intervals = np.array([exact_interval(k, 200) for k in range(201)])
     truth = rng.uniform(0.0, 1.0, draws)
@@ -209,6 +209,6 @@ def binomial(draws: int = BINOMIAL_DRAWS) -> dict[str, Any]:
 
 
 def lines() -> Iterator[dict[str, Any]]:
-    """Yield every truth with what was found, and on what kernels."""
+    """Yield every truth with the result, and the kernels used."""
     for make in (linear, not_monotone, correlated, coverage, binomial):
         yield make() | {"computer": fingerprint()}

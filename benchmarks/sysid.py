@@ -1,9 +1,9 @@
-"""The rival that knows what to look for: `mujoco.sysid`, given the causes that are hidden in a log.
+"""A rival that knows what to look for: `mujoco.sysid`, given the causes that are hidden in a log.
 
-It fits their parameters and the initial poses by least squares, from the configured plant on, with
-the replay of the diagnosis as its model, and states the intervals of its Jacobian. Shapes (a
-region, a phase) it is given. It knows no noise that lasts, no outliers and no other causes: what it
-reaches is what the choice of causes costs the diagnosis, and what its intervals are worth.
+It fits their parameters and the initial poses by least squares, starting at the configured plant,
+with the replay of the diagnosis as its model, and gives intervals from its Jacobian. It is given
+shapes (a region, a phase). It models no correlated noise, no outliers and no other causes: it shows
+what the diagnosis loses by having to choose causes, and what its intervals are worth.
 """
 
 import io
@@ -26,7 +26,7 @@ from hilserver.plant.parameters import RobotParameters
 
 POSE_STEP: Final = 0.01
 FARTHEST: Final = 1000.0
-"""Bound of what has none, in steps of the finite differences."""
+"""Bound of parameters without one, in steps of the finite differences."""
 ROUNDS: Final = 2
 MOST_STEPS: Final = 20
 PRECISION: Final = 1e-3
@@ -38,13 +38,13 @@ def library() -> Any:
     Raises
     ------
     FailedError
-        If it, or something it needs, is not installed.
+        If it, or a dependency, is not installed.
     """
     try:
         from mujoco import sysid  # noqa: PLC0415 (an extra, slow to import)
     except ImportError:
         sysid = None
-    if not hasattr(sysid, "calculate_intervals"):  # it imports without its extra, but empty
+    if not hasattr(sysid, "calculate_intervals"):  # without its extra it imports, but empty
         raise FailedError(
             "the rivals of the diagnosis need mujoco.sysid: pip install 'hilserver[rivals]'"
         )
@@ -52,7 +52,7 @@ def library() -> Any:
 
 
 def fitted(case: Case, log: MeasuredLog, robot: RobotParameters) -> dict[str, Value]:
-    """Return every parameter that is scored, as `mujoco.sysid` fits it; none it cannot see."""
+    """Return every scored parameter as `mujoco.sysid` fits it; empty if it cannot see them."""
     names = list(case.answer.values)
     causes = {bare(name) for name in names}
     own = machine(log, robot)
@@ -96,19 +96,19 @@ class Fit:
         return self.problem.residual(self.problem.predict(terms, poses))
 
     def missed(self, x: Array) -> list[Array]:
-        """Return what is left of every channel."""
+        """Return the residuals of every channel."""
         n = len(self.names)
         values = dict(zip(self.names, (x[:n] * self.step).tolist(), strict=True))
         missed = self._missed(values, self.poses + POSE_STEP * x[n:].reshape(self.poses.shape))
         return [missed[edge] for edge in self.problem.stack.edges.values()]
 
     def run(self) -> dict[str, tuple[float, float]]:
-        """Return value and half its interval of 95 % by name."""
+        """Return value and half width of its 95 % interval by name."""
         sysid, m = library(), self.poses.size
         low = np.concatenate([self.low / self.step, np.full(m, -FARTHEST)])
         high = np.concatenate([self.high / self.step, np.full(m, FARTHEST)])
         x = np.concatenate([self.begin / self.step, np.zeros(m)])
-        for _ in range(ROUNDS):  # every channel by what is left of it: metres beside radians
+        for _ in range(ROUNDS):  # metres and radians, each scaled by its residual
             rms = [float(np.sqrt(np.mean(part**2))) + 1e-12 for part in self.missed(x)]
             left = Left(self, rms)
             _, result = sysid.optimize(
@@ -124,21 +124,21 @@ class Fit:
 
 @dataclass
 class Left:
-    """What is left, as `mujoco.sysid` asks for it: each channel by its scale."""
+    """Residuals in the form that `mujoco.sysid` needs: each channel divided by its scale."""
 
     fit: Fit
     scales: list[float]
 
     def of(self, x: Array) -> Array:
-        """Return everything that is left, shape (n,)."""
+        """Return all residuals, shape (n,)."""
         missed = self.fit.missed(x.ravel())
         return np.concatenate([p / scale for p, scale in zip(missed, self.scales, strict=True)])
 
     def parts(self, x: Array, _: object) -> tuple[list[Array], None, None]:
-        """Return it as a column; the other two are for its reports."""
+        """Return the residuals as a column; the other two values are for its reports."""
         return [self.of(x)[:, None]], None, None
 
     def jacobian(self, x: Array, r: Array) -> Array:
-        """Return forward differences by one step: delays and steps have no smaller ones."""
+        """Return forward differences over one step: delays and steps permit no smaller ones."""
         ahead = [self.of(x.ravel() + row)[:, None] - r for row in np.eye(x.size)]
         return np.concatenate(ahead, axis=1)

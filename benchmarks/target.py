@@ -1,4 +1,4 @@
-"""The daemon that a bench measures: a process of its own on loopback."""
+"""The daemon under measurement: a process of its own on loopback."""
 
 import asyncio
 import contextlib

@@ -1,7 +1,7 @@
-"""What changing parameters costs the pacing: 20 changes a second, in alternating blocks with none.
+"""Effect of parameter changes on pacing: blocks with 20 changes a second and without alternate.
 
-The daemon serves the OPC UA clients of `bench jitter` all the time. A client of its own changes two
-parameters in each Write while a block with changes is measured, and rests in the next one.
+The daemon serves the OPC UA clients of `bench jitter` all the time. Another client changes two
+parameters in each Write during a block with changes, and rests in the next one.
 """
 
 import argparse
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> list[Result]:
 def alternating(
     name: str, company: Companion, say: Callable[[str], None], args: argparse.Namespace
 ) -> list[Result]:
-    """Measure blocks in which something rests and blocks in which it works, in turn.
+    """Measure blocks in which a process rests and blocks in which it works, in turn.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ class _Tuner:
 
 
 async def _tune(url: str) -> None:
-    """Change parameters while the last line that came in says so."""
+    """Change parameters while the last line on standard input is ``change``."""
     lines: asyncio.Queue[str] = asyncio.Queue()
     loop = asyncio.get_running_loop()
     loop.add_reader(sys.stdin, lambda: lines.put_nowait(sys.stdin.readline()))

@@ -1,4 +1,4 @@
-"""A client that speaks OPC UA's binary protocol frame by frame, so that it can also misspeak."""
+"""A client that speaks OPC UA's binary protocol frame by frame, so that it can also violate it."""
 
 import asyncio
 import contextlib
@@ -19,7 +19,7 @@ _HEADER = struct.Struct("<3scI")
 
 
 def frame(kind: bytes, body: bytes, chunk: bytes = b"F", size: int | None = None) -> bytes:
-    """Return a frame; `size` may lie."""
+    """Return a frame; `size` may be wrong on purpose."""
     return _HEADER.pack(kind, chunk, 8 + len(body) if size is None else size) + body
 
 
@@ -31,7 +31,7 @@ def hello(url: str, buffer_bytes: int = 65_535) -> bytes:
 
 
 def open_channel(sequence: int = 1, policy: str = POLICY_NONE) -> bytes:
-    """Return an OpenSecureChannel message without any security; the same one every time."""
+    """Return an OpenSecureChannel message without security, always the same one."""
     request = ua.OpenSecureChannelRequest()
     request.RequestHeader.Timestamp = datetime(2024, 1, 1, tzinfo=UTC)
     request.Parameters.SecurityMode = ua.MessageSecurityMode.None_
@@ -48,9 +48,9 @@ class Wire:
     Attributes
     ----------
     channel, token : int
-        What the server gave us; 0 before.
+        Numbers assigned by the server; 0 before.
     authentication : NodeId
-        Goes into every request.
+        Sent with every request.
     """
 
     def __init__(self, url: str) -> None:
@@ -73,11 +73,11 @@ class Wire:
             await self._writer.wait_closed()
 
     def abort(self) -> None:
-        """Close without a word."""
+        """Close without notice."""
         self._writer.transport.abort()
 
     async def send(self, data: bytes) -> None:
-        """Send bytes, whatever they are."""
+        """Send arbitrary bytes."""
         self._writer.write(data)
         await self._writer.drain()
 
@@ -91,7 +91,7 @@ class Wire:
                 return b"", b""
 
     async def greet(self) -> None:
-        """Say Hello and take the answer."""
+        """Send Hello and take the answer."""
         await self.send(hello(self.url))
         kind, body = await self.receive()
         _expect(kind, body, b"ACK")
@@ -125,9 +125,9 @@ class Wire:
         Raises
         ------
         asyncua.ua.UaStatusCodeError
-            What the server said instead: a fault, or an Error message.
+            If the server answered with a fault or an Error message.
         ConnectionError
-            If it closed without a word.
+            If it closed the connection.
         """
         await self.send(self.message(request))
         kind, body = await self.receive()
@@ -151,13 +151,13 @@ class Wire:
         return response.Parameters
 
     async def activate_session(self) -> Any:
-        """Activate the session as nobody in particular."""
+        """Activate the session as an anonymous user."""
         request = ua.ActivateSessionRequest()
         request.Parameters.UserIdentityToken = ua.AnonymousIdentityToken(PolicyId="anonymous")
         return await self.ask(request, ua.ActivateSessionResponse)
 
     async def log_in(self) -> None:
-        """Go all the way to an activated session."""
+        """Do all steps up to an activated session."""
         await self.greet()
         await self.open()
         await self.create_session()
