@@ -1,6 +1,7 @@
 """Unit errors: a channel is larger or smaller than all others by the factor of a unit."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from itertools import product
 from typing import Final
 
@@ -46,6 +47,7 @@ LENGTH = {
     1e-3: "is a thousand times too small",
 }
 SHARE = {0.01: "holds a share of 1 where per cent is meant"}
+M_PER_DEG: Final = 111_320.0  # of latitude; of longitude less
 SAME_SIDE: Final = (SPEEDS[1], SPEEDS[0], SPEEDS[3], SPEEDS[2])
 ONE_WHEEL_CLOSE: Final = 1.15  # factor by which the ratio of a wheel may miss that of two units
 ALIKE_AXES: Final = 0.6  # share of the misfit that is left where axes have different units
@@ -54,6 +56,7 @@ ALIKE_AXES: Final = 0.6  # share of the misfit that is left where axes have diff
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
     """Find channels in a wrong unit, and convert them."""
     findings: list[Finding] = []
+    log = _without_degrees(log, robot)
     for judge in (_wheels, _wheels, _wheel, _wheel, _yaw, _gyro, _position, _position, _duty):
         channels, fault = judge(log, robot)
         if fault is None:
@@ -92,6 +95,16 @@ def _finding(channels: list[str], factor: float, ratio: Line, text: str) -> Find
     return data_fault("unit_error", channels, factor, (factor - half, factor + half), "1", said)
 
 
+def _of_wheels(robot: RobotParameters) -> dict[float, str]:
+    """Return the units of wheel speeds, those of the rim among them."""
+    rim = robot.wheel_radius_m * RAD_S_PER_RPM
+    return {
+        **WHEEL,
+        rim: "holds m/s where rpm is meant",
+        3.6 * rim: "holds km/h where rpm is meant",
+    }
+
+
 def _wheels(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | None]:
     """Judge wheel speeds, then set-points, by each other and by the navigation."""
     speeds = _there(log, (f"wheel.{wheel}.speed_rpm" for wheel in WHEELS))
@@ -100,7 +113,7 @@ def _wheels(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault 
     moved = _moved(log)
     travelled = None if moved is None else np.hypot(*moved)
     by_nav = {
-        what: _known(line(rolled(log, what, windows, robot), travelled, 0.02), WHEEL)
+        what: _known(line(rolled(log, what, windows, robot), travelled, 0.02), _of_wheels(robot))
         for what in ("speed_rpm", "setpoint_rpm")
     }
     if speeds and (fault := by_nav["speed_rpm"]) is not None and _near(log, fault, robot, speeds):
@@ -123,7 +136,7 @@ def _wheels(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault 
     return speeds, fault
 
 
-def _wheel(log: MeasuredLog, _: RobotParameters) -> tuple[list[str], Fault | None]:
+def _wheel(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | None]:
     """Judge each wheel by its set-point, or else by the other wheel of its side.
 
     Of the two that one is wrong whose size differs more from the usual one of its kind.
@@ -141,7 +154,9 @@ def _wheel(log: MeasuredLog, _: RobotParameters) -> tuple[list[str], Fault | Non
         pair = [name for name in (speed, sent, other) if name in columns][:2]
         if speed in pair and len(pair) == 2:
             right, wrong = sorted(pair, key=apart)
-            fault = _known(line(columns[wrong], columns[right], 1e-3), WHEEL, ONE_WHEEL_CLOSE)
+            fault = _known(
+                line(columns[wrong], columns[right], 1e-3), _of_wheels(robot), ONE_WHEEL_CLOSE
+            )
             found |= {} if fault is None else {wrong: fault}
     first = next(iter(found.values()), None)
     return [n for n, fault in found.items() if first and fault[0] == first[0]], first
@@ -195,11 +210,28 @@ def _yaw(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | N
     return [], None
 
 
+def _way(log: MeasuredLog, robot: RobotParameters) -> Array | None:
+    """Return how fast the wheels, or else their set-points, would move the robot [m/s]."""
+    speeds = rolled(log, "speed_rpm", windows_of(log), robot)
+    return rolled(log, "setpoint_rpm", windows_of(log), robot) if speeds is None else speeds
+
+
+def _without_degrees(log: MeasuredLog, robot: RobotParameters) -> MeasuredLog:
+    """Leave out a position in latitude and longitude: no one factor makes metres of it."""
+    moved, way = _moved(log), _way(log, robot)
+    fit = None if moved is None else line(np.hypot(*moved), way, 0.02)
+    if fit is None or fit.correlation < UNIT_ALIKE or not 0.3 < fit.slope * M_PER_DEG < 2.0:
+        return log
+    note = (
+        f"{listed(POSITION)} hold latitude and longitude in degrees and were left out: write"
+        " metres to the east and to the north of a fixed point, as UTM has them"
+    )
+    return replace(log.without(POSITION), notices=(*log.notices, note))
+
+
 def _position(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | None]:
     """Judge the axes: of all units that they may have, those count that fit the way best."""
-    windows, way, moved = windows_of(log), None, _moved(log)
-    for what in ("speed_rpm", "setpoint_rpm"):
-        way = rolled(log, what, windows, robot) if way is None else way
+    moved, way = _moved(log), _way(log, robot)
     usual = None if moved is None else line(np.hypot(*moved), way, 0.02)
     if moved is None or usual is None or 1 / UNITY < usual.slope < UNITY:
         return [], None

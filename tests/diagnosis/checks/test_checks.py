@@ -129,6 +129,8 @@ def test_a_sound_log_in_short_spans_gives_no_finding(seed):
         (SPEEDS[:1], math.pi / 30),
         (SPEEDS[2:3], 6.0),
         (SPEEDS[:2], math.pi / 30),
+        (SPEEDS, 0.085 * math.pi / 30 * 3.6),
+        (SPEEDS, 0.085 * math.pi / 30),
         (SENT[3:], math.pi / 30),
     ],
 )
@@ -149,6 +151,25 @@ def test_the_unit_of_one_wheel_is_judged_without_setpoints_as_well(table):
     cause, value, channels, _ = fault(t, scaled(without, SPEEDS[1:2], math.pi / 30))
     assert (cause, channels) == ("unit_error", {SPEEDS[1]})
     assert value.value == pytest.approx(math.pi / 30)
+
+
+def test_all_wheels_and_setpoints_in_the_speed_of_the_rim_are_converted(table):
+    t, columns = table
+    spoilt = scaled(columns, SPEEDS + SENT, 0.085 * math.pi / 30 * 3.6)
+    checked = check(log_of(t, spoilt), ROBOT)
+    assert {f.causes for f in checked.findings} == {("unit_error",)}
+    assert {n for f in checked.findings for n in f.regressors} == {*SPEEDS, *SENT}
+    assert all("holds km/h where rpm is meant" in f.explanation for f in checked.findings)
+    assert checked.log[SPEEDS[0]].values == pytest.approx(columns[SPEEDS[0]])
+
+
+def test_a_position_in_degrees_is_left_out_with_the_remedy(table):
+    t, columns = table
+    degrees = {NAV[0]: 9.1 + columns[NAV[0]] / 73_470.0, NAV[1]: 48.7 + columns[NAV[1]] / 111_320.0}
+    checked = check(log_of(t, {**columns, **degrees}), ROBOT)
+    assert not checked.findings
+    assert not {NAV[0], NAV[1]} & set(checked.log.channels)
+    assert "nav.x_m, nav.y_m hold latitude and longitude in degrees" in checked.log.notices[0]
 
 
 def test_units_of_a_heading(table):
