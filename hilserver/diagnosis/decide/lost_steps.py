@@ -5,10 +5,10 @@ from typing import Final
 import numpy as np
 
 from hilserver.arrays import Array
-from hilserver.diagnosis.checks.support import row_period_s
+from hilserver.diagnosis.checks.support import SPAN_S, row_period_s
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.thresholds import (
-    FEWEST_EVENTS,
+    HALF,
     LARGE_STEP_RPM,
     LOST_LATE_S,
     NEGLIGIBLE,
@@ -25,7 +25,8 @@ def lost_steps(problem: Problem, point: Point) -> tuple[int, int]:
     A step that waits for the next message is late by one message: the response seen after every
     step is compared with the simulated one, and with the same one later. A sample that was taken
     between two rows, or did not change, may be old, and a single one is no evidence. A few steps
-    late by one message are chance and do not count; a sound machine misses none for longer.
+    late by one message are chance and do not count, nor does a single event for longer: the steps
+    of all wheels at one instant. If no speed changes then, measuring failed.
     """
     log, stack, stage = problem.stage.log, problem.stack, problem.stage
     both = [(a, b) for a, b in zip(SETPOINTS, SPEEDS, strict=True) if a in log and b in stack.edges]
@@ -34,11 +35,12 @@ def lost_steps(problem: Problem, point: Point) -> tuple[int, int]:
     residual = problem.residual(point.predicted)
     shown = stage.signals(point.model.terms, point.poses)
     rate_hz = 1.0 / stage.segments.period_s
-    shares: list[list[float]] = []
+    steps: list[list[float]] = []
     for setpoint, speed in both:
         edge = stack.edges[speed]
         t, r = stack.t_s[edge], residual[edge]
         stays = np.diff(stack.values[edge], prepend=np.inf) == 0.0
+        stuck = stays & (stack.values[edge] != 0.0)
         rows_s, samples_s = row_period_s(log[setpoint]), row_period_s(log[speed])
         # if samples are slower than the rows, their time is known only to one row
         row_s = np.where(stays, samples_s, rows_s if samples_s > 1.5 * rows_s else 0.0)
@@ -57,12 +59,15 @@ def lost_steps(problem: Problem, point: Point) -> tuple[int, int]:
                 low, high = first + np.searchsorted(t[first:end], [ts[a], ts[a] + RESPONSE_S])
                 two = [_share(r[low:high], (g - by_a_row)[low:high], noise) for g in later]
                 if not np.isnan(two).all():
-                    shares.append(two)
-    if len(shares) < 12:
+                    unseen = float(stuck[low:high].mean() > HALF)
+                    steps.append([ts[a] + SPAN_S * span, unseen, *two])
+    at, unseen_at, *shares = np.array(steps).reshape(-1, 4).T
+    shows = np.isin(at, at[unseen_at == 0.0])
+    if (judged := int(shows.sum())) < 12:
         return 0, 0
-    is_late = np.array(shares) > 0.5
-    late, gone = int(is_late.any(axis=1).sum()), int(is_late[:, 1].sum())
-    return late if gone >= FEWEST_EVENTS or late > NEGLIGIBLE * len(shares) else 0, len(shares)
+    is_late = np.array(shares)[:, shows] > 0.5
+    late, gone = int(is_late.any(axis=0).sum()), len(np.unique(at[shows][is_late[1]]))
+    return late if gone > 1 or late > NEGLIGIBLE * judged else 0, judged
 
 
 def _share(r: Array, later: Array, noise: float) -> float:

@@ -31,7 +31,7 @@ from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.evidence import FittedTerm
 from hilserver.diagnosis.schema.findings import Finding, Gain, Parameter, Verdict
-from hilserver.diagnosis.thresholds import FEWEST_EVENTS
+from hilserver.diagnosis.thresholds import FEWEST_EVENTS, NEGLIGIBLE
 from hilserver.measured.channels import POSITION, SETPOINTS
 from hilserver.measured.names import signal_unit
 
@@ -124,7 +124,8 @@ def other_findings(j: Judged) -> list[Finding]:
     late, judged = lost_steps(problem, j.point)
     if late >= FEWEST_EVENTS:
         found.append(lost(late, judged))
-    elif j.unknown:
+    # three events of all wheels: fewer explain no structure
+    if j.unknown and late < max(FEWEST_EVENTS * len(SETPOINTS), NEGLIGIBLE * judged):
         found.append(structure(j.unknown, problem.stage.block, deviating(problem, j.point)))
     return found
 

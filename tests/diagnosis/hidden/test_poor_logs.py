@@ -19,6 +19,7 @@ from hilserver.diagnosis.regression.stages import prepare_all
 from hilserver.diagnosis.report.summary import summary
 from hilserver.diagnosis.schema.findings import Overall, Verdict
 from hilserver.diagnosis.thresholds import FEWEST_EVENTS
+from hilserver.measured.channels import SETPOINTS, SPEEDS
 from hilserver.measured.data import Channel
 from tests.diagnosis.assertions import nothing_is_found, said
 from tests.diagnosis.hidden.logs import assembly, recipe
@@ -27,6 +28,12 @@ from tests.diagnosis.hidden.logs import assembly, recipe
 @cache
 def sound():
     made = recipe("nothing drive", 1, 45.0)
+    return measured(make(made)[0], made)
+
+
+@cache
+def long():
+    made = recipe("nothing drive", 1, 240.0)
     return measured(make(made)[0], made)
 
 
@@ -119,29 +126,59 @@ def test_set_points_that_begin_while_the_machine_drives_were_no_standstill():
     nothing_is_found(judged(log.with_channels(late)))
 
 
+def lone_steps(values):
+    """The rows before large steps with no other within half a second."""
+    steps = np.abs(np.diff(values))
+    return np.flatnonzero((steps > 20.0) & (np.convolve(steps, np.ones(25), "same") == steps))
+
+
+def late_once(log, events=1):
+    """The log whose set-points are, at its last steps, 0.2 s ahead of those that the wheels got."""
+    ahead = {}
+    for name in SETPOINTS:
+        values = log[name].values.copy()
+        for k in lone_steps(values)[-events:]:
+            values[k - 9 : k + 1] = values[k + 1]
+        ahead[name] = log[name].with_values(values)
+    return log.with_channels(ahead)
+
+
+def lost_in(log):
+    drive = prepare_all(log, assembly().robot, 1, Tracker())[0]["drive"]
+    return lost_steps(drive.problem, drive.base)
+
+
 def test_lost_steps_are_looked_for_within_each_log():
-    one, two = (
-        prepare_all(log, assembly().robot, 1, Tracker())[0]["drive"]
-        for log in (sound(), pooled(moved(sound(), 1000.0), sound()))
-    )
-    alone, both = (lost_steps(p.problem, p.base) for p in (one, two))
+    alone, both = (lost_in(log) for log in (sound(), pooled(moved(sound(), 1000.0), sound())))
     assert alone[1] > 0
     assert both == (2 * alone[0], 2 * alone[1])
 
 
 def test_a_step_that_is_over_within_a_sample_is_lost_all_the_same():
-    """At one step the set-points in the log are 0.2 s ahead of those that the wheels got."""
-    log, ahead = sound(), {}
-    for name in (n for n in log.channels if "setpoint" in n):
-        values = log[name].values.copy()
-        steps = np.abs(np.diff(values))
-        around = np.convolve(steps, np.ones(25), "same")
-        k = np.flatnonzero((steps > 20.0) & (around == steps))[-1]
-        values[k - 9 : k + 1] = values[k + 1]
-        ahead[name] = log[name].with_values(values)
-    drive = prepare_all(log.with_channels(ahead), assembly().robot, 1, Tracker())[0]["drive"]
-    late, judged_steps = lost_steps(drive.problem, drive.base)
+    late, judged_steps = lost_in(late_once(sound()))
     assert late == 4 < judged_steps
+
+
+def test_one_event_of_four_wheels_is_chance_in_a_long_log():
+    log = long()
+    late, judged_steps = lost_in(late_once(log))
+    assert judged_steps > 400
+    assert late == 0
+    assert lost_in(late_once(log, events=2))[0] == 8
+
+
+@pytest.mark.parametrize("rows", [7, 9])
+def test_speeds_that_all_stand_still_at_a_step_are_no_lost_set_point(rows):
+    """The message of the speeds fails to come, for longer than the wheels take to answer."""
+    log, held = sound(), {}
+    t_s = log[SETPOINTS[0]].t_s[lone_steps(log[SETPOINTS[0]].values)[-1]]
+    for name in SPEEDS:
+        values = log[name].values.copy()
+        first = np.searchsorted(log[name].t_s, t_s) - 1
+        values[first : first + rows] = values[first]
+        held[name] = log[name].with_values(values)
+    assert lost_in(log)[1] - lost_in(log.with_channels(held))[1] == 4
+    assert lost_in(log.with_channels(held))[0] == 0
 
 
 def test_an_old_sample_at_a_step_is_no_lost_set_point():
@@ -152,8 +189,7 @@ def test_an_old_sample_at_a_step_is_no_lost_set_point():
         rows = np.arange(len(log[name]))
         last = np.maximum.accumulate(np.where(rng.random(len(rows)) < 0.1, 0, rows))
         stale[name] = log[name].with_values(0.5 * np.round(2.0 * log[name].values)[last])
-    drive = prepare_all(log.with_channels(stale), assembly().robot, 1, Tracker())[0]["drive"]
-    late, judged_steps = lost_steps(drive.problem, drive.base)
+    late, judged_steps = lost_in(log.with_channels(stale))
     assert judged_steps > 0
     assert late < FEWEST_EVENTS
 
