@@ -26,7 +26,7 @@ Values = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Drive:
-    """Some windows of one drive, with what is hidden in it.
+    """Some windows of one drive, with hidden causes.
 
     Attributes
     ----------

@@ -57,7 +57,7 @@ def _absent(args: argparse.Namespace) -> Any:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run one bench, print its table, write the JSON file if asked to."""
+    """Run one bench, print its table, and write the JSON file if requested."""
     results = args.measure(args)
     print(as_table(results))
     if args.json is not None:

@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Call; return 0 when the daemon has done it."""
+    """Call; return 0 once the daemon has done it."""
     method = next((method for method in METHODS if method.name == args.method), None)
     if method is None:
         names = [method.name for method in METHODS]

@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check; every complaint is one line with file, line and key (exit code 78)."""
+    """Check; every error is one line with file, line and key (exit code 78)."""
     if args.schema is not None:
         write_text(args.schema, schema_text(Config))
         return EXIT_DONE

@@ -32,8 +32,8 @@ async def running_controller(
 ) -> AsyncIterator[str]:
     """Run the controller for `robot` while the context lasts; give its endpoint.
 
-    `pattern`: ``eight``, or ``wheels``: each wheel alone, as `hilserver wiring` asks for.
-    FailedError if it does not come up.
+    `pattern`: ``eight``, or ``wheels``: each wheel alone, as `hilserver wiring` needs.
+    FailedError if it does not start.
     """
     command = children.python(
         "-m",
@@ -54,7 +54,7 @@ async def running_controller(
 async def running_robot() -> AsyncIterator[str]:
     """Run the "real robot" of the twin while the context lasts; give its endpoint.
 
-    FailedError if it does not come up.
+    FailedError if it does not start.
     """
     command = children.python("-m", "hilserver.recalibration.robot")
     async with _serving(command, "robot") as endpoint:

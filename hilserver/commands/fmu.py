@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Export; say what is in it."""
+    """Export the FMU; print its contents."""
     assembly = assembled(args)
     named = [] if args.platforms == "none" else args.platforms.split(",")
     platforms = [name.strip() for name in named if name.strip()]

@@ -16,7 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Inject; return 0 when the daemon has taken it."""
+    """Inject; return 0 once the daemon has accepted the fault."""
     fault = from_json(args.fault)
     if not isinstance(fault, dict):
         raise FailedError('a fault is a JSON object such as \'{"fault": "bias", ...}\'')

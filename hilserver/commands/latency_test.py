@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure, print, write the JSON file if asked to."""
+    """Measure, print, and write the JSON file if requested."""
     scheduler, items = asyncio.run(measure(args.duration, args.period_us))
     counts = scheduler.statistics.linear_counts
     figures = scheduler.statistics.slice("empty")

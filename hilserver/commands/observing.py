@@ -77,7 +77,7 @@ def dead_reckoning(p: Parameters, c: Array, one: Observed) -> Array:
 
 
 def sentences(p: Parameters, c: Array, spans: Sequence[Observed]) -> str:
-    """Return the result in words, a sentence a line."""
+    """Return the result in words, one sentence per line."""
     known = [one for one in spans if one.known.any()]
     if not known:
         return (

@@ -59,7 +59,7 @@ def add_out(parser: argparse.ArgumentParser, metavar: str, what: str) -> None:
 
 
 def config_path(args: argparse.Namespace) -> Path | None:
-    """Return the configuration file that was asked for, or the one in this folder, or None."""
+    """Return the configuration file: the requested one, else the one in this folder, else None."""
     if args.config is not None:
         return Path(args.config)
     return DEFAULT_CONFIG if DEFAULT_CONFIG.exists() else None

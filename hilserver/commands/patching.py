@@ -1,4 +1,4 @@
-"""The options ``--patch`` and ``--group``: a configuration with what a diagnosis has fitted."""
+"""The options ``--patch`` and ``--group``: a configuration with fitted parameters."""
 
 import argparse
 
@@ -9,9 +9,9 @@ from hilserver.errors import ConfigError
 
 
 def assembled(args: argparse.Namespace) -> Assembly:
-    """Assemble the configuration that was asked for, with the patch.
+    """Assemble the requested configuration, with the patch.
 
-    A patch that was fitted to another configuration is warned about.
+    Warn about a patch that was fitted to another configuration.
     """
     _check(args)
     assembly = assemble(config_path(args), args.patch, args.group)
@@ -21,9 +21,9 @@ def assembled(args: argparse.Namespace) -> Assembly:
 
 
 def patch_of(args: argparse.Namespace) -> Patch | None:
-    """Return the patch that was asked for, if any.
+    """Return the requested patch, if any.
 
-    ConfigError if it cannot be used, or a group is named without a patch.
+    ConfigError if it cannot be used, or if a group is named without a patch.
     """
     _check(args)
     return None if args.patch is None else load_patch(args.patch, args.group)

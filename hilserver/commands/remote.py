@@ -43,7 +43,7 @@ def ask(
     request: Callable[[Hand], Awaitable[None]],
     parameters: Iterable[str] = (),
 ) -> int:
-    """Connect, do `request`, leave; return 0, or FailedError with the daemon's sentence."""
+    """Connect, do `request`, disconnect; return 0, or FailedError with the daemon's sentence."""
     endpoint = args.endpoint or configured(args)
     password = getpass.getpass() if args.user else ""
     return event_loop.run(_ask(endpoint, args.user, password, request, parameters))

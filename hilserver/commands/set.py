@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write; return 0 when the daemon has taken all of them."""
+    """Write; return 0 once the daemon has accepted all values."""
     values = _values(args.values)
     names = [SOURCE, *(signal.name for signal in robot_table(Ranges(1.0, 1.0, 1.0)))]
     parameters = [name for name in values if name.startswith(PARAMETERS)]

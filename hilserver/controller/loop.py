@@ -56,7 +56,7 @@ class Controller:
     sequence: int = 0  # counts cycles, modulo 2**32
     # ``eight``: the figure. ``wheels``: each wheel alone, from the first pose on
     pattern: str = "eight"
-    # read early: before a parent can know that we listen, and end
+    # read early: once the parent knows that we listen, it may end
     parent: int = field(default_factory=os.getppid)
     _s: float = 0.0
     _watch: PoseWatch = field(default_factory=PoseWatch)

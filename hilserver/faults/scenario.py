@@ -207,7 +207,7 @@ class Stage:
 
 def as_yaml(scenario: Mapping[str, Any]) -> str:
     """Return a scenario made of plain data as it would stand in a file."""
-    import yaml  # noqa: PLC0415 - only whoever writes one needs it
+    import yaml  # noqa: PLC0415 - only needed for writing
 
     text: str = yaml.safe_dump(dict(scenario), sort_keys=False, default_flow_style=None, width=100)
     return text

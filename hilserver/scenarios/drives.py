@@ -71,7 +71,7 @@ def _surfaces(seed: int, gains: list[float], prefix: str) -> dict[str, Recipe]:
 
 
 def _surface_null(seed: int, rng: Random) -> Drive:
-    """Twelve runs on four floors that are one: the scatter of table 5.1."""
+    """Twelve runs on four floors without a difference: the scatter of table 5.1."""
     gains = (1.034 + 0.032 * rng.standard_normal(12)).tolist()
     return Drive(
         logs=_surfaces(seed, gains[:6], "a"),

@@ -39,7 +39,7 @@ _MOST_BYTES = 50_000_000
 
 @dataclass(frozen=True)
 class Machine:
-    """One machine, as it travels to a worker."""
+    """One machine, in the form that is sent to a worker."""
 
     index: int
     seed: int
@@ -56,7 +56,7 @@ class Machine:
 
 @dataclass(frozen=True)
 class Job:
-    """What all machines of a sweep share, as it travels to a worker."""
+    """What all machines of a sweep share, in the form that is sent to a worker."""
 
     key: str  # hash of all that decides a machine's result, except its index
     config: Config  # with the controller if it is a block; nothing listens or connects

@@ -18,7 +18,7 @@ from hilserver.signals import Signal
 from hilserver.testing.journal import Journal
 from hilserver.testing.tap import Capture, Tap
 
-__tracebackhide__ = True  # of pytest: what fails is a line of the test
+__tracebackhide__ = True  # pytest then shows the failing line of the test
 Mode = Literal["virtual", "realtime"]
 Value = float | bool | list[float]
 DRAIN_EVERY_S = 0.1

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hilserver.arrays import Array
 
-__tracebackhide__ = True  # of pytest: what fails is a line of the test
+__tracebackhide__ = True  # pytest then shows the failing line of the test
 Reference = float | Array | Callable[[Array], Array]
 
 

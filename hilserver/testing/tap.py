@@ -12,7 +12,7 @@ from hilserver.requirements import Drive, Judge, Requirement
 from hilserver.signals import Signal, SignalTable
 from hilserver.testing.series import Series
 
-__tracebackhide__ = True  # of pytest: what fails is a line of the test
+__tracebackhide__ = True  # pytest then shows the failing line of the test
 KEPT_FRAMES = 10_000
 MAX_NUMBERS = 20_000_000
 
