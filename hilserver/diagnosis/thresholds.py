@@ -91,6 +91,7 @@ TIE: Final = 4.0  # deviance, per parameter, within which two causes tie
 
 # Selection
 SELECTION_MOST_CAUSES: Final = 6  # rounds
+SELECTION_LEAST_SAVED: Final = 8.0  # deviance that a cause must save on held-out blocks
 SELECTION_PLAUSIBLE_SD: Final = 4.0  # prior deviations that no machine exceeds (specification)
 
 # Rivals and superfluous causes

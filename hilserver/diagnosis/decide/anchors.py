@@ -32,10 +32,10 @@ from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.thresholds import (
     INEXACT,
     INSTEAD_LEAST_GAIN,
-    LEAST_GAIN,
     LEAST_USEFUL,
     REST_LEVEL,
     SCREEN_LEVEL,
+    SELECTION_LEAST_SAVED,
     TIE,
 )
 from hilserver.measured.channels import POSITION
@@ -125,7 +125,9 @@ def anchor_off(
     if gain - TIE < max(_rival(library, point), *others, 0.0):
         return None
     p = float(adjusted(np.array([t]), null_maxima([scores], rng))[0])
-    if p >= ANCHOR_LEVEL or not holds_out(problem, white[:, [best]], point.left, LEAST_GAIN):
+    if p >= ANCHOR_LEVEL or not holds_out(
+        problem, white[:, [best]], point.left, SELECTION_LEAST_SAVED
+    ):
         return None
     half_m = 1.96 * float(scores.deviation[best] / scores.information[best])
     found = _anchor(moved[best], best, float(scores.size[best]), half_m)

@@ -38,6 +38,7 @@ from hilserver.diagnosis.thresholds import (
     GROUP_COSINE,
     LEAST_GAIN,
     SCREEN_LEVEL,
+    SELECTION_LEAST_SAVED,
     SELECTION_MOST_CAUSES,
     TIE,
 )
@@ -131,7 +132,7 @@ def both_at_once(problem: Problem, point: Point, library: Library) -> Point:
     beside = Model(tuple(Fitted(c, c.beginning) for c in missing))
     for others, new in ((point.model.without(index), in_its_place), (point.model, beside)):
         trial = fit(problem, Model((*others.fitted, *new.fitted)), point, iterations=12)
-        least = LEAST_GAIN + TIE * (len(trial.model.fitted) - len(causes))
+        least = SELECTION_LEAST_SAVED + TIE * (len(trial.model.fitted) - len(causes))
         saved = point.deviance - trial.deviance
         if saved > least and physical(trial) and holds(problem, point, trial):
             return trial

@@ -14,7 +14,7 @@ from hilserver.diagnosis.regression.screen import freedom_of, normal
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.thresholds import (
     INEXACT,
-    LEAST_GAIN,
+    SELECTION_LEAST_SAVED,
     SELECTION_PLAUSIBLE_SD,
     TIE,
 )
@@ -84,7 +84,7 @@ def holds(problem: Problem, before: Point, after: Point) -> bool:
         point = fit(problem, after.model, after, rows=train, iterations=2)
         part = fold == test
         saved.append(float((without.loss - point.loss)[part].sum()))
-    return sum(saved) > LEAST_GAIN and min(saved) > -1.0
+    return sum(saved) > SELECTION_LEAST_SAVED and min(saved) > -1.0
 
 
 def wald(problem: Problem, point: Point, index: int) -> float:

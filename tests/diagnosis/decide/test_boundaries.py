@@ -216,7 +216,8 @@ def dominates(times):
         pytest.param(no_gross_misfit, 0.9 * at.GROSS, 1.1 * at.GROSS, id="GROSS"),
         pytest.param(stays, MORE * at.LEAST_GAIN, LESS * at.LEAST_GAIN, id="LEAST_GAIN"),
         pytest.param(
-            holds, MORE * at.LEAST_GAIN, LESS * at.LEAST_GAIN, id="LEAST_GAIN held out",
+            holds, MORE * at.SELECTION_LEAST_SAVED, LESS * at.SELECTION_LEAST_SAVED,
+            id="SELECTION_LEAST_SAVED",
         ),
         pytest.param(
             structure_holds, MORE * at.REST_LEAST_GAIN, LESS * at.REST_LEAST_GAIN,
