@@ -15,9 +15,8 @@ from benchmarks.gaussian_process import gaussian_process
 from benchmarks.sindy import sindy
 from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.candidate import Candidate
-from hilserver.diagnosis.engine import HORIZON_S
 from hilserver.diagnosis.regression.fitting import fit
-from hilserver.diagnosis.regression.gain import held_out, missed, of_halves, windows
+from hilserver.diagnosis.regression.gain import HORIZON_S, held_out, missed, of_halves, windows
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.replay.pose_stage import PoseStage

@@ -11,9 +11,8 @@ from benchmarks import sindy, sysid
 from benchmarks.baselines import RIVALS, applies
 from benchmarks.diagnose_scoring import Score
 from hilserver.diagnosis.checks import check
-from hilserver.diagnosis.engine import HORIZON_S
 from hilserver.diagnosis.progress import Tracker
-from hilserver.diagnosis.regression.gain import gains
+from hilserver.diagnosis.regression.gain import HORIZON_S, gains
 from hilserver.diagnosis.regression.stages import Prepared, prepare_all
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.machine import machine

@@ -22,12 +22,11 @@ from benchmarks.sindy import library
 from hilserver.bench.report import Result
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.checks import check
-from hilserver.diagnosis.engine import HORIZON_S
 from hilserver.diagnosis.examine import examine
 from hilserver.diagnosis.findings.nested import cross_validated, judged_by_halves
 from hilserver.diagnosis.memory import one_blas_thread
 from hilserver.diagnosis.progress import Tracker
-from hilserver.diagnosis.regression.gain import gains
+from hilserver.diagnosis.regression.gain import HORIZON_S, gains
 from hilserver.diagnosis.regression.stages import prepare_all
 from hilserver.diagnosis.schema.findings import Gain
 from hilserver.measured.data import MeasuredLog

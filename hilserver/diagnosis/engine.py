@@ -28,6 +28,7 @@ from hilserver.diagnosis.findings.worth import Answer
 from hilserver.diagnosis.groups.shared import answers_in_groups, gains_in_groups, smallest_in_groups
 from hilserver.diagnosis.memory import one_blas_thread
 from hilserver.diagnosis.progress import Report, Tracker
+from hilserver.diagnosis.regression.gain import HORIZON_S
 from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.report.collecting import evidence
@@ -51,7 +52,6 @@ from hilserver.plant.parameters import RobotParameters
 T = TypeVar("T")
 
 HALVES = "selecting anew without each half of the log"
-HORIZON_S = 5.0  # length of the free runs for which the gain is reported
 
 
 def diagnose(

@@ -19,9 +19,9 @@ from hilserver.daemon.assembly import assemble_config
 from hilserver.diagnosis.catalogue.candidate import several
 from hilserver.diagnosis.catalogue.vocabulary import cause_of, part_of, reference, unit_of
 from hilserver.diagnosis.checks import check
-from hilserver.diagnosis.engine import HORIZON_S, judge
+from hilserver.diagnosis.engine import judge
 from hilserver.diagnosis.output import documents, write
-from hilserver.diagnosis.regression.gain import gains
+from hilserver.diagnosis.regression.gain import HORIZON_S, gains
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.stages import stages_of
 from hilserver.diagnosis.replay.model import Fitted, Model

@@ -9,10 +9,11 @@ from collections.abc import Iterable
 from functools import partial
 from typing import Final
 
-from hilserver.diagnosis.decide.promise import HORIZON_S, Step
+from hilserver.diagnosis.decide.promise import Step
 from hilserver.diagnosis.decide.selection import MOST_FITTED, attempt, best_starts
 from hilserver.diagnosis.decide.trial import holds, implausible
 from hilserver.diagnosis.regression.by_ends import fit_by_ends
+from hilserver.diagnosis.regression.gain import HORIZON_S
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.schema.decisions import Decision

@@ -4,12 +4,11 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.diagnosis.regression.gain import Pair, crossed, errors, held_out
+from hilserver.diagnosis.regression.gain import HORIZON_S, Pair, crossed, errors, held_out
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.schema.decisions import Action, Decision
 from hilserver.diagnosis.thresholds import NEGLIGIBLE
 
-HORIZON_S: Final = 5.0
 CLEARLY_SE: Final = 2.0
 """Standard errors over the blocks beyond which an error has clearly grown (specification)."""
 

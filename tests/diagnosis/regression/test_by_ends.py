@@ -12,13 +12,12 @@ from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.progress import Tracker
 from hilserver.diagnosis.regression.by_ends import fit_by_ends
 from hilserver.diagnosis.regression.fitting import fit
-from hilserver.diagnosis.regression.gain import free_run_errors, windows
+from hilserver.diagnosis.regression.gain import HORIZON_S, free_run_errors, windows
 from hilserver.diagnosis.regression.problem import Problem
 from hilserver.diagnosis.regression.stages import prepare, stages_of
 from hilserver.measured.channels import POSITION, YAW
 from tests.diagnosis import toy
 
-HORIZON_S = 5.0
 CAUSE = "rotation_gain"
 RECIPE = Recipe(seed=3, causes={CAUSE: -0.3}, duration_s=120.0)
 
