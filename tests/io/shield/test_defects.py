@@ -1,6 +1,6 @@
 """Defects 6 to 13 of the real drivers: the symptom with a host that has it, none with a right one.
 
-The numbers and where each shows: docs/reference/shield-defects.md.
+The numbers and where each shows: docs/reference/shield.md.
 """
 
 import asyncio
