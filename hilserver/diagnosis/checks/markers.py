@@ -16,6 +16,9 @@ from hilserver.plant.units import RAD_S_PER_RPM
 
 LEAST_M: Final = 0.3  # m beside what the wheels can drive: more than a tag's own jumps
 
+Stretch = tuple[int, float, float]
+"""A span of the log, and the stamps of the first and last sample in it [s]."""
+
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
     """Leave out markers; no fault of what was measured: notices name them."""
@@ -24,9 +27,9 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
         if value is not None:
             log = _without(log, {name: log[name].values == value}, f"{value:.10g}")
     fastest_m_s = 2.0 * robot.wheel_radius_m * robot.max_rpm * RAD_S_PER_RPM
-    at = _zeros(log, fastest_m_s)
-    if len(at) >= FEWEST_EVENTS:
-        gone = {n: _stand_at(log[n], at) & (log[n].values == 0.0) for n in TAG if n in log}
+    stretches = _zeros(log, fastest_m_s)
+    gone = {name: _zero_in(log[name], stretches) for name in TAG if name in log}
+    if any(marked.sum() >= FEWEST_EVENTS for marked in gone.values()):
         log = _without(log, gone, "0")
     return log, []
 
@@ -43,9 +46,9 @@ def far_value(values: Array) -> float | None:
     return None
 
 
-def _zeros(log: MeasuredLog, fastest_m_s: float) -> Array:
-    """Return span and stamp of positions at zero that no wheels have driven to, shape (n, 2)."""
-    found = [np.empty((0, 2))]
+def _zeros(log: MeasuredLog, fastest_m_s: float) -> list[Stretch]:
+    """Return where the position stands at zero and no wheels have driven to it."""
+    found: list[Stretch] = []
     for index in range(len(log.spans) if log.has(*POSITION) else 0):
         (t_x, x), (t_y, y) = (log[name].of(index) for name in POSITION)
         t_s, in_x, in_y = np.intersect1d(t_x, t_y, assume_unique=True, return_indices=True)
@@ -58,22 +61,24 @@ def _zeros(log: MeasuredLog, fastest_m_s: float) -> Array:
             else:  # a robot may have begun or ended there
                 took_s = np.full(len(beside), t_s[end - 1] - t_s[first])
             if beside and (far_m[beside] > LEAST_M + fastest_m_s * took_s).all():
-                stamps = t_s[first:end]
-                found.append(np.column_stack([np.full(len(stamps), index), stamps]))
-    return np.concatenate(found)
-
-
-def _stand_at(channel: Channel, at: Array) -> Mask:
-    """Return which samples have one of these spans and stamps, shape (n,)."""
-    found = np.zeros(len(channel), dtype=np.bool_)
-    for index in np.unique(at[:, 0]):
-        of_span = channel.span == index
-        found[of_span] = np.isin(channel.t_s[of_span], at[at[:, 0] == index, 1])
+                found.append((index, float(t_s[first]), float(t_s[end - 1])))
     return found
 
 
+def _zero_in(channel: Channel, stretches: list[Stretch]) -> Mask:
+    """Return which samples are zero in one of the stretches, shape (n,)."""
+    found = np.zeros(len(channel), dtype=np.bool_)
+    for index, begin_s, end_s in stretches:
+        found |= (channel.span == index) & (begin_s <= channel.t_s) & (channel.t_s <= end_s)
+    return np.asarray(found & (channel.values == 0.0))
+
+
 def _without(log: MeasuredLog, gone: dict[str, Mask], value: str) -> MeasuredLog:
-    left = {name: subset(log[name], ~marked) for name, marked in gone.items() if marked.any()}
+    left = {
+        name: subset(log[name], ~marked)
+        for name, marked in gone.items()
+        if marked.any() and not marked.all()
+    }
     note = (
         f"{listed(list(left))}: {value} stands for a sample that is missing,"
         f" {max(int(marked.sum()) for marked in gone.values())} times; they were left out: leave"
