@@ -16,7 +16,7 @@ OFFERING = ("peer", "ros2", "shield")
 KINDS = {"foxglove": "page", "teleop": "opcua"}
 SLACK_MS = 400
 """On top of a lease: the ramp, and what a computer may lose that others use as well."""
-SOON_S = 20.0
+SOON_S = 60.0
 WATCH_S = 0.35
 UNDER_WAY_S = 0.3
 FROZEN_S = 1.5
@@ -245,7 +245,8 @@ class Stage:
     def _restarted(self, source):
         self.robot.stop(signal.SIGTERM)
         self.robot.start()
-        self.forget(*(kind for kind in self.clients if kind not in OFFERING))
+        # The serial line is another one now.
+        self.forget(*(kind for kind in self.clients if kind not in OFFERING or kind == "shield"))
         return 0, time.monotonic_ns()  # another image, which begins anew
 
     # --- what has to follow -----------------------------------------------------------------------
