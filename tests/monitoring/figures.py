@@ -46,6 +46,10 @@ def slice_figures(name: str, **figures: object) -> SliceFigures:
     return SliceFigures(**{"name": name, **numbers, **histograms, **unknown, **figures})
 
 
+# a configuration that maps a peer to such a signal is refused before it runs
+OF_WRITERS = {Refusal.UNKNOWN_SIGNAL, Refusal.NOT_WRITABLE}
+
+
 class FakeDaemon:
     """Everything a scrape reads, settable."""
 
@@ -115,7 +119,7 @@ class FakeDaemon:
             peer.fault_counts[kind] = 1
         for source in ("opcua", "peer:iot2050"):
             self.input_ages_s[source] = 0.01
-            for reason in Refusal:
+            for reason in set(Refusal) - (OF_WRITERS if source != "opcua" else set()):
                 self.rejected[source, reason] = 1
         self.outputs = dict.fromkeys(EXPORTED, 1.0)
         self.faults = {"injected": 1, "forced": 1}
