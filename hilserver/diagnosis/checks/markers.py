@@ -55,12 +55,10 @@ def _zeros(log: MeasuredLog, fastest_m_s: float) -> list[Stretch]:
         far_m = np.hypot(x[in_x], y[in_y])
         borders = np.flatnonzero(np.diff(far_m == 0.0, prepend=False, append=False))
         for first, end in borders.reshape(-1, 2).tolist():
-            beside = [b for b in (first - 1, end) if 0 <= b < len(t_s)]
-            if len(beside) == 2:
-                took_s = t_s[[first, end]] - t_s[[first - 1, end - 1]]
-            else:  # a robot may have begun or ended there
-                took_s = np.full(len(beside), t_s[end - 1] - t_s[first])
-            if beside and (far_m[beside] > LEAST_M + fastest_m_s * took_s).all():
+            if first == 0 or end == len(t_s):
+                continue  # poses of a segment often begin at zero
+            took_s = t_s[[first, end]] - t_s[[first - 1, end - 1]]
+            if (far_m[[first - 1, end]] > LEAST_M + fastest_m_s * took_s).all():
                 found.append((index, float(t_s[first]), float(t_s[end - 1])))
     return found
 

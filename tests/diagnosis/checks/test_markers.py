@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from hilserver.diagnosis.checks import check
+from hilserver.diagnosis.checks import check, markers
 from hilserver.diagnosis.checks.markers import far_value
+from hilserver.measured.pauses import cut
 from tests.diagnosis.checks.samples import ROBOT, drive, log_of
 
 NAV = ("nav.x_m", "nav.y_m", "nav.yaw_rad")
@@ -37,6 +38,15 @@ def test_a_position_at_zero_that_no_wheels_have_driven_to_is_none(table):
     for name in NAV:
         assert len(log[name]) == (np.isfinite(columns[name]) & ~gone).sum()
     assert "0 stands for a sample that is missing" in log.notices[0]
+
+
+def test_segments_whose_poses_begin_at_zero_lose_nothing(table):
+    t, columns = table
+    valid = t[np.isfinite(columns["nav.x_m"])]
+    begins_s = [float(valid[valid > at_s][0]) for at_s in (0.0, 20.0, 40.0, 60.0)]
+    far = {n: np.where(np.isin(t, begins_s), 0.0, columns[n] + 9.0) for n in NAV[:2]}
+    log = cut(log_of(t, {**columns, **far}), [[(at_s, at_s + 19.0) for at_s in begins_s]])
+    assert markers.find(log, ROBOT) == (log, [])
 
 
 def test_a_robot_that_begins_at_the_origin_and_outliers_lose_nothing(table):
