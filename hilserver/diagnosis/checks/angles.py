@@ -1,7 +1,7 @@
 """Wheel angles: those that wrap are made continuous, those without a speed become speeds."""
 
+import math
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
@@ -13,8 +13,6 @@ from hilserver.measured.resolution import step_of
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RAD_S_PER_RPM, RPM_PER_RAD_S
-
-TURN_RAD: Final = 2.0 * np.pi
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
@@ -59,8 +57,8 @@ def _wrap(channel: Channel, fastest_rad_s: float) -> float:
     usual = np.abs(calm[1:-1] - 0.5 * (calm[:-2] + calm[2:]))  # what a steady turn leaves
     unsure = 3.0 * float(np.quantile(usual, 0.9)) / np.sqrt(len(sizes)) + 1e-9
     quantum, _ = step_of(channel.values)
-    bits = quantum * np.exp2(np.rint(np.log2(size / quantum))) if quantum else TURN_RAD
-    likely = ((TURN_RAD, unsure), (bits, unsure + quantum))
+    bits = quantum * np.exp2(np.rint(np.log2(size / quantum))) if quantum else math.tau
+    likely = ((math.tau, unsure), (bits, unsure + quantum))
     return next((whole for whole, beside in likely if abs(size - whole) <= beside), size)
 
 

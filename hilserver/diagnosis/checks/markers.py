@@ -1,20 +1,17 @@
 """Values that stand for a sample that is missing: they are no readings and are left out."""
 
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
 from hilserver.arrays import Array, Mask
 from hilserver.diagnosis.checks.support import listed, measured_channels, subset
 from hilserver.diagnosis.schema.findings import Finding
-from hilserver.diagnosis.thresholds import FEWEST_CHANGES, FEWEST_EVENTS, HALF, UNITY
+from hilserver.diagnosis.thresholds import FEWEST_CHANGES, FEWEST_EVENTS, HALF, UNITY, ZERO_LEAST_M
 from hilserver.measured.channels import POSITION, TAG
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RAD_S_PER_RPM
-
-LEAST_M: Final = 0.3  # m beside what the wheels can drive: more than a tag's own jumps
 
 Stretch = tuple[int, float, float]
 """A span of the log, and the stamps of the first and last sample in it [s]."""
@@ -58,7 +55,7 @@ def _zeros(log: MeasuredLog, fastest_m_s: float) -> list[Stretch]:
             if first == 0 or end == len(t_s):
                 continue  # poses of a segment often begin at zero
             took_s = t_s[[first, end]] - t_s[[first - 1, end - 1]]
-            if (far_m[[first - 1, end]] > LEAST_M + fastest_m_s * took_s).all():
+            if (far_m[[first - 1, end]] > ZERO_LEAST_M + fastest_m_s * took_s).all():
                 found.append((index, float(t_s[first]), float(t_s[end - 1])))
     return found
 

@@ -7,7 +7,6 @@ slower clock are left to `repetitions`.
 
 from collections.abc import Iterator
 from itertools import groupby
-from typing import Final
 
 import numpy as np
 
@@ -29,11 +28,9 @@ from hilserver.diagnosis.checks.support import (
     subset,
 )
 from hilserver.diagnosis.schema.findings import Finding
-from hilserver.diagnosis.thresholds import FEWEST_SAMPLES, HELD_SLOWEST_HZ, NEGLIGIBLE
+from hilserver.diagnosis.thresholds import FEWEST_SAMPLES, HELD_SLOWEST_HZ, NEGLIGIBLE, SLOWER_CLOCK
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.parameters import RobotParameters
-
-SLOW: Final = 0.4  # share of the rows; a source that repeats more has a slower clock
 
 
 def find(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
@@ -108,7 +105,7 @@ def repetitions(channels: list[Channel], stands: Mask) -> tuple[Mask, float] | N
 def _finding(log: MeasuredLog, faults: Faults) -> Finding:
     """Return the finding of one source: it is slow, or its messages are sometimes missing."""
     name, (_, share, _) = next(iter(faults.items()))
-    if share > SLOW:
+    if share > SLOWER_CLOCK:
         seconds = sum(span.end_s - span.start_s for span in log.spans)
         rate_hz = (1.0 - share) * len(log[name]) / seconds
         text = (

@@ -20,7 +20,13 @@ from hilserver.diagnosis.checks.motion import (
 )
 from hilserver.diagnosis.checks.support import data_fault, listed
 from hilserver.diagnosis.schema.findings import Finding
-from hilserver.diagnosis.thresholds import UNIT_ALIKE, UNIT_CLOSE, UNITY
+from hilserver.diagnosis.thresholds import (
+    UNIT_ALIKE,
+    UNIT_CLOSE,
+    UNIT_CLOSE_WHEEL,
+    UNIT_OTHER_AXIS,
+    UNITY,
+)
 from hilserver.measured.channels import GYRO, IMU_YAW, POSITION, SETPOINTS, SPEEDS, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import WHEELS
@@ -49,8 +55,6 @@ LENGTH = {
 SHARE = {0.01: "holds a share of 1 where per cent is meant"}
 M_PER_DEG: Final = 111_320.0  # of latitude; of longitude less
 SAME_SIDE: Final = (SPEEDS[1], SPEEDS[0], SPEEDS[3], SPEEDS[2])
-ONE_WHEEL_CLOSE: Final = 1.15  # factor by which the ratio of a wheel may miss that of two units
-ALIKE_AXES: Final = 0.6  # share of the misfit that is left where axes have different units
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
@@ -155,7 +159,7 @@ def _wheel(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault |
         if speed in pair and len(pair) == 2:
             right, wrong = sorted(pair, key=apart)
             fault = _known(
-                line(columns[wrong], columns[right], 1e-3), _of_wheels(robot), ONE_WHEEL_CLOSE
+                line(columns[wrong], columns[right], 1e-3), _of_wheels(robot), UNIT_CLOSE_WHEEL
             )
             found |= {} if fault is None else {wrong: fault}
     first = next(iter(found.values()), None)
@@ -243,7 +247,8 @@ def _position(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Faul
     if not fits:
         return [], None
     best = min(
-        fits, key=lambda u: (1.0 - fits[u].correlation ** 2) * (ALIKE_AXES if u[0] == u[1] else 1.0)
+        fits,
+        key=lambda u: (1.0 - fits[u].correlation ** 2) * (UNIT_OTHER_AXIS if u[0] == u[1] else 1.0),
     )
     factor = max(best, key=lambda unit: abs(np.log(unit)))
     wrong = [name for name, unit in zip(POSITION, best, strict=True) if unit == factor]

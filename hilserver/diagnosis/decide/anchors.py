@@ -134,21 +134,22 @@ def anchor_off(
     return found, p * SCREEN_LEVEL / ANCHOR_LEVEL
 
 
-def scale_or_anchor(problem: Problem, point: Point) -> tuple[int, float, Anchor] | None:
-    """Compare an accepted scale of the navigation with misplaced anchors; None without a scale.
+@dataclass(frozen=True)
+class Contest:
+    """An accepted scale of the navigation, compared with misplaced anchors.
 
     A scale is the simplest error field of one misplaced anchor, and so the first to be found.
-
-    Returns
-    -------
-    int
-        Index of the scale among the accepted causes.
-    float
-        Deviance that one anchor, or all four (less one for each), saves beyond the scale. More than
-        `TIE`: there is no scale; within it, the data do not decide.
-    Anchor
-        The anchor that explains most in place of the scale.
     """
+
+    scale: int  # its index among the accepted causes
+    # deviance that one anchor, or all four (less one for each), saves beyond the scale: more than
+    # `TIE`, there is no scale; within it, the data do not decide
+    more: float
+    anchor: Anchor  # the one that explains most in place of the scale
+
+
+def scale_or_anchor(problem: Problem, point: Point) -> Contest | None:
+    """Compare an accepted scale of the navigation with misplaced anchors; None without a scale."""
     accepted = problem.accepted(point)
     index = next((i for i, c in enumerate(point.model.causes) if traits_of(c).field), None)
     if accepted is None or index is None:
@@ -164,7 +165,7 @@ def scale_or_anchor(problem: Problem, point: Point) -> tuple[int, float, Anchor]
     best = int(np.argmax(along**2 / squares))
     most = max(float(along[best] ** 2 / squares[best]), joint_gain(white, target))
     error_m, half_m = float(along[best] / squares[best]), 1.96 / float(np.sqrt(squares[best]))
-    return index, most - explained, _anchor(moved[best], best, error_m, half_m)
+    return Contest(index, most - explained, _anchor(moved[best], best, error_m, half_m))
 
 
 def _rival(library: Library, point: Point) -> float:

@@ -86,7 +86,7 @@ def revised(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     if anchor is not None:
         unknown = []
     last = None if drift else scale_or_anchor(problem, point)
-    in_doubt = last[2] if last is not None and abs(last[1]) <= TIE else None
+    in_doubt = last.anchor if last is not None and abs(last.more) <= TIE else None
     kept = {
         c: changing_alike(problem, point, found) if c in drift else found
         for c, found in ties.items()
@@ -122,7 +122,7 @@ def _beside_structure(
     unknown = remaining(problem, weighed, rng, families, explained)
     doubtful = _harmless(problem, point, without_unknown(problem, point, unknown))
     contest = scale_or_anchor(problem, point)
-    doubtful |= {contest[0]} if contest is not None and contest[1] > TIE else set()
+    doubtful |= {contest.scale} if contest is not None and contest.more > TIE else set()
     for index in sorted(doubtful, reverse=True):
         point = _dropped(problem, point, index, rows, BY_STRUCTURE)
 

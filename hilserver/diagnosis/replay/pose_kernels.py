@@ -117,9 +117,9 @@ def _run_by_speeds(p: Parameters, pose_0: Any, left: Any, right: Any, pose: Any)
         chord = sinc(half)
         s = chord * half
         c = math.sqrt(1.0 - s * s)  # no robot turns half a turn in a tick
-        ahead, aside = cos * c - sin * s, sin * c + cos * s  # the chord's direction
+        chord_x, chord_y = cos * c - sin * s, sin * c + cos * s  # the chord's direction
         v, vy = dt * chord * both[i, 0, k], dt * chord * both[i, 1, k]
-        px, py = px + (v * ahead - vy * aside), py + (v * aside + vy * ahead)
+        px, py = px + (v * chord_x - vy * chord_y), py + (v * chord_y + vy * chord_x)
         more, less = 1.0 - 2.0 * s * s, 2.0 * s * c
         cos, sin = cos * more - sin * less, sin * more + cos * less
         before = yaw
