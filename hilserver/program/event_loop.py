@@ -3,12 +3,15 @@
 import asyncio
 import contextlib
 import signal
+import socket
 from collections.abc import Coroutine, Iterator
 from typing import Any, TypeVar
 
 import uvloop
 
 from hilserver.program.ending import ENDING, end_was_asked, hang_up_waits
+
+MOST_HELD_BYTES = 131_072
 
 T = TypeVar("T")
 
@@ -53,3 +56,14 @@ async def end(*tasks: asyncio.Future[Any] | None) -> None:
     for task in running:
         task.cancel()
     await asyncio.gather(*running, return_exceptions=True)
+
+
+def hold_little(transport: asyncio.BaseTransport | None) -> None:
+    """Let the system hold some seconds of data at most for a client that does not read.
+
+    By default it holds megabytes: such a client is noticed minutes late, and shows old data when
+    it reads again.
+    """
+    connection = None if transport is None else transport.get_extra_info("socket")
+    if connection is not None:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, MOST_HELD_BYTES)

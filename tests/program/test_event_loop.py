@@ -1,6 +1,7 @@
 """How tasks end."""
 
 import asyncio
+import socket
 
 from hilserver.program import event_loop
 
@@ -30,3 +31,18 @@ def test_tasks_have_ended_whatever_they_do_when_they_are_cancelled() -> None:
 
     event_loop.run(main())
     assert sorted(seen) == ["broken", "tidy"]
+
+
+async def test_for_who_does_not_read_the_system_holds_little():
+    """Otherwise megabytes go out before anybody notices."""
+    connected = asyncio.get_running_loop().create_future()
+    server = await asyncio.start_server(lambda *both: connected.set_result(both), "127.0.0.1", 0)
+    with socket.create_connection(server.sockets[0].getsockname()):
+        _, writer = await connected
+        event_loop.hold_little(writer.transport)
+        for _ in range(64):
+            writer.write(bytes(16_384))
+            await asyncio.sleep(0)
+        assert writer.transport.get_write_buffer_size() > 64 * 16_384 // 2
+        writer.transport.abort()
+    server.close()

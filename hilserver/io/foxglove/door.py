@@ -10,6 +10,8 @@ import random
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Final
 
+import structlog
+
 from hilserver.program import event_loop
 
 CONNECTIONS: Final = 32
@@ -18,11 +20,14 @@ HEAD_S: Final = 5.0
 PIECE_BYTES: Final = 16_384
 BYTES_PER_S: Final = 262_144
 LARGEST_MESSAGE: Final = 65_536
+UNREAD_S: Final = 15.0
 _REFUSED: Final = (
     b"HTTP/1.1 403 Forbidden\r\nConnection: close\r\nContent-Type: text/plain\r\n\r\n"
     b"this web page is not named in foxglove.origins\n"
 )
 _CONTINUED, _CONTROL = 0x0, 0x8
+
+_log = structlog.get_logger(__name__)
 
 
 def hidden_host() -> str:
@@ -104,10 +109,17 @@ async def _first_to_end(ways: Sequence[Awaitable[None]]) -> None:
 
 
 async def _shown(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    """Forward data to the viewer; the SDK drops frames that the viewer does not take."""
+    """Forward data to the viewer, as long as it takes them; the SDK drops frames meanwhile."""
+    event_loop.hold_little(writer.transport)
     while data := await reader.read(PIECE_BYTES):
         writer.write(data)
-        await writer.drain()
+        try:
+            async with asyncio.timeout(UNREAD_S):
+                await writer.drain()
+        except TimeoutError:
+            address = writer.get_extra_info("peername")[0]
+            _log.warning("foxglove viewer does not take what it is shown: closed", address=address)
+            return
 
 
 async def _sent(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

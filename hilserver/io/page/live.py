@@ -5,6 +5,7 @@ A browser that does not take its frames loses them; nothing waits for it.
 
 import asyncio
 import json
+import logging
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -20,6 +21,7 @@ from hilserver.io.page.frames import Selection, stamp_ms
 from hilserver.io.page.hand import RefusedError
 from hilserver.io.page.jobs import Jobs
 from hilserver.io.page.stopping import Stopping
+from hilserver.program import event_loop
 
 MESSAGE_BYTES = 65_536
 MESSAGES_PER_S = 200
@@ -30,6 +32,8 @@ WRITABLE_BYTES = UNREAD_BYTES + (1 << 20)
 UNREAD_S = 15.0
 BOARD_EVERY_S = 0.5
 GREET_S = 5.0
+
+_log = logging.getLogger(__name__)
 
 
 class Client:
@@ -43,6 +47,7 @@ class Client:
             max_msg_size=MESSAGE_BYTES, compress=False, heartbeat=20.0
         )
         self._transport = request.transport
+        event_loop.hold_little(self._transport)
         if self._transport is not None:
             self._transport.set_write_buffer_limits(WRITABLE_BYTES, UNREAD_BYTES)
         self._tasks: set[asyncio.Task[None]] = set()
@@ -61,6 +66,7 @@ class Client:
         now_s = time.monotonic()
         self._blocked_since_s = self._blocked_since_s or now_s
         if now_s - self._blocked_since_s > UNREAD_S:
+            _log.warning("page: browser %s takes nothing any more: closed", self.browser.address)
             transport.abort()
         return False
 

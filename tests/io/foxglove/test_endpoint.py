@@ -1,7 +1,9 @@
 """The endpoint as viewers see it: a raw WebSocket client of its protocol."""
 
 import asyncio
+import contextlib
 import json
+import socket
 import struct
 import time
 from contextlib import asynccontextmanager
@@ -9,6 +11,7 @@ from contextlib import asynccontextmanager
 import aiohttp
 import pytest
 from mcap_ros2._dynamic import generate_dynamic
+from structlog.testing import capture_logs
 
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
@@ -251,6 +254,29 @@ async def test_only_named_web_pages_enter(origin, enters):
     assert status == (b"101" if enters else b"403")
     assert bool(asked) == enters
     writer.close()
+    await door.close()
+    server.close()
+
+
+async def test_a_viewer_that_takes_nothing_gives_its_place_back(monkeypatch):
+    monkeypatch.setattr("hilserver.io.foxglove.door.UNREAD_S", 0.2)
+    door, has_ended = Door([]), asyncio.Event()
+
+    async def behind(reader, writer):
+        await reader.readuntil(b"\r\n\r\n")
+        with contextlib.suppress(OSError):
+            while True:
+                writer.write(bytes(65_536))
+                await writer.drain()
+        has_ended.set()
+
+    server = await asyncio.start_server(behind, "127.0.0.1", 0)
+    await door.open("127.0.0.1", 0, server.sockets[0].getsockname())
+    with capture_logs() as lines, socket.create_connection(("127.0.0.1", door.port)) as viewer:
+        viewer.sendall(b"GET / HTTP/1.1\r\n\r\n")
+        async with asyncio.timeout(PATIENCE_S):
+            await has_ended.wait()
+    assert ["does not take" in line["event"] for line in lines] == [True]
     await door.close()
     server.close()
 
