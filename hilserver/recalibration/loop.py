@@ -234,7 +234,7 @@ class Loop:
             try:
                 found = Proposal.from_json(line["proposal"])
                 self.count = max(self.count, found.number)
-            except (TypeError, ValueError, KeyError, AttributeError):
+            except (ValueError, KeyError):
                 continue  # a line of another kind or version
             self.proposal = found
             if found.stage is Stage.REJECTED:

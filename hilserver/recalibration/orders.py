@@ -3,10 +3,12 @@
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, Self
+from typing import Any, Final
+
+from pydantic import TypeAdapter
 
 from hilserver.recalibration.flips import Answer
-from hilserver.recalibration.proposals import Quantity, Term, quantities_of, terms_of
+from hilserver.recalibration.proposals import Quantity, Term
 
 Values = Mapping[str, float]  # terms of the plant by name; absent: off
 
@@ -52,11 +54,9 @@ class Order:
         return json.dumps(asdict(self))
 
     @classmethod
-    def of(cls, text: str) -> Self:
+    def of(cls, text: str) -> "Order":
         """Return the order of a text."""
-        data = json.loads(text)
-        share = {**data["share"], "cpus": tuple(data["share"]["cpus"])}
-        return cls(**{**data, "todo": Todo(**data["todo"]), "share": Share(**share)})
+        return _ORDER.validate_json(text)
 
 
 @dataclass(frozen=True)
@@ -97,19 +97,10 @@ class Result:
         return json.dumps(asdict(self))
 
     @classmethod
-    def of(cls, text: str) -> Self:
-        """Parse a result; TypeError, ValueError or KeyError if the text is not one."""
-        data = json.loads(text)
-        compared = {key: _compared(data[key]) for key in ("measure", "confirm")}
-        return cls(**compared, look=_looked(data["look"]), error=str(data["error"]))
+    def of(cls, text: str) -> "Result":
+        """Parse a result; ValueError if the text is not one."""
+        return _RESULT.validate_json(text)
 
 
-def _compared(data: Mapping[str, Any] | None) -> Compared | None:
-    return None if data is None else Compared(**{**data, "gain": quantities_of(data["gain"])})
-
-
-def _looked(data: Mapping[str, Any] | None) -> Looked | None:
-    if data is None:
-        return None
-    lists = {key: tuple(data[key]) for key in ("causes", "faults")}
-    return Looked(**{**data, **lists, "terms": terms_of(data["terms"])})
+_ORDER: Final = TypeAdapter(Order)
+_RESULT: Final = TypeAdapter(Result)

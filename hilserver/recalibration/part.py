@@ -17,6 +17,7 @@ from hilserver.image import Frame
 from hilserver.io.world import Figure, Part, World
 from hilserver.metrics import Source
 from hilserver.plant.layout import WHEELS
+from hilserver.program import event_loop
 from hilserver.recalibration import patches, process
 from hilserver.recalibration.change import ChangeDetector, Residuals
 from hilserver.recalibration.history import History, broken, is_sound
@@ -102,9 +103,7 @@ class Recalibration(Part):
 
     async def stop(self) -> None:
         """End the recorder and a running look."""
-        for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await event_loop.end(*self._tasks)
 
     # --- windows ----------------------------------------------------------------------------------
 
@@ -333,7 +332,7 @@ class Recalibration(Part):
     def table(self) -> Table:
         """Return the figures of the nodes ``recalibration.*``."""
         now = self._counted()
-        p = self.loop.proposal if self._tasks else None
+        p = (self.loop.proposal if self._tasks else None) or Proposal(0, (), "", {})
         look: dict[str, Figure] = {
             "count": now.looks.total(),
             "is_looking": now.is_looking,
@@ -343,15 +342,14 @@ class Recalibration(Part):
             "verdict": self._last["verdict"],
             "sentence": self._last["sentence"],
         }
-        terms = {} if p is None else {n: t.value for n, t in p.terms.items()}
         proposal: dict[str, Figure] = {
-            "number": 0 if p is None else p.number,
-            "stage": "" if p is None else str(p.stage),
-            "causes": "" if p is None else ", ".join(p.causes),
-            "sentence": "" if p is None else p.sentence[:MOST_TEXT],
-            "terms": ", ".join(f"{n} = {v:.4g}" for n, v in terms.items()),
-            "patch": "" if p is None else p.patch,
-            "p": 1.0 if p is None else p.p,
+            "number": p.number,
+            "stage": str(p.stage) if p.number else "",
+            "causes": ", ".join(p.causes),
+            "sentence": p.sentence[:MOST_TEXT],
+            "terms": ", ".join(f"{n} = {t.value:.4g}" for n, t in p.terms.items()),
+            "patch": p.patch,
+            "p": p.p,
         }
         return {"look": look, "proposal": proposal}
 

@@ -1,6 +1,5 @@
 """The patch files of a proposal: the proposed model, and the one before it."""
 
-import contextlib
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,10 +20,10 @@ from hilserver.config.patch import (
 from hilserver.errors import FailedError, reason
 from hilserver.parameters import PLANT
 from hilserver.parameters.table import TERM, Parameter
+from hilserver.program.whole_file import write_whole
 from hilserver.recalibration.loop import present
+from hilserver.recalibration.orders import Values
 from hilserver.recalibration.proposals import Proposal, Term
-
-Values = Mapping[str, float]
 
 
 def split(values: Values) -> tuple[dict[str, float], dict[str, float]]:
@@ -87,12 +86,8 @@ def _of_parameters(made_from: MadeFrom, values: Values) -> ModelPatch:
 
 
 def _write(path: Path, text: str) -> None:
-    partial = path.with_name(f".{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
+        write_whole(path, text.encode())
     except OSError as error:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
         raise FailedError(f"{path}: cannot be written: {reason(error)}") from None

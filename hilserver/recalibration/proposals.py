@@ -5,6 +5,8 @@ from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Final, Self
 
+from pydantic import ConfigDict, TypeAdapter
+
 from hilserver.errors import ControlRefused
 
 Interval = tuple[float, float]
@@ -76,6 +78,8 @@ class Quantity:
 class Proposal:
     """What an engineer decides on."""
 
+    __pydantic_config__ = ConfigDict(extra="forbid")  # a line of another version is no proposal
+
     number: int
     causes: tuple[str, ...]
     sentence: str
@@ -130,33 +134,18 @@ class Proposal:
         return asdict(self)
 
     @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Self:
+    def from_json(cls, data: Any) -> "Proposal":
         """Return what `as_json` has written.
 
         Raises
         ------
-        TypeError, ValueError, KeyError
+        ValueError
             If the data are not a proposal.
         """
-        own: dict[str, Any] = {key: quantities_of(data[key]) for key in ("gain", "effect")}
-        own |= {key: tuple(data[key]) for key in ("causes", "windows")}
-        own |= {"terms": terms_of(data["terms"]), "stage": Stage(data["stage"])}
-        return cls(**{**data, **own})
+        return _PROPOSAL.validate_python(data)
 
 
-def terms_of(data: Mapping[str, Any]) -> dict[str, Term]:
-    """Return terms from plain data."""
-    return {name: Term(**_tupled(term)) for name, term in data.items()}
-
-
-def quantities_of(data: Mapping[str, Any]) -> dict[str, Quantity]:
-    """Return quantities from plain data."""
-    return {name: Quantity(**_tupled(quantity)) for name, quantity in data.items()}
-
-
-def _tupled(data: Mapping[str, Any]) -> dict[str, Any]:
-    ci = data.get("ci95")
-    return {**data, "ci95": None if ci is None else (float(ci[0]), float(ci[1]))}
+_PROPOSAL: Final = TypeAdapter(Proposal)
 
 
 def _meet(one: Term, other: Term) -> bool:

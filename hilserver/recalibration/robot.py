@@ -26,6 +26,7 @@ from hilserver.controller.nodes import SEQUENCE, SETPOINTS, node_id
 from hilserver.controller.server import ControllerServer
 from hilserver.errors import EXIT_DONE
 from hilserver.measured.channels import TAG
+from hilserver.plant.layout import WHEELS
 from hilserver.program import event_loop
 from hilserver.program.workers import end_with_parent
 from hilserver.signals import MEASURED
@@ -34,7 +35,7 @@ CAUSE: Final[Mapping[str, float]] = {"rotation_gain": 0.08}  # another floor
 APPEARS_S: Final = 60.0
 DRIVE_S: Final = 600.0
 MEASURES: Final = (
-    *(f"wheel.{w}.{what}" for what in ("speed_rpm", "duty_pct") for w in ("fl", "rl", "fr", "rr")),
+    *(f"wheel.{w}.{what}" for what in ("speed_rpm", "duty_pct") for w in WHEELS),
     *TAG,
     "imu.gyro_z_rad_s",
     "battery.voltage_v",
@@ -161,9 +162,7 @@ async def serve(endpoint: str, seed: int) -> int:
         asked = asyncio.create_task(event_loop.end_event().wait())
         print(f"robot listening on {server.endpoint}", flush=True)
         await asyncio.wait((driving, asked), return_when=asyncio.FIRST_COMPLETED)
-        for task in (driving, asked):
-            task.cancel()
-        await asyncio.gather(driving, asked, return_exceptions=True)
+        await event_loop.end(driving, asked)
     return EXIT_DONE
 
 
