@@ -41,14 +41,14 @@ class ConfigError(UserError):
 def reason(error: OSError) -> str:
     """Return why a file cannot be written, in a few words."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-        return "no space is left for it; free some"
+        return "no space left; free some"
     said = (error.strerror or str(error)).lower()
     return f"{said}; name a file" if error.errno == errno.EISDIR else said
 
 
 ADDRESSES = {
     errno.EADDRINUSE: "end the program that uses it, or choose another port",
-    errno.EADDRNOTAVAIL: "name an address of this computer",
+    errno.EADDRNOTAVAIL: "use an address of this computer",
     errno.EACCES: "a port below 1024 needs CAP_NET_BIND_SERVICE; choose another one",
 }
 

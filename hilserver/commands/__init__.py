@@ -17,7 +17,7 @@ from hilserver.program.ending import end_was_asked
 
 COMMANDS = {
     "run": "run the daemon",
-    "check": "validate a configuration and say what it means",
+    "check": "validate a configuration and explain what it means",
     "signals": "print the signal table",
     "teleop": "drive a running daemon with the keys of this terminal",
     "call": "call a method of a running daemon, from the shell",
@@ -30,17 +30,17 @@ COMMANDS = {
     "page": "show the operator page in the browser, as 'run' does",
     "record": "record the signals of a running daemon",
     "simulate": "play a scenario in virtual time and write every signal to a file",
-    "sweep": "drive a controller on thousands of machines: how many pass, what decides",
-    "convert": "write a log in another format: CSV, MCAP, MF4, ROS 2 bag, Parquet",
+    "sweep": "run a controller on thousands of machines: how many pass, what decides it",
+    "convert": "convert a log to another format: CSV, MCAP, MF4, ROS 2 bag, Parquet",
     "replay": "feed a log through the plant, faster than real time",
-    "diagnose": "find what the simulation gets wrong in measured data, and why",
-    "observe": "say where the robot was, from wheels, gyro and navigation",
-    "plan": "say what an experiment can show, and propose a better manoeuvre",
+    "diagnose": "find where the simulation differs from measured data, and why",
+    "observe": "estimate where the robot was, from wheels, gyro and navigation",
+    "plan": "predict what an experiment can show, and propose a better manoeuvre",
     "identify": "identify K_om, step response, update rate, dead zone or noise",
     "latency-test": "measure the timing of this computer, without the model",
     "install-service": "install the daemon as a systemd service",
-    "scenarios": "logs of the drives that the thesis says its simulation gets wrong",
-    "bench": "measure every figure that the README quotes",
+    "scenarios": "make logs of the drives that the thesis says its simulation gets wrong",
+    "bench": "measure the figures that the README quotes",
 }
 
 LONG = ("diagnose", "plan", "sweep")
@@ -89,9 +89,9 @@ def _parse(words: Sequence[str]) -> argparse.Namespace:
     if left:
         word = left[0]
         if word.endswith((".yaml", ".yml")) and "config" in args and args.config is None:
-            sub.error(f"{asked} takes no '{word}'; write '-c {word}'")
+            sub.error(f"{asked} does not take '{word}'; write '-c {word}'")
         if word.startswith("-"):
-            sub.error(f"{asked} takes no '{word}'")
+            sub.error(f"{asked} does not take '{word}'")
         sub.error(f"unrecognized arguments: {' '.join(left)}")
     return args
 
@@ -103,9 +103,9 @@ def _module(command: str) -> ModuleType:
         reason = (error.strerror or "refused").lower()
         raise FailedError(
             f"{error.filename}: {reason}; compiled code is cached there: set HILSERVER_CACHE_DIR to"
-            " a folder that you may write to"
+            f" a writable folder"
         ) from None
     except (Exception, SystemExit):
         if end_was_asked() and command in LONG:
-            print("hilserver: stopped while it was starting: nothing was done", file=sys.stderr)
+            print("hilserver: stopped while starting; nothing was done", file=sys.stderr)
         raise

@@ -35,7 +35,7 @@ class Announcer:
         self._footer = Footer(writer) if writer.isatty() else None
         self.out = self._footer or writer  # where log lines go, too
         self._is_readable = line_format == "console" or (line_format != "json" and writer.isatty())
-        writer.lost_line = lambda lost: self._line(f"{lost} lines were lost: nobody took them", {})
+        writer.lost_line = lambda lost: self._line(f"{lost} lines were lost: nothing read them", {})
         self.page_url = ""
         self._compiled: list[str] = []
         self._next_s = 0.0
@@ -76,8 +76,8 @@ class Announcer:
             return
         if not self._next_s:
             self.say(
-                "hilserver is compiling the model for this computer; the first start of a version"
-                " or of a new kind of robot takes a minute or two"
+                "hilserver is compiling the model for this computer; the first start of a new"
+                " version or robot type takes a minute or two"
             )
         elif self._compiled:
             count, newest = len(self._compiled), self._compiled[-1]

@@ -36,14 +36,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         module = importlib.import_module(path)
         bench = benches.add_parser(name, help=text, epilog=f"example: hilserver bench {name}")
         bench.add_argument(
-            "--json", type=out_file, metavar="FILE", help="write figures and raw data"
+            "--json", type=out_file, metavar="FILE", help="write the figures and raw data to FILE"
         )
         bench.set_defaults(measure=module.run)
         if hasattr(module, "add_arguments"):
             module.add_arguments(bench)
     for name in ELSEWHERE if not others else ():
         absent = benches.add_parser(
-            name, help="only in a checkout of hilserver", prefix_chars="\0", add_help=False
+            name, help="only in a source checkout of hilserver", prefix_chars="\0", add_help=False
         )
         absent.add_argument("words", nargs="*")
         absent.set_defaults(measure=_absent, bench=name, json=None)
@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _absent(args: argparse.Namespace) -> Any:
     raise FailedError(
-        f"'bench {args.bench}' measures beside other programs and is not installed with hilserver;"
+        f"'bench {args.bench}' compares with other programs and is not installed with hilserver;"
         f" run 'python -m benchmarks {args.bench}' in a checkout of its source"
     )
 

@@ -21,7 +21,7 @@ def run(args: argparse.Namespace) -> int:
     method = next((method for method in METHODS if method.name == args.method), None)
     if method is None:
         names = [method.name for method in METHODS]
-        hint = meant(args.method, names, f"methods are {', '.join(names)}")
+        hint = meant(args.method, names, f"the methods are {', '.join(names)}")
         raise FailedError(f"there is no method '{args.method}'; {hint}")
     wanted = [argument.name for argument in method.arguments]
     if len(args.arguments) != len(wanted):

@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for name in ("make", "renew"):
         action = _add(actions, name)
         action.add_argument("--host", action="append", default=[], help="name or address of this"
-                            " computer as clients call it; may be repeated")  # fmt: skip
+                            " computer that clients use; may be repeated")  # fmt: skip
         action.add_argument("--days", type=int, default=730, help="validity (default: 730)")
         action.add_argument("--new-key", action="store_true", help="also make a new key")
     listing = _add(actions, "list")
@@ -78,7 +78,7 @@ def _add_folder(action: argparse.ArgumentParser) -> None:
         "--folder",
         type=Path,
         default=None,
-        help="folder instead of opcua.certificates, such as peers[].security.trust",
+        help="folder to use in place of opcua.certificates, such as peers[].security.trust",
     )
 
 

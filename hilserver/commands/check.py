@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--schema",
         type=out_file,
         metavar="FILE",
-        help="write the JSON Schema of config.yaml for editors and stop",
+        help="write the JSON Schema of config.yaml for editors and exit",
     )
 
 
@@ -64,7 +64,7 @@ def describe(assembly: Assembly) -> list[str]:
     lines += [_block(block) for block in config.blocks]
     lines += _links(assembly)
     lines.append(
-        f"control: '{config.first_source}' has control at start; sources, highest first:"
+        f"control: '{config.first_source}' has control at the start; sources, highest first:"
         f" {', '.join(config.sources)}"
     )
     lines.append(f"OPC UA: {config.opcua.endpoint if config.opcua.enabled else 'off'}")
@@ -96,7 +96,7 @@ def _block(block: BlockConfig) -> str:
 def warnings(assembly: Assembly) -> list[str]:
     """Return what is allowed but probably not intended."""
     foreign = [
-        f"{why}: snapshots leave it as it is, recordings are not replayable"
+        f"{why}: snapshots do not restore it, and recordings are not replayable"
         for why in assembly.not_replayable
     ]
     return foreign + assembly.remarks + _idle_peers(assembly)
@@ -113,7 +113,7 @@ def _idle_peers(assembly: Assembly) -> list[str]:
             return []
         return [
             "peers set the twist, but none sets control.mode: it starts at 0 (wheels), and the"
-            " twist has no effect until somebody writes 1"
+            " twist has no effect until 1 is written to it"
         ]
     commanded = {slot for name in read for slot in table[name].slots}
     idle = [name for name in WHEEL_SETPOINTS if table.slot(name) not in commanded]

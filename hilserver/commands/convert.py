@@ -25,9 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
     readable = f"log: {', '.join(SUFFIXES)}, or a bag"
     parser.add_argument("log", type=Path, metavar="IN", help=readable)
-    parser.add_argument("out", type=Path, metavar="OUT", help="what to write")
+    parser.add_argument("out", type=Path, metavar="OUT", help="file or bag to write")
     add_mapping(parser)
-    parser.add_argument("--bag", action="store_true", help="OUT is a bag whatever its name is")
+    parser.add_argument("--bag", action="store_true", help="write a bag, whatever OUT is called")
     add_storage(parser)
 
 
@@ -36,14 +36,14 @@ def run(args: argparse.Namespace) -> int:
     is_bag = args.bag or args.out.suffix == ""
     if not is_bag and args.out.suffix not in SUFFIXES:
         raise FailedError(
-            f"{args.out}: write a name that ends in {', '.join(SUFFIXES)}, or none for a bag"
+            f"{args.out}: end the name in {', '.join(SUFFIXES)}, or in no suffix for a bag"
         )
     if args.out.exists():
         raise FailedError(f"{args.out}: exists already; choose another name")
     log = read_any(args.log, args.mapping)
     warn(*log.notices)
     if not len(log):
-        raise LogError(f"{args.log}: holds no rows: there is nothing to convert")
+        raise LogError(f"{args.log}: has no rows; there is nothing to convert")
     try:
         _write(log, args.out, args.storage if is_bag else None)
     except OSError as error:

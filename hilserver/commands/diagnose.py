@@ -41,35 +41,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_config(parser)
     add_mapping(parser)
     add_out(parser, "DIR", "folder for the report")
-    parser.add_argument("--seed", type=SEED, default=0, help="of all random draws; default 0")
+    parser.add_argument("--seed", type=SEED, default=0, help="seed of all random draws; default: 0")
     parser.add_argument(
         "--jobs", type=PROCESSES, default=os.cpu_count() or 1, help="processes; default: all cores"
     )
     parser.add_argument(
-        "--each", action="store_true", help="a report for every log, in a folder named after it"
+        "--each", action="store_true", help="one report per log, in a folder named after it"
     )
     parser.add_argument(
         "--test",
         nargs="+",
         type=Path,
         metavar="LOG",
-        help="other logs of the machine: the gain is measured on them, nothing is fitted to them",
+        help="other logs of the machine: the gain is measured on them, but nothing is fitted to"
+        " them",
     )
     parser.add_argument(
-        "--dask", metavar="ADDRESS", help="with --each: on this Dask cluster, as tcp://host:8786"
+        "--dask", metavar="ADDRESS", help="with --each: use this Dask cluster, as tcp://host:8786"
     )
     parser.add_argument(
         "--group",
         action="append",
         type=_group,
         metavar="NAME=LOG,LOG",
-        help="logs of one floor or load, without LOG; twice or more: what do the groups share?",
+        help="logs of one floor or load, in place of LOG; give two or more to see what they share",
     )
     parser.add_argument(
-        "--compare", nargs="+", type=Path, metavar="A", help="logs before, without LOG"
+        "--compare", nargs="+", type=Path, metavar="A", help="logs before a change, in place of LOG"
     )
     parser.add_argument(
-        "--against", nargs="+", type=Path, metavar="B", help="logs after: do they differ, in what?"
+        "--against", nargs="+", type=Path, metavar="B", help="logs after it: what is different?"
     )
 
 
@@ -115,13 +116,13 @@ def _aid(args: argparse.Namespace, outcome: Outcome) -> str:
         return ""
     write_files(args.out, outcome.files)
     return "".join(
-        f"; {args.out / name} is a guess to check and complete" for name in outcome.files
+        f"; {args.out / name} is a first guess: check and complete it" for name in outcome.files
     )
 
 
 def _check(args: argparse.Namespace) -> None:
     if bool(args.compare) != bool(args.against):
-        raise FailedError("--compare and --against go together: logs before, logs after")
+        raise FailedError("--compare and --against belong together: logs before and after a change")
     if args.compare and (args.logs or args.each):
         raise FailedError(
             "--compare A... --against B... cannot be combined with other logs or --each"
@@ -144,7 +145,7 @@ def _check_groups(args: argparse.Namespace) -> None:
     names = [name for name, _ in args.group]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        raise FailedError(f"--group {twice} is there twice; write its logs with commas in one")
+        raise FailedError(f"--group {twice} is given twice; put all its logs into one")
     if len(names) < 2:
         raise FailedError("--group compares groups of logs: name two or more, or leave it out")
 

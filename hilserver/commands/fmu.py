@@ -15,15 +15,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_config(parser)
     add_patch(parser)
     parser.add_argument(
-        "-o", "--out", type=out_file, required=True, metavar="FILE", help="the FMU to write"
+        "-o", "--out", type=out_file, required=True, metavar="FILE", help="FMU to write"
     )
     parser.add_argument("--fmi", type=int, choices=(3, 2), default=3, help="version; default: 3")
     parser.add_argument(
         "--platforms",
         default="x86_64-linux",
         metavar="LIST",
-        help=f"separated by commas, of {', '.join(COMPILERS)}; none: the sources alone; default:"
-        " x86_64-linux",
+        help=f"comma-separated, out of {', '.join(COMPILERS)}; none: only the sources; default:"
+        f" x86_64-linux",
     )
 
 

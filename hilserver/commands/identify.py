@@ -32,20 +32,20 @@ Answer = tuple[list[str], dict[str, Any]]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add one subcommand per kind of figure."""
     kinds = parser.add_subparsers(title="what", metavar="WHAT", required=True)
-    rotation = _kind(kinds, "rotation", _rotation, "K_om, with the checks front = rear and sign")
+    rotation = _kind(kinds, "rotation", _rotation, "K_om, and checks of sign and wheel pairs")
     rotation.add_argument(
         "--zone",
         type=POSITIVE,
         default=3.0,
         metavar="RPM",
-        help="steady: within this distance of the set-point [rpm]; default 3",
+        help="steady: within this distance of the set-point [rpm]; default: 3",
     )
     rotation.add_argument(
         "--settle",
         type=POSITIVE,
         default=0.3,
         metavar="S",
-        help="and for this long [s]; default 0.3",
+        help="for at least this long [s]; default: 0.3",
     )
     step = _kind(kinds, "step", _step, "order, time constants and gain by Strejc's method")
     step.add_argument(
@@ -53,11 +53,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=[name.split("_")[0] for name in INPUTS],
         help="default: whichever has steps",
     )
-    _kind(kinds, "update-rate", _update_rate, "how often a controller acts; compares several logs")
-    _kind(kinds, "dead-zone", _dead_zone, "duty at which the wheels stop, from a slow sweep")
+    _kind(kinds, "update-rate", _update_rate, "update rate of a controller; compares several logs")
+    _kind(kinds, "dead-zone", _dead_zone, "duty at which the wheels stop, from a slow ramp")
     noise = _kind(kinds, "noise", _noise, "noise of every sensor while the robot is at rest")
     noise.add_argument(
-        "--everywhere", action="store_true", help="use the whole log: its values are errors"
+        "--everywhere", action="store_true", help="use the whole log: its values are errors already"
     )
 
 

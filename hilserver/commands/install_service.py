@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_user_name,
         default="hilserver",
         metavar="NAME",
-        help="user the service runs as; created while it runs if missing (default: hilserver)",
+        help="user that runs the service; if missing, exists while it runs (default: hilserver)",
     )
     parser.add_argument(
         "-c",
@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="configuration of the service (default: /etc/hilserver/config.yaml)",
     )
     parser.add_argument(
-        "--dry-run", action="store_true", help="print what would be written and stop"
+        "--dry-run", action="store_true", help="print what would be written and exit"
     )
 
 
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     except FailedError as error:
         if not args.dry_run:
             raise
-        print(f"hilserver: would be refused: {error}", file=sys.stderr)
+        print(f"hilserver: the installation would fail: {error}", file=sys.stderr)
     files = plan(python, config, args.user_name, protect_home)
     if args.dry_run:
         for file in files:

@@ -28,7 +28,7 @@ _READING = """\
 How to read this: the latency is the actual minus the planned start of a tick, with nothing to
 compute. A plant with a period of 1 ms needs the worst latency plus its own execution time below
 1000 us. If p99.9 is far below that but the maximum is not, single ticks are late, and are counted.
-Short runs look too good: rare delays need minutes (--duration) and the load of real use. In a
+Short runs look too good: rare delays show only after minutes (--duration) and under real load. In a
 virtual machine the hypervisor causes the tail."""
 
 

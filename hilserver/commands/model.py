@@ -14,7 +14,7 @@ _FORMATS = {"urdf": robot_urdf, "mjcf": robot_mjcf}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add ``-c``, ``--format`` and ``-o``."""
     add_config(parser)
-    parser.add_argument("--format", choices=_FORMATS, required=True, help="form of the file")
+    parser.add_argument("--format", choices=_FORMATS, required=True, help="file format")
     parser.add_argument("-o", "--out", type=out_file, metavar="FILE", help="default: print it")
 
 

@@ -40,11 +40,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--findings",
         type=Path,
         metavar="FILE",
-        help="findings.json of a diagnosis: noise, and how late the stamps of the navigation are",
+        help="findings.json of a diagnosis: noise, and latency of the navigation",
     )
     add_out(parser, "OUT", "log to write, .csv or .mcap")
     parser.add_argument(
-        "--smooth", action="store_true", help="use what came later, too: the best path afterwards"
+        "--smooth", action="store_true", help="use later samples, too: the best path in hindsight"
     )
 
 

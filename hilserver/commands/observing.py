@@ -81,37 +81,37 @@ def sentences(p: Parameters, c: Array, spans: Sequence[Observed]) -> str:
     known = [one for one in spans if one.known.any()]
     if not known:
         return (
-            "No pose is known: the log holds no position with a heading of the navigation"
-            " (nav.x_m, nav.y_m, nav.yaw_rad); only speed and turn rate are estimated."
+            "No pose is known: the log has no navigation position with a heading (nav.x_m, nav.y_m,"
+            " nav.yaw_rad); only speed and turn rate are estimated."
         )
     accepted, rejected, readmitted, late = (
         int(sum(one.course.head[name] for one in known))
         for name in ("accepted", "rejected", "readmitted", "late")
     )
     lines = [
-        f"{accepted} samples of the navigation taken in, {rejected} left out because they do not"
-        f" fit; the robot was found elsewhere {readmitted} times, {late} samples were too old."
+        f"{accepted} navigation samples were used and {rejected} rejected as outliers; the robot"
+        f" was found elsewhere {readmitted} times, and {late} samples came too late."
     ]
     nis = np.concatenate([one.course.innovations for one in known])
     nis = nis[np.isfinite(nis)]
     half = 1.96 * math.sqrt(2.0 / (1.5 * max(len(nis), 1)))
     fits = "as" if abs(nis.mean() - 1.0) <= half else "not what"
     lines.append(
-        f"Squared innovations are {nis.mean():.2f} of what their covariance says, {fits} expected"
+        f"The squared innovations are {nis.mean():.2f} times their covariance, {fits} expected"
         f" ({1.0 - half:.2f} to {1.0 + half:.2f})."
     )
     deviations = np.concatenate([one.signals[one.known][:, DEVIATIONS] for one in known])
     place = np.hypot(deviations[:, 0], deviations[:, 1])
     lines.append(
-        f"The standard deviation of the position is {np.median(place):.3f} m in the middle of all"
-        f" moments, that of the heading {np.median(deviations[:, YAW]):.4f} rad."
+        f"The median standard deviation is {np.median(place):.3f} m for the position and"
+        f" {np.median(deviations[:, YAW]):.4f} rad for the heading."
     )
     if any(len(one.places) for one in known):
         near = np.concatenate([one.off(one.estimate[:, :2]) for one in known])
         far = np.concatenate([one.off(dead_reckoning(p, c, one)) for one in known])
         lines.append(
-            f"The path is {_rms(near):.3f} m from the positions of the navigation, that of the"
-            f" wheels alone {_rms(far):.3f} m (root mean squares)."
+            f"The path is {_rms(near):.3f} m (RMS) from the navigation positions; the path from the"
+            f" wheels alone is {_rms(far):.3f} m from them."
         )
     return "\n".join(lines)
 

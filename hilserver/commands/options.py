@@ -19,7 +19,7 @@ def add_config(parser: argparse.ArgumentParser) -> None:
         "--config",
         type=Path,
         metavar="FILE",
-        help="configuration; default: config.yaml in this folder, if there is one",
+        help="configuration; default: config.yaml in this folder, if it exists",
     )
 
 
@@ -29,7 +29,7 @@ def add_storage(parser: argparse.ArgumentParser) -> None:
         "--storage",
         choices=("mcap", "sqlite3"),
         default="mcap",
-        help="of a bag; a killed recorder loses less of mcap; default: mcap",
+        help="storage of a bag; mcap loses less if the recorder is killed; default: mcap",
     )
 
 
@@ -42,7 +42,7 @@ def add_patch(parser: argparse.ArgumentParser) -> None:
         help="extend the plant with a model_patch.yaml written by 'hilserver diagnose'",
     )
     parser.add_argument(
-        "--group", metavar="NAME", help="with --patch: its group, where it differs by floor or load"
+        "--group", metavar="NAME", help="group to use, if the patch differs by floor or load"
     )
 
 

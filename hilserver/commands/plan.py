@@ -37,30 +37,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--channels",
         type=_channels,
         metavar="NAMES",
-        help=f"what will be recorded besides set-points, of {','.join(GROUPS)} or names of"
-        " signals; default: what the log has, all for a scenario",
+        help=f"what will be recorded besides set-points, out of {','.join(GROUPS)} or signal names;"
+        f" default: what the log has; for a scenario, all",
     )
     parser.add_argument(
         "--rate",
         type=number(1.0, 1000.0, "rate (1 .. 1000 Hz)"),
         default=50.0,
         metavar="HZ",
-        help="rows per second; default 50",
+        help="rows per second; default: 50",
     )
     parser.add_argument(
         "--duration",
         type=number(SHORTEST_S, LONGEST_PLAN_S, "duration (2 .. 3600 s)"),
         metavar="S",
-        help="of the better manoeuvre; default: that of MANOEUVRE",
+        help="duration of the better manoeuvre; default: that of MANOEUVRE",
     )
     parser.add_argument(
         "--room",
         type=_room,
         default=ROOM_M,
         metavar="AxB",
-        help="sides of the free floor in m, the robot starting in the middle; default 5x5",
+        help="sides of the free floor in m; the robot starts in the middle; default: 5x5",
     )
-    parser.add_argument("--seed", type=SEED, default=0, help="of the noise; default 0")
+    parser.add_argument("--seed", type=SEED, default=0, help="seed of the noise; default: 0")
 
 
 def run(args: argparse.Namespace) -> int:

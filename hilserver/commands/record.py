@@ -51,21 +51,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--sparse",
         action="store_true",
-        help="leave out ticks in which no recorded signal changes; such a log cannot be replayed",
+        help="skip ticks in which no recorded signal changes; such a log cannot be replayed",
     )
     for name, kind, default, unit, text in _NUMBERS:
         parser.add_argument(name, type=kind, default=default, metavar=unit, help=text)
 
 
-_MEGABYTES = number(1, 1e9, "size of at least 1 MB; a state takes 0.1 MB")
+_MEGABYTES = number(1, 1e9, "size of at least 1 MB (one state takes 0.1 MB)")
 _FILES = number(1, 999_999, "whole number of at least 1", int)
 _NUMBERS = (
     ("--duration", POSITIVE, None, "S", "stop after this many seconds"),
     ("--rotate-mb", _MEGABYTES, None, "N", "start a new file OUT_0001 ... after N megabytes"),
     ("--rotate-s", POSITIVE, None, "S", "start a new file after S seconds"),
     ("--keep", _FILES, None, "N", "keep the newest N files of a rotation"),
-    ("--max-mb", POSITIVE, 50_000.0, "N", "end at this size, all files together; default: 50000"),
-    ("--keep-free-mb", float, 500.0, "N", "end before less is free on the disk; default: 500"),
+    ("--max-mb", POSITIVE, 50_000.0, "N", "stop at this total size in MB; default: 50000"),
+    ("--keep-free-mb", float, 500.0, "N", "stop when fewer MB are free on the disk; default: 500"),
     ("--buffer-mb", POSITIVE, 64.0, "N", "buffer for a slow disk in MB; default: 64"),
 )
 """Option, type, default, unit, help."""
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     if args.keep is not None and not rotates:
         raise FailedError("--keep counts the files of a rotation; give --rotate-mb as well")
     if args.format == "bag" and rotates:
-        raise FailedError("a bag is one folder; leave --rotate-mb out, or record to .mcap")
+        raise FailedError("a bag is one folder; leave out --rotate-mb, or record to .mcap")
     recorder = Recorder(
         _image(args),
         Settings(

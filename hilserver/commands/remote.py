@@ -34,7 +34,7 @@ def from_json(text: str) -> Any:
         return json.loads(text)
     except json.JSONDecodeError:
         if text[:1] in tuple('{["'):
-            raise FailedError(f"{text:.80}: is no JSON; put it in single quotes") from None
+            raise FailedError(f"{text:.80}: is not JSON; put it in single quotes") from None
         return text
 
 

@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--as-inputs",
         action="store_true",
-        help="take only the set-points of a recording, from a fresh start, as of a foreign log",
+        help="use only the set-points of a recording, from a fresh start, as with a foreign log",
     )
     parser.add_argument(
         "--check",
@@ -174,7 +174,7 @@ class _Replay:
 
     def _tell(self, comparison: Comparison) -> int:
         if comparison.difference is not None:
-            print(f"outputs differ, first {comparison.difference}")
+            print(f"the outputs differ, first {comparison.difference}")
             return EXIT_FAILED if self._args.check else EXIT_DONE
         if comparison.n_ticks:
             print(

@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--twin",
         action="store_true",
-        help="also start a 'real robot' that changes after a minute: the model has to notice",
+        help="also start a 'real robot' that changes after a minute, for the model to notice",
     )
     parser.add_argument(
         "--scenario",
@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--scenario-schema",
         type=Path,
         metavar="FILE",
-        help="write the JSON Schema of scenarios for editors and stop",
+        help="write the JSON Schema of scenarios for editors and exit",
     )
     parser.add_argument(
         "--record",

@@ -19,14 +19,14 @@ EXAMPLE = "hilserver scenarios make pulls_aside -o pulls_aside"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add ``list``, ``make`` and ``page``."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    listing = actions.add_parser("list", help="names, and what the thesis says")
+    listing = actions.add_parser("list", help="list the names, and what the thesis says")
     listing.set_defaults(action=_list)
     making = actions.add_parser(
         "make", help="write the logs of one", epilog="example: hilserver scenarios make radio -o r"
     )
     making.add_argument("name", metavar="NAME", help="as listed by 'hilserver scenarios list'")
     add_out(making, "DIR", "folder")
-    making.add_argument("--seed", type=int, default=0, help="seed of the random sizes; default 0")
+    making.add_argument("--seed", type=int, default=0, help="seed of the random sizes; default: 0")
     making.set_defaults(action=_make)
     page = actions.add_parser(
         "page",

@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--require",
         type=Path,
         metavar="FILE",
-        help="requirements that the drive has to meet, as in a sweep; exit code 1 if it does not",
+        help="requirements that the drive must meet, as in a sweep; exit code 1 if it does not",
     )
 
 
@@ -56,9 +56,9 @@ def run(args: argparse.Namespace) -> int:
     """Simulate; return 0, or 1 if a requirement is not met."""
     if args.scenario.suffix not in SCENARIOS:
         if args.duration is not None:
-            raise FailedError("--duration is that of a scenario; a log lasts as long as it is")
+            raise FailedError("--duration is for a scenario; a log has its own length")
         if args.require is not None:
-            raise FailedError("--require judges the drive of a scenario, not that of a log")
+            raise FailedError("--require needs a scenario; it does not judge logs")
         return replay.run(argparse.Namespace(**vars(args), **replay.AS_INPUTS, log=args.scenario))
     check_suffix(args.out)
     play = Play(load_scenario(args.scenario), args.scenario)

@@ -29,7 +29,7 @@ EXAMPLE = "hilserver sweep sweep.yaml -o result --workers 2"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
-    parser.add_argument("sweep", type=Path, nargs="?", metavar="SWEEP", help="the sweep (.yaml)")
+    parser.add_argument("sweep", type=Path, nargs="?", metavar="SWEEP", help="sweep file (.yaml)")
     parser.add_argument(
         "-o", "--out", type=Path, metavar="DIR", help="folder for results and report"
     )
@@ -42,17 +42,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="processes; default: all cores",
     )
-    where.add_argument("--dask", metavar="ADDRESS", help="a Dask cluster, as tcp://host:8786")
+    where.add_argument("--dask", metavar="ADDRESS", help="Dask cluster, as tcp://host:8786")
     what = parser.add_mutually_exclusive_group()
     what.add_argument(
-        "--only", type=int, metavar="INDEX", help="one machine again, with a full recording"
+        "--only", type=int, metavar="INDEX", help="run one machine again, with a full recording"
     )
-    what.add_argument("--dry-run", action="store_true", help="check, drive one machine, estimate")
-    what.add_argument("--resume", action="store_true", help="go on where a sweep was ended")
+    what.add_argument("--dry-run", action="store_true", help="check, run one machine, estimate")
+    what.add_argument("--resume", action="store_true", help="continue an interrupted sweep")
     what.add_argument(
-        "--compare", nargs=2, type=Path, metavar=("A", "B"), help="two finished sweeps, paired"
+        "--compare", nargs=2, type=Path, metavar=("A", "B"), help="compare two finished sweeps"
     )
-    parser.add_argument("--mixed", action="store_true", help="let computers differ in last bits")
+    parser.add_argument("--mixed", action="store_true", help="let the last bits differ")
     parser.add_argument("--junit", type=Path, metavar="FILE", help="also write a test report")
 
 
@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     if args.out is not None and args.out.exists() and not args.out.is_dir():
         raise FailedError(f"{args.out}: is a file; name a folder for the results")
     setup_logging("ERROR")
-    with Progress(lambda: "stopped before any machine was driven to its end"):
+    with Progress(lambda: "stopped before any machine had finished"):
         prepared = prepare(args.sweep, args.config)
         if args.only is not None:
             return _only(prepared, args.only, args.out)
@@ -95,7 +95,7 @@ def _only(prepared: Prepared, index: int, out: Path) -> int:
     if outcome.error:
         print(f"NOT MET: {outcome.error}")
     print(
-        f"recorded; once more: hilserver run -c {folder / 'config.yaml'}"
+        f"recorded; to run it again: hilserver run -c {folder / 'config.yaml'}"
         f" --scenario {folder / 'scenario.yaml'}"
     )
     return EXIT_DONE

@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
     add_connection(parser)
     parser.add_argument(
-        "--via", choices=["opcua"], default="opcua", help="way to the robot; default: opcua"
+        "--via", choices=["opcua"], default="opcua", help="connection to the robot; default: opcua"
     )
     parser.add_argument(
         "--speed",
@@ -215,7 +215,7 @@ class Driver:
         self._seen = seen
         if self._said != self._hold.words:
             self._said = self._hold.words
-            sys.stdout.write(f"\r\x1b[Khold ends with {self._said}\n")
+            sys.stdout.write(f"\r\x1b[Ka held key ends {self._said}\n")
         width = shutil.get_terminal_size().columns - 1
         sys.stdout.write(f"\r\x1b[K{self._line()[:width]}")
         sys.stdout.flush()

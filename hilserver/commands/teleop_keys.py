@@ -134,7 +134,8 @@ class Hold:
     def words(self) -> str:
         """How a hold ends, in words for the user."""
         if self.has_releases:
-            return "the release of its key (kitty keyboard protocol)"
+            return "when it is released (kitty keyboard protocol)"
         return (
-            f"{REPEAT_S * 1e3:g} ms without a key repeat, {FIRST_S * 1e3:g} ms after a first press"
+            f"after {REPEAT_S * 1e3:g} ms without a repeat, {FIRST_S * 1e3:g} ms after the first"
+            f" press"
         )

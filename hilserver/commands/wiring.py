@@ -38,7 +38,7 @@ FACTORS = {
     100.0: "0.01 rpm instead of rpm",
     0.01: "rpm divided by 100",
     89.0: "the motor's speed, before the gear",
-    1 / 89: "divided by the gear ratio once too often",
+    1 / 89: "divided by the gear ratio once too many",
 }
 """What a wrong factor of a speed usually means."""
 
@@ -61,16 +61,16 @@ class Finding:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add ``-c``, ``--peer``, ``--speed``, ``--timeout`` and ``--demo``."""
     add_config(parser)
-    parser.add_argument("--peer", metavar="NAME", help="which peer; not needed if there is one")
+    parser.add_argument("--peer", metavar="NAME", help="peer to check, if there are several")
     parser.add_argument(
         "--speed",
         type=float,
         default=20.0,
         metavar="RPM",
-        help="speed at which each wheel is to be turned (%(default)s rpm)",
+        help="speed at which each wheel should turn (%(default)s rpm)",
     )
     parser.add_argument(
-        "--timeout", type=float, default=60.0, metavar="S", help="wait this long for each wheel"
+        "--timeout", type=float, default=60.0, metavar="S", help="how long to wait for each wheel"
     )
     parser.add_argument(
         "--demo", action="store_true", help="use an embedded controller that turns the wheels"
@@ -99,7 +99,7 @@ async def _run(assembly: Assembly, args: argparse.Namespace) -> list[Finding]:
         raise ConfigError(f"which peer? name one with --peer: {', '.join(peers)}")
     name = args.peer or next(iter(peers))
     if name not in peers:
-        raise ConfigError(f"there is no peer '{name}'; peers are {', '.join(peers)}")
+        raise ConfigError(f"there is no peer '{name}'; the peers are {', '.join(peers)}")
     async with Daemon(assembly) as daemon:
         wiring = Wiring(daemon, name, args.speed, args.timeout, _say)
         return await wiring.check()
@@ -131,8 +131,8 @@ class Wiring:
         findings: list[Finding] = []
         for number, wheel in enumerate(WHEELS, 1):
             self._say(
-                f"{number} of {len(WHEELS)}: let the controller turn the {WHEEL_WORDS[wheel]} wheel"
-                f" alone, forward, at {self._speed_rpm:g} rpm"
+                f"{number} of {len(WHEELS)}: let the controller turn only the {WHEEL_WORDS[wheel]}"
+                f" wheel, forward, at {self._speed_rpm:g} rpm"
             )
             if number == 1 or findings[-1].arrived != "nothing":
                 await self._wait(self._standing(), self._timeout_s)
@@ -200,9 +200,7 @@ class Wiring:
         took_ms = (time.monotonic() - start_s) * 1e3
         self._daemon.faults.clear()
         if not found:
-            return Finding(
-                "stale", "never", wanted, "the inputs stay Good after the link is disconnected"
-            )
+            return Finding("stale", "never", wanted, "the inputs stay Good after the link is cut")
         # The last value came up to one publishing interval before the cut.
         early_ms = self._peer.config.publishing_ms + STALE_TOLERANCE_MS
         is_right = limit_ms - early_ms <= took_ms <= limit_ms + STALE_TOLERANCE_MS

@@ -19,7 +19,7 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     robot, eight = Robot(), Eight()
     parser = argparse.ArgumentParser(
         prog="python -m hilserver.controller",
-        description="Drives a figure of eight over OPC UA, in the place of the IOT2050.",
+        description="Drives a figure of eight over OPC UA, in place of the IOT2050.",
         epilog=f"example: python -m hilserver.controller --endpoint {ENDPOINT}",
     )
     parser.add_argument("--endpoint", default=ENDPOINT, help="address to serve (%(default)s)")

@@ -76,7 +76,7 @@ class Controller:
             self._s, wheels = command.s, command.wheels_rpm
         if self._driving != (pose is not None):
             self._driving = pose is not None
-            _log.info("controller drives" if self._driving else "no fresh pose: wheels stop")
+            _log.info("controller drives" if self._driving else "no fresh pose: wheels stopped")
         self.sequence = (self.sequence + 1) % 2**32
         values: dict[str, object] = {f"rpm_set_{w.upper()}": rpm for w, rpm in wheels.items()}
         await self.server.offer(

@@ -56,7 +56,7 @@ class UtcClock:
         if self.simulated or were_apart or not self._are_apart:
             return None
         return (
-            f"the system clock has stepped by {self.error_ns / 1e9:+.1f} s; time stamps follow by"
+            f"the system clock stepped by {self.error_ns / 1e9:+.1f} s; time stamps follow by"
             f" {self._slew_ppm / 1e3:g} ms a second, a restart takes it over at once"
         )
 

@@ -60,7 +60,7 @@ class Control:
         self.state, self.reason = state, reason
         self._image.control.state = state
         if state is State.SAFE:
-            way_out = "call Reset once this has ended" if self._causes else "call Reset to drive on"
+            way_out = "call Reset once this has cleared" if self._causes else "call Reset to resume"
             text = f"{reason}; {way_out}"
             self._events.publish(Event(EventKind.SAFE_STATE, 800, "daemon", text))
         else:
@@ -131,7 +131,7 @@ class Control:
         """Note that a condition has ended: Reset may acknowledge the safe state now."""
         ended = self._causes.pop(cause, None)
         if ended is not None and not self._causes and self.state is State.SAFE:
-            text = f"what led to the safe state has ended ({ended}): call Reset to drive on"
+            text = f"the cause of the safe state has cleared ({ended}): call Reset to resume"
             self._events.publish(Event(EventKind.STATE, 300, "daemon", text))
 
     def reset(self) -> None:
@@ -154,7 +154,7 @@ class Control:
 
     def _acknowledge(self) -> None:
         if self._causes:
-            raise ControlRefused(f"Reset has to wait: {'; '.join(self._causes.values())}")
+            raise ControlRefused(f"Reset is not possible yet: {'; '.join(self._causes.values())}")
         self.on_acknowledge()
         self._gate.end()
         self._image.control.first_fault = 0
@@ -208,7 +208,7 @@ class Control:
     def set_speed(self, factor: float) -> None:
         """Run at `factor` times real time (0.01 .. 100)."""
         if not 0.01 <= factor <= 100:
-            raise ValueError(f"the speed factor is 0.01 to 100, not {factor}")
+            raise ValueError(f"the speed factor must be 0.01 to 100, not {factor}")
         self._scheduler.set_speed(factor)
         self.speed = factor
         self._speed_changed(factor)

@@ -130,11 +130,11 @@ class HandOver:
         if (kind, holder) == (self.owner, self._holder):
             return
         if not self._image.push([self.leases.hand_over(kind)]):
-            raise ControlRefused("the queue of inputs is full: ask again")
+            raise ControlRefused("the input queue is full: try again")
         before, self.owner, self._holder, self._speaker = self.owner, kind, holder, ""
         if kind != before:
             self._before, self.may_fall_back = before, True
-            text = f"control goes from '{before}' to '{kind}'"
+            text = f"control passes from '{before}' to '{kind}'"
             self._events.publish(Event(EventKind.STATE, 300, kind, text))
 
     def request(self, requester: str, kind: str, holder: object = None) -> None:
@@ -150,7 +150,7 @@ class HandOver:
             happening = Happening.RELEASE
         following = next_driver(happening, self._standing(requester))
         if following is Next.REFUSED:
-            none = f": '{requester}' has none to give back"
+            none = f": '{requester}' has no control to give back"
             why = none if kind == NOBODY else f" and outranks '{requester}'"
             raise ControlRefused(f"'{self.owner}' has control{why}")
         if following is Next.FALLBACK:

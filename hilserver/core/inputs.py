@@ -238,9 +238,9 @@ class InputGate(HandOver):
         """Return the reason in words."""
         if reason is Refusal.NOT_IN_CONTROL:
             kind = kind_of(source)
-            return f"'{self.owner}' has control; writing '{kind}' to control.source takes it"
+            return f"'{self.owner}' has control; write '{kind}' to control.source to take it"
         if reason is Refusal.OUTDATED:
-            return "it came in before Reset, Pause or LoadSnapshot ended what was commanded"
+            return "it arrived before Reset, Pause or LoadSnapshot discarded the commands"
         if reason is Refusal.OUT_OF_RANGE:
             return f"outside {self._table[name].range_text}"
         if reason is Refusal.TYPE_MISMATCH:

@@ -59,7 +59,7 @@ INPUT_METRICS: Final[tuple[Metric[Inputs], ...]] = (
     ),
     Metric(
         "hil_rejected_values_total",
-        "Values refused before the process image, by source and reason.",
+        "Values refused before they reached the process image, by source and reason.",
         ("source", "reason"),
         lambda now: ((labels, counter(count)) for labels, count in sorted(now.rejected.items())),
     ),

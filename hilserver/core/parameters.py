@@ -36,7 +36,7 @@ from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 
 _TAKEN_WITHIN_S: Final = 2.0
-_FULL: Final = "the plant has not taken the last changes yet; ask again"
+_FULL: Final = "the plant has not applied the last changes yet; try again"
 _OF_THE_BODY: Final = ("plant.wheel_radius_m", "plant.wheelbase_m", "plant.track_m")
 _OF_THE_DRIVES: Final = (
     "plant.process.gain",
@@ -175,7 +175,7 @@ class LiveParameters:
             Ranges of a patch, see `kernel.fitted`.
         """
         if self._snapshots.is_restoring:
-            raise ControlRefused("a snapshot is being loaded; ask again")
+            raise ControlRefused("a snapshot is being loaded; try again")
         robot, composition = self.try_out(values)
         if fitted is not None:
             composition = replace(composition, fitted=fitted)
@@ -254,7 +254,7 @@ class LiveParameters:
             robot, composition = self.try_out(changed)
             composition = replace(composition, fitted=fitted)
         except PlantError as error:
-            text = f"the state that was loaded has parameters that do not fit: {error}"
+            text = f"the parameters of the loaded state are not valid: {error}"
             self._events.publish(Event(EventKind.STATE, 500, "parameters", text))
             return
         self._robot, self._composition, self.values = robot, composition, held

@@ -51,20 +51,20 @@ class Figures:
 RECALIBRATION_METRICS: Final[tuple[Metric[Figures], ...]] = (
     Metric(
         "hil_recalibration_looks_total",
-        "Windows that were diagnosed, by what was found.",
+        "Diagnosed windows, by result.",
         ("verdict",),
         lambda now: (((name,), counter(n)) for name, n in sorted(now.looks.items())),
     ),
     Metric(
         "hil_recalibration_decisions_total",
-        "Decisions on proposals: accepted, rejected, postponed, refused to who made them, or undone"
-        " because the patch could not act.",
+        "Decisions on proposals: accepted, rejected, postponed, refused to the user, or undone"
+        " because the patch could not be loaded.",
         ("outcome",),
         lambda now: (((name,), counter(n)) for name, n in sorted(now.decisions.items())),
     ),
     Metric(
         "hil_recalibration_failures_total",
-        "Windows that could not be judged, and lines of the history that could not be written.",
+        "Windows that could not be diagnosed, and history lines that could not be written.",
         (),
         lambda now: [((), counter(now.failures))],
     ),
@@ -76,19 +76,19 @@ RECALIBRATION_METRICS: Final[tuple[Metric[Figures], ...]] = (
     ),
     Metric(
         "hil_recalibration_gap_changed",
-        "1 while the gap has left its usual range and no look has followed, else 0.",
+        "1 while the gap is outside its usual range and no look has followed yet, else 0.",
         (),
         lambda now: [((), float(now.changed))],
     ),
     Metric(
         "hil_recalibration_looking",
-        "1 while a window is diagnosed, else 0.",
+        "1 while a window is being diagnosed, else 0.",
         (),
         lambda now: [((), float(now.is_looking))],
     ),
     Metric(
         "hil_recalibration_effect_ratio",
-        "Gap before by gap after the last proposal that was accepted; above 1: better.",
+        "Gap before the last accepted proposal divided by the gap after it; above 1: better.",
         ("quantity",),
         lambda now: by_name(now.effect),
     ),

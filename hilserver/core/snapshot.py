@@ -73,7 +73,7 @@ class SnapshotStore:
         ControlRefused while a snapshot is being saved or loaded: both use the shadow copy.
         """
         if self._lock.locked():
-            raise ControlRefused("Reset has to wait: a snapshot is being saved or loaded")
+            raise ControlRefused("Reset is not possible yet: a snapshot is being saved or loaded")
         self._image.shadow[:] = self.initial
         post_request(REQUEST_RESTART, 0, self._image.words)
 
@@ -134,7 +134,7 @@ class SnapshotStore:
         """
         layout = self._image.layout
         if (what := unfit(state, layout.regions, layout.n_slots)) is not None:
-            raise ControlRefused(f"the state is damaged ({what}); take another file")
+            raise ControlRefused(f"the state is damaged ({what}); use another file")
         async with self._lock:
             self.is_restoring = True
             try:
@@ -190,8 +190,8 @@ def read_snapshot(path: Path) -> tuple[NDArray[np.int64], dict[str, Any]]:
         with zipfile.ZipFile(path) as packed:  # members end where they declare to end
             if sum(part.file_size for part in packed.infolist()) > MOST_BYTES:
                 raise ControlRefused(
-                    f"snapshot '{path.stem}' unpacks to more than {MOST_BYTES >> 20} MB, which no"
-                    " state does; take another"
+                    f"snapshot '{path.stem}' unpacks to more than {MOST_BYTES >> 20} MB, more than"
+                    f" any state needs; use another"
                 )
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             state: NDArray[np.int64] = archive["state"]

@@ -70,7 +70,7 @@ class Staleness:
         since_ns = 0 if self._checked_ns is None else now_ns - self._checked_ns
         self._checked_ns = now_ns
         if reason and not self.stale and since_ns > self.limit_ns:
-            reason = f"the daemon's event loop stood still for {since_ns / 1e6:.0f} ms"
+            reason = f"the daemon's event loop was blocked for {since_ns / 1e6:.0f} ms"
         was_stale, self.stale = self.stale, bool(reason)
         if reason:
             self.reason = reason
@@ -85,7 +85,7 @@ class Staleness:
         if self._received_ns is None:
             return "never heard"
         if now_ns - self._received_ns > self.limit_ns:
-            return f"nothing new for more than {self.limit_ns / 1e6:g} ms"
+            return f"no new value for more than {self.limit_ns / 1e6:g} ms"
         if self.waiting:
             first = min(self._commanding.intersection(self._unusable_since_ns))
             return f"{first} has no usable value yet"

@@ -298,8 +298,8 @@ class _Builder:
                 if not is_command or table[signal].is_array:
                     raise self._fail(
                         ("blocks", index, "drives", name),
-                        f"'{signal}' is no scalar set-point, control.mode or drive.enable;"
-                        " a block commands those",
+                        f"'{signal}' is not a scalar set-point, control.mode or drive.enable; a"
+                        f" block can command only these",
                     )
         for index, peer in enumerate(self._config.peers):
             for problem in check_signals(peer, table):
@@ -308,7 +308,7 @@ class _Builder:
             if f"{MEASURED}{name}" not in table:
                 raise self._fail(
                     ("shadow", "limits", name),
-                    f"nothing measures '{name}'; see the measured.* of 'hilserver signals'",
+                    f"there is no measured value of '{name}'; 'hilserver signals' lists measured.*",
                 )
         for problem in check_peers(list(self._config.peers)):
             raise self._fail(("peers", *problem.location), problem.message)

@@ -317,6 +317,6 @@ async def _stop(part: Part) -> None:
     await asyncio.wait({task}, timeout=PART_STOP_S)
     if not task.done():
         task.cancel()  # without waiting: a library may swallow it
-        _log.warning("did not stop in time and was left", part=part.label)
+        _log.warning("did not stop in time and was abandoned", part=part.label)
     elif not task.cancelled() and (error := task.exception()) is not None:
         _log.error("failed to stop", part=part.label, error=f"{type(error).__name__}: {error}")

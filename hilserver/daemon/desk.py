@@ -62,7 +62,7 @@ class Scenarios:
 
     def _refuse_while_playing(self) -> None:
         if self.view() is not None:
-            raise ControlRefused("a scenario is playing: StopScenario ends it")
+            raise ControlRefused("a scenario is playing: call StopScenario first")
 
     def stop(self) -> None:
         """End the scenario and all faults, its own and others; set-points go to zero.
@@ -116,7 +116,7 @@ class Recordings:
         has_suffix = name.endswith(SUFFIXES + NOT_RECORDED)
         path = self._folder / (name if has_suffix else name + SUFFIXES[0])
         if self._task is not None and not self._task.done():
-            raise ControlRefused(f"{self._path.name} is being recorded: StopRecording ends it")
+            raise ControlRefused(f"{self._path.name} is being recorded: call StopRecording first")
         if path.suffix not in SUFFIXES:
             raise ControlRefused(f"'{name}' does not end in {' or '.join(SUFFIXES)}")
         if path.exists():

@@ -31,7 +31,7 @@ class Program(NamedTuple):
 LATENCY_METRICS: Final[tuple[Metric[Histogram125], ...]] = (
     Metric(
         "hil_end_to_end_seconds",
-        "Change of a set-point to the first published output that contains it.",
+        "Time from a set-point change to the first published output that contains it.",
         (),
         lambda end_to_end: [((), durations(end_to_end))],
         (500 * US, 5 * S),
@@ -49,13 +49,13 @@ ALARM_METRICS: Final = gauges(
 )
 
 OUTPUT_METRICS: Final = gauges(
-    "hil_output", "Newest pose, wheel speeds and gap of the body; the unit ends the name.", "signal"
+    "hil_output", "Newest pose, wheel speeds and gap of the body; names end in the unit.", "signal"
 )
 
 PROGRAM_METRICS: Final[tuple[Metric[Program], ...]] = (
     Metric(
         "hil_asyncio_tasks",
-        "Tasks of the event loop that have not ended; without a change in clients it stays flat.",
+        "Unfinished tasks of the event loop; constant while the number of clients is.",
         (),
         lambda now: [((), float(now.tasks))],
     ),

@@ -48,7 +48,7 @@ class Outputs:
         """
         frame, slots = self.frame, list(self._core.table[name].slots)
         if frame is None:
-            raise LookupError("no frame yet")
+            raise LookupError("no frame has been published yet")
         values, status = frame.values[slots].tolist(), int(frame.status[slots].max())
         return values if len(slots) > 1 else values[0], status, frame.planned_ns
 

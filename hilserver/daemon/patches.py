@@ -79,7 +79,7 @@ class Patches:
         if self._patch is None:
             raise ControlRefused("no patch is loaded")
         tick = await self._lay(None)
-        self._tell(200, f"the model patch is removed from tick {tick} on")
+        self._tell(200, f"the model patch no longer applies from tick {tick} on")
 
     async def _lay(self, patch: Patch | None) -> int:
         parameters = self._core.parameters
@@ -108,7 +108,7 @@ class Patches:
         patch, name = self._patch, self.loaded
         if patch is not None and not self._core.parameters.hold(self._checked(patch)):
             self._put(None)
-            self._tell(300, f"the model patch '{name}' is not in the state that was loaded")
+            self._tell(300, f"the model patch '{name}' is not part of the loaded state")
 
     def _checked(self, patch: Patch) -> dict[str, float]:
         table, values = self._core.parameters.table, {}
@@ -129,7 +129,7 @@ class Patches:
             values = {n: parameters.configured[n] for n in parameters.differing}
             tick = await parameters.taken(parameters.apply(values, fitted=fitted_limits()))
             self._put(None)
-        self._tell(200, f"all parameters are those of the configuration from tick {tick} on")
+        self._tell(200, f"all parameters have their configured values from tick {tick} on")
 
     async def save(self, name: str) -> None:
         """Write the parameters that differ from the configuration as a patch.

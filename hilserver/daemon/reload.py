@@ -83,7 +83,7 @@ class Reloader:
         patch = self._daemon.assembly.patch
         at, group = (None, None) if patch is None else (patch.path, patch.group)
         if path is None:
-            _log.warning("reload: the daemon runs without a configuration file; nothing to read")
+            _log.warning("reload: the daemon runs without a configuration file")
             return False
         async with self._lock:
             try:

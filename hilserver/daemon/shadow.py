@@ -60,7 +60,7 @@ class GapWatch:
             self._tell(
                 600,
                 channel,
-                f"model gap: {channel} is measured {gap:+.3g} {unit} off the simulation, limit"
+                f"model gap: {channel}: measured minus simulated is {gap:+.3g} {unit}, limit"
                 f" {limit:g} {unit}",
             )
 
@@ -68,7 +68,7 @@ class GapWatch:
         self._since_ns.pop(channel, None)
         if channel in self._alarms:
             self._alarms.remove(channel)
-            how = "is not measured any more" if gap is None else "is within its limit again"
+            how = "is no longer measured" if gap is None else "is within its limit again"
             self._tell(200, channel, f"model gap: {channel} {how}")
 
     def _tell(self, severity: int, channel: str, text: str) -> None:

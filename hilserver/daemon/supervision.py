@@ -17,7 +17,7 @@ from hilserver.scheduler.causes import Cause
 from hilserver.scheduler.overruns import STALLED
 
 NOTICES = {
-    "twist_reduced": "the twist has two parts: only the larger one is driven (exclusive_twist)",
+    "twist_reduced": "the twist has two parts: only the larger one takes effect (exclusive_twist)",
     "scaled": "the twist asks for more than max_rpm: all wheels are scaled down together",
 }
 """Flags in the plant's state for a command that is changed -> the notice."""
@@ -84,7 +84,7 @@ class Supervision:
         is_stalled = report.consequence == STALLED
         for name, (_, a) in self._models.items():
             if is_stalled and hangs_since(a):
-                return replace(report, part=f"FMU '{name}' has not come back")
+                return replace(report, part=f"FMU '{name}' has not returned")
             slow_ns = slow_call(a, report.tick)
             if 2 * slow_ns >= report.execution_ns > 0:
                 part = f"{slow_ns / 1e6:.3f} ms of it in FMU '{name}'"
@@ -108,7 +108,7 @@ class Supervision:
             stalled_ms = max(stalled_ms, lapse.waited_ms)
             why = f"no fresh command for {lapse.limit_ms:g} ms"
             if 2 * stalled_ms > lapse.limit_ms:
-                why = f"the daemon's event loop stood still for {stalled_ms:.0f} ms"
+                why = f"the daemon's event loop was blocked for {stalled_ms:.0f} ms"
             elif lapse.action == "ramp":
                 why = f"{self._drivers[lapse.source]} is silent"
             if lapse.action == "ramp":

@@ -145,7 +145,7 @@ class Faults:
     def expect_room(self) -> None:
         """ControlRefused while the plant has no room for the commands of `reset`."""
         if self._mailbox.room < _RESET_ROWS:
-            raise ControlRefused("the plant has not taken the last faults yet; ask again")
+            raise ControlRefused("the plant has not applied the last faults yet; try again")
 
     def skip_timed(self) -> None:
         """Drop all waiting timed inputs."""

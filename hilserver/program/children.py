@@ -58,7 +58,7 @@ async def end(process: asyncio.subprocess.Process, name: str, stop_limit_s: floa
                 async with asyncio.timeout(stop_limit_s):
                     await process.wait()
             except TimeoutError:
-                _log.error("did not end in time and was killed", process=name)
+                _log.error("did not stop in time and was killed", process=name)
         process.kill()
     await process.wait()
 
@@ -115,4 +115,4 @@ def piped(
         except subprocess.TimeoutExpired:
             process.kill()
             process.communicate()
-            print(f"hilserver: {name} did not end and was killed", file=sys.stderr)
+            print(f"hilserver: {name} did not stop and was killed", file=sys.stderr)

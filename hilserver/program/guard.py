@@ -86,16 +86,16 @@ class Guard:
             return
         self.is_asked = True
         if self._stop is None:
-            self._leave(EXIT_DONE, "has ended while it was starting")
+            self._leave(EXIT_DONE, "has stopped while it was starting")
         asked_s = time.monotonic()
         self._stop()
         while (passed_s := time.monotonic() - asked_s) < max(_limits_s):
             if not self._is_answered and passed_s > ANSWER_S:
                 self._if_blocked()
-                self._leave(EXIT_FAILED, "is blocked by its own event loop and ends by force")
+                self._leave(EXIT_FAILED, "is forced to exit: its event loop is blocked")
             if signal.sigtimedwait(self._signals, _LOOK_S) is not None:
-                self._leave(self.code, "ends at once: a second signal came")
-        self._leave(self.code, "ends by force what did not end in time")
+                self._leave(self.code, "exits at once: a second signal arrived")
+        self._leave(self.code, "is forced to exit: a part did not stop in time")
 
     def _leave(self, code: int, why: str) -> NoReturn:
         self._is_leaving = True

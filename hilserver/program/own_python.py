@@ -23,7 +23,7 @@ def load_callable(reference: str, folder: Path) -> Callable[..., Any]:
     except ConfigError:
         raise
     except (Exception, SystemExit) as error:
-        raise ConfigError(f"{reference!r}: its import failed: {described(error)}") from error
+        raise ConfigError(f"{reference!r}: the import failed: {described(error)}") from error
     found = getattr(module, name, None)
     if not callable(found):
         what = "there is no" if found is None else "not a function or class:"

@@ -65,7 +65,7 @@ def in_processes(
                 yield waiting[future], future.result()
         except BrokenProcessPool:
             raise FailedError(
-                "a worker process was killed, perhaps for lack of memory; try fewer --jobs"
+                "a worker process was killed, perhaps because memory ran out; try fewer --jobs"
             ) from None
         except BaseException:
             for worker in set(multiprocessing.active_children()) - others:

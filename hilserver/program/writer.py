@@ -19,7 +19,7 @@ _RETRY_S = 0.05
 
 
 def _plain(lost: int) -> str:
-    return f"hilserver: {lost} lines were lost, as nobody took them"
+    return f"hilserver: {lost} lines were lost because nothing read them"
 
 
 class Writer:

@@ -31,7 +31,7 @@ _FAULTS: Final = {
     ),
     SLICE + BODY: Fault(
         "mechatronic",
-        "the mechatronic model has left its valid range and stands still until SetPose or Reset",
+        "the mechatronic model has left its valid range and is halted until SetPose or Reset",
     ),
     SILENCE: Fault("silence", "the source in control is silent"),
     COMMUNICATION: Fault("communication", "the communication side did not answer in time"),

@@ -65,7 +65,8 @@ class ThreadPacing:
                     self._thread.join()
         except TimeoutError:
             raise FailedError(
-                f"the pacing thread did not end within {_END_WITHIN_S:g} s: a slice never ends"
+                f"the pacing thread did not stop within {_END_WITHIN_S:g} s: a slice does not"
+                f" return"
             ) from None
         atexit.unregister(self._end_thread)
         self._loop.remove_reader(self._doorbell)

@@ -94,7 +94,7 @@ class OverrunPolicy:
     def __post_init__(self) -> None:
         if self.name not in POLICY_NAMES:
             raise ValueError(
-                f"overrun policy {self.name!r} is unknown; one of {', '.join(POLICY_NAMES)}"
+                f"overrun policy {self.name!r} is unknown; use one of {', '.join(POLICY_NAMES)}"
             )
         if self.catch_up_limit_ticks < 0:
             raise ValueError("catch_up_limit_ticks must not be negative")

@@ -31,7 +31,7 @@ class RealtimeSettings:
 
     def __post_init__(self) -> None:
         if not 0 <= self.priority <= 99:
-            raise ValueError(f"the real-time priority is 0 (off) to 99, not {self.priority}")
+            raise ValueError(f"the real-time priority must be 0 (off) to 99, not {self.priority}")
 
 
 @dataclass(frozen=True, slots=True)

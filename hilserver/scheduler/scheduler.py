@@ -93,7 +93,7 @@ class Scheduler:
         linear_bins: int = 0,
     ) -> None:
         if backend not in BACKENDS:
-            raise ValueError(f"pacing {backend!r} is unknown; one of {', '.join(BACKENDS)}")
+            raise ValueError(f"pacing {backend!r} is unknown; use one of {', '.join(BACKENDS)}")
         self.backend, self.base_period_ns = backend, base_period_ns
         self.grants: list[Grant] = []
         self.gc_pauses = GcPauses()
@@ -177,7 +177,7 @@ class Scheduler:
     async def start(self) -> None:
         """Start to run."""
         if self._started:
-            raise RuntimeError("a scheduler starts once; make a new one")
+            raise RuntimeError("a scheduler can start only once; make a new one")
         self._started = True
         self.finished: asyncio.Future[StopReason] = asyncio.get_running_loop().create_future()
         self.gc_pauses.start(freeze=self._freeze_gc)

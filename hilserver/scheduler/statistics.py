@@ -195,7 +195,7 @@ class Statistics:
             if rows.read_row(self.array, offset, out):
                 return out
             time.sleep(_READ_PAUSE_S)  # the writer was preempted, or its core stolen, in the middle
-        raise RuntimeError("the statistics stay half written: their writer was stopped or has died")
+        raise RuntimeError("the statistics are half written: their writer was stopped or has died")
 
 
 def map_statistics(path: Path, n_words: int | None = None) -> NDArray[np.int64]:

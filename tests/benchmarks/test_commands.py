@@ -43,7 +43,7 @@ def test_an_installed_package_says_where_they_are(tmp_path, monkeypatch, capsys)
     for words in (("attack",), ("diagnose", "--seeds", "3", "-h")):
         assert commands.main(["bench", *words]) == 1
         assert capsys.readouterr().err.splitlines() == [
-            f"hilserver: 'bench {words[0]}' measures beside other programs and is not installed"
+            f"hilserver: 'bench {words[0]}' compares with other programs and is not installed"
             f" with hilserver; run 'python -m benchmarks {words[0]}' in a checkout of its source"
         ]
     with pytest.raises(SystemExit):

@@ -56,6 +56,6 @@ def test_wheels_are_not_the_peers_when_others_drive(tmp_path):
     ],
 )
 def test_sources_appear_only_where_they_exist(tmp_path, text, sources):
-    assert f"control: 'opcua' has control at start; sources, highest first: {sources}" in said(
+    assert f"control: 'opcua' has control at the start; sources, highest first: {sources}" in said(
         tmp_path, text
     )

@@ -174,7 +174,7 @@ def test_signals_end_a_start_cleanly(tmp_path, number, after_s):
         assert process.wait(120) == 0, told
     events = [json.loads(line)["event"] for line in told.splitlines()]
     assert all(event.startswith("hilserver ") for event in events)
-    ended = "hilserver has ended while it was starting, exit code 0"
+    ended = "hilserver has stopped while it was starting, exit code 0"
     assert not events or events[-1] == ended, "without a line: it came before the first"
 
 
@@ -193,7 +193,7 @@ def test_a_signal_while_the_step_is_compiled_ends_it_at_once(monkeypatch):
 
 @pytest.mark.parametrize(
     ("command", "said"),
-    [("diagnose", "hilserver: stopped while it was starting: nothing was done\n"), ("run", "")],
+    [("diagnose", "hilserver: stopped while starting; nothing was done\n"), ("run", "")],
 )
 def test_a_signal_while_a_command_is_imported_is_a_sentence(monkeypatch, capsys, command, said):
     """Importing compiles, which takes a minute: the end was exit code 0 without a word."""
@@ -227,8 +227,8 @@ def test_an_interrupt_within_python_run_from_c_is_no_end_by_signal(tmp_path):
     [
         (("check", "--schema", "absent/schema.json"), "absent/schema.json: no such file"),
         (("latency-test", "--duration", "0.1", "--json", "."), ".: is a directory; name a file"),
-        (("check", "--schema", "/dev/full"), "/dev/full: no space is left for it; free some"),
-        (("signals", "-o", "/dev/full"), "/dev/full: no space is left for it; free some"),
+        (("check", "--schema", "/dev/full"), "/dev/full: no space left; free some"),
+        (("signals", "-o", "/dev/full"), "/dev/full: no space left; free some"),
         (("model", "--format", "urdf", "-o", "/dev/full"), "/dev/full: no space is left"),
         (("run", "--scenario-schema", "/dev/full"), "/dev/full: no space is left"),
     ],
@@ -332,12 +332,12 @@ def test_two_daemons_with_one_image_name(tmp_path):
     [
         (["run", "my.yaml"], "write '-c my.yaml'"),
         (["check", "my.yaml"], "write '-c my.yaml'"),
-        (["convert", "a.csv", "-o", "b.mcap"], "convert takes no '-o'"),
+        (["convert", "a.csv", "-o", "b.mcap"], "convert does not take '-o'"),
         (["signals", "my.yaml", "--quick"], "write '-c my.yaml'"),
         (["run", "-c", "a.yaml", "my.yaml"], "unrecognized arguments: my.yaml"),
         (["diagnose", "a.csv", "-o", "out", "b.csv"], "unrecognized arguments: b.csv"),
         (["diagnose", "a.csv", "-o", "out", "c.yaml"], "write '-c c.yaml'"),
-        (["call", "Stop", "--quick"], "call takes no '--quick'"),
+        (["call", "Stop", "--quick"], "call does not take '--quick'"),
     ],
 )
 def test_a_word_too_many_is_named_with_the_usage_of_its_command(here, words, hint):
@@ -362,7 +362,7 @@ def test_a_full_disk_leaves_the_file_of_before(here, tmp_path, monkeypatch, word
     (tmp_path / "out").write_bytes(b"good")
     code, _, said = here(*words, "out")
     assert code == 1
-    assert said == "hilserver: cannot write out: no space is left for it; free some\n"
+    assert said == "hilserver: cannot write out: no space left; free some\n"
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("out", b"good")]
 
 

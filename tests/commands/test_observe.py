@@ -70,8 +70,8 @@ def test_the_path_is_near_the_truth_and_the_smoothed_one_nearer(
         assert "<svg" in out.with_suffix(".svg").read_text()
     assert size[1] < size[0]
     text = capsys.readouterr().out
-    assert "samples of the navigation taken in, 0 left out" in text
-    assert "that of the wheels alone" in text
+    assert "navigation samples were used and 0 rejected" in text
+    assert "the path from the wheels alone" in text
 
 
 def test_stamps_that_a_diagnosis_has_found_late_are_put_right(tmp_path):

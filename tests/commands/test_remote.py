@@ -34,7 +34,7 @@ def test_the_shell_reaches_everything(robot, capsys):
         (["call", "SetPose", "1"], "SetPose takes 3 arguments: x, y, yaw"),
         (["set", "wheel.fl.setpoint=1"], "there is no signal 'wheel.fl.setpoint'; did you mean"),
         (["set", "wheel.fl.setpoint_rpm"], "write SIGNAL=VALUE"),
-        (["inject", "{'fault'}"], "is no JSON; put it in single quotes"),
+        (["inject", "{'fault'}"], "is not JSON; put it in single quotes"),
         (["inject", '{"fault": "bais"}'], "bais"),
     ],
 )

@@ -81,8 +81,8 @@ def test_what_cannot_be_is_one_sentence(capsys, arguments, code, says):
 @pytest.mark.parametrize(
     ("moment", "says"),
     [
-        ("prepare", "stopped before any machine was driven to its end"),
-        ("rig_for", "stopped before any machine was driven to its end"),
+        ("prepare", "stopped before any machine had finished"),
+        ("rig_for", "stopped before any machine had finished"),
         ("LocalWorkers", "stopped after 0 of 20 machines; go on with --resume"),
         ("write_report", "stopped after 0 of 20 machines; go on with --resume"),
     ],

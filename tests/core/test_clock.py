@@ -31,8 +31,8 @@ def test_a_step_is_said_once_and_a_small_one_not_at_all():
         clock.pass_s(0.1)
         said += [text for _ in range(3) if (text := utc.slew()) is not None]
     assert [text.split(";")[0] for text in said] == [
-        "the system clock has stepped by +3600.0 s",
-        "the system clock has stepped by -5.0 s",
+        "the system clock stepped by +3600.0 s",
+        "the system clock stepped by -5.0 s",
     ]
     assert "a restart takes it over at once" in said[0]
 

@@ -137,14 +137,14 @@ def test_safe_state_disables_the_drive_after_the_ramp_and_waits_for_reset(world)
         world.latch()
     assert world.value("drive.enable") == 0.0
     assert world.events.recent[-1].kind is EventKind.SAFE_STATE
-    assert world.events.recent[-1].message.endswith("call Reset once this has ended")
+    assert world.events.recent[-1].message.endswith("call Reset once this has cleared")
     with pytest.raises(ControlRefused, match="peer 'a' is silent"):
         control.reset()
     for forbidden in (control.start, control.pause):
         with pytest.raises(ControlRefused, match="safe"):
             forbidden()
     control.clear_cause("peer:a")
-    assert world.events.recent[-1].message.endswith("call Reset to drive on")
+    assert world.events.recent[-1].message.endswith("call Reset to resume")
     control.reset()
     world.latch()
     assert control.state is State.RUNNING
@@ -157,7 +157,7 @@ async def test_a_reset_does_not_get_into_a_snapshot_being_saved(world):
     world.image.frame_values[20] = 7.0
     saving = asyncio.create_task(world.control.save_snapshot("now"))
     await asyncio.sleep(0.01)
-    with pytest.raises(ControlRefused, match="has to wait"):
+    with pytest.raises(ControlRefused, match="is not possible yet"):
         world.control.reset()
     world.latch()
     await saving

@@ -52,7 +52,7 @@ def test_a_source_without_control_is_reported_once_per_change(world):
         gate.write("opcua", {"wheel.fl.setpoint_rpm": rpm, "wheel.fr.setpoint_rpm": -rpm})
     assert len(events.recent) == 1
     assert "'peer' has control" in events.recent[-1].message
-    assert "writing 'opcua' to control.source takes it" in events.recent[-1].message
+    assert "write 'opcua' to control.source to take it" in events.recent[-1].message
     assert gate.rejected["opcua", "not_in_control"] == 10
     gate.take("page")
     gate.write("opcua", {"wheel.fl.setpoint_rpm": 1.0})

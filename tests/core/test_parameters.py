@@ -184,7 +184,7 @@ async def test_all_values_of_a_write_act_in_one_tick_and_reset_goes_back(core):
 async def test_more_than_the_plant_takes_is_refused(core):
     for step in range(MOST_WAITING):
         core.parameters.apply({"plant.controller.k_p": 10.0 + step})
-    with pytest.raises(ControlRefused, match="has not taken the last changes"):
+    with pytest.raises(ControlRefused, match="has not applied the last changes"):
         core.parameters.apply({"plant.controller.k_p": 9.0})
     await core.scheduler.advance(1)
     assert core.parameters.values["plant.controller.k_p"] == 10.0 + MOST_WAITING - 1

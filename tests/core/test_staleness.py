@@ -77,7 +77,7 @@ def test_a_loop_that_stood_still_is_named_instead_of_the_peer():
     watch.renew(0)
     watch.check(0)
     assert watch.check(LIMIT + 1) is Transition.LOST
-    assert watch.reason.startswith("the daemon's event loop stood still for")
+    assert watch.reason.startswith("the daemon's event loop was blocked for")
 
 
 @given(st.lists(st.tuples(st.integers(1, 2 * LIMIT), st.booleans()), max_size=60))

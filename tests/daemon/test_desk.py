@@ -38,7 +38,7 @@ async def test_of_scenarios_started_at_once_one_plays(run):
     answers = await asyncio.gather(*map(scenarios.start, names), return_exceptions=True)
     (refused,) = (answer for answer in answers if answer is not None)
     assert isinstance(refused, ControlRefused)
-    assert "StopScenario ends it" in str(refused)
+    assert "call StopScenario first" in str(refused)
     await core.scheduler.advance(100)
     values = core.image.latest().values
     driven = {n for n, (signal, _) in DRIVES.items() if values[core.table.slot(signal)]}
@@ -80,7 +80,7 @@ async def test_a_reset_that_the_plant_has_no_room_for_changes_nothing(tmp_path, 
         with contextlib.suppress(ValueError):
             for _ in range(1000):
                 faults.force("pose.y_m", 1.0)
-        with pytest.raises(ControlRefused, match="has not taken the last faults yet; ask again"):
+        with pytest.raises(ControlRefused, match="has not applied the last faults yet; try again"):
             control.reset()
         assert (control.state, hil.daemon.gate.owner) == (before, owner)
         await hil.step()

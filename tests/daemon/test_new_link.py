@@ -130,7 +130,7 @@ async def test_a_link_of_its_own_drives_is_shown_and_lapses():
         await wait_until(lambda: daemon.control.state is State.SAFE and link.status.stale)
         assert daemon.control.reason == "the UDP sender is silent"
         lost = [e.message for e in daemon.events.recent if e.kind is EventKind.PEER_LOST]
-        assert lost == [f"UDP: nothing new for more than {LIMIT_MS:g} ms; on_stale is ramp"]
+        assert lost == [f"UDP: no new value for more than {LIMIT_MS:g} ms; on_stale is ramp"]
 
 
 async def test_a_port_in_use_is_one_sentence_with_a_remedy():
@@ -168,5 +168,5 @@ def test_the_check_of_a_configuration_names_it():
     assembly = assemble_config(UdpConfiguration(udp=UdpConfig(enabled=True)))
     lines = describe(assembly)
     assert "link udp: on, stale after 2000 ms: ramp" in lines
-    assert any(line.startswith("control: 'peer' has control at start") for line in lines)
+    assert any(line.startswith("control: 'peer' has control at the start") for line in lines)
     assert not any(line.startswith("warning") for line in lines)

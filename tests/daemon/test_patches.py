@@ -83,7 +83,7 @@ async def test_it_acts_from_its_tick_on_and_leaves_nothing_behind(run):
     told = [event.message for event in run.core.events.recent]
     assert told == [
         "model patch 'turn.yaml' is loaded from tick 500 on",
-        "the model patch is removed from tick 1000 on",
+        "the model patch no longer applies from tick 1000 on",
     ]
 
 
@@ -166,7 +166,7 @@ async def test_a_snapshot_brings_its_patch_and_a_reset_keeps_the_one_at_work(run
     assert np.array_equal(p, plain)
     assert run.core.parameters.differing == {}
     assert run.patches.loaded is None
-    assert "'turn.yaml' is not in the state" in run.core.events.recent[-1].message
+    assert "'turn.yaml' is not part of the loaded state" in run.core.events.recent[-1].message
     await run.patches.load("turn.yaml")
     await store.save("after")
     await run.turn_rate()

@@ -45,7 +45,7 @@ def test_a_gap_that_lasts_is_told_once_and_its_end_too():
     assert world.run(0.2, 3.0) == []
     assert world.run(0.4, 4.0) == []
     (told,) = world.run(-0.4, 8.0)
-    assert told == "model gap: pose.x_m is measured -0.4 m off the simulation, limit 0.3 m"
+    assert told == "model gap: pose.x_m: measured minus simulated is -0.4 m, limit 0.3 m"
     assert world.watch.alarms == {"pose.x_m": True}
     assert "within its limit again" in world.run(0.1, 9.0)[-1]
     assert world.watch.alarms == {"pose.x_m": False}
@@ -62,7 +62,7 @@ def test_a_short_gap_is_no_alarm():
 def test_what_falls_silent_is_no_alarm_any_more():
     world = World()
     world.run(1.0, 2.0)
-    assert "not measured any more" in world.run(None, 3.0)[-1]
+    assert "no longer measured" in world.run(None, 3.0)[-1]
     assert not world.watch.alarms["pose.x_m"]
 
 
@@ -109,5 +109,5 @@ def test_the_tags_place_scale_and_frame_are_taken_off(x, y, yaw, turned, scale):
 
 def test_a_limit_for_what_nothing_measures_is_refused():
     config = Config.model_validate({"shadow": {"limits": {"pose.z_m": 1.0}}})
-    with pytest.raises(ConfigError, match=r"shadow\.limits\.pose\.z_m: nothing measures"):
+    with pytest.raises(ConfigError, match=r"shadow\.limits\.pose\.z_m: there is no measured value"):
         assemble_config(config)

@@ -237,7 +237,7 @@ def test_what_no_sensor_measured_is_marked_in_the_imu(tmp_path):
         (["in.csv", "in.csv"], "exists already", 1),
         (["folder", "x.csv"], "without a bag", 2),
         (["in.csv", "x.csv", "--mapping", "nothing"], "built in are", 2),
-        (["empty.mcap", "x.csv"], "holds no rows: there is nothing to convert", 2),
+        (["empty.mcap", "x.csv"], "has no rows; there is nothing to convert", 2),
     ],
 )
 def test_what_cannot_be_converted_is_a_sentence(tmp_path, monkeypatch, capsys, words, said, code):
@@ -261,7 +261,7 @@ def test_a_disk_that_fills_up_leaves_no_half(tmp_path, monkeypatch, capsys, out)
 
     monkeypatch.setattr(writing, "rewrite", half)
     assert commands.main(["convert", "in.mcap", out]) == 1
-    assert capsys.readouterr().err.endswith("no space is left for it; free some\n")
+    assert capsys.readouterr().err.endswith("no space left; free some\n")
     assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
 
 

@@ -21,7 +21,7 @@ async def test_a_gap_is_an_alarm_until_the_pose_is_aligned():
     async with running(configuration(shadow=shadow)) as (daemon, client), inbox(client) as box:
         assert await call(client, "AlignPose") == "BadInvalidState"
         await measure(client)
-        await wait_until(lambda: box.has("model_gap", "pose.x_m is measured +2 m off"))
+        await wait_until(lambda: box.has("model_gap", "pose.x_m: measured minus simulated is +2 m"))
         assert daemon.gaps.alarms == {"pose.x_m": True, "pose.yaw_rad": True}
         await asyncio.sleep(1.1)  # the page is made once a second
         page = await scrape(daemon)

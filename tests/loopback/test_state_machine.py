@@ -233,7 +233,7 @@ async def test_control_is_taken_by_priority_and_refusals_say_so(at_rest):
         assert await client.write_doubles(wheel__fl__setpoint_rpm=5.0) == ["BadUserAccessDenied"]
         await wait_until(lambda: box.has("setpoint_refused", "'peer' has control"))
         assert await take(client, "opcua") == "Good"
-        await wait_until(lambda: box.has("state", "control goes from 'peer' to 'opcua'"))
+        await wait_until(lambda: box.has("state", "control passes from 'peer' to 'opcua'"))
     assert await take(client, "somebody") == "BadOutOfRange"
     assert await client.write_doubles(wheel__fl__setpoint_rpm=5.0) == ["Good"]
     daemon.gate.take("page")

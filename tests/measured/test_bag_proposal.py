@@ -82,7 +82,7 @@ def test_the_proposal_for_the_example_is_the_mapping_that_was_written_for_it(
     make_bag.main(Path("drive"))
     assert main(["diagnose", "drive", "-o", "out"]) == 2
     (sentence,) = capsys.readouterr().err.splitlines()
-    assert sentence.endswith("out/mapping.yaml is a guess to check and complete")
+    assert sentence.endswith("out/mapping.yaml is a first guess: check and complete it")
     wanted = load_mapping(EXAMPLE / "mapping.yaml").channels
     channels = load_mapping(Path("out/mapping.yaml")).channels
     assert channels.keys() - wanted.keys() == {

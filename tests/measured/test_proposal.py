@@ -74,7 +74,7 @@ def test_diagnose_lists_the_columns_and_writes_the_proposal(tmp_path, monkeypatc
     assert main(["diagnose", "log.csv", "-o", "out"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "none of the columns 'time_ms', 'left_rad_s'," in line
-    assert "--mapping; out/mapping.yaml is a guess to check and complete" in line
+    assert "--mapping; out/mapping.yaml is a first guess: check and complete it" in line
     assert load_mapping(tmp_path / "out" / "mapping.yaml").channels
 
 

@@ -263,7 +263,7 @@ async def test_port_in_use_is_one_sentence_with_its_mend(endpoint: Endpoint) -> 
 async def test_foreign_address_is_one_sentence() -> None:
     server = Endpoint().server
     server.host = "192.0.2.1"
-    with pytest.raises(FailedError, match=r"^metrics: .* name an address of this computer"):
+    with pytest.raises(FailedError, match=r"^metrics: .* use an address of this computer"):
         await server.start()
 
 

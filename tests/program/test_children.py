@@ -45,7 +45,7 @@ def test_a_child_with_pipes_ends_with_its_context(program, signal, capfd):
     with piped(python("-c", program), name="the child", stop_limit_s=0.5) as process:
         assert process.stdout.readline() == "ready\n"
     assert process.returncode == signal
-    assert ("the child did not end and was killed" in capfd.readouterr().err) == (signal == -9)
+    assert ("the child did not stop and was killed" in capfd.readouterr().err) == (signal == -9)
 
 
 def test_the_error_of_the_parent_ends_the_child_too():

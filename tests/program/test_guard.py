@@ -60,7 +60,7 @@ def ended(tmp_path, program, *pauses_s):
 
 def test_what_is_starting_ends_at_once_with_its_children(tmp_path):
     code, took_s, said, is_left = ended(tmp_path, STARTING)
-    assert (code, said, is_left) == (0, ["has ended while it was starting, exit code 0"], False)
+    assert (code, said, is_left) == (0, ["has stopped while it was starting, exit code 0"], False)
     assert took_s < 2.0
 
 
@@ -70,9 +70,9 @@ def test_what_does_not_end_is_ended_within_three_seconds(tmp_path, program):
     blocked = [
         "asked",
         "at rest",
-        "is blocked by its own event loop and ends by force, exit code 1",
+        "is forced to exit: its event loop is blocked, exit code 1",
     ]
-    slow = ["ends by force what did not end in time, exit code 0"]
+    slow = ["is forced to exit: a part did not stop in time, exit code 0"]
     assert (said, code) == ((blocked, 1) if program is BLOCKED else (slow, 0))
     assert not is_left
     assert took_s < 3.0
@@ -80,7 +80,7 @@ def test_what_does_not_end_is_ended_within_three_seconds(tmp_path, program):
 
 def test_a_second_signal_ends_at_once(tmp_path):
     code, took_s, said, is_left = ended(tmp_path, BLOCKED, 0.3)
-    assert said == ["asked", "ends at once: a second signal came, exit code 0"]
+    assert said == ["asked", "exits at once: a second signal arrived, exit code 0"]
     assert (code, is_left) == (0, False)
     assert took_s < 1.4
 

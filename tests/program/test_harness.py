@@ -20,7 +20,7 @@ from hilserver.program.ending import hang_ups_wait, on_end
         (ConfigError("first\nsecond"), 78, "hilserver: first\nhilserver: second\n"),
         (PermissionError(13, "Permission denied", "/x"), 1, "hilserver: /x: permission denied\n"),
         (TimeoutError(), 1, "hilserver: no answer in time\n"),
-        (MemoryError(), 1, "hilserver: there is not enough memory for this; take smaller files\n"),
+        (MemoryError(), 1, "hilserver: there is not enough memory for this; use smaller files\n"),
     ],
 )
 def test_an_error_is_a_sentence_and_an_exit_code(error, code, sentence, capsys, monkeypatch):

@@ -241,7 +241,7 @@ async def test_a_plant_that_takes_nothing_leaves_the_proposal_open(tmp_path, ans
 
 
 def refused(*args, **kwargs):
-    raise ControlRefused("a snapshot is being loaded; ask again")
+    raise ControlRefused("a snapshot is being loaded; try again")
 
 
 async def test_who_leaves_before_it_acts_has_accepted(tmp_path, answers, monkeypatch):

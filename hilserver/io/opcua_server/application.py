@@ -8,7 +8,7 @@ BadTypeMismatch         another data type, wrong length (no widening: an Int64 i
 BadOutOfRange           outside EURange, NaN, infinity
 BadUserAccessDenied     another source has control; the diagnostic text and an event name it
 BadResourceUnavailable  the queue of the plant is full
-BadInvalidState         it came in before Reset, Pause or LoadSnapshot ended what was commanded
+BadInvalidState         it arrived before Reset, Pause or LoadSnapshot discarded the commands
 BadInvalidArgument      of a method: also a value out of range
 BadInvalidState         a method that is not possible now; the diagnostic text has the reason
 BadNotImplemented       Force, Unforce, InjectFault, ClearFaults on a server without faults

@@ -118,7 +118,7 @@ def test_without_space_it_ends_with_one_sentence_and_a_readable_file(daemon, tmp
     code, text = finish(process)
     assert code == 1
     assert len(text.splitlines()) == 1
-    assert text.startswith(f"hilserver: {path}: recording ended: no space is left for it; free")
+    assert text.startswith(f"hilserver: {path}: recording ended: no space left; free")
     log = read_log(path)
     assert_gapless(log)
     assert not log.notices
