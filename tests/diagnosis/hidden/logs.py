@@ -8,7 +8,9 @@ from hilserver_injector import Recipe, make, nothing, single
 from benchmarks.diagnose_worker import measured
 from hilserver.daemon.assembly import Assembly, assemble
 from hilserver.diagnosis.engine import diagnose
+from hilserver.diagnosis.regression.stages import Prepared, prepare, stages_of
 from hilserver.diagnosis.schema.evidence import Diagnosis
+from hilserver.plant.parameters import RobotParameters
 
 
 @cache
@@ -33,3 +35,10 @@ def judged(made: Recipe, *, jobs: int = 1, seed: int = 0) -> Diagnosis:
 def diagnosis(cause: str, seed: int, duration_s: float) -> Diagnosis:
     """Return the diagnosis of a log with one cause at its reference size, or none."""
     return judged(recipe(cause, seed, duration_s))
+
+
+def prepared(made: Recipe, robot: RobotParameters) -> dict[str, Prepared]:
+    """Make a log and return its stages, ready to be judged: hundreds of megabytes if it is long."""
+    stages = stages_of(measured(make(made)[0], made), robot)
+    found = {name: prepare(stage, 1, lambda *_: None)[0] for name, stage in stages.items()}
+    return {name: p for name, p in found.items() if p is not None}

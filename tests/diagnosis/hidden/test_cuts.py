@@ -4,39 +4,31 @@ The faults are the injector's, at their reference sizes.
 """
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
-from hilserver_injector import make, nothing
+from hilserver_injector import nothing
 
-from benchmarks.diagnose_worker import measured
 from hilserver.diagnosis.decide.structure import remaining
 from hilserver.diagnosis.decide.unknown import families_of
 from hilserver.diagnosis.regression.fitting import fit
-from hilserver.diagnosis.regression.stages import prepare, stages_of
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.report.course import courses
 from hilserver.diagnosis.report.cuts import cuts, remarks
 from hilserver.diagnosis.report.dependence import dependences
 from hilserver.diagnosis.report.words import where
-from tests.diagnosis.hidden import test_white as white
-from tests.diagnosis.hidden.logs import assembly
+from tests.diagnosis.hidden.logs import assembly, prepared
 
 BENCH, DRIVE = ("bench", 500.0, 15.0), ("drive", 50.0, 90.0)
 
 
-@cache
-def prepared(kind, rate_hz, duration_s, *causes, channels=None, **how):
+def stages_of(kind, rate_hz, duration_s, *causes, channels=None, **how):
     made = nothing(kind, 3)
     recorder = replace(made.taken, rate_hz=rate_hz)
     if channels is not None:
         recorder = replace(recorder, channels=channels)
-    how["drift_from"] = dict(how["drift_from"]) if "drift_from" in how else None
     made = replace(made, duration_s=duration_s, recorder=recorder, causes=dict(causes), **how)
-    log = measured(make(made)[0], made)
-    stages = stages_of(log, assembly().robot)
-    return {name: prepare(stage, 1, lambda *_: None)[0] for name, stage in stages.items()}
+    return prepared(made, assembly().robot)
 
 
 def ratios(rows, cut, *parts):
@@ -48,32 +40,22 @@ def ratios(rows, cut, *parts):
     return np.array(found)
 
 
-@pytest.mark.parametrize("log", white.LOGS, ids=str)
-def test_on_a_null_log_all_residuals_are_the_sensors_noise(log):
-    rows = cuts(white.prepared(*log).values())
-    assert len(rows) == (12 + 4 + 4 if log[0] == "drive" else 8 + 4)
-    for row in rows:
-        slow = row.channel.startswith("nav.")  # few independent samples, and noise that is fitted
-        assert row.rms / row.expected == pytest.approx(1.0, abs=0.2 if slow else 0.06), row
-    assert where(rows) == ""
-
-
 @pytest.mark.parametrize(("cause", "size"), [("process_gain", 0.05), ("time_constant", 0.2)])
 def test_a_fault_of_the_process_shows_from_the_measured_duty(cause, size):
-    rows = cuts(prepared(*BENCH, (cause, size)).values())
+    rows = cuts(stages_of(*BENCH, (cause, size)).values())
     assert ratios(rows, "duty", "speed").min() > 5.0
     assert ratios(rows, "setpoints", "duty").min() > 5.0
     assert where(rows) == "The error arises in the motors, the gears or their load."
 
 
 def test_a_fault_of_the_process_is_none_of_the_kinematics():
-    rows = cuts(prepared(*DRIVE, ("process_gain", 0.05)).values())
+    rows = cuts(stages_of(*DRIVE, ("process_gain", 0.05)).values())
     assert ratios(rows, "duty", "speed").min() > 5.0
     assert ratios(rows, "speed", "nav", "gyro") == pytest.approx(1.0, abs=0.2)
 
 
 def test_a_fault_of_the_kinematics_shows_from_the_measured_speed_alone():
-    rows = cuts(prepared(*DRIVE, ("rotation_gain", 0.05)).values())
+    rows = cuts(stages_of(*DRIVE, ("rotation_gain", 0.05)).values())
     for cut in ("setpoints", "speed"):
         assert ratios(rows, cut, "yaw", "gyro").min() > 3.0
     assert ratios(rows, "duty", "speed") == pytest.approx(1.0, abs=0.06)
@@ -94,7 +76,7 @@ def test_a_fault_of_the_kinematics_shows_from_the_measured_speed_alone():
 )
 def test_a_fault_before_the_motors_shows_from_the_setpoints_alone(log):
     """Even where the duty between its samples is not known."""
-    stages = prepared(*log)
+    stages = stages_of(*log)
     rows = cuts(stages.values())
     assert ratios(rows, "setpoints", "duty").min() > 5.0
     assert ratios(rows, "duty", "speed") == pytest.approx(1.0, abs=0.12)
@@ -104,9 +86,9 @@ def test_a_fault_before_the_motors_shows_from_the_setpoints_alone(log):
 
 def test_without_a_duty_or_a_speed_there_is_no_such_cut():
     channels = ("setpoint", "speed", "gyro", "nav")
-    stages = prepared("drive", 50.0, 40.0, channels=channels)
+    stages = stages_of("drive", 50.0, 40.0, channels=channels)
     assert {r.cut for r in cuts(stages.values())} == {"setpoints", "speed"}
-    stages = prepared("drive", 50.0, 40.0, channels=("setpoint", "duty", "gyro"))
+    stages = stages_of("drive", 50.0, 40.0, channels=("setpoint", "duty", "gyro"))
     rows = cuts(stages.values())
     assert {r.cut for r in rows} == {"setpoints"}
     assert {r.channel for r in rows} >= {"imu.gyro_z_rad_s", "wheel.fl.duty_pct"}
@@ -121,7 +103,7 @@ def test_without_a_duty_or_a_speed_there_is_no_such_cut():
     ],
 )
 def test_a_course_follows_a_parameter_that_drifts(log, stage, cause, course):
-    one = prepared(*log, (cause, course[1]), drift_from=((cause, course[0]),))[stage]
+    one = stages_of(*log, (cause, course[1]), drift_from={cause: course[0]})[stage]
     candidate = next(c for c in one.library.candidates if c.cause == cause)
     point = fit(one.problem, Model().plus(candidate, candidate.beginning), one.base)
     assert courses(one.problem, point, set()) == []
@@ -143,7 +125,7 @@ def unknown(stage):
 
 def test_what_swings_is_folded_over_its_period():
     periodic = (("periodic.turn", 0.05), ("periodic.period", 8.0), ("periodic.phase", 0.3))
-    one = prepared(*DRIVE, *periodic)["pose"]
+    one = stages_of(*DRIVE, *periodic)["pose"]
     found = dependences(one.problem, one.base, unknown(one))
     (d,) = (d for d in found if d.regressor.startswith("t_s mod"))
     assert d.channel == "imu.gyro_z_rad_s"
@@ -156,7 +138,7 @@ def test_what_swings_is_folded_over_its_period():
 
 def test_what_goes_astray_is_told_as_a_speed():
     drag = (("cable_drag.speed", 0.2), ("cable_drag.phase", 0.3))
-    one = prepared("drive", 50.0, 240.0, *drag)["pose"]
+    one = stages_of("drive", 50.0, 240.0, *drag)["pose"]
     found = dependences(one.problem, one.base, unknown(one))
     d = found[0]
     assert (d.channel, d.unit, d.regressor) == ("velocity.linear_m_s", "m/s", "nav.yaw_rad")
@@ -166,14 +148,10 @@ def test_what_goes_astray_is_told_as_a_speed():
 
 def test_of_the_drive_the_disturbed_wheel_is_drawn():
     talk = (("cross_talk.share", 0.12), ("cross_talk.from", 0.0), ("cross_talk.to", 3.0))
-    one = prepared("bench", 100.0, 60.0, *talk)["drive"]
+    one = stages_of("bench", 100.0, 60.0, *talk)["drive"]
+    assert dependences(one.problem, one.base, []) == []
     d = dependences(one.problem, one.base, unknown(one))[0]
     assert d.channel == "wheel.rr.duty_pct"
     assert d.regressor.startswith("wheel.fl.")
     slope = np.polyfit(d.x, d.mean, 1)[0]
     assert slope == pytest.approx(-0.12 / assembly().robot.process.gain, rel=0.2)
-
-
-def test_where_nothing_is_unknown_nothing_is_drawn():
-    one = prepared(*BENCH, ("process_gain", 0.05))["drive"]
-    assert dependences(one.problem, one.base, []) == []

@@ -1,33 +1,39 @@
 """A log of a sound machine leaves nothing but what its sensors add, at any rate of the log."""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
-from hilserver_injector import Noise, make, nothing
+from hilserver_injector import Noise, nothing
 from scipy import stats
 
-from benchmarks.diagnose_worker import measured
-from hilserver.diagnosis.regression.stages import prepare, stages_of
-from tests.diagnosis.hidden.logs import assembly
+from hilserver.diagnosis.report.cuts import cuts
+from hilserver.diagnosis.report.words import where
+from tests.diagnosis.hidden.logs import assembly, prepared
 
 LAGS = (1, 2, 3, 5, 10, 20)
 LOGS = [("drive", 20.0, 300.0), ("drive", 50.0, 150.0), ("bench", 50.0, 150.0),
         ("bench", 500.0, 15.0), ("drive", 500.0, 60.0)]  # fmt: skip
-DRIVEN = ("speed_rpm", "duty_pct")
 
 
-@cache
-def prepared(kind, rate_hz, duration_s, t1=1.0):
+def stages_of(kind, rate_hz, duration_s, t1=1.0):
     made = nothing(kind, 11)
     recorder = replace(made.taken, rate_hz=rate_hz)
     made = replace(made, duration_s=duration_s, recorder=recorder)
-    log = measured(make(made)[0], made)
     robot = assembly().robot
     robot = replace(robot, process=replace(robot.process, t1_s=t1 * robot.process.t1_s))
-    stages = stages_of(log, robot)
-    return {name: prepare(stage, 1, lambda *_: None)[0] for name, stage in stages.items()}
+    return prepared(made, robot)
+
+
+@pytest.fixture(scope="module", params=LOGS, ids=str)
+def log(request):
+    """One log after the other, for all tests: all at once would take more than a gigabyte."""
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def stages(log):
+    return stages_of(*log)
 
 
 def correlations(problem, left, channel):
@@ -38,27 +44,28 @@ def correlations(problem, left, channel):
     return rho, sum(map(len, runs)) * float(rho @ rho)
 
 
-def test_the_noise_is_the_injectors():
+def test_the_noise_is_the_injectors(log, stages):
     """What the sensors add is known: the fitted noise is that, and no error of the replay."""
     noise = Noise()
-    drive = prepared(*LOGS[0])
-    fitted = {**drive["drive"].problem.noise, **drive["pose"].problem.noise}
-    bench = prepared(*LOGS[3])["drive"].problem.noise
     wanted = {"speed_rpm": noise.speed_rpm, "duty_pct": noise.duty_pct, "gyro_z": noise.gyro_rad_s}
-    for name, model in (*fitted.items(), *bench.items()):
+    fitted = {name: m for stage in stages.values() for name, m in stage.problem.noise.items()}
+    for name, model in fitted.items():
         for part, sd in wanted.items():
             if part in name:
                 assert model.sd == pytest.approx(sd, rel=0.04), name
+    if log[0] == "bench":
+        return
+    fewer = np.sqrt(300.0 / log[2])  # independent positions
     for name in ("nav.x_m", "nav.y_m"):
-        assert fitted[name].ou_sd == pytest.approx(noise.position_m, rel=0.15)
-        assert fitted[name].ou_tau_s == pytest.approx(noise.position_correlation_s, rel=0.3)
+        assert fitted[name].ou_sd == pytest.approx(noise.position_m, rel=0.15 * fewer)
+        tau_s = noise.position_correlation_s
+        assert fitted[name].ou_tau_s == pytest.approx(tau_s, rel=0.3 * fewer)
     assert fitted["nav.yaw_rad"].sd == pytest.approx(noise.yaw_rad, rel=0.2)
 
 
-@pytest.mark.parametrize("log", LOGS, ids=str)
-def test_whitened_residuals_have_unit_size_and_no_memory(log):
+def test_whitened_residuals_have_unit_size_and_no_memory(log, stages):
     judged = 0
-    for stage in prepared(*log).values():
+    for stage in stages.values():
         problem, left = stage.problem, stage.base.left
         squares = {}
         for channel in problem.stack.channels:
@@ -77,8 +84,17 @@ def test_whitened_residuals_have_unit_size_and_no_memory(log):
     assert judged == (12 if log[0] == "drive" else 8)
 
 
+def test_from_every_cut_point_all_residuals_are_the_sensors_noise(log, stages):
+    rows = cuts(stages.values())
+    assert len(rows) == (12 + 4 + 4 if log[0] == "drive" else 8 + 4)
+    for row in rows:
+        slow = row.channel.startswith("nav.")  # few independent samples, and noise that is fitted
+        assert row.rms / row.expected == pytest.approx(1.0, abs=0.2 if slow else 0.06), row
+    assert where(rows) == ""
+
+
 def test_a_plant_that_is_a_little_wrong_does_not():
-    stage = prepared("bench", 500.0, 15.0, t1=1.02)["drive"]
+    stage = stages_of("bench", 500.0, 15.0, t1=1.02)["drive"]
     worst = max(
         correlations(stage.problem, stage.base.left, channel)[1]
         for channel in stage.problem.stack.channels
