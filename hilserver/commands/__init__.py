@@ -13,7 +13,7 @@ from types import ModuleType
 from hilserver import __version__
 from hilserver.errors import FailedError, meant
 from hilserver.program import harness
-from hilserver.program.ending import end_was_asked
+from hilserver.program.ending import say_stopped
 
 COMMANDS = {
     "run": "run the daemon",
@@ -43,8 +43,9 @@ COMMANDS = {
     "bench": "measure the figures that the README quotes",
 }
 
-LONG = ("diagnose", "plan", "sweep")
-"""Commands with nothing to show before their end; the others report an early end themselves."""
+STARTING = "stopped while starting; nothing was done"
+STOPPED = "stopped before it was finished; nothing half-written is left"
+"""What a signal leaves of any command but `run`, whose own words have the form of its log."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -54,8 +55,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(words: Sequence[str]) -> int:
-    args = _parse(words)
-    code: int = args.run(args)
+    left = STARTING
+    try:
+        args = _parse(words)
+        left = STOPPED
+        code: int = args.run(args)
+    except (Exception, SystemExit):
+        if words[:1] != ["run"]:
+            say_stopped(left)
+        raise
     return code
 
 
@@ -103,9 +111,5 @@ def _module(command: str) -> ModuleType:
         reason = (error.strerror or "refused").lower()
         raise FailedError(
             f"{error.filename}: {reason}; compiled code is cached there: set HILSERVER_CACHE_DIR to"
-            f" a writable folder"
+            " a writable folder"
         ) from None
-    except (Exception, SystemExit):
-        if end_was_asked() and command in LONG:
-            print("hilserver: stopped while starting; nothing was done", file=sys.stderr)
-        raise

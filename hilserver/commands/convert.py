@@ -46,9 +46,11 @@ def run(args: argparse.Namespace) -> int:
         raise LogError(f"{args.log}: has no rows; there is nothing to convert")
     try:
         _write(log, args.out, args.storage if is_bag else None)
-    except OSError as error:
+    except BaseException as error:  # a signal, too, leaves no half of a file
         forget(args.out)
-        raise FailedError(f"{args.out}: cannot be written: {reason(error)}") from None
+        if isinstance(error, OSError):
+            raise FailedError(f"{args.out}: cannot be written: {reason(error)}") from None
+        raise
     print(f"{len(log)} rows of {len(log.columns)} signals in {args.out}")
     return EXIT_DONE
 

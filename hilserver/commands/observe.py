@@ -15,7 +15,7 @@ from hilserver.commands.observing import STATE, Observed, path_picture, sentence
 from hilserver.commands.options import add_config, add_mapping, add_out, add_patch, warn
 from hilserver.commands.patching import assembled
 from hilserver.config.observer import constants_of, load_found
-from hilserver.errors import EXIT_DONE, ConfigError, FailedError, reason
+from hilserver.errors import EXIT_DONE, ConfigError, FailedError
 from hilserver.logs import Log
 from hilserver.logs.writing import check_suffix, write_log
 from hilserver.measured.frames import Sampling
@@ -25,6 +25,7 @@ from hilserver.observer.offline import run as run_filter
 from hilserver.observer.smoother import smooth
 from hilserver.plant.errors import PlantError
 from hilserver.plant.packing import pack
+from hilserver.program.whole_file import writing
 from hilserver.signals import Ranges, robot_table
 
 EXAMPLE = "hilserver observe run.csv -c config.yaml --findings diagnosis/findings.json -o where.csv"
@@ -87,8 +88,7 @@ def _write(out: Path, spans: list[Observed], picture: str) -> None:
         block=None,
         columns=dict(zip(names, shown.T, strict=True)),
     )
-    try:
-        write_log(log, out)
-        out.with_suffix(".svg").write_text(picture, encoding="utf-8")
-    except OSError as error:
-        raise FailedError(f"{out}: cannot be written: {reason(error)}") from None
+    drawing = out.with_suffix(".svg")
+    with writing(out) as table, writing(drawing) as drawn:
+        write_log(log, table)
+        drawn.write_text(picture, encoding="utf-8")

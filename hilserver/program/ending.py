@@ -10,6 +10,7 @@ from hilserver.errors import EXIT_DONE
 
 ENDING = (signal.SIGINT, signal.SIGTERM)
 _caught: list[int] = []
+_said: list[str] = []
 _hang_ups: list[int] = []
 
 
@@ -22,6 +23,7 @@ def ended_by_signals() -> Iterator[None]:
     orderly way replaces the handlers: `on_end`, or `event_loop.end_event`.
     """
     _caught.clear()
+    _said.clear()
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -44,6 +46,13 @@ def _end(number: int, _frame: object) -> None:
 def end_was_asked() -> bool:
     """Return True when a signal has come, even one whose exception the compiler swallowed."""
     return bool(_caught)
+
+
+def say_stopped(sentence: str) -> None:
+    """Say what is left, if a signal has come and nobody has said it: its exit code is 0."""
+    if end_was_asked() and not _said:
+        _said.append(sentence)
+        print(f"hilserver: {sentence}", file=sys.stderr, flush=True)
 
 
 def on_end(stop: Callable[[], object]) -> None:

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from typing import Self, TextIO
 
-from hilserver.program.ending import end_was_asked
+from hilserver.program.ending import say_stopped
 from hilserver.program.writer import Footer
 
 PROGRESS_AFTER_S = 2.0
@@ -53,9 +53,8 @@ class Progress:
 
     def __exit__(self, error: object, *_: object) -> None:
         self.end()
-        # Not SystemExit alone: an interrupted compiler may raise something else.
-        if error is not None and end_was_asked():
-            self.say(f"hilserver: {self._stopped()}", sys.stderr)
+        if error is not None:  # not SystemExit alone: a compiler may raise something else
+            say_stopped(self._stopped())
 
     def end(self) -> None:
         """Wipe the bar."""

@@ -19,15 +19,16 @@ _STAYS = {errno.EACCES, errno.EPERM, errno.EROFS, errno.EBUSY}
 def whole(path: Path) -> Iterator[Path]:
     """Give the path to write to; the file gets its name at the end, and is discarded on an error.
 
-    A device or a pipe is written to directly, and a link stays one. Owner and mode are kept. Only a
-    file that cannot be replaced is written in place.
+    A device or a pipe is written to directly, and a link stays one. Owner and mode are kept; what
+    replaces a file is readable by nobody else until then. Only a file that cannot be replaced is
+    written in place.
     """
     if str(path.absolute()).startswith(_OPEN_FILES) or (path.exists() and not path.is_file()):
         yield path
         return
     path = path.resolve()
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
-    if path.exists() and not _begun(partial):
+    partial = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    if not _begun(partial, 0o600 if path.exists() else 0o666):
         yield path
         return
     try:
@@ -38,10 +39,10 @@ def whole(path: Path) -> Iterator[Path]:
             partial.unlink(missing_ok=True)
 
 
-def _begun(partial: Path) -> bool:
-    """Make the file, readable by nobody else yet; return False if the folder does not allow it."""
+def _begun(partial: Path, mode: int) -> bool:
+    """Make the file; return False if the folder does not allow it."""
     try:
-        partial.touch(0o600)
+        partial.touch(mode)
     except OSError as error:
         if error.errno in _STAYS:
             return False
