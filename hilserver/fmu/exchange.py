@@ -2,11 +2,12 @@
 
 Requests are numbered. The plant takes the last answer and posts the next request in the same run:
 outputs are one slice old, and it never waits, even when it catches up itself and leaves the child
-no time; such slices are counted separately. Until an answer arrives the outputs hold, and the
-slices that pass are owed: the next request covers all of them. The number of late slices is the
-block's last output and an input of a replay, in which the same slices are late. The child stores
-its state after every request, in two places alternately: the state before the current request is
-complete when a snapshot is taken.
+no time; such slices are counted separately. Nor does a standstill of the whole computer count as
+silence: a run adds the time since the run before, a slice at most. Until an answer arrives the
+outputs hold, and the slices that pass are owed: the next request covers all of them. The number of
+late slices is the block's last output and an input of a replay, in which the same slices are late.
+The child stores its state after every request, in two places alternately: the state before the
+current request is complete when a snapshot is taken.
 """
 
 from typing import Any
@@ -55,7 +56,7 @@ def _post(steps: int, pending: int, loads: bool, u: Any, p: Any, a: Any, s: Any)
     if loads:
         s[at.S_LOAD] = number
     store_release(s, at.S_ASKED, number)
-    a[at.A_ASKED] = monotonic_ns(a[at.A_TIMESPEC :])
+    a[at.A_SILENT] = 0
     ring_doorbell(a[at.A_BELL], a[at.A_ONE :])
 
 
@@ -80,15 +81,17 @@ def run_beside(tick: int, dt_s: float, u: Any, y: Any, x: Any, p: Any, a: Any) -
         return 0
     s, n = _shared(a), y.shape[0] - 1
     was_late = abs(y[n]) > x[at.X_LATE]  # late in the run that is replayed
+    slice_ns, now_ns = int(dt_s * 1e9), monotonic_ns(a[at.A_TIMESPEC :])
+    had_ns, a[at.A_RAN] = now_ns - a[at.A_RAN], now_ns
     if a[at.A_WAITS] != 0 and not was_late:
         _wait(a, s)
     if was_late or a[at.A_DEAD] != 0 or load_acquire(s, at.S_DONE) != s[at.S_ASKED]:
         x[at.X_OWED] += 1.0
         x[at.X_LATE] += 1.0
         a[at.A_LATE] += 1
-        had_ns = monotonic_ns(a[at.A_TIMESPEC :]) - a[at.A_ASKED]
-        a[at.A_HURRIED] += 1 if had_ns < WHOLE_SLICE * dt_s * 1e9 else 0
-        ends = a[at.A_DEAD] != 0 or x[at.X_OWED] >= a[at.A_LIMIT]
+        a[at.A_HURRIED] += 1 if had_ns < WHOLE_SLICE * slice_ns else 0
+        a[at.A_SILENT] += min(had_ns, slice_ns)
+        ends = a[at.A_DEAD] != 0 or a[at.A_SILENT] >= a[at.A_LIMIT]
         if was_late:
             ends = y[n] < 0.0
         y[n] = -x[at.X_LATE] if ends else x[at.X_LATE]

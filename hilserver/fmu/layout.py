@@ -42,16 +42,17 @@ from numpy.typing import NDArray
     A_BELL,  # file descriptor that wakes the child
     A_ONE,
     A_WAITS,  # 1: in virtual time the step waits for the child
-    A_LIMIT,  # this many slices without an answer are too many
+    A_LIMIT,  # it is given up after this long without an answer [ns]
+    A_SILENT,  # how long it has not answered, though it had the time to [ns]
     A_DEAD,  # 1: the child has ended
     A_LATE,  # slices in which the child had not answered
-    A_ASKED,  # CLOCK_MONOTONIC of the last request [ns]
+    A_RAN,  # CLOCK_MONOTONIC of the last run of the slice [ns]
     A_HURRIED,  # late slices that came before a slice of time had passed
     A_SCRATCH,  # index of scratch space for numbers other than float64
     A_KNOWN,  # index of the parameters as last set
     A_STEPS,  # steps done, for an FMU whose state cannot be restored
-) = range(39)
-N_HEAD: Final = 39
+) = range(40)
+N_HEAD: Final = 40
 
 SLOW_CALLS: Final = 256
 """Pairs of tick and duration [ns] after the head; a new slow call overwrites the oldest."""

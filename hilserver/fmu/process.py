@@ -26,7 +26,7 @@ from hilserver.program import children
 
 CHILD_START_S: Final = 60.0
 SILENCE_S, LEAST_SLICES = 0.1, 10
-"""Without an answer for this long, and this many slices, it counts as dead."""
+"""Without an answer for this long, and for the time of so many slices, it counts as dead."""
 _NO_ANSWER: Final = "does not answer any more and was ended"
 _STOP_S: Final = 0.2
 
@@ -96,9 +96,9 @@ class Child:
         running, dead = self._process.poll() is None, bool(a[at.A_DEAD])
         if dead or (running and not gives_up):
             return None
-        how = _NO_ANSWER if running else _how(self._process)
         a[at.A_DEAD] = 1
         self._end()
+        how = _how(self._process, was_killed=running)
         if self._stores and self._ready is None:
             self._process = self._launch(is_first=False)
         return how
@@ -163,7 +163,7 @@ class Child:
         a = np.zeros(at.ROWS, dtype=np.int64)
         a[at.A_SHARED], a[at.A_SHARED_LENGTH] = self._words.ctypes.data, started.n_words
         a[at.A_BELL], a[at.A_ONE], a[at.A_WAITS] = self._bell, 1, setting.waits
-        a[at.A_LIMIT] = slices_of_silence(setting.period_s)
+        a[at.A_LIMIT] = round(1e9 * longest_silence_s(setting.period_s))
         a[at.A_CAPACITY] = started.capacity
         return a
 
@@ -176,12 +176,14 @@ class Child:
                 process.wait(_STOP_S)
 
 
-def slices_of_silence(period_s: float) -> int:
-    """Return the slices without an answer after which an FMU counts as dead."""
-    return max(LEAST_SLICES, round(SILENCE_S / period_s))
+def longest_silence_s(period_s: float) -> float:
+    """Return the time without an answer [s] after which an FMU counts as dead."""
+    return max(SILENCE_S, LEAST_SLICES * period_s)
 
 
-def _how(process: "subprocess.Popen[bytes]") -> str:
+def _how(process: "subprocess.Popen[bytes]", *, was_killed: bool = False) -> str:
+    """Return how it ended; one that was dying when we killed it has its own reason."""
     code = process.returncode
     # SIGXCPU: the kernel ended it before we did, see `worker`.
-    return _NO_ANSWER if code == -signal.SIGXCPU else children.how_ended(code)
+    is_silence = code == -signal.SIGXCPU or (was_killed and code in (None, -signal.SIGKILL))
+    return _NO_ANSWER if is_silence else children.how_ended(code)

@@ -15,7 +15,7 @@ import numpy as np
 import hilserver.fmu.layout as at
 from hilserver.fmu.exchange import answer
 from hilserver.fmu.library import Instance
-from hilserver.fmu.process import Order, Started, slices_of_silence
+from hilserver.fmu.process import Order, Started, longest_silence_s
 from hilserver.kernel.composition import Setting
 from hilserver.plant.blocks import BlockError
 from hilserver.program.workers import end_with_parent
@@ -70,7 +70,7 @@ def _be_prompt(setting: Setting) -> None:
     if others:
         os.sched_setaffinity(0, others)
     if setting.priority > 0:
-        limit_us = round(1e6 * setting.period_s * slices_of_silence(setting.period_s))
+        limit_us = round(1e6 * longest_silence_s(setting.period_s))
         policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
         with contextlib.suppress(OSError, ValueError):
             resource.setrlimit(resource.RLIMIT_RTTIME, (limit_us, 2 * limit_us))

@@ -155,11 +155,41 @@ async def test_restored_at_its_start_it_shows_its_first_outputs(robot):
 
 @pytest.mark.parametrize(("ago_s", "hurried"), [(0, 1), (100, 0)])
 def test_who_is_late_is_told_from_a_plant_that_left_no_time(ago_s, hurried):
-    """A slice of a minute: it was asked just now, or long ago."""
-    s, a = np.zeros(at.N_SHARED + 1, dtype=np.int64), np.zeros(at.ROWS, dtype=np.int64)
-    s[at.S_ASKED] = 1  # and not done
-    a[at.A_SHARED], a[at.A_SHARED_LENGTH], a[at.A_LIMIT] = s.ctypes.data, s.size, 10
-    a[at.A_ASKED] = time.monotonic_ns() - ago_s * 10**9
-    nothing, y, x = np.zeros(0), np.zeros(1), np.zeros(at.X_STATE)
-    assert run_beside(1, 60.0, nothing, y, x, nothing, a) == 0
+    """A slice of a minute: the one before was just now, or long ago."""
+    silent = Silent(60.0)
+    assert silent.run(1, ago_s) == 0
+    a, x = silent.a, silent.x
     assert (a[at.A_LATE], a[at.A_HURRIED], x[at.X_OWED]) == (1, hurried, 1.0)
+
+
+class Silent:
+    """An FMU beside the plant that does not answer; it is given up after ten slices."""
+
+    def __init__(self, dt_s):
+        self.s, self.x = np.zeros(at.N_SHARED + 1, dtype=np.int64), np.zeros(at.X_STATE)
+        self.a, self.y = np.zeros(at.ROWS, dtype=np.int64), np.zeros(1)
+        self.s[at.S_ASKED] = 1  # and not done
+        self.a[at.A_SHARED], self.a[at.A_SHARED_LENGTH] = self.s.ctypes.data, self.s.size
+        self.dt_s, self.a[at.A_LIMIT] = dt_s, round(10e9 * dt_s)
+
+    def run(self, tick, ago_s):
+        """Run a slice `ago_s` after the one before; return the fault."""
+        self.a[at.A_RAN] = time.monotonic_ns() - ago_s * 10**9
+        nothing = np.zeros(0)
+        return run_beside(tick, self.dt_s, nothing, self.y, self.x, nothing, self.a)
+
+
+def test_a_silent_one_is_given_up_once_it_has_had_the_time():
+    silent = Silent(1.0)
+    assert [silent.run(tick, 1) for tick in range(10)] == [0] * 9 + [at.SILENT]
+
+
+def test_slices_that_follow_each_other_at_once_are_no_silence():
+    """The plant catches up a minute."""
+    silent = Silent(1.0)
+    assert not any(silent.run(tick, 0) for tick in range(60))
+
+
+def test_a_standstill_of_the_whole_computer_is_no_silence():
+    silent = Silent(1.0)
+    assert not any(silent.run(tick, 3600) for tick in range(9))

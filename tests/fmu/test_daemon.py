@@ -23,6 +23,13 @@ def daemon_with(fmu, realtime=LIGHT, **more):
     return Daemon(assemble_config(configuration(blocks=[block], scheduler=scheduler, **QUIET)))
 
 
+@pytest.fixture
+def patient(monkeypatch):
+    """On a computer that others use as well, an FMU can be silent for long and yet be alive."""
+    monkeypatch.setattr("hilserver.fmu.process.SILENCE_S", 60.0)
+
+
+@pytest.mark.usefixtures("patient")
 @pytest.mark.parametrize(
     ("mischief", "words"),
     [
@@ -46,6 +53,7 @@ async def test_beside_the_daemon_nothing_that_it_does_stops_the_plant(fmus, misc
             await begins_anew(daemon)
 
 
+@pytest.mark.usefixtures("patient")
 async def test_beside_the_plant_it_comes_right_behind_the_plants_thread(fmus):
     """As an ordinary process it would wait for its turn behind whatever else computes."""
     realtime = LIGHT | {"priority": 20}
