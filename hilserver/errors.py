@@ -1,4 +1,4 @@
-"""Errors that a user can fix: one sentence each, with the exit code of spec "Commands"."""
+"""Errors that a user can fix: each is one sentence, and has the exit code of its kind."""
 
 import difflib
 import errno

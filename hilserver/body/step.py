@@ -15,7 +15,7 @@ from hilserver.plant.kernels import part
 POSE_REQUEST = Motion.where("pose_request").start
 TOUCH = Motion.where("touch").start
 END = Motion.n_words
-GRAZING = 0.01
+GRAZING_SQUARED = 0.01
 """Squared share of a contact's normal in the wheel's plane below which no tyre force acts."""
 
 
@@ -74,7 +74,7 @@ def _read_contacts(b: Motion, place: Vector, axes: tuple[Vector, Vector, Vector]
         up, where = to_body(axes, vector(b.touch[i, 0])), vector(b.touch[i, 1])
         size = math.sqrt(dot(up, up))
         sign = 1.0 if up[2] >= 0.0 else -1.0
-        b.normal[i] = size if up[0] * up[0] + up[2] * up[2] > GRAZING * size * size else 0.0
+        b.normal[i] = size if up[0] * up[0] + up[2] * up[2] > GRAZING_SQUARED * size * size else 0.0
         if b.normal[i] == 0.0:
             continue
         where = to_body(axes, (where[0] - place[0], where[1] - place[1], where[2] - place[2]))

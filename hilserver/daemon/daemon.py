@@ -44,6 +44,7 @@ from hilserver.program.giving_back import give_back_code
 from hilserver.scheduler import StopReason
 from hilserver.scheduler.pacing_virtual import BATCH_TICKS
 from hilserver.scheduler.realtime import Grant
+from hilserver.signals import State
 
 _log = structlog.get_logger(__name__)
 IDLE_PERIOD_S, SIMULATED_POLL_S = 0.1, 0.01
@@ -97,7 +98,7 @@ class Daemon:
             speed_changed=self._watch_communication,
             measured_pose=self.outputs.measured_pose,
         )
-        self.control.before_reset.append(self.faults.expect_room)
+        self.control.before_reset.append(self._expect_room)
         self.control.on_reset.append(self._restart_faults)
         self._watch_communication(speed=1.0)
         self.stage = core.stage()
@@ -288,6 +289,13 @@ class Daemon:
     def _on_event(self, event: Event) -> None:
         if event.kind in (EventKind.STATE, EventKind.SAFE_STATE) and self.scheduler.paused:
             asyncio.get_running_loop().call_soon(self._publish, 0, 0)
+
+    def _expect_room(self) -> None:
+        """Before a reset: ControlRefused while the plant has no room for all of it."""
+        if self._play is None or self.control.state is State.SAFE:
+            self.faults.expect_room()
+        else:
+            self.stage.expect_room_again(self._play.scenario)
 
     def _restart_faults(self) -> None:
         """After a reset: clear faults and forces, start the scenario again."""

@@ -2,7 +2,7 @@
 
 import itertools
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from hilserver.core.events import Event, EventBus, EventKind
@@ -39,6 +39,18 @@ class _Note:
     entries: int
     rings: int
     mail: int
+
+
+def _note(fault: Fault, entries: Sequence[Entry], mail: int = 0) -> _Note:
+    rings = sum(entry.kind in lay.RING_KINDS for entry in entries)
+    return _Note(fault, len(entries), rings, mail)
+
+
+def _expect_places(notes: Collection[_Note]) -> None:
+    if sum(note.entries for note in notes) > lay.MAX_MODIFIERS:
+        raise ValueError(f"more than {lay.MAX_MODIFIERS} signals cannot be modified at once")
+    if sum(note.rings for note in notes) > lay.MAX_RINGS:
+        raise ValueError(f"more than {lay.MAX_RINGS} signals cannot be delayed at once")
 
 
 class Faults:
@@ -83,8 +95,7 @@ class Faults:
             number = next(self._numbers)
             commands += self._removals(fault.title)
             commands += [Command(lay.OP_ADD, number, entry) for entry in entries]
-            rings = sum(entry.kind in lay.RING_KINDS for entry in entries)
-            notes[number] = _Note(fault, len(entries), rings, self._mailbox.head + len(commands))
+            notes[number] = _note(fault, entries, self._mailbox.head + len(commands))
         self._send(commands, notes)
         for fault in parsed:
             if fault.peer is not None:
@@ -98,6 +109,10 @@ class Faults:
             self._line(fault.peer)
             return []
         return self._planner.entries(fault, 0)
+
+    def check_all(self, faults: Iterable[Fault]) -> None:
+        """ValueError if the plant cannot hold all these faults at once."""
+        _expect_places([_note(fault, self.check(fault)) for fault in faults])
 
     def clear(self, name: str | None = None) -> None:
         """End the fault `name`, or all injected faults; forced signals stay forced.
@@ -142,9 +157,9 @@ class Faults:
         for line in self._lines.values():
             line.clear()
 
-    def expect_room(self) -> None:
-        """ControlRefused while the plant has no room for the commands of `reset`."""
-        if self._mailbox.room < _RESET_ROWS:
+    def expect_room(self, faults: Iterable[Fault] = ()) -> None:
+        """ControlRefused while the plant has no room for `reset` with `faults` after it."""
+        if self._mailbox.room < _RESET_ROWS + sum(len(self.check(fault)) for fault in faults):
             raise ControlRefused("the plant has not applied the last faults yet; try again")
 
     def skip_timed(self) -> None:
@@ -244,10 +259,7 @@ class Faults:
         removed = {c.number for c in commands if c.operation == lay.OP_REMOVE}
         self.active()
         kept = {n: note for n, note in self._notes.items() if n not in removed} | dict(notes)
-        if sum(note.entries for note in kept.values()) > lay.MAX_MODIFIERS:
-            raise ValueError(f"more than {lay.MAX_MODIFIERS} signals cannot be modified at once")
-        if sum(note.rings for note in kept.values()) > lay.MAX_RINGS:
-            raise ValueError(f"more than {lay.MAX_RINGS} signals cannot be delayed at once")
+        _expect_places(kept.values())
         self._mailbox.send(commands)
         self._leave(removed)
         self._notes = kept

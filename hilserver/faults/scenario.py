@@ -25,7 +25,7 @@ from hilserver.config.loading import MAX_BYTES, load, place
 from hilserver.config.section import Section
 from hilserver.core.inputs import InputGate, Refusal, check_value
 from hilserver.core.parameters import LiveParameters
-from hilserver.errors import ConfigError, no_signal
+from hilserver.errors import ConfigError, ControlRefused, no_signal
 from hilserver.faults.book import Faults
 from hilserver.faults.model import Fault, Seconds
 from hilserver.image import ProcessImage, Row
@@ -115,6 +115,7 @@ class Stage:
         self._faults = faults
         self._parameters = parameters
         self._period_s = base_period_ns * 1e-9
+        self._n_rows = 0  # timed values of the last scenario
         self.drives = False  # True from a scenario that drives until `stop`
 
     def check(self, play: Play) -> None:
@@ -125,6 +126,10 @@ class Stage:
                 self._faults.check(fault)
             except ValueError as error:
                 raise ConfigError(f"{place(path, ('faults', index))}{error}") from None
+        try:
+            self._faults.check_all(scenario.faults)
+        except ValueError as error:
+            raise ConfigError(f"{place(path, ('faults',))}{error}; leave some out") from None
         for index, step in enumerate(scenario.steps):
             for name, value in step.write.items():
                 complaint = self._complaint(name, value)
@@ -151,19 +156,33 @@ class Stage:
     def play(self, scenario: Scenario, start_tick: int = 0) -> None:
         """Hand a checked scenario to the plant; its times count from `start_tick`.
 
-        ConfigError if it is too large for the queue of timed inputs.
+        ConfigError if it is too large for the queue of timed inputs, ControlRefused if other faults
+        leave no room for its own; then nothing has changed.
         """
         rows = sorted(self._rows(scenario, start_tick), key=lambda row: row.tick)
+        if len(rows) > self._image.timed_room:
+            raise ConfigError(f"{len(rows)} timed values are too many for the input queue")
+        try:
+            self._faults.inject(*scenario.seeded_faults, start_tick=start_tick)
+        except ValueError as error:
+            raise ControlRefused(f"{error}; clear the other faults first") from None
         if rows:
             self._gate.take("scenario")
             self.drives = True
-        if not self._image.push_timed(rows):
-            raise ConfigError(f"{len(rows)} timed values are too many for the input queue")
+        self._image.push_timed(rows)
+        self._n_rows = len(rows)
         self._parameters.schedule(
             sorted(self._sets(scenario, start_tick), key=itemgetter(0)), start_tick
         )
-        if scenario.faults:
-            self._faults.inject(*scenario.seeded_faults, start_tick=start_tick)
+
+    def expect_room_again(self, scenario: Scenario) -> None:
+        """ControlRefused while the plant has no room to begin the scenario that plays anew."""
+        self._faults.expect_room(scenario.faults)
+        if self._n_rows > self._image.timed_room:
+            raise ControlRefused(
+                "too many steps of the scenario still wait for it to begin anew; call Stop and"
+                " Reset, then Reset again"
+            )
 
     def stop(self) -> None:
         """Cancel all further steps of a scenario."""

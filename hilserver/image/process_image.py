@@ -129,6 +129,12 @@ class ProcessImage(ImageReader):
         """Push rows for the next tick, all together; False if the queue has no room."""
         return self._push(rows, word.NOW_BASE)
 
+    @property
+    def timed_room(self) -> int:
+        """Rows for which the timed queue has room."""
+        waiting = self.words[word.TIMED_HEAD] - self.words[word.TIMED_TAIL]
+        return int(self.words[word.TIMED_CAPACITY] - waiting)
+
     def push_timed(self, rows: Iterable[Row]) -> bool:
         """Push rows for the ticks they name (rising); False if the queue has no room."""
         return self._push(rows, word.TIMED_BASE)

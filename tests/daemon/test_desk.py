@@ -91,6 +91,61 @@ async def test_a_reset_that_the_plant_has_no_room_for_changes_nothing(tmp_path, 
         assert (control.state.word, hil.tick > 100) == ("running", is_safe)
 
 
+FAULTS = [{"fault": "noise", "signal": "pose.x_m", "sd": 0.1, "name": f"n{i}"} for i in range(20)]
+
+
+async def test_a_reset_without_room_for_the_scenario_s_faults_changes_nothing(run, tmp_path):
+    step = {"at_s": 0.05, "write": {"twist.linear_m_s": 0.1}}
+    path = tmp_path / "faulty.yaml"
+    path.write_text(yaml.safe_dump({"steps": [step], "faults": FAULTS}))
+    async with open_hil(None, "virtual", scenario=path) as hil:
+        control, faults = hil.daemon.control, hil.daemon.faults
+        await hil.run_for(0.1)
+        for _ in range(58):  # each ends the one before: 115 commands of 128
+            faults.force("pose.y_m", 1.0)
+        before = (faults.names, hil.daemon.gate.owner)
+        with pytest.raises(ControlRefused, match="has not applied the last faults yet; try again"):
+            control.reset()
+        assert (faults.names, hil.daemon.gate.owner) == before
+        await hil.step()
+        assert hil.tick > 100, "it has begun anew"
+        control.reset()
+        await hil.step()
+        assert (hil.tick, faults.names.count("n1;"), faults.forced) == (1, 1, "")
+
+
+async def test_a_reset_without_room_for_the_scenario_s_steps_changes_nothing(run, tmp_path):
+    names = [f"wheel.{w}.setpoint_rpm" for w in ("fl", "rl", "fr", "rr")]
+    steps = [{"at_s": 0.001 * i, "write": dict.fromkeys(names, 1.0)} for i in range(1, 1800)]
+    path = tmp_path / "long.yaml"
+    path.write_text(yaml.safe_dump({"steps": steps}))
+    async with open_hil(None, "virtual", scenario=path) as hil:
+        await hil.run_for(0.1)
+        with pytest.raises(ControlRefused, match="call Stop and Reset, then Reset again"):
+            hil.daemon.control.reset()
+        await hil.step()
+        assert hil.tick > 100
+        for command in (hil.daemon.control.stop, hil.daemon.control.reset):
+            command()
+            await hil.run_for(0.1)
+        hil.daemon.control.reset()
+        await hil.step()
+        assert hil.tick == 1
+
+
+async def test_a_scenario_without_room_for_its_faults_changes_nothing(run, tmp_path):
+    core, scenarios = run
+    step = {"at_s": 0.05, "write": {"twist.linear_m_s": 0.1}}
+    (tmp_path / "faulty.yaml").write_text(yaml.safe_dump({"steps": [step], "faults": FAULTS}))
+    core.faults.inject(*({**fault, "name": f"m{i}"} for i, fault in enumerate(FAULTS)))
+    owner = core.gate.owner
+    with pytest.raises(ControlRefused, match=r"more than 32 signals .* clear the other faults"):
+        await scenarios.start("faulty")
+    await core.scheduler.advance(100)
+    speed = core.image.latest().values[core.table.slot("twist.linear_m_s")]
+    assert (speed, core.gate.owner, scenarios.view()) == (0.0, owner, None)
+
+
 async def test_a_recording_that_has_ended_by_itself_is_over(run, tmp_path):
     core, _ = run
     recordings = Recordings(tmp_path, RecordingConfig(keep_free_mb=1e9), core.image.name)

@@ -151,3 +151,13 @@ def test_what_is_written_as_yaml_reads_the_same(scenario):
     read = load_scenario(scenario)
     data = read.model_dump(exclude_none=True, mode="json")
     assert Scenario.model_validate(yaml.safe_load(as_yaml(data))) == read
+
+
+def test_more_faults_than_fit_are_one_sentence(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    faults = [f"- {{fault: noise, signal: pose.x_m, sd: 1, name: n{i}}}" for i in range(33)]
+    (tmp_path / "many.yaml").write_text("\n".join(["faults:", *faults]))
+    assert main(["simulate", "many.yaml", "-o", "out.csv"]) == 78
+    said = capsys.readouterr().err
+    assert said.startswith("hilserver: many.yaml:1: faults: more than 32 signals cannot be")
+    assert said.endswith("; leave some out\n")
