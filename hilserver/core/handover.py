@@ -92,6 +92,8 @@ class HandOver:
         Set to False by whatever ends a command; True again when control is taken.
     present : set
         Clients of our OPC UA server that have commanded and are still there.
+    commander : object
+        Client that set the newest set-points; they end with it. None: they hold without it.
     """
 
     def __init__(
@@ -106,6 +108,7 @@ class HandOver:
         self.owner, self.leases, self.priority = owner, leases, tuple(priority)
         self.may_fall_back = True
         self.present: set[object] = set()
+        self.commander: object = None
         leases.begin(owner)
         self._image, self._events = image, events
         self._fallback, self._before, self._speaker = fallback, NOBODY, ""
@@ -132,6 +135,7 @@ class HandOver:
         if not self._image.push([self.leases.hand_over(kind)]):
             raise ControlRefused("the input queue is full: try again")
         before, self.owner, self._holder, self._speaker = self.owner, kind, holder, ""
+        self.commander = None
         if kind != before:
             self._before, self.may_fall_back = before, True
             text = f"control passes from '{before}' to '{kind}'"
@@ -166,10 +170,16 @@ class HandOver:
         return Standing.ABOVE if is_above else Standing.BELOW
 
     def gone(self, client: object) -> None:
-        """Note that a client has left; if it held control, pass it on."""
+        """Note that a client has left: pass on the control it held, or end its set-points."""
         self.present.discard(client)
-        if client is not None and client is self._holder:
+        if client is None:
+            return
+        if client is self._holder:
             self._fall_back("is gone")
+        elif client is self.commander and self._image.push([self.leases.hand_over(self.owner)]):
+            self.commander = None
+            text = f"'{self.owner}' is gone: set-points zero"
+            self._events.publish(Event(EventKind.STATE, 500, self.owner, text))
 
     def _fall_back(self, why: str) -> None:
         gone, before = self.owner, self._before

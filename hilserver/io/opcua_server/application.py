@@ -38,6 +38,7 @@ from hilserver.io.opcua_server.values import SignalVariables
 from hilserver.opcua.application import ACCEPTED, Answer, Application, CallAnswer, Visitor, refused
 from hilserver.opcua.logs import log
 from hilserver.opcua.settings import Role
+from hilserver.plant.layout import N_SETPOINTS
 from hilserver.signals import Signal, SignalTable
 
 SOURCE = "opcua"  # name under which clients of this server write, except the operator page
@@ -194,6 +195,9 @@ class RobotApplication(Application):
         if accepted:
             if kind_of(source) == SOURCE and session.processor is not None:
                 self._gate.present.add(session)
+                if any(self._table[name].slots[0] < N_SETPOINTS for name in accepted):
+                    holds = not session.visitor.may_hold_control
+                    self._gate.commander = None if holds else session
             self._variables.show_written(accepted, self._image.pushed_rows)
 
     def _take_control(self, variant: ua.Variant, session: Any) -> Answer:

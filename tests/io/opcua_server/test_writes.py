@@ -5,18 +5,21 @@ import socket
 import time
 
 import pytest
+import pytest_asyncio
 from asyncua import ua
 
 from hilserver.core.events import EventKind
-from tests.io.opcua_server.rig import Rig, RobotClient
+from hilserver.io.opcua_server.model import SHELL
+from tests.io.opcua_server.rig import Rig, RobotClient, connected
+from tests.loopback.rig import wait_until
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 T = ua.VariantType
 FL, ARRAY = "wheel.fl.setpoint_rpm", "wheels.setpoints_rpm"
 
 
-@pytest.fixture(autouse=True)
-def in_control(rig: Rig) -> None:
+@pytest_asyncio.fixture(autouse=True, loop_scope="module")
+async def in_control(rig: Rig) -> None:
     rig.gate.take("opcua")
     rig.tick()
 
@@ -144,6 +147,38 @@ async def test_taking_control_acts_on_the_writes_behind_it(rig: Rig, client: Rob
     assert await client.read("control.source") == "opcua"
     assert await client.write(("control.source", "peer", T.String)) == ["Good"]
     assert rig.gate.owner == "peer"
+
+
+async def test_what_a_client_commands_ends_with_it_though_it_took_no_control(
+    rig: Rig, client: RobotClient
+) -> None:
+    killed = RobotClient(rig.server.url)
+    await killed.connect()
+    assert await killed.write((FL, 20.0, T.Double)) == ["Good"]
+    assert latched(rig, FL) == 20.0
+    async with connected(rig) as watcher:
+        assert await watcher.write(("lights.command", 1, T.Byte)) == ["Good"]
+    assert latched(rig, FL) == 20.0, "only who set the set-points ends them"
+    killed.uaclient.protocol.transport.abort()
+    await wait_until(lambda: latched(rig, FL) == 0.0)
+    assert rig.events.recent[-1].message == "'opcua' is gone: set-points zero"
+    assert rig.gate.owner == "opcua"
+    assert await client.write((FL, 5.0, T.Double)) == ["Good"]
+    assert latched(rig, FL) == 5.0
+
+
+async def test_what_the_shell_commands_holds_when_its_session_ends(
+    rig: Rig, client: RobotClient
+) -> None:
+    assert await client.write((FL, 5.0, T.Double)) == ["Good"]
+    shell = RobotClient(rig.server.url)
+    shell.description = SHELL
+    async with shell:
+        shell.index = client.index
+        assert await shell.write((FL, 20.0, T.Double)) == ["Good"]
+    async with connected(rig) as another:
+        assert await another.write(("lights.command", 1, T.Byte)) == ["Good"]
+    assert latched(rig, FL) == 20.0
 
 
 async def test_a_higher_source_keeps_control(rig: Rig, client: RobotClient) -> None:
