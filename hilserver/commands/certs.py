@@ -40,6 +40,14 @@ from hilserver.opcua.settings import default_application_uri
 from hilserver.opcua.trust_list import FOLDERS, TrustList, file_name, files_in, write_private
 
 EXAMPLE = "hilserver certs make --host robot.plant.example --host 192.0.2.7"
+_EXAMPLES = {
+    "make": "--host robot.plant.example --host 192.0.2.7",
+    "renew": "--days 365",
+    "list": "--expiring 30",
+    "trust": "client.der",
+    "reject": "3f2a",
+    "revoke": "3f2a",
+}
 _ANYWHERE = {"0.0.0.0", "::", ""}  # noqa: S104 - recognised, not listened on
 
 
@@ -68,7 +76,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _add(actions: "argparse._SubParsersAction[argparse.ArgumentParser]", name: str) -> (
     argparse.ArgumentParser
 ):  # fmt: skip
-    action = actions.add_parser(name)
+    words = _EXAMPLES.get(name, "")
+    action = actions.add_parser(name, epilog=f"example: hilserver certs {name} {words}")
     add_config(action)
     return action
 

@@ -71,7 +71,10 @@ def run(args: argparse.Namespace) -> int:
 def _kind(
     kinds: Any, name: str, identify: Callable[[argparse.Namespace], Answer], about: str
 ) -> argparse.ArgumentParser:
-    parser: argparse.ArgumentParser = kinds.add_parser(name, help=about, description=about)
+    example = f"example: hilserver identify {name} run.csv"
+    parser: argparse.ArgumentParser = kinds.add_parser(
+        name, help=about, description=about, epilog=example
+    )
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="logs of one machine")
     add_config(parser)
     add_mapping(parser)

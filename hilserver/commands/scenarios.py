@@ -19,7 +19,11 @@ EXAMPLE = "hilserver scenarios make pulls_aside -o pulls_aside"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add ``list``, ``make`` and ``page``."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    listing = actions.add_parser("list", help="list the names, and what the thesis says")
+    listing = actions.add_parser(
+        "list",
+        help="list the names, and what the thesis says",
+        epilog="example: hilserver scenarios list",
+    )
     listing.set_defaults(action=_list)
     making = actions.add_parser(
         "make", help="write the logs of one", epilog="example: hilserver scenarios make radio -o r"

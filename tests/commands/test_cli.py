@@ -1,5 +1,6 @@
 """The command line as a user in a hurry meets it: exit codes, one sentence, no traceback."""
 
+import argparse
 import errno
 import json
 import os
@@ -63,6 +64,21 @@ def test_help_of_every_command_has_an_example(command, here):
     code, out, _ = here(*[command] * bool(command), "--help")
     assert code == 0
     assert "example: hilserver" in out
+
+
+@pytest.mark.parametrize("command", ["bench", "certs", "identify", "scenarios"])
+def test_help_of_every_action_has_an_example(command, monkeypatch):
+    added = argparse._SubParsersAction.add_parser
+    made = []
+    monkeypatch.setattr(
+        argparse._SubParsersAction,
+        "add_parser",
+        lambda self, *words, **options: made.append(added(self, *words, **options)) or made[-1],
+    )
+    commands._module(command).add_arguments(argparse.ArgumentParser())
+    helps = [action.format_help() for action in made if action.add_help]
+    assert len(helps) > 2
+    assert all(f"example: hilserver {command} " in text for text in helps)
 
 
 @pytest.mark.parametrize(
