@@ -70,7 +70,7 @@ def _written(folder: Path, sweep: dict[str, Any]) -> Prepared:
 def _swept(prepared: Prepared, folder: Path, workers: int = 2) -> Table:
     journal, n = Journal(folder / "out", prepared.job.key, resume=False), prepared.sweep.machines
     machines = map(prepared.machine, range(n))
-    with LocalWorkers(workers, prepared.job.limits.memory_mb) as pool:
+    with LocalWorkers(workers, prepared.sweep.limits.memory_mb) as pool:
         for computer, batch in outcomes(prepared.job, machines, pool):
             journal.add(batch, computer)
     journal.close()

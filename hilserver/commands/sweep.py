@@ -127,7 +127,7 @@ def _drive(
     began_s, before = time.monotonic(), len(journal.done)
     if before >= n:
         return
-    memory_mb = job.limits.memory_mb
+    memory_mb = job.sweep.limits.memory_mb
     with DaskWorkers(args.dask) if args.dask else LocalWorkers(args.workers, memory_mb) as workers:
         found = outcomes(job, map(prepared.machine, left), workers, mixed=args.mixed)
         for computer, batch in found:

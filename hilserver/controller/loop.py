@@ -25,15 +25,16 @@ class PoseWatch:
     """Distinguishes a pose that is updated from one that was written once."""
 
     stale_s: float = POSE_STALE_S
-    # the newest one, None if there is none or it is older than `stale_s`
-    pose: Pose | None = None
     _stamp: datetime | None = None
     _seen_s: float = -math.inf
 
     def observe(
         self, values: tuple[object, object, object], stamp: datetime | None, now_s: float
     ) -> Pose | None:
-        """Take the values of the nodes at `now_s` (monotonic) and return the usable pose."""
+        """Take the values of the nodes at `now_s` (monotonic).
+
+        Return the pose; None if there is none or it is older than `stale_s`.
+        """
         if stamp is not None and stamp != self._stamp:
             # The first stamp is the node's own initial value, not a pose.
             if self._stamp is not None:
@@ -41,8 +42,7 @@ class PoseWatch:
             self._stamp = stamp
         numbers = [v for v in values if isinstance(v, int | float) and math.isfinite(v)]
         fresh = now_s - self._seen_s <= self.stale_s
-        self.pose = Pose(*map(float, numbers)) if fresh and len(numbers) == 3 else None
-        return self.pose
+        return Pose(*map(float, numbers)) if fresh and len(numbers) == 3 else None
 
 
 @dataclass(slots=True)

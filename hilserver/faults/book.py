@@ -10,7 +10,7 @@ from hilserver.errors import ControlRefused
 from hilserver.faults.links import Line
 from hilserver.faults.mail import Command, Mailbox
 from hilserver.faults.model import Fault, parse_fault
-from hilserver.faults.plan import Planner, check_range
+from hilserver.faults.plan import Planner
 from hilserver.kernel import modifier_layout as lay
 from hilserver.kernel.modifier_layout import Entry, Kind
 from hilserver.signals import SignalTable
@@ -182,7 +182,10 @@ class Faults:
             if number in acting or note.mail > taken
         }
         tick = self._tick()
-        found = [self._view(note.fault, acting.get(n), tick) for n, note in self._notes.items()]
+        found = [
+            _shown(note.fault.title, note.fault.fault, note.fault.signal or "", acting.get(n), tick)
+            for n, note in self._notes.items()
+        ]
         found += [
             self._unknown(entry, tick)
             for number, entry in acting.items()
@@ -267,9 +270,6 @@ class Faults:
     def _forget(self, goes: Callable[[_Note], bool]) -> None:
         self._notes = {n: note for n, note in self._notes.items() if not goes(note)}
 
-    def _view(self, fault: Fault, entry: Entry | None, tick: int) -> ActiveFault:
-        return _shown(fault.title, fault.fault, fault.signal or "", entry, tick)
-
     def _unknown(self, entry: Entry, tick: int) -> ActiveFault:
         """Name a modifier that came with a snapshot."""
         kind = Kind(entry.kind)
@@ -294,6 +294,3 @@ def describe(fault: Fault) -> str:
     given = fault.model_dump(exclude_defaults=True, exclude={"fault", "name", "signal", "peer"})
     details = ", ".join(f"{key} {value}" for key, value in given.items())
     return f"{fault.title} ({details})" if details else fault.title
-
-
-__all__ = ["ActiveFault", "Faults", "check_range", "describe"]

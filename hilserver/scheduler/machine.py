@@ -65,11 +65,6 @@ class Machine:
         return int(turn(self.step, self.loop, virtual))
 
     @property
-    def slice_names(self) -> list[str]:
-        """Names in the order of the statistics' rows."""
-        return self.statistics.names
-
-    @property
     def warming_up(self) -> bool:
         """True while ticks are not counted yet."""
         return bool(self.law[WARM_UP_LEFT] > 0)

@@ -108,7 +108,7 @@ class Overruns:
         silent_ns = now_ns - self._heartbeat_ns
         stalled = before_ns == self._heartbeat_ns > 0 and silent_ns > STALLED_NS
         if stalled and not self._stalled:
-            name, tick = self._machine.slice_names[0], self._machine.exchange.get(NEXT_TICK)
+            name, tick = self._machine.statistics.names[0], self._machine.exchange.get(NEXT_TICK)
             kind, cause = KIND_NAMES[LONG_RUN], Cause.SLICE
             self._call(OverrunReport(name, kind, tick, 0, silent_ns, 0, cause, STALLED))
         self._stalled = stalled
@@ -116,7 +116,7 @@ class Overruns:
     def _report(self, ended_before_ns: int) -> None:
         if self._finder is None:
             return
-        names = self._machine.slice_names
+        names = self._machine.statistics.names
         look: Look | None = None
         while record := self._machine.exchange.take_record(ended_before_ns):
             look = look or self._finder.look()  # one look serves all records of this round

@@ -239,10 +239,6 @@ class Scheduler:
         ex.write_word(self._machine.law, SINGLE_LIMIT, limits.single_ns)
         ex.write_word(self._machine.law, CONSECUTIVE_LIMIT, limits.consecutive)
 
-    def reset_statistics(self) -> None:
-        """Reset the figures, while running."""
-        self.statistics.reset()
-
     async def wait_paused(self) -> None:
         """Wait until the last `pause` or `step` is done (or the run has ended)."""
         if self.paused or self.finished.done():

@@ -39,7 +39,7 @@ def begin_worker(parent: int, memory_mb: float) -> None:
 
 def rig_for(job: Job) -> Rig | Stepped:
     """Return what drives the machines of a job."""
-    given = job.controller
+    given = job.sweep.controller
     return Rig(job) if given is None or not given.command else Stepped(job)
 
 

@@ -152,16 +152,11 @@ def _alone(job: Job, machine: Machine, workers: Workers) -> Result:
     """Drive a machine that may have ended a worker, alone."""
     for _ in range(LIVES):
         _awake(job, workers)
-        future = workers.submit(job, [machine])
-        error = future.exception()
-        if error is None:
-            return future.result()
-        if not workers.means_death(error):
-            raise error
-        workers.renew()
+        if (result := _tried(job, [machine], workers)) is not None:
+            return result
     text = (
         f"ended its worker {LIVES} times: its code does not return within"
-        f" {job.limits.time_s:g} s, needs too much memory, or crashes"
+        f" {job.sweep.limits.time_s:g} s, needs too much memory, or crashes"
     )
     return fingerprint(), [Outcome(machine.index, error=text)]
 
@@ -172,13 +167,20 @@ def _awake(job: Job, workers: Workers) -> None:
     FailedError if no worker becomes ready.
     """
     for _ in range(STARTS):
-        error = workers.submit(job, []).exception()
-        if error is None:
+        if _tried(job, [], workers) is not None:
             return
-        if not workers.means_death(error):
-            raise error
-        workers.renew()
     raise FailedError(f"{STARTS} workers died while they started; is there enough memory?")
+
+
+def _tried(job: Job, machines: list[Machine], workers: Workers) -> Result | None:
+    """Return the result of a batch; None if its worker died, in whose place there is a new one."""
+    try:
+        return workers.submit(job, machines).result()
+    except BaseException as error:
+        if not workers.means_death(error):
+            raise
+    workers.renew()
+    return None
 
 
 def _checked(result: Result, mixed: bool) -> Result:

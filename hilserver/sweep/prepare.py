@@ -28,10 +28,10 @@ from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.terms import TERMS, main_part
 from hilserver.replay.simulation import quiet
-from hilserver.requirements import Judge, Requirement
+from hilserver.requirements import Judge
 from hilserver.small_file import read_small
 from hilserver.sweep.draws import Draws, Joint, root_of
-from hilserver.sweep.model import ControllerConfig, FaultShare, Limits, Source, Sweep
+from hilserver.sweep.model import ControllerConfig, Source, Sweep
 
 PATH_ERROR = "path.error_m"
 _MOST_BYTES = 50_000_000
@@ -64,19 +64,14 @@ class Job:
     path: Path  # of the sweep; controllers and checks lie beside it
     scenario: Scenario
     scenario_path: Path | None
-    faults: tuple[FaultShare, ...]
-    requirements: tuple[Requirement, ...]
-    controller: ControllerConfig | None
-    way: tuple[tuple[float, float], ...] | None
+    sweep: Sweep
     n_ticks: int
-    limits: Limits
 
 
 @dataclass(frozen=True)
 class Prepared:
     """A sweep that can run."""
 
-    sweep: Sweep
     job: Job
     # the robot's configuration with the controller, as `hilserver run` takes it
     user_config: Config
@@ -85,6 +80,11 @@ class Prepared:
     table: Mapping[str, Parameter]
     draws: Draws
     left_out: tuple[str, ...]  # parameters of the findings that a robot does not have
+
+    @property
+    def sweep(self) -> Sweep:
+        """The file."""
+        return self.job.sweep
 
     def machine(self, index: int) -> Machine:
         """Return the machine with an index, the same on every computer."""
@@ -132,15 +132,11 @@ def prepare(path: Path, config_path: Path | None = None) -> Prepared:
         path,
         scenario,
         None if sweep.drive.scenario is None else path.parent / sweep.drive.scenario,
-        sweep.faults,
-        sweep.require,
-        sweep.controller,
-        sweep.drive.path,
+        sweep,
         n_ticks,
-        sweep.limits,
     )
     robot = assembly.robot
-    return Prepared(sweep, job, with_controller, assembly, robot, table, draws, left_out)
+    return Prepared(job, with_controller, assembly, robot, table, draws, left_out)
 
 
 def _assembled(

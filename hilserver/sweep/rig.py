@@ -16,7 +16,6 @@ from hilserver.config.loading import place
 from hilserver.daemon.assembly import Assembly, assemble_config
 from hilserver.daemon.builder import Pace, build, faults_of
 from hilserver.errors import ConfigError
-from hilserver.faults import Faults
 from hilserver.faults.scenario import Play, Scenario
 from hilserver.parameters.table import BLOCK
 from hilserver.plant.layout import Parameters
@@ -74,7 +73,7 @@ class Rig:
         self._fresh = self._image.words.copy()
 
     def _driver(self, assembly: Assembly) -> Driver | None:
-        controller = self.job.controller
+        controller = self.job.sweep.controller
         if controller is None or controller.python is None:
             return None
         make = load_callable(controller.python, self.job.path.parent)
@@ -88,21 +87,19 @@ class Rig:
         if machine.p is None:
             return Outcome(machine.index, refused=machine.refused)
         try:
-            with limited(self.job.limits.time_s):
+            with limited(self.job.sweep.limits.time_s):
                 self._begin(machine, machine.p)
                 self._run()
                 columns = dict(zip(self._kept, self._values, strict=True))
                 margins = margins_of(self.job, self._judge, self._period_ns, columns)
                 return Outcome(machine.index, margins)
         except OutOfTime:
-            error = f"took longer than {self.job.limits.time_s:g} s"
+            error = f"took longer than {self.job.sweep.limits.time_s:g} s"
         except MemoryError:
-            error = f"needed more than {self.job.limits.memory_mb:g} MB of memory"
+            error = f"needed more than {self.job.sweep.limits.memory_mb:g} MB of memory"
         except WrongCommand as problem:
             error = f"the controller {problem}"
-        except _Broken as problem:
-            error = str(problem)
-        except CheckError as problem:
+        except (_Broken, CheckError) as problem:
             error = str(problem)
         except BaseException as problem:
             if isinstance(problem, KeyboardInterrupt) or _is_ours(problem):
@@ -130,20 +127,18 @@ class Rig:
                     image.values[base + number] = drawn
         faults = scenario_of(self.job.scenario, machine).seeded_faults
         if faults:
-            self._book(packed).inject(*faults, start_tick=0)
+            parameters, events = Parameters.of(packed), self._core.events
+            book = faults_of(image, self._table, self._period_ns, parameters, events)
+            book.inject(*faults, start_tick=0)
         if self.driver is not None:
             self.driver.begin(machine.seed)
-
-    def _book(self, p: NDArray[np.float64]) -> Faults:
-        image, table = self._image, self._table
-        return faults_of(image, table, self._period_ns, Parameters.of(p), self._core.events)
 
     def _stage(self) -> None:
         """Check scenario and faults, and put all values of the scenario into the queue."""
         core, job = self._core, self.job
         stage = core.stage()
         stage.check(Play(job.scenario, job.scenario_path))
-        for index, item in enumerate(job.faults):
+        for index, item in enumerate(job.sweep.faults):
             try:
                 core.faults.check(item.fault)
             except ValueError as error:
@@ -192,10 +187,10 @@ class Rig:
 
 def judge_of(job: Job, table: SignalTable) -> tuple[Judge, tuple[str, ...]]:
     """Return the judge of a drive, and the signals to keep for it and for those it derives."""
-    if job.way is None:
-        judge = Judge(job.requirements, table, job.path)
+    if job.sweep.drive.path is None:
+        judge = Judge(job.sweep.require, table, job.path)
         return judge, judge.signals
-    judge = Judge(job.requirements, table, job.path, (PATH_ERROR,))
+    judge = Judge(job.sweep.require, table, job.path, (PATH_ERROR,))
     names = [name for name in judge.signals if name != PATH_ERROR]
     return judge, tuple(dict.fromkeys((*names, "pose.x_m", "pose.y_m")))
 
@@ -205,8 +200,8 @@ def margins_of(
 ) -> tuple[float, ...]:
     """Return the margins of a drive from the values of every tick, in the requirements' order."""
     own = dict(columns)
-    if job.way is not None:
-        own[PATH_ERROR] = distance_to_way(own["pose.x_m"], own["pose.y_m"], np.array(job.way))
+    if (way := job.sweep.drive.path) is not None:
+        own[PATH_ERROR] = distance_to_way(own["pose.x_m"], own["pose.y_m"], np.array(way))
     return tuple(judge.margins(Drive(period_ns * 1e-9, own)).values())
 
 

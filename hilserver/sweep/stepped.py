@@ -85,7 +85,7 @@ class Stepped:
         self, daemon: Daemon, machine: Machine
     ) -> "AsyncIterator[asyncio.subprocess.Process]":
         """Run the controller while the context lasts; processes that it started end with it."""
-        given = self.job.controller
+        given = self.job.sweep.controller
         assert given is not None
         own = {ENDPOINT: daemon.part("opcua").url, SEED: str(machine.seed)}
         words = [_filled(word, own) for word in given.command]
@@ -103,7 +103,7 @@ class Stepped:
             why = (error.strerror or "refused").lower()
             raise _Failed(f"the controller '{words[0]}' cannot be started: {why}") from None
         try:
-            most = int(self.job.limits.memory_mb * 1e6)
+            most = int(self.job.sweep.limits.memory_mb * 1e6)
             with contextlib.suppress(OSError):  # it has ended already
                 prlimit(process.pid, RLIMIT_DATA, (most, most))
             yield process
@@ -115,12 +115,11 @@ class Stepped:
     async def _wait(self, process: asyncio.subprocess.Process, watch: "_Watch") -> None:
         """Wait for the drive's last tick; _Failed if it does not come."""
         lines: deque[str] = deque(maxlen=_LAST_LINES)
+        time_s = self.job.sweep.limits.time_s
         reading = asyncio.create_task(_keep(process, lines))
         over = asyncio.create_task(watch.over.wait())
         try:
-            await asyncio.wait(
-                (over, reading), timeout=self.job.limits.time_s, return_when=asyncio.FIRST_COMPLETED
-            )
+            await asyncio.wait((over, reading), timeout=time_s, return_when=asyncio.FIRST_COMPLETED)
             if reading.done() and not over.done():
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(1.0):
@@ -134,8 +133,8 @@ class Stepped:
             return
         if process.returncode is None:
             raise _Failed(
-                f"took longer than {self.job.limits.time_s:g} s: {watch.place}, the controller does"
-                " not step any more"
+                f"took longer than {time_s:g} s: {watch.place}, the controller does not step any"
+                " more"
             )
         raise _Failed(f"the controller {_ending(process.returncode, lines)}; {watch.place}")
 

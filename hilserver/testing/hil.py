@@ -105,18 +105,16 @@ class Hil:
 
     def read(self, signal: str) -> float:
         """Return the newest value of a scalar signal."""
-        return self._newest(self._slot(signal))
+        return float(self._frame().values[self._slot(signal)])
 
     def read_all(self, signal: str) -> list[float]:
         """Return the newest values of an array signal."""
-        return [self._newest(slot) for slot in self._signal(signal).slots]
+        frame = self._frame()
+        return [float(frame.values[slot]) for slot in self._signal(signal).slots]
 
     def status(self, signal: str) -> int:
         """Return the newest OPC UA status code of a scalar signal."""
-        frame = self.daemon.image.latest()
-        if frame is None:
-            raise HilError("there is no frame yet; step once")
-        return int(frame.status[self._slot(signal)])
+        return int(self._frame().status[self._slot(signal)])
 
     def write(self, signal: str | Mapping[str, Value], value: Value | None = None) -> None:
         """Write one input, or several that one tick latches together.
@@ -163,11 +161,11 @@ class Hil:
             raise HilError(f"'{name}' is an array; take one of its scalars, or read_all")
         return signal.slots[0]
 
-    def _newest(self, slot: int) -> float:
+    def _frame(self) -> Frame:
         frame = self.daemon.image.latest()
         if frame is None:
             raise HilError("there is no frame yet; step once")
-        return float(frame.values[slot])
+        return frame
 
     async def wait_for(
         self,

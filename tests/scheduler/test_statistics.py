@@ -146,7 +146,7 @@ async def test_reset_while_the_loop_runs_tears_nothing():
             figures = statistics.slice("plant")
             assert figures.latency_counts.sum() == figures.execution_counts.sum() == figures.count
             tick = rig.scheduler.tick
-            rig.scheduler.reset_statistics()
+            rig.scheduler.statistics.reset()
             count = statistics.slice("plant").count
             assert count <= rig.scheduler.tick - tick + 1, "runs from before are counted"
             await until(lambda: statistics.slice("plant").count >= 3)

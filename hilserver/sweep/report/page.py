@@ -23,6 +23,7 @@ from hilserver.sweep.words import details, headline, scope
 REPORT: Final = "report.html"
 MOST_INFLUENCES: Final = 8
 N_WORST: Final = 10
+MOST_MESSAGES: Final = 8
 
 
 @dataclass(frozen=True)
@@ -116,7 +117,7 @@ def _worst(table: Table) -> list[dict[str, Any]]:
     ]
 
 
-def _counted(table: Table, status: str, most: int = 8) -> list[tuple[str, int, int]]:
+def _counted(table: Table, status: str) -> list[tuple[str, int, int]]:
     """Return the messages of a status, their counts, and one machine with each."""
     found: dict[str, list[int]] = {}
     for row, message in enumerate(table.message):
@@ -124,7 +125,7 @@ def _counted(table: Table, status: str, most: int = 8) -> list[tuple[str, int, i
             key = message.partition(": ")[0] if status == REFUSED else message
             found.setdefault(key, []).append(int(table.index[row]))
     ordered = sorted(found.items(), key=lambda item: -len(item[1]))
-    return [(message, len(rows), rows[0]) for message, rows in ordered[:most]]
+    return [(message, len(rows), rows[0]) for message, rows in ordered[:MOST_MESSAGES]]
 
 
 @cache
