@@ -83,9 +83,8 @@ def _parse(path: Path, most_bytes: int = MAX_BYTES) -> yaml.Node | None:
             f"{path}:{line}: byte {error.start} is not UTF-8; save it as UTF-8"
         ) from None
     except yaml.MarkedYAMLError as error:
-        line = error.problem_mark.line + 1 if error.problem_mark else 1
         hint = "; indent with spaces, not with tabs" if "'\\t'" in str(error.problem) else ""
-        raise ConfigError(f"{path}:{line}: not YAML: {error.problem}{hint}") from None
+        raise _wrong(path, error.problem_mark, f"not YAML: {error.problem}{hint}") from None
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
         raise ConfigError(f"{path}:{line}: not YAML: {str(error).splitlines()[0]}") from None
@@ -106,9 +105,11 @@ def _read(path: Path, most_bytes: int) -> bytes:
 
 
 def _too_deep(path: Path, mark: Any) -> ConfigError:
-    return ConfigError(
-        f"{path}:{mark.line + 1}: nested more than {MAX_NESTING} levels deep; flatten it"
-    )
+    return _wrong(path, mark, f"nested more than {MAX_NESTING} levels deep; flatten it")
+
+
+def _wrong(path: Path, mark: Any, text: str) -> ConfigError:
+    return ConfigError(f"{path}:{mark.line + 1 if mark else 1}: {text}")
 
 
 _NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
@@ -123,43 +124,36 @@ def _construct(path: Path, root: yaml.Node | None) -> Any:
         if depth > MAX_NESTING:
             raise _too_deep(path, node.start_mark)
         if number >= MAX_VALUES:
-            raise ConfigError(
-                f"{path}:{node.start_mark.line + 1}: more than {MAX_VALUES} values; use fewer"
-                " aliases"
-            )
+            raise _wrong(path, node.start_mark, f"more than {MAX_VALUES} values; use fewer aliases")
         if isinstance(node, yaml.ScalarNode) and node.tag in _NUMBERS and ":" in node.value:
-            raise ConfigError(
-                f"{path}:{node.start_mark.line + 1}: YAML takes {node.value} for a number to the"
-                " base 60; write the plain number"
+            raise _wrong(
+                path,
+                node.start_mark,
+                f"YAML takes {node.value} for a number to the base 60; write the plain number",
             )
         if isinstance(node, yaml.ScalarNode) and "\0" in node.value:
-            raise ConfigError(
-                f"{path}:{node.start_mark.line + 1}: a text holds the character NUL, which no name"
-                " of a file has; leave it out"
+            raise _wrong(
+                path,
+                node.start_mark,
+                "a text holds the character NUL, which no name of a file has; leave it out",
             )
         if isinstance(node, yaml.MappingNode):
             seen: dict[str, int] = {}
             for key, _ in node.value:
-                line = key.start_mark.line + 1
                 name = str(key.value)
                 if name in seen:
-                    first = seen[name]
-                    raise ConfigError(
-                        f"{path}:{line}: key '{name}' is already in line {first};"
-                        " remove one of them"
-                    )
-                seen[name] = line
+                    text = f"key '{name}' is already in line {seen[name]}; remove one of them"
+                    raise _wrong(path, key.start_mark, text)
+                seen[name] = key.start_mark.line + 1
     try:
         found = yaml.constructor.SafeConstructor().construct_document(root)
     except yaml.MarkedYAMLError as error:
-        line = error.problem_mark.line + 1 if error.problem_mark else 1
-        raise ConfigError(f"{path}:{line}: {error.problem}") from None
+        raise _wrong(path, error.problem_mark, str(error.problem)) from None
     except _UNREADABLE as error:
         node = next(node for node, _ in _walk(root) if not _is_readable(node))
         kind = node.tag.rpartition(":")[2]
         why = error if isinstance(error, ValueError) else f"{node.value!r:.60} is no {kind}"
-        line = node.start_mark.line + 1
-        raise ConfigError(f"{path}:{line}: a value cannot be read: {why}") from None
+        raise _wrong(path, node.start_mark, f"a value cannot be read: {why}") from None
     return {} if found is None else found
 
 

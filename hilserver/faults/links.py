@@ -61,13 +61,13 @@ class Line:
         # batches that a fault dropped, and those for which the queue had no room
         self.lost = 0
         self.overflowed = 0
-        self._clock_s = clock_s
+        self.now_s = clock_s
         self._faults: dict[str, LinkFault] = {}
         self._news = asyncio.Event()
 
     def inject(self, fault: Fault) -> None:
         """Let a fault act; one of the same name is replaced."""
-        self._faults[fault.title] = LinkFault(fault, self._clock_s())
+        self._faults[fault.title] = LinkFault(fault, self.now_s())
         self._news.set()
 
     def clear(self, name: str | None = None) -> bool:
@@ -80,18 +80,18 @@ class Line:
     def active(self) -> list[tuple[Fault, bool]]:
         """Return the faults that wait or act, and whether they act now."""
         self._prune()
-        now_s = self._clock_s()
+        now_s = self.now_s()
         return [(f.fault, now_s >= f.from_s) for f in self._faults.values()]
 
     def _prune(self) -> None:
-        now_s = self._clock_s()
+        now_s = self.now_s()
         self._faults = {n: f for n, f in self._faults.items() if not f.is_over(now_s)}
 
     def _acting(self, direction: str) -> list[LinkFault]:
         if not self._faults:
             return []
         self._prune()
-        now_s = self._clock_s()
+        now_s = self.now_s()
         return [f for f in self._faults.values() if f.acts(now_s, direction)]
 
     @property
@@ -121,16 +121,12 @@ class Line:
         lost, delay_s, overtakes = False, 0.0, False
         for fault in self._acting(direction):
             if fault.fault.fault == "drop":
-                lost |= fault.drops(self._clock_s())
+                lost |= fault.drops(self.now_s())
             elif fault.fault.fault != "disconnect":
                 delay_s += fault.delay_s()
                 overtakes |= fault.fault.fault == "reorder"
         self.lost += lost
         return lost, delay_s, overtakes
-
-    def now_s(self) -> float:
-        """Return the clock of this line [s]."""
-        return self._clock_s()
 
 
 class Lane(Generic[T]):

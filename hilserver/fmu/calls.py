@@ -66,39 +66,22 @@ def _decode(raw: Any, kind: int, size: int, values: Any) -> None:
 
 
 @kernel()
-def set_values(first: int, n_rows: int, values: Any, a: Any) -> int:
-    """Set the variables of some rows, one call per row; return the worst status."""
+def access(first: int, n_rows: int, values: Any, a: Any, gets: bool) -> int:
+    """Get or set the variables of some rows, one call per row; return the worst status."""
     worst, begin = 0, 0
     for row in range(first, first + n_rows):
         r = _place(row)
-        n = a[r + at.R_COUNT]
+        n, kind, size = a[r + at.R_COUNT], a[r + at.R_KIND], a[r + at.R_BYTES]
         piece, scratch = values[begin : begin + n], a[a[at.A_SCRATCH] :]
-        data = piece.ctypes.data
-        if a[r + at.R_KIND] != at.FLOAT or a[r + at.R_BYTES] != 8:
-            _encode(piece, a[r + at.R_KIND], a[r + at.R_BYTES], scratch)
-            data = scratch.ctypes.data
+        converts = kind != at.FLOAT or size != 8
+        if converts and not gets:
+            _encode(piece, kind, size, scratch)
+        data = scratch.ctypes.data if converts else piece.ctypes.data
         references, m = a[a[r + at.R_REFERENCES] :].ctypes.data, a[r + at.R_VARIABLES]
-        status = ask(
-            a[r + at.R_FUNCTION], a[at.A_INSTANCE], references, m, data, n, 0, 0.0, 0.0
-        )  # FMI 3.0 alone takes the number of values
-        worst, begin = max(worst, status), begin + n
-    return int(worst)
-
-
-@kernel()
-def get_values(first: int, n_rows: int, values: Any, a: Any) -> int:
-    """Get the variables of some rows; return the worst status."""
-    worst, begin = 0, 0
-    for row in range(first, first + n_rows):
-        r = _place(row)
-        n = a[r + at.R_COUNT]
-        piece, scratch = values[begin : begin + n], a[a[at.A_SCRATCH] :]
-        own = a[r + at.R_KIND] != at.FLOAT or a[r + at.R_BYTES] != 8
-        data = scratch.ctypes.data if own else piece.ctypes.data
-        references, m = a[a[r + at.R_REFERENCES] :].ctypes.data, a[r + at.R_VARIABLES]
+        # FMI 3.0 alone takes the number of values; 2.0 ignores a further argument.
         status = ask(a[r + at.R_FUNCTION], a[at.A_INSTANCE], references, m, data, n, 0, 0.0, 0.0)
-        if own:
-            _decode(scratch, a[r + at.R_KIND], a[r + at.R_BYTES], piece)
+        if converts and gets:
+            _decode(scratch, kind, size, piece)
         worst, begin = max(worst, status), begin + n
     return int(worst)
 
@@ -146,9 +129,9 @@ def advance(n: int, dt_s: float, u: Any, y: Any, x: Any, p: Any, a: Any) -> int:
     With `n` = 0 the inputs stay unchanged too, so the outputs are those of the state.
     """
     n_in, n_p, n_out = a[at.A_INPUTS], a[at.A_PARAMETERS], a[at.A_OUTPUTS]
-    worst = set_values(0, n_in, u, a) if n > 0 else at.OK
+    worst = access(0, n_in, u, a, gets=False) if n > 0 else at.OK
     if n > 0 and _changed(p, a):
-        worst = max(worst, set_values(n_in, n_p, p, a))
+        worst = max(worst, access(n_in, n_p, p, a, gets=False))
     for _ in range(n):
         if worst > at.WARNING:
             return int(worst)
@@ -156,7 +139,7 @@ def advance(n: int, dt_s: float, u: Any, y: Any, x: Any, p: Any, a: Any) -> int:
         x[at.X_STEPS] += 1.0
         a[at.A_STEPS] = int(x[at.X_STEPS])
     if worst <= at.WARNING:
-        worst = max(worst, get_values(n_in + n_p, n_out, y, a))
+        worst = max(worst, access(n_in + n_p, n_out, y, a, gets=True))
     return int(worst)
 
 

@@ -22,24 +22,15 @@ _NEEDED: Final[Mapping[int, Sequence[str]]] = {
     2: ("Instantiate", *_TIMES, "DoStep", "Terminate", "FreeInstance"),
     3: ("InstantiateCoSimulation", *_TIMES[1:], "DoStep", "Terminate", "FreeInstance"),
 }
-_OF_STATE: Final[Mapping[int, Mapping[int, str]]] = {
-    2: {
-        at.A_GET_STATE: "GetFMUstate",
-        at.A_SET_STATE: "SetFMUstate",
-        at.A_FREE_STATE: "FreeFMUstate",
-        at.A_STATE_SIZE: "SerializedFMUstateSize",
-        at.A_SERIALIZE: "SerializeFMUstate",
-        at.A_DESERIALIZE: "DeSerializeFMUstate",
-    },
-    3: {
-        at.A_GET_STATE: "GetFMUState",
-        at.A_SET_STATE: "SetFMUState",
-        at.A_FREE_STATE: "FreeFMUState",
-        at.A_STATE_SIZE: "SerializedFMUStateSize",
-        at.A_SERIALIZE: "SerializeFMUState",
-        at.A_DESERIALIZE: "DeserializeFMUState",
-    },
+_OF_STATE: Final[Mapping[int, tuple[str, str]]] = {
+    at.A_GET_STATE: ("GetFMUstate", "GetFMUState"),
+    at.A_SET_STATE: ("SetFMUstate", "SetFMUState"),
+    at.A_FREE_STATE: ("FreeFMUstate", "FreeFMUState"),
+    at.A_STATE_SIZE: ("SerializedFMUstateSize", "SerializedFMUStateSize"),
+    at.A_SERIALIZE: ("SerializeFMUstate", "SerializeFMUState"),
+    at.A_DESERIALIZE: ("DeSerializeFMUstate", "DeserializeFMUState"),
 }
+"""Functions that store a state, as FMI 2.0 and as 3.0 spells them."""
 _C_TYPES: Final[Mapping[tuple[int, int], Any]] = {
     (at.FLOAT, 8): ctypes.c_double, (at.FLOAT, 4): ctypes.c_float,
     (at.SIGNED, 1): ctypes.c_int8, (at.SIGNED, 2): ctypes.c_int16,
@@ -87,7 +78,7 @@ class Library:
             raise BlockError(f"cannot be loaded: {why}; export it for this computer") from None
         wanted = [*_NEEDED[fmu.version]]
         if fmu.stores_state:
-            wanted += _OF_STATE[fmu.version].values()
+            wanted += [names[fmu.version - 2] for names in _OF_STATE.values()]
         for name in wanted:
             self.function(name)
 
@@ -122,7 +113,7 @@ class Instance:
         self.outputs = np.zeros(wiring.n_outputs)  # `y` at time 0
         a = self.addresses
         n_before = int(a[at.A_INPUTS] + a[at.A_PARAMETERS])
-        self._check(calls.get_values(n_before, int(a[at.A_OUTPUTS]), self.outputs, a))
+        self._check(calls.access(n_before, int(a[at.A_OUTPUTS]), self.outputs, a, gets=True))
         self.initial = self._state()  # `x` of the kernels at time 0
 
     @property
@@ -204,8 +195,8 @@ class Instance:
         a[at.A_INSTANCE], a[at.A_VERSION] = self._instance.value or 0, self._fmu.version
         a[at.A_DO_STEP] = self._library.address("DoStep")
         if self._fmu.stores_state:
-            for place, name in _OF_STATE[self._fmu.version].items():
-                a[place] = self._library.address(name)
+            for place, names in _OF_STATE.items():
+                a[place] = self._library.address(names[self._fmu.version - 2])
         a[at.A_SLOW] = slow_ns
         return a
 
