@@ -74,6 +74,7 @@ class Faults:
         self._lines = lines
         self._notes: dict[int, _Note] = {}
         self._leaving: dict[int, int] = {}  # number: it is gone once this many commands are taken
+        # A restored state brings modifiers of earlier runs along: none may have the same number.
         self._numbers = itertools.count(time.time_ns())
 
     # --- commands ---------------------------------------------------------------------------------

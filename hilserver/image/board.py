@@ -32,6 +32,7 @@ class Board:
             return False
         self._bytes[: len(text)] = np.frombuffer(text, np.uint8)
         self._words[1], self._words[2] = len(text), zlib.crc32(text)
+        # Not ordered for other cores: a reader that is too early finds a wrong checksum.
         self._words[0] += 1
         return True
 

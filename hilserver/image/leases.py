@@ -107,8 +107,8 @@ def _take(kind: int, values: Any, words: Any) -> None:
     before = int(d.owner)
     if 0 <= before < FIRST_OFFERING:  # old commands must not act if it drives again
         _clear(before, words)
-        d.values[before, n] = 0.0
-        d.values[before, n + 1] = 1.0
+        d.values[before, n] = 0.0  # mode: wheels
+        d.values[before, n + 1] = 1.0  # enabled
     d.owner = kind
     for number in range(d.count):  # its lease may have lapsed while it only made offers
         lease = lease_at(number, words)
@@ -179,6 +179,7 @@ def show_outcome(values: Any, words: Any) -> None:
     if down > 0:
         d.down = down - 1
         for i in range(n):
+            # (n-1)/n (n-2)/(n-1) ... 0/1: in steps of the same size, whatever it began with
             values[frame + i] *= (down - 1) / down
         return
     if kind < 0:

@@ -227,6 +227,7 @@ class _ToStructlog(logging.Handler):
             text = record.getMessage()
         except Exception:  # noqa: BLE001 (wrong arguments of a library)
             text = str(record.msg)
+        # structlog knows five levels; a library may have its own between them
         standard = min(max(record.levelno // 10 * 10, logging.DEBUG), logging.CRITICAL)
         error = record.exc_info[1] if record.exc_info else None
         details: dict[str, Any] = {"exc_info": error} if error else {}

@@ -86,6 +86,7 @@ def _sliding_minimum(samples: Array, n: int) -> Array:
     """Return the minimum of every `n` successive samples, shape (len - n + 1,)."""
     from scipy.ndimage import minimum_filter1d  # noqa: PLC0415 - few requirements need it
 
+    # scipy centres its window on a sample; the origin moves it to begin there
     filtered: Array = minimum_filter1d(samples, n, origin=-(n // 2), mode="nearest")
     return filtered[: len(samples) - n + 1]
 

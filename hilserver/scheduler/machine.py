@@ -71,7 +71,7 @@ class Machine:
 
     def prefault(self) -> None:
         """Touch every page of every array once, without changing a bit."""
-        for array in self.loop:
+        for array in self.loop:  # 512 words are a page
             array.reshape(-1).view(np.int64)[::512] += 0
 
 

@@ -145,6 +145,7 @@ class Overruns:
                 )
 
     def _watch_sigcont(self, finder: CauseFinder) -> None:
+        # A program that embeds the daemon may handle SIGCONT itself; it keeps it.
         main = threading.current_thread() is threading.main_thread()
         if main and signal.getsignal(signal.SIGCONT) == signal.SIG_DFL:
             with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):

@@ -61,7 +61,7 @@ class ThreadPacing:
         try:
             async with asyncio.timeout(_END_WITHIN_S):
                 if self._thread.ident is not None:
-                    await self._over.wait()
+                    await self._over.wait()  # `join` alone would block the event loop
                     self._thread.join()
         except TimeoutError:
             raise FailedError(

@@ -46,6 +46,7 @@ class Timer:
 
     def set(self, deadline_ns: int) -> None:
         """Fire at the absolute time `deadline_ns`; at once if it has passed."""
+        # 0 would disarm the timer
         self._spec.value_s, self._spec.value_ns = divmod(max(deadline_ns, 1), 10**9)
         spec = ctypes.byref(self._spec)
         if self._libc.timerfd_settime(self.fileno, _TFD_TIMER_ABSTIME, spec, None) != 0:

@@ -100,6 +100,7 @@ class ProcessGrants:
         if limit != resource.RLIM_INFINITY and not has_capability(CAP_IPC_LOCK):
             return Grant("memory_lock", False, f"limit {limit // 1024} KiB", "locked", remedy)
         libc = ctypes.CDLL(None, use_errno=True)
+        # ONFAULT: what is never touched, such as most of a thread's stack, takes no memory.
         if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT) != 0:
             return Grant("memory_lock", False, os.strerror(ctypes.get_errno()), "locked", remedy)
         self._locked = True

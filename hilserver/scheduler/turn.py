@@ -58,6 +58,7 @@ def usage_since_last(scratch: NDArray[np.int64]) -> None:
     usage = scratch[RUSAGE:PREVIOUS]
     before = scratch[PREVIOUS:]
     getrusage(_RUSAGE_THREAD, usage.ctypes)
+    # user and system time, each in seconds and microseconds
     cpu_ns = (usage[0] + usage[2]) * 1_000_000_000 + (usage[1] + usage[3]) * 1000
     now = (cpu_ns, usage[_MINOR_FAULTS], usage[_MAJOR_FAULTS], usage[_INVOLUNTARY])
     for index in range(4):

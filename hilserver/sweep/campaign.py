@@ -74,6 +74,7 @@ class LocalWorkers(AbstractContextManager["LocalWorkers"]):
         self._pool = self._new()
 
     def __exit__(self, *_: object) -> None:
+        # Before Python 3.14 a pool has no method that ends a worker in the middle of a batch.
         for worker in set(multiprocessing.active_children()) - self._others:
             worker.terminate()
         self._pool.shutdown(wait=True, cancel_futures=True)

@@ -91,6 +91,7 @@ class Draws:
         """Return a number in 0 .. 1 for a machine and a name."""
         words = np.random.SeedSequence([self.seed, index, zlib.crc32(name.encode())])
         low, high = words.generate_state(2).tolist()
+        # The upper 53 of 64 bits, as many as a float64 holds: no number is rounded up to 1.
         return float((high << 21 | low >> 11) * 2.0**-53)
 
 

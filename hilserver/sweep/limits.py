@@ -27,6 +27,7 @@ def limited(time_s: float) -> Iterator[None]:
     in_main = threading.current_thread() is threading.main_thread()
     before = signal.signal(signal.SIGALRM, _over) if in_main else None
     signal.setitimer(signal.ITIMER_REAL, time_s + (0.0 if in_main else GRACE_S))
+    # Nobody handles SIGPROF: it ends a process that computes on where `_over` is never called.
     signal.setitimer(signal.ITIMER_PROF, time_s + GRACE_S)
     try:
         with contextlib.redirect_stdout(_SILENCE), contextlib.redirect_stderr(_SILENCE):

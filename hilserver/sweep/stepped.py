@@ -120,6 +120,7 @@ class Stepped:
         over = asyncio.create_task(watch.over.wait())
         try:
             await asyncio.wait((over, reading), timeout=time_s, return_when=asyncio.FIRST_COMPLETED)
+            # It closes its error output a moment before its exit code is there.
             if reading.done() and not over.done():
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(1.0):
