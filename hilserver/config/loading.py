@@ -1,5 +1,6 @@
 """From a YAML file to a validated model; every complaint names file, line and key."""
 
+import contextlib
 import stat
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -64,6 +65,15 @@ def place(path: Path | None, location: Path_) -> str:
     if path is None or not path.exists():
         return key
     return f"{path}:{_line(_parse(path), location)}: {key}"
+
+
+@contextlib.contextmanager
+def placed(path: Path | None, location: Path_) -> Iterator[None]:
+    """Let errors about a part of a file begin with its place; they become ConfigErrors."""
+    try:
+        yield
+    except (ValueError, ConfigError) as error:
+        raise ConfigError(f"{place(path, location)}{error}") from None
 
 
 def _parse(path: Path, most_bytes: int = MAX_BYTES) -> yaml.Node | None:

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
-from hilserver.config.loading import MAX_BYTES, load, place
+from hilserver.config.loading import MAX_BYTES, load, place, placed
 from hilserver.config.section import Section
 from hilserver.core.inputs import InputGate, Refusal, check_value
 from hilserver.core.parameters import LiveParameters
@@ -29,7 +29,6 @@ from hilserver.errors import ConfigError, ControlRefused, no_signal
 from hilserver.faults.book import Faults
 from hilserver.faults.model import Fault, Seconds
 from hilserver.image import ProcessImage, Row
-from hilserver.plant.errors import PlantError
 from hilserver.signals import SignalTable
 
 MAX_STEPS = 4000
@@ -122,10 +121,8 @@ class Stage:
         """Check every signal, range and peer; ConfigError names file, line and key."""
         scenario, path = play
         for index, fault in enumerate(scenario.faults):
-            try:
+            with placed(path, ("faults", index)):
                 self._faults.check(fault)
-            except ValueError as error:
-                raise ConfigError(f"{place(path, ('faults', index))}{error}") from None
         try:
             self._faults.check_all(scenario.faults)
         except ValueError as error:
@@ -143,15 +140,10 @@ class Stage:
         values: dict[str, float] = {}
         for index, step in enumerate(scenario.steps):
             for name, value in step.set_.items():
-                try:
+                with placed(path, ("steps", index, "set", name)):
                     values |= self._parameters.checked({name: value})
-                except PlantError as error:
-                    where = place(path, ("steps", index, "set", name))
-                    raise ConfigError(f"{where}{error}") from None
-            try:
+            with placed(path, ("steps", index, "set")):
                 self._parameters.try_out(values)
-            except PlantError as error:
-                raise ConfigError(f"{place(path, ('steps', index, 'set'))}{error}") from None
 
     def play(self, scenario: Scenario, start_tick: int = 0) -> None:
         """Hand a checked scenario to the plant; its times count from `start_tick`.

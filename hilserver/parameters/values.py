@@ -9,23 +9,18 @@ from math import isinf, isnan, nan
 from typing import Any, Final
 
 from hilserver.errors import meant
-from hilserver.parameters.table import PLANT, TERM, Parameter
+from hilserver.parameters.table import BODY, PLANT, SECTIONS, TERM, Parameter
 from hilserver.plant.errors import PlantError
 from hilserver.plant.parameters import GEOMETRIC_GAINS, RobotParameters
 from hilserver.plant.terms import complete, main_part
 
 GAIN: Final = "kinematics.rotation_gain"
 _PARTS: Final[Mapping[str, str]] = {
-    "plant": "",
-    "kinematics": "",
-    "plant.controller": "controller",
-    "plant.process": "process",
-    "sensors.imu": "imu",
-    "sensors.battery": "battery",
-    "sensors.tof": "tof",
-    "sensors.nav": "nav",
+    section: section.partition(".")[2]
+    for section in (*SECTIONS, "kinematics")
+    if not section.startswith(BODY)
 }
-"""Part of `RobotParameters` that has the fields of a section."""
+"""Part of `RobotParameters` that has the fields of a section; empty: itself."""
 
 
 def named(name: str, table: Mapping[str, Parameter]) -> str:

@@ -35,7 +35,7 @@ from hilserver.parameters import geometric_gain, with_values
 from hilserver.plant.parameters import RobotParameters
 from hilserver.recalibration import flips
 from hilserver.recalibration.orders import Compared, Looked, Order, Result, Values
-from hilserver.recalibration.proposals import Quantity, Term
+from hilserver.recalibration.proposals import Quantity, Term, values_of
 from hilserver.recalibration.spending import NAMED_LEVEL
 
 REFINED: Final = 3  # the same for both models, or the difference would be that of refinement
@@ -220,11 +220,6 @@ def is_changed(name: str, term: Term, now: float | None, least_change: float) ->
     size = None if part_of(name).shape else reference(cause_of(name).name, name)
     least = least_change * (size or 0.0)
     return not low - least <= now <= high + least
-
-
-def values_of(terms: Mapping[str, Term]) -> dict[str, float]:
-    """Return the values of terms."""
-    return {name: term.value for name, term in terms.items()}
 
 
 def fixed(values: Values) -> Model:

@@ -12,7 +12,7 @@ from typing import Any, Final
 from hilserver.errors import ControlRefused
 from hilserver.recalibration.flips import Answer, fewest_blocks
 from hilserver.recalibration.orders import Compared, Looked, Result, Todo, Values
-from hilserver.recalibration.proposals import Proposal, Quantity, Stage, Step, Term
+from hilserver.recalibration.proposals import Proposal, Quantity, Stage, Step, Term, values_of
 from hilserver.recalibration.spending import Spending
 
 EFFECT_LEVEL: Final = 0.05
@@ -38,11 +38,6 @@ class Candidate:
     loaded: Values
     looked: Looked
     level: float
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Its terms."""
-        return {name: term.value for name, term in self.looked.terms.items()}
 
 
 class Loop:
@@ -81,7 +76,7 @@ class Loop:
         """Whether the running model is no longer that of the accepted proposal."""
         if self.proposal is None or self.proposal.stage is not Stage.ACCEPTED:
             return False
-        return {name: term.value for name, term in self.proposal.terms.items()} != loaded
+        return values_of(self.proposal.terms) != loaded
 
     def todo(self, window: int, loaded: Values, now_s: float) -> Todo | None:
         """Return what to do with a complete window; None if nothing."""
@@ -97,7 +92,7 @@ class Loop:
             window,
             dict(loaded),
             measure=measure,
-            confirm=None if candidate is None else candidate.values,
+            confirm=None if candidate is None else values_of(candidate.looked.terms),
             level=0.0 if candidate is None else candidate.level,
             look=is_due or self.changed is not None,
         )
@@ -266,7 +261,7 @@ def present(proposal: Proposal) -> dict[str, float]:
 
 def back(proposal: Proposal, number: int, window: int) -> Proposal:
     """Return the proposal that undoes an accepted one."""
-    now = {name: term.value for name, term in proposal.terms.items()}
+    now = values_of(proposal.terms)
     before = present(proposal)
     units = {name: term.unit for name, term in proposal.terms.items()}
     return Proposal(

@@ -148,6 +148,11 @@ class Proposal:
 _PROPOSAL: Final = TypeAdapter(Proposal)
 
 
+def values_of(terms: Mapping[str, Term]) -> dict[str, float]:
+    """Return the values of terms."""
+    return {name: term.value for name, term in terms.items()}
+
+
 def _meet(one: Term, other: Term) -> bool:
     a, b = one.interval, other.interval
     return a[0] <= b[1] and b[0] <= a[1]

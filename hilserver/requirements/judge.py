@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hilserver.arrays import Array
-from hilserver.config.loading import place
+from hilserver.config.loading import place, placed
 from hilserver.errors import ConfigError, FailedError, meant
 from hilserver.program.own_python import described, load_callable
 from hilserver.requirements.model import Requirement
@@ -150,7 +150,9 @@ class Judge:
                 raise ConfigError(f"{where}two requirements have the name '{requirement.name}'")
             names = requirement.signals or known
             if requirement.python is not None:
-                self._functions[requirement.name] = _function(requirement.python, folder, where)
+                with placed(path, ("require", index, "python")):
+                    found = load_callable(requirement.python, folder)
+                self._functions[requirement.name] = found
             elif requirement.signal is not None:
                 names = (requirement.signal,)
             for name in names:
@@ -186,10 +188,3 @@ class Judge:
                 f" value for each of the {drive.n_ticks} ticks is needed"
             )
         return values
-
-
-def _function(reference: str, folder: Path, where: str) -> Callable[..., Any]:
-    try:
-        return load_callable(reference, folder)
-    except ConfigError as error:
-        raise ConfigError(f"{where}{error}") from None

@@ -14,7 +14,7 @@ from hilserver import __version__
 from hilserver.arrays import Array
 from hilserver.compiled import kernel_hash
 from hilserver.config.blocks import BlockConfig
-from hilserver.config.loading import load, place
+from hilserver.config.loading import load, place, placed
 from hilserver.config.patch import Patch, load_patch
 from hilserver.config.root import Config, load_config
 from hilserver.daemon.assembly import Assembly, assemble_config
@@ -147,11 +147,8 @@ def _assembled(
     controller: ControllerConfig | None,
 ) -> Assembly:
     """Assemble the robot with its controller, and nothing that listens or connects."""
-    try:
+    with placed(path, () if controller is None else ("controller",)):
         assembly = assemble_config(quiet(config), folder, patch)
-    except ConfigError as error:
-        key = () if controller is None else ("controller",)
-        raise ConfigError(f"{place(path, key)}{error}") from None
     if any(block.model is not None for block in assembly.composition.blocks):
         raise ConfigError(
             f"{place(folder / 'config.yaml', ('blocks',))}a sweep cannot begin an FMU anew for"

@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.arrays import Array
-from hilserver.config.loading import place
+from hilserver.config.loading import placed
 from hilserver.daemon.assembly import Assembly, assemble_config
 from hilserver.daemon.builder import Pace, build, faults_of
-from hilserver.errors import ConfigError
 from hilserver.faults.scenario import Play, Scenario
 from hilserver.parameters.table import BLOCK
 from hilserver.plant.layout import Parameters
@@ -139,11 +138,8 @@ class Rig:
         stage = core.stage()
         stage.check(Play(job.scenario, job.scenario_path))
         for index, item in enumerate(job.sweep.faults):
-            try:
+            with placed(job.path, ("faults", index, "fault")):
                 core.faults.check(item.fault)
-            except ValueError as error:
-                where = place(job.path, ("faults", index, "fault"))
-                raise ConfigError(f"{where}{error}") from None
         stage.play(job.scenario.changed(faults=()))
 
     def _run(self) -> None:
