@@ -12,6 +12,6 @@
     Which window is looked at next, and what follows from what was seen: no clock, no file.
 `orders`, `judging`, `worker`
     What a look is asked and answers, the look itself, its process: these alone know the diagnosis.
-`patches`, `process`, `part`, `link`
+`gap`, `patches`, `process`, `part`, `link`
     The daemon's side: files, processes, and everything that doors show.
 """

@@ -16,22 +16,18 @@ from hilserver.errors import ControlRefused, FailedError, UserError
 from hilserver.image import Frame
 from hilserver.io.world import Figure, Part, World
 from hilserver.metrics import Source
-from hilserver.plant.layout import WHEELS
 from hilserver.program import event_loop
 from hilserver.recalibration import patches, process
-from hilserver.recalibration.change import ChangeDetector, Residuals
+from hilserver.recalibration.gap import GapWatch
 from hilserver.recalibration.history import History, broken, is_sound
 from hilserver.recalibration.loop import Loop, Note, present
 from hilserver.recalibration.orders import Order, Share, Todo
 from hilserver.recalibration.proposals import Proposal, Stage, Step
 from hilserver.recalibration.spending import Spending
 from hilserver.recalibration.windows import News, Window
-from hilserver.signals import MEASURED
-from hilserver.status import GOOD
 
 LOOK_FOR_WINDOWS_S: Final = 1.0
 RECORD_AGAIN_S: Final = 60.0  # after the recorder has ended: a full disk is not freed at once
-DRIVEN_RPM: Final = 1.0
 AUTOMATIC: Final = "automatic"
 KEPT_REPORTS: Final = 20
 MOST_TEXT: Final = 500
@@ -54,7 +50,7 @@ class Recalibration(Part):
         self._world, self._config = world, world.config.recalibration
         self._folder = world.folder / self._config.folder
         self._patches = world.folder / world.config.folders.patches
-        self._residuals, self._detector = Residuals(), ChangeDetector()
+        self._gap = GapWatch(world)
         self._tasks: list[asyncio.Task[None]] = []
         self._turn = asyncio.Lock()
         self.figures = Figures()
@@ -220,7 +216,7 @@ class Recalibration(Part):
 
     def _accepted(self, decided: Proposal, who: str) -> None:
         self.loop.adopt(decided, self._news.last + 1)
-        self._detector.restart()
+        self._gap.restart()
         self._decided(decided, who)
 
     def _decided(self, decided: Proposal, who: str) -> None:
@@ -274,22 +270,9 @@ class Recalibration(Part):
 
     def supervise(self) -> None:
         """Compare measured with simulated values."""
-        frame, table, gate = self._frame, self._world.table, self._world.gate
-        if frame is None or not self._tasks:
+        if self._frame is None or not self._tasks:
             return
-        measured: dict[str, float] = {}
-        simulated: dict[str, float] = {}
-        for name in gate.measured:
-            if table[name].writable:
-                continue  # a set-point is an input of the model
-            there, here = table.slot(f"{MEASURED}{name}"), table.slot(name)
-            if frame.status[there] == GOOD and frame.status[here] == GOOD:
-                measured[name] = float(frame.values[there])
-                simulated[name] = float(frame.values[here])
-        speeds = [frame.values[table.slot(f"wheel.{w}.speed_rpm")] for w in WHEELS]
-        moves = any(abs(speed) > DRIVEN_RPM for speed in speeds)
-        t_s = float(frame.values[table.slot("sim.time_s")])
-        channel = self._detector.take(self._residuals.take(t_s, measured, simulated, moves=moves))
+        channel = self._gap.take(self._frame)
         if channel is not None and self.loop.changed is None:
             self.loop.changed = channel
             self._say(f"the gap of {channel} has left its usual range; a look follows", 400)

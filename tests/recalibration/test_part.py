@@ -426,6 +426,6 @@ async def test_without_recalibration_the_methods_say_so(tmp_path):
 
 async def test_the_loop_takes_a_gap_that_grew(tmp_path, answers):
     async with daemon_in(tmp_path) as (daemon, part):
-        part._detector.take = lambda _: "wheel.fl.speed_rpm"
+        part._gap.take = lambda _: "wheel.fl.speed_rpm"
         await wait_until(lambda: part.loop.changed == "wheel.fl.speed_rpm")
         await exported(daemon, "gap_changed 1.0")
