@@ -229,9 +229,7 @@ class S7Config(LinkSection):
     def driver(self) -> Driver:
         """The writers of the blocks."""
         server = self.server
-        limit_ms, on_stale = (500.0, "ramp") if server is None else (
-            server.stale_after_ms, server.on_stale
-        )  # fmt: skip
+        limit_ms, on_stale = (server.stale_after_ms, server.on_stale) if server else (500.0, "ramp")
         who = ("s7", "peer:s7", "the S7 client")
         return Driver(*who, limit_ms, on_stale, server is not None, has_faults=False)
 

@@ -30,12 +30,6 @@ def is_done(number: int, words: Any) -> bool:
 
 
 @kernel()
-def serve_request(tick: int, words: Any) -> int:
-    """Serve the pending request, if any; return the tick to continue with."""
-    return int(serve(load_acquire(words, word.REQUEST), tick, words))
-
-
-@kernel()
 def serve(number: int, tick: int, words: Any) -> int:
     """Serve request `number` if it is pending; return the tick to continue with."""
     if number == words[word.REQUEST_DONE]:

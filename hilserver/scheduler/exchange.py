@@ -169,11 +169,6 @@ class Exchange:
         write_word(self.control, STOP_REQUEST, 1)
 
     @property
-    def command(self) -> int:
-        """The command given last."""
-        return self.get(COMMAND)
-
-    @property
     def standing(self) -> bool:
         """True when a pause, or all ticks of a step, have been carried out."""
         command = self.get(COMMAND)

@@ -132,10 +132,10 @@ class Statistics:
         """
         if len(array) < rows.N_HEAD or array[rows.MAGIC] != rows.MAGIC_NUMBER:
             raise ValueError("this array holds no scheduler statistics")
+        held = rows.Head.of(array).n_rows
         if names is None:
-            names = [str(index) for index in range(rows.Head.of(array).n_rows)]
-        if len(names) != rows.Head.of(array).n_rows:
-            held = rows.Head.of(array).n_rows
+            names = [str(index) for index in range(held)]
+        if len(names) != held:
             raise ValueError(f"the statistics hold {held} slices, not {len(names)}")
         attached = cls.__new__(cls)
         attached._adopt(array, list(names))

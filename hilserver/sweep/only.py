@@ -22,12 +22,8 @@ from hilserver.sweep.configuration import machine_config
 from hilserver.sweep.prepare import Machine, Prepared
 from hilserver.sweep.rig import Outcome, judge_of, margins_of, scenario_of
 
-CONFIG, SCENARIO, RECORDING, MARGINS = (
-    "config.yaml",
-    "scenario.yaml",
-    "recording.mcap",
-    "margins.json",
-)
+CONFIG, SCENARIO = "config.yaml", "scenario.yaml"
+RECORDING, MARGINS = "recording.mcap", "margins.json"
 
 
 def drive_again(prepared: Prepared, index: int, folder: Path) -> Outcome:

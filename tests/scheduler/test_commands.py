@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hilserver.scheduler import OverrunPolicy, Scheduler, Slice, StopReason
-from hilserver.scheduler.exchange import ACKNOWLEDGED, FREE_RUN, Exchange
+from hilserver.scheduler.exchange import ACKNOWLEDGED, COMMAND, FREE_RUN, Exchange
 from tests.scheduler.kernels import JUMP_TO, LATCHES, PUBLISHES, SHOWN, counting_step
 from tests.scheduler.rig import make, running, until
 
@@ -70,17 +70,17 @@ async def test_what_is_restored_while_standing_is_shown_once(backend):
 
 async def test_words_of_a_step_need_no_second_word():
     exchange = Exchange(1000, [])
-    assert exchange.command == FREE_RUN
+    assert exchange.get(COMMAND) == FREE_RUN
     assert not exchange.standing
     exchange.pause()
-    first = exchange.command
+    first = exchange.get(COMMAND)
     exchange.control[ACKNOWLEDGED] = first
     assert exchange.standing
     exchange.step(2)
-    assert exchange.command == first + 2
+    assert exchange.get(COMMAND) == first + 2
     assert not exchange.standing  # an old acknowledgement does not count for the new command
     exchange.pause()
-    assert exchange.command >> 32 == (first >> 32) + 1
+    assert exchange.get(COMMAND) >> 32 == (first >> 32) + 1
 
 
 @pytest.mark.parametrize("backend", ["thread", "timerfd"])

@@ -23,7 +23,7 @@ from hilserver.core.snapshot import SnapshotStore
 from hilserver.image import ProcessImage, leases
 from hilserver.image.leases import show_outcome
 from hilserver.image.queues import latch_rows
-from hilserver.image.requests import serve_request
+from hilserver.image.requests import serve
 from hilserver.image.ring import publish_frame
 from hilserver.io.opcua_server.model import NAMESPACE_URI
 from hilserver.io.opcua_server.server import OpcUaServer
@@ -123,7 +123,7 @@ class Rig:
 
     def _tick(self, change: Callable[[Any, Any], None] | None) -> None:
         image = self.image
-        self.pacing.tick = serve_request(self.pacing.tick, image.words) + 1
+        self.pacing.tick = serve(image.control.request, self.pacing.tick, image.words) + 1
         latch_rows(self.pacing.tick, image.values, image.words)
         show_outcome(image.values, image.words)
         values, status, slot = image.frame_values, image.frame_status, self.table.slot

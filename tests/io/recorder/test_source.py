@@ -5,7 +5,7 @@ import pytest
 
 from hilserver.errors import FailedError
 from hilserver.image.layout import REQUEST_LOAD, REQUEST_SAVE
-from hilserver.image.requests import post_request, serve_request
+from hilserver.image.requests import post_request, serve
 from hilserver.image.ring import publish_frame
 from hilserver.image.shared_file import path_of
 from hilserver.image.state_request import ask_for_state, take_request
@@ -25,7 +25,7 @@ class World:
 
     def run(self, n):
         for _ in range(n):
-            self.tick = serve_request(self.tick, self.image.words)
+            self.tick = serve(self.image.control.request, self.tick, self.image.words)
             publish_frame(self.tick, 0, self.image.values, self.image.words)
             self.tick += 1
 
