@@ -103,6 +103,7 @@ def _do_step(time_s: float, dt_s: float, a: Any) -> int:
         time_s,
         dt_s,
     )
+    # An FMU writes a C bool into each word, one byte.
     if status <= at.WARNING and a[at.A_EVENT] & 255:
         return at.EVENT_NEEDED
     if status <= at.WARNING and a[at.A_TERMINATE] & 255:

@@ -132,6 +132,7 @@ class Instance:
         fmu, environment = self._fmu, ctypes.c_void_p(self.message_words.ctypes.data)
         token, resources = fmu.token.encode(), fmu.folder / "resources"
         if fmu.version == 2:
+            # logger, allocateMemory, freeMemory, stepFinished, componentEnvironment
             self._callbacks = (ctypes.c_void_p * 5)(
                 _log_2.address, _libc("calloc"), _libc("free"), None, environment
             )

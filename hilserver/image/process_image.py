@@ -91,7 +91,7 @@ class ProcessImage(ImageReader):
             word.LIVE_LENGTH: region["live"].length,
             word.SHADOW_BASE: region["shadow"].base,
             word.BASE_PERIOD_NS: period_ns,
-            word.MAGIC_WORD: lay.MAGIC,
+            word.MAGIC_WORD: lay.MAGIC,  # last: until then nobody attaches
         }
         for index, value in header.items():
             words[index] = value

@@ -54,6 +54,7 @@ class ShadowReader:
         done = control.request_done
         if done == self._seen:
             return None
+        # The plant takes no lock: two equal copies were not made while it wrote.
         copies = [self._reader.shadow.copy(), self._reader.shadow.copy()]
         kind, tick = control.request_kind, control.request_tick
         if control.request != done or not np.array_equal(copies[0], copies[1]):

@@ -12,6 +12,7 @@ expected error is one line; a traceback means a defect.
 """
 
 import asyncio
+import contextlib
 import logging
 import re
 import sys
@@ -206,17 +207,12 @@ class _StreamLogger:
         self._stream = stream
 
     def msg(self, line: str) -> None:
-        try:
-            self._write(line)
-        except (OSError, ValueError):
-            return
+        with contextlib.suppress(OSError, ValueError):
+            encoding = getattr(self._stream, "encoding", None) or "utf-8"
+            self._stream.write(line.encode(encoding, "backslashreplace").decode(encoding) + "\n")
+            self._stream.flush()
 
     debug = info = warning = error = critical = exception = log = msg
-
-    def _write(self, line: str) -> None:
-        encoding = getattr(self._stream, "encoding", None) or "utf-8"
-        self._stream.write(line.encode(encoding, "backslashreplace").decode(encoding) + "\n")
-        self._stream.flush()
 
 
 class _ToStructlog(logging.Handler):

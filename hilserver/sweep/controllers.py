@@ -87,6 +87,7 @@ class Driver:
             raise WrongCommand(
                 f"returned {commands!r:.60}; a mapping of input signals to values is needed"
             )
+        # `...` equals no command, not even None.
         changed = {n: v for n, v in commands.items() if self._newest.get(n, ...) != v}
         rows = [row for name, value in changed.items() for row in self._rows(name, value)]
         if not rows:
