@@ -12,7 +12,7 @@ from hilserver.status import GOOD
 DRIVEN_RPM: Final = 1.0
 
 
-class GapWatch:
+class ChangeWatch:
     """Takes frames; all of them come from the same model until `restart`."""
 
     def __init__(self, world: World) -> None:

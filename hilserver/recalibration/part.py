@@ -18,7 +18,7 @@ from hilserver.io.world import Figure, Part, World
 from hilserver.metrics import Source
 from hilserver.program import event_loop
 from hilserver.recalibration import patches, process
-from hilserver.recalibration.gap import GapWatch
+from hilserver.recalibration.gap import ChangeWatch
 from hilserver.recalibration.history import History, broken, is_sound
 from hilserver.recalibration.loop import Loop, Note, present
 from hilserver.recalibration.orders import Order, Share, Todo
@@ -50,7 +50,7 @@ class Recalibration(Part):
         self._world, self._config = world, world.config.recalibration
         self._folder = world.folder / self._config.folder
         self._patches = world.folder / world.config.folders.patches
-        self._gap = GapWatch(world)
+        self._gap = ChangeWatch(world)
         self._tasks: list[asyncio.Task[None]] = []
         self._turn = asyncio.Lock()
         self.figures = Figures()
