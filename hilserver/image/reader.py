@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from hilserver.errors import FailedError
 from hilserver.image import layout as lay
 from hilserver.image import word
-from hilserver.image.control_words import ControlWords
 from hilserver.image.shared_file import map_read_only
 
 
@@ -43,6 +42,24 @@ class Frame:
     latched_rows: int  # input rows latched up to this frame, see `ProcessImage.pushed_rows`
     values: NDArray[np.float64]  # shape (n_slots,)
     status: NDArray[np.int64]  # shape (n_slots,); OPC UA status codes
+
+
+class ControlWords:
+    """What daemon and plant exchange besides signals; ``STATE`` in `word` is the attribute `state`.
+
+    Setting a word of a read-only arena raises a ValueError.
+    """
+
+    words: NDArray[np.int64]
+
+    def __init__(self, words: NDArray[np.int64]) -> None:
+        object.__setattr__(self, "words", words)
+
+    def __getattr__(self, name: str) -> int:
+        return int(self.words[getattr(word, name.upper())])
+
+    def __setattr__(self, name: str, value: int) -> None:
+        self.words[getattr(word, name.upper())] = value
 
 
 class ImageReader:

@@ -1,7 +1,7 @@
 """Index of each control word by name; they are the first words of the arena.
 
 Kernels write ``words[word.STATE]``; all other code writes ``image.control.state``, see
-`control_words.ControlWords`.
+`reader.ControlWords`.
 """
 
 MAGIC_WORD = 0

@@ -20,12 +20,12 @@ from collections.abc import Awaitable, Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.errors import FailedError
 from hilserver.scheduler import exchange as ex
 from hilserver.scheduler.causes import CauseFinder
 from hilserver.scheduler.communication import Communication, SliceCallback
 from hilserver.scheduler.gc_pauses import GcPauses
 from hilserver.scheduler.law import CONSECUTIVE_LIMIT, SINGLE_LIMIT
-from hilserver.scheduler.lockstep import wait_for_peer
 from hilserver.scheduler.machine import Machine
 from hilserver.scheduler.overruns import OverrunCallback, Overruns
 from hilserver.scheduler.pacing import Pacing, StopReason
@@ -40,6 +40,10 @@ from hilserver.scheduler.step import StepFunction
 
 BACKENDS = ("thread", "timerfd", "virtual")
 SPEED_LOW, SPEED_HIGH = 0.01, 100.0
+
+
+class PeerSilentError(FailedError):
+    """The other side of a lockstep did not answer in time."""
 
 
 class Scheduler:
@@ -268,8 +272,15 @@ class Scheduler:
         while not self.finished.done():
             await self.advance(n_ticks)
             tick = self.tick
-            goes_on = wait_for_peer(exchange(tick), peer=peer, timeout_s=timeout_s, tick=tick)
-            if not await goes_on:
+            try:
+                async with asyncio.timeout(timeout_s):
+                    goes_on = await exchange(tick)
+            except TimeoutError:
+                raise PeerSilentError(
+                    f"lockstep: {peer} has been silent for {timeout_s:g} s, tick {tick} is waiting"
+                    " for it; is it running and connected?"
+                ) from None
+            if not goes_on:
                 return
 
     def _rung(self) -> None:

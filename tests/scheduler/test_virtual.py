@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hilserver.scheduler import Slice
-from hilserver.scheduler.lockstep import PeerSilentError
+from hilserver.scheduler.scheduler import PeerSilentError
 from tests.scheduler.kernels import (
     FAULTS,
     JUMP_TO,
