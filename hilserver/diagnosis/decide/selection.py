@@ -21,6 +21,7 @@ from hilserver.diagnosis.decide.trial import (
     at_bound,
     holds,
     implausible,
+    own_error,
     physical,
     possible,
     wald,
@@ -46,6 +47,8 @@ from hilserver.diagnosis.thresholds import (
 TRIALS: Final = 8  # candidates fitted per round: those with the largest linear gains
 MOST_FITTED: Final = 3  # causes fitted in full per round, each with all its shapes
 MOST_SHAPES: Final = 4  # shapes of a cause fitted where much is left to explain
+TOO_LARGE: Final = "of a size that no machine has; others explain as much"
+DETOUR: Final = "fewer causes explain as much without the first choice"
 ROUNDS: Final = 3  # each removes more than half of the weights' bias to earlier fits
 
 
@@ -168,31 +171,56 @@ def _plausible(
     base: Point,
     search: Callable[[frozenset[str]], Selected],
 ) -> Selected:
-    """Search; where a cause is larger than any machine has it, search again without it.
+    """Search; where the first choice is in doubt, search again without it.
 
     The first choice shapes all that follows: swapping single causes never leads from it to several
-    causes that explain the data as well. A cause at a bound explains nothing at all.
+    causes that explain the data as well, nor from several that make up for it to the few that
+    explain as much. A cause at a bound explains nothing at all.
     """
     beginning = problem.noise, problem.weights
     first = search(frozenset())
     excessive = [f for f in first.point.model.fitted if _excessive(f)]
-    if not excessive:
+    barred = frozenset(f.candidate.cause for f in excessive) or _detour(first)
+    if not barred:
         return first
     own = problem.noise, problem.weights
     _use_noise(problem, library, beginning, base)
-    other = search(frozenset(f.candidate.cause for f in excessive))
+    other = search(barred)
     impossible = any(map(at_bound, excessive))
     noises = own, (problem.noise, problem.weights)
     ours, theirs = (sum(_cost(problem, s, n) for n in noises) for s in (first, other))
-    if not any(map(_excessive, other.point.model.fitted)) and (impossible or theirs <= ours):
+    if excessive:
+        why, better = TOO_LARGE, impossible or theirs <= ours
+    else:
+        inexact = own_error(problem, other.point, base.deviance)
+        as_good = theirs <= ours + len(noises) * inexact
+        why, better = DETOUR, as_good and _simpler(problem, first.point, other.point)
+    if better and not any(map(_excessive, other.point.model.fitted)):
         gone = [c for c in first.point.model.causes if c not in other.point.model.causes]
-        why = "of a size that no machine has; others explain as much"
         other.rows[:0] = [Decision(cause, "swapped", None, why) for cause in gone]
         return other
     _use_noise(problem, library, own, first.point)
     if impossible:
         return Selected(problem.point(Model(), base.poses), rows=first.rows)
     return first
+
+
+def _detour(selected: Selected) -> frozenset[str]:
+    """Return the first choice where others may only make up for it.
+
+    Where wheels stick and break loose no slope leads back from several causes to fewer. Two need no
+    second search: a rival that stands for both is found in the place of one.
+    """
+    causes = selected.point.model.causes
+    if len(causes) < 3 or not any(traits_of(cause).abrupt for cause in causes):
+        return frozenset()
+    return frozenset({next(cause for cause in selected.p if cause in causes)})
+
+
+def _simpler(problem: Problem, point: Point, other: Point) -> bool:
+    """Return whether another model has fewer causes, and predicts held-out blocks as well."""
+    fewer = 0 < len(other.model.fitted) < len(point.model.fitted)
+    return fewer and not Step(problem, point, other).harms
 
 
 Noises = tuple[Mapping[str, NoiseModel], Array]
@@ -275,37 +303,6 @@ def _already(problem: Problem, library: Library, point: Point, selected: Selecte
         why = f"runs already, {z:.1f} standard errors from zero"
         selected.rows.append(Decision(cause, "taken", None, why))
     return point
-
-
-def own_error(problem: Problem, point: Point, before: float) -> float:
-    """Return the deviance that the accepted causes may leave because their form is inexact.
-
-    An effect that is off by a share of itself leaves the square of that share. Where wheels stick
-    and break loose it leaves more: a tenth of the share already decides when they do. Twice the
-    share is allowed, as in an interval.
-
-    Parameters
-    ----------
-    before : float
-        Deviance without any cause.
-    """
-    most = 0.0
-    for index, f in enumerate(point.model.fitted):
-        if share := traits_of(f.candidate.cause).abrupt:
-            explained = max(before - point.deviance, 0.0)
-            moves = (share, -share, 0.1 * share, -0.1 * share)
-            found = (_moved_by(problem, point, index, move) for move in moves)
-            most = max(most, share**2 * explained, *found)
-    return 4.0 * most
-
-
-def _moved_by(problem: Problem, point: Point, index: int, share: float) -> float:
-    """Return the deviance between a model and the same model with one cause larger by a share."""
-    f = point.model.fitted[index]
-    theta = (v + share * (v - null) for v, null in zip(f.theta, f.candidate.null, strict=True))
-    moved = point.model.swapped(index, f.candidate, tuple(theta))
-    other = problem.point(moved, point.poses, pose_steps=0)
-    return float(((other.left - point.left) ** 2).sum())
 
 
 def _accepted(

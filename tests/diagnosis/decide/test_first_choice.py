@@ -7,10 +7,11 @@ import pytest
 
 from hilserver.diagnosis.decide.delays import beginning_for
 from hilserver.diagnosis.decide.identifiability import Rival
-from hilserver.diagnosis.decide.revision import no_name
+from hilserver.diagnosis.decide.revision import _weighed, no_name
 from hilserver.diagnosis.decide.selection import Selected, _plausible, select
 from hilserver.diagnosis.decide.trial import not_alone
 from hilserver.diagnosis.regression.fitting import fit
+from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.replay.model import Model
 from tests.diagnosis import toy
 
@@ -49,6 +50,39 @@ def test_what_alone_explains_the_data_stays_whatever_its_size(drawn):
     noise, columns = drawn
     found = selected(0.6 * columns["lure"] + noise, columns)
     assert found.point.model.causes == ("lure",)
+
+
+@pytest.mark.parametrize(
+    ("size", "inexact", "causes"),
+    [
+        (0.0, 0.02, ["process_gain", "stribeck_friction"]),
+        (0.0, 0.2, ["coulomb_friction", "time_constant", "viscous_load"]),
+        (1.0, 0.02, ["coulomb_friction", "time_constant", "viscous_load"]),
+    ],
+)
+def test_the_few_causes_stand_for_several_that_only_make_up_for_the_first_choice(
+    size, inexact, causes
+):
+    """The first looks like the sum of two, two others undo the rest; no swap leads back.
+
+    The three explain the error of the two causes' form as well. What is far more than that error,
+    or nothing that the two explain, needs all three.
+    """
+    rng = np.random.default_rng(2)
+    gain, friction, u, v, form = (30.0 * toy.smooth(rng, N) for _ in range(5))
+    columns = {
+        "process_gain": gain,
+        "stribeck_friction": friction,
+        "coulomb_friction": gain + friction + u,
+        "time_constant": u + v,
+        "viscous_load": v + inexact * form,
+    }
+    values = gain + friction + inexact * form + size * (2.0 * u + 3.0 * v)
+    problem = toy.problem(values + rng.normal(size=N), columns)
+    library, base = toy.library(problem)
+    found = select(problem, library, base, rng)
+    weighed, _ = _weighed(Prepared(problem, library, base), found)
+    assert sorted(weighed.model.causes) == causes
 
 
 @pytest.mark.parametrize("others_help", [True, False])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hilserver.diagnosis.catalogue.traits import traits_of
-from hilserver.diagnosis.decide.selection import own_error
+from hilserver.diagnosis.decide.trial import own_error
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.replay.model import Model
 from tests.diagnosis import toy
