@@ -76,7 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--blocks", type=int, default=10, help="blocks of each (default 10)")
     parser.add_argument("--block-s", type=int, default=5, help="seconds per block (default 5)")
     parser.add_argument("--period-us", type=int, default=1000, help="period (default 1000)")
-    parser.add_argument("--priority", type=int, default=80, help="SCHED_FIFO (default 80)")
+    parser.add_argument("--priority", type=int, default=80, help="SCHED_FIFO priority (default 80)")
     parser.add_argument(
         "--subject",
         choices=sorted(SUBJECTS),
@@ -88,7 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--backend",
         choices=("thread", "timerfd", "both"),
         default="both",
-        help="pacing to be measured (default: both, one after the other)",
+        help="back end to measure (default: both, one after the other)",
     )
 
 

@@ -61,7 +61,7 @@ class Subject:
         time.sleep(duration_s)
         counts = self.statistics.linear_counts - before
         if counts.sum() == 0:
-            raise FailedError("the process under measurement does not pace any more")
+            raise FailedError("the process under measurement has stopped pacing")
         return counts
 
     @property
@@ -170,14 +170,14 @@ def _load_report(clients: "subprocess.Popen[str]", duration_s: float) -> str:
     try:
         output, _ = clients.communicate(timeout=20)
     except subprocess.TimeoutExpired:
-        raise FailedError("the OPC UA clients did not end: the load is not known") from None
+        raise FailedError("the OPC UA clients did not end: the load is unknown") from None
     words = output.split()
     if clients.returncode != 0 or len(words) != 2:
-        raise FailedError("an OPC UA client failed during the measurement: the load was not there")
+        raise FailedError("an OPC UA client failed during the measurement: the load was incomplete")
     reads, late = int(words[0]), int(words[1])
     wanted = N_CLIENTS * RATE_HZ * duration_s
     if reads < 0.8 * wanted:
-        raise FailedError(f"only {reads} of about {wanted:.0f} reads took place: too slow a load")
+        raise FailedError(f"only {reads} of about {wanted:.0f} reads took place: too little load")
     return f"{reads} reads in {duration_s:.0f} s, {late} began a period too late"
 
 

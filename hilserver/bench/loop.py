@@ -43,7 +43,7 @@ SETTLE_S = (0.15, 0.25)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add ``--changes`` and ``--seed``."""
     parser.add_argument("--changes", type=int, default=200, help="set-point changes (%(default)s)")
-    parser.add_argument("--seed", type=int, default=1, help="of the moments (%(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the moments (%(default)s)")
 
 
 @dataclass

@@ -57,7 +57,8 @@ class Engine:
         data, counters = self.data, self.data.warning.number
         if len(counters) != N_WARNINGS or counters.strides != (8,):
             raise PlantError(
-                f"mechatronic: MuJoCo {library.__version__} counts warnings otherwise."
+                f"mechatronic: MuJoCo {library.__version__} counts its warnings differently; use a"
+                f" supported version."
             )
         first = counters.ctypes.data - counters.itemsize  # each counter follows the warning's info
         a = Addresses.of(np.zeros(Addresses.n_words, dtype=np.int64))

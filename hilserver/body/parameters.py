@@ -26,11 +26,11 @@ class Tyre:
     """Friction along and across the wheels, the slip below which it fades, rolling resistance."""
 
     mu_long: float = quantity(0.8, "friction along the wheels", gt=0, le=10)
-    mu_lat: float = quantity(0.8, "friction across them; mecanum: not used", gt=0, le=10)
+    mu_lat: float = quantity(0.8, "friction across the wheels; not used with mecanum", gt=0, le=10)
     v0_m_s: float = quantity(
         0.03, "slip below which friction fades; 0.03 is stable at 1 ms", gt=0, le=1
     )
-    rolling: float = quantity(0.01, "rolling resistance by normal force", ge=0, le=1)
+    rolling: float = quantity(0.01, "rolling resistance per normal force", ge=0, le=1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +55,7 @@ class BodyParameters:
     # about the centre of mass; None: as of a box of the chassis' size
     inertia_kg_m2: tuple[float, float, float] | None = None
     # drag at 1 m/s
-    air_n_s2_m2: float = quantity(0.03, "drag of the air at 1 m/s [N]", ge=0, le=1e3)
+    air_n_s2_m2: float = quantity(0.03, "air drag at 1 m/s [N]", ge=0, le=1e3)
     tyre: Tyre = field(default_factory=Tyre)
 
     def __post_init__(self) -> None:
@@ -135,7 +135,8 @@ def _check_geometry(body: BodyParameters) -> None:
     robot, (ahead, aside, height) = body.robot, body.centre_of_mass_m
     if robot.wheelbase_m is None:
         raise PlantError(
-            "plant.wheelbase_m: the mechatronic model stands on four wheels; give their distance."
+            "plant.wheelbase_m: the mechatronic model needs four wheels; give the distance between"
+            " the axles."
         )
     inside = abs(ahead) < robot.wheelbase_m / 2 and abs(aside) < robot.track_m / 2 and height > 0
     if not inside:
@@ -146,8 +147,8 @@ def _check_geometry(body: BodyParameters) -> None:
     moments = sorted(body.moments_kg_m2)
     if moments[0] + moments[1] < moments[2] * (1.0 - 1e-9):
         raise PlantError(
-            f"mechatronic.inertia_kg_m2: {list(moments)} is no body's: no moment may exceed the sum"
-            " of the others."
+            f"mechatronic.inertia_kg_m2: {list(moments)} is not possible for a body: no moment may"
+            f" exceed the sum of the others."
         )
 
 

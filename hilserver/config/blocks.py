@@ -19,19 +19,19 @@ class BlockConfig(Section):
     """One of the user's own blocks: a function, or an FMU."""
 
     name: Name = Field(
-        "", description="Its outputs are the signals <name>.<output>; an FMU has that of its file"
+        "", description="Prefix of its output signals; default of an FMU: its file name"
     )
     function: str | None = Field(None, description="module:function or file.py:function")
     fmu: str | None = Field(None, description="File of an FMU (co-simulation, FMI 2.0 or 3.0)")
     slice: Name = Field("plant", description="Time slice it runs in")
     inputs: dict[str, str] = Field(default={}, description="Input of the block: signal")
     outputs: dict[str, Name] = Field(
-        default={}, description="Variable of the FMU: <output>; none: all outputs of the FMU"
+        default={}, description="Variable of the FMU: <output>; if empty: all outputs of the FMU"
     )
     drives: dict[str, str] = Field(
         default={},
         description="Output of the block: set-point, mode or enable that it commands from the next"
-        " tick on, as the source 'scenario', while that has control",
+        " tick on, as source 'scenario', while that source has control",
     )
     parameters: dict[str, float] = Field(default={}, description="Parameters by name")
     start: dict[str, bool | float | str] = Field(
@@ -57,7 +57,7 @@ class BlockConfig(Section):
             raise ValueError("a block needs a name")
         of_fmu = [key for key in ("outputs", "start", "process") if getattr(self, key)]
         if self.fmu is None and of_fmu:
-            raise ValueError(f"'{of_fmu[0]}' is for an fmu, and this block is a function")
+            raise ValueError(f"'{of_fmu[0]}' is for an fmu, but this block is a function")
         if self.fmu is not None and self.parameters:
             raise ValueError("'parameters' is for a function; an fmu takes 'start'")
         return self

@@ -13,7 +13,7 @@ Level = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]  # 
 class EdgeGroup(Section):
     """Signals that are published together: a collection of data points."""
 
-    name: Level = Field("signals", description="Last level of its topics")
+    name: Level = Field("signals", description="Last level of the group's topics")
     signals: tuple[Annotated[str, StringConstraints(min_length=1, max_length=100)], ...] = Field(
         ("*",),
         min_length=1,
@@ -21,15 +21,15 @@ class EdgeGroup(Section):
         description="Signals, by name or as wheel.*.speed_rpm",
     )
     rate_hz: float = Field(10.0, ge=0.01, le=100, description="Messages a second")
-    writable: bool = Field(False, description="Take values for those signals that are inputs")
+    writable: bool = Field(False, description="Accept values for those signals that are inputs")
 
 
 class EdgeTls(Section):
     """Encryption; the broker's certificate and name are always checked."""
 
     ca: Path | None = Field(None, description="Certificates to trust; null: those of the system")
-    certificate: Path | None = Field(None, description="Our own, for a broker that asks for one")
-    key: Path | None = Field(None, description="Its private key")
+    certificate: Path | None = Field(None, description="Our certificate, if the broker wants one")
+    key: Path | None = Field(None, description="Private key of our certificate")
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
@@ -41,12 +41,12 @@ class EdgeTls(Section):
 class EdgeConfig(LinkSection):
     """Signals on the databus: MQTT in the common payload format (extra edge)."""
 
-    enabled: bool = Field(False, description="Connect with the broker")
+    enabled: bool = Field(False, description="Connect to the broker")
     host: str = Field("ie-databus", min_length=1, max_length=253, description="The broker")
     port: int = Field(1883, ge=1, le=65535, description="8883 is usual with TLS")
-    id: Level = Field("hilserver", description="Instance of the application, a level of all topics")
+    id: Level = Field("hilserver", description="Application instance, a level of all topics")
     connection: Level = Field("robot", description="Name of the connection, a level of all topics")
-    user: str | None = Field(None, min_length=1, max_length=100, description="Name at the broker")
+    user: str | None = Field(None, min_length=1, max_length=100, description="User at the broker")
     password_file: Path | None = Field(None, description="File whose first line is the password")
     tls: EdgeTls | None = Field(None, description="Encrypt; null: plain TCP")
     version: Literal["3.1.1", "5"] = Field("3.1.1", description="Of MQTT")
@@ -56,7 +56,7 @@ class EdgeConfig(LinkSection):
         2000.0, ge=100, le=3_600_000, description="Values older than this are stale"
     )
     on_stale: Literal["hold", "zero", "ramp"] = Field(
-        "ramp", description="What happens then to what the databus commands"
+        "ramp", description="What then happens to set-points from the databus"
     )
 
     @model_validator(mode="after")
@@ -68,7 +68,7 @@ class EdgeConfig(LinkSection):
             if names.count(name) > 1:
                 raise ValueError(f"two groups have the name '{name}'; rename one")
         if self.password_file is not None and self.user is None:
-            raise ValueError("password_file: name the user, too")
+            raise ValueError("password_file: name the user as well")
         return self
 
     @property

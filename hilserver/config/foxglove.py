@@ -12,17 +12,17 @@ class FoxgloveConfig(Section):
     """Live signals, transforms and the hall for viewers (extra foxglove)."""
 
     enabled: bool = Field(False, description="Serve viewers")
-    host: str = Field("127.0.0.1", min_length=1, max_length=253, description="Where it listens")
+    host: str = Field("127.0.0.1", min_length=1, max_length=253, description="Address to listen on")
     port: int = Field(8765, ge=0, le=65535, description="0 takes any free port")
     rate_hz: float = Field(30.0, ge=1, le=100, description="Frames a second")
     origins: tuple[str, ...] = Field(
         ("https://app.foxglove.dev", "file://"),
         max_length=100,
-        description="Web pages that may connect (file:// is the desktop program); programs that"
-        " name none always may",
+        description="Web pages that may connect (file:// is the desktop app); programs without an"
+        " origin always may",
     )
     allow_insecure_network: bool = Field(
-        False, description="Listen elsewhere than on loopback: everybody there may then publish"
+        False, description="Listen beyond loopback: everyone there may then publish"
     )
 
     @model_validator(mode="after")
@@ -32,7 +32,7 @@ class FoxgloveConfig(Section):
         need("foxglove", "foxglove", "the endpoint needs the library foxglove-sdk")
         if not is_loopback(self.host) and not self.allow_insecure_network:
             raise ValueError(
-                f"host '{self.host}' is reachable from the network, where everybody may then"
-                " publish set-points: listen on 127.0.0.1, or set allow_insecure_network: true"
+                f"host '{self.host}' is reachable from the network, where everyone may then publish"
+                f" set-points: listen on 127.0.0.1, or set allow_insecure_network: true"
             )
         return self

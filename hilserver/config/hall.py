@@ -43,7 +43,7 @@ def load_hall(hall: str, base_dir: Path) -> Hall:
     except OSError as error:
         raise PlantError(f"{where} cannot be read: {error.strerror}.") from error
     except Exception as error:  # a wrong tag makes YAML's reader raise any exception
-        reason = (str(error).splitlines() or ["it is no YAML"])[0]
+        reason = (str(error).splitlines() or ["it is not YAML"])[0]
         raise PlantError(f"{where} cannot be read: {reason}.") from error
     walls = content.get("walls") if isinstance(content, dict) else None
     if not isinstance(walls, list) or len(walls) > MOST_WALLS:

@@ -139,13 +139,13 @@ def _construct(path: Path, root: yaml.Node | None) -> Any:
             raise _wrong(
                 path,
                 node.start_mark,
-                f"YAML takes {node.value} for a number to the base 60; write the plain number",
+                f"YAML reads {node.value} as a base-60 number; write the plain number",
             )
         if isinstance(node, yaml.ScalarNode) and "\0" in node.value:
             raise _wrong(
                 path,
                 node.start_mark,
-                "a text holds the character NUL, which no name of a file has; leave it out",
+                "a text contains the character NUL, which file names cannot contain; remove it",
             )
         if isinstance(node, yaml.MappingNode):
             seen: dict[str, int] = {}
@@ -162,7 +162,7 @@ def _construct(path: Path, root: yaml.Node | None) -> Any:
     except _UNREADABLE as error:
         node = next(node for node, _ in _walk(root) if not _is_readable(node))
         kind = node.tag.rpartition(":")[2]
-        why = error if isinstance(error, ValueError) else f"{node.value!r:.60} is no {kind}"
+        why = error if isinstance(error, ValueError) else f"{node.value!r:.60} is not type {kind}"
         raise _wrong(path, node.start_mark, f"a value cannot be read: {why}") from None
     return {} if found is None else found
 
@@ -246,7 +246,7 @@ def _sentence(model: type[BaseModel], error: Any) -> str:
         return f"key '{name}' is not text; keys are words, and decimal numbers have a point"
     if kind in _SECTIONS and error["input"] is None:
         below = "entries" if _WANTED[kind] == "a list" else "keys"
-        return f"{key}: there is nothing below it; remove it or write its {below}"
+        return f"{key}: is empty; remove it or add its {below}"
     if kind == "model_type" and not location:
         found = "a list" if isinstance(error["input"], list) else repr(error["input"])
         return f"write 'key: value' lines, not {found:.60}"

@@ -21,13 +21,13 @@ class MetricsConfig(Section):
     enabled: bool = Field(True, description="serve /metrics, /healthz and /readyz")
     host: Annotated[str, AfterValidator(_is_address)] = Field(
         "127.0.0.1",
-        description="address to listen on; everyone who reaches it can read all figures",
+        description="address to listen on; everyone who can reach it can read all metrics",
     )
     port: int = Field(9464, ge=0, le=65535, description="TCP port; 0 takes a free one")
     host_names: tuple[str, ...] = Field(
         (),
         max_length=20,
-        description="names that scrapers call this computer by, besides its addresses, localhost"
+        description="names that scrapers use for this computer, besides its addresses, localhost"
         " and its host name; requests for other names are refused (DNS rebinding)",
     )
 
@@ -42,7 +42,7 @@ class LoggingConfig(Section):
         "auto", description="console, json, or auto: console on a terminal, else json"
     )
     repeat_window_s: float = Field(
-        10.0, ge=0, le=3600, description="a repeated line is printed once in this many seconds"
+        10.0, ge=0, le=3600, description="a repeated line is printed only once in this many seconds"
     )
 
 
@@ -53,4 +53,4 @@ class ShadowConfig(Section):
         default_factory=dict,
         description="largest gap by signal, in its unit, such as pose.x_m: 0.3; empty: no alarm",
     )
-    after_s: float = Field(1.0, ge=0, le=3600, description="a gap that lasts this long is an alarm")
+    after_s: float = Field(1.0, ge=0, le=3600, description="a gap this long raises an alarm")

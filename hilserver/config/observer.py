@@ -27,14 +27,14 @@ NAMELESS = ("structure_not_in_library", "drift")
 class ObserverConfig(Section):
     """Where the robot is, by its wheels, gyro and navigation: an extended Kalman filter."""
 
-    enabled: bool = Field(default=False, description="true: the signals estimate.* are there")
+    enabled: bool = Field(default=False, description="true: the signals estimate.* exist")
     source: Literal["simulated", "measured"] = Field(
-        "simulated", description="whose sensors: the simulated robot's, or measured.* of the real"
+        "simulated", description="sensors of the simulated robot, or measured.* of the real one"
     )
     noise: str | None = Field(
         None,
         description="findings.json of a diagnosis: noise of the sensors, uncertainty of the terms;"
-        " null: what sensors says, and nothing is known of slip",
+        " null: the noise configured in sensors, and slip is unknown",
     )
     slice: str = Field(
         DEFAULT_SLICE,
@@ -45,7 +45,7 @@ class ObserverConfig(Section):
         READMIT_AFTER,
         ge=2,
         le=1000,
-        description="samples refused one after another until the robot counts as carried",
+        description="samples refused in a row until the robot counts as carried",
     )
 
 
@@ -118,7 +118,7 @@ def load_found(path: Path) -> Found:
     except OSError as error:
         raise ConfigError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
     except (ValueError, RecursionError):
-        raise ConfigError(f"{path}: is no JSON; name the findings.json of a diagnosis") from None
+        raise ConfigError(f"{path}: is not JSON; name the findings.json of a diagnosis") from None
     try:
         return Found.model_validate(data)
     except ValidationError as error:

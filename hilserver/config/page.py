@@ -20,20 +20,18 @@ class PageConfig(Section):
     """The operator page, a process of its own beside the daemon."""
 
     enabled: bool = Field(True, description="hilserver run starts the page")
-    host: str = Field("127.0.0.1", min_length=1, max_length=253, description="Where it listens")
-    port: int = Field(8080, ge=0, le=65535, description="A port in use gives the next free one")
+    host: str = Field("127.0.0.1", min_length=1, max_length=253, description="Address to listen on")
+    port: int = Field(8080, ge=0, le=65535, description="If in use, the next free one is taken")
     rate_hz: float = Field(30.0, ge=1, le=60, description="Frames a second")
     deadman_ms: float = Field(
         300.0,
         ge=50,
         le=5000,
-        description="A held command without a fresh message for so long: set-points zero",
+        description="Set-points become zero if a held command is not renewed for this long",
     )
-    tls: PageTlsConfig | None = Field(None, description="Needed elsewhere than on loopback")
-    allow_insecure_network: bool = Field(
-        False, description="Listen elsewhere than on loopback without tls"
-    )
-    max_clients: int = Field(20, ge=1, le=100, description="Browsers that are served at a time")
+    tls: PageTlsConfig | None = Field(None, description="Needed beyond loopback")
+    allow_insecure_network: bool = Field(False, description="Listen beyond loopback without tls")
+    max_clients: int = Field(20, ge=1, le=100, description="Browsers served at the same time")
 
     @property
     def is_open_to_network(self) -> bool:

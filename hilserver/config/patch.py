@@ -40,7 +40,7 @@ class MadeFrom(Section):
 class FittedIn(Section):
     """What the machine did in the data; null: not excited, then nothing is said about it."""
 
-    speed_m_s: Interval | None = Field(None, description="smallest and largest speed, with sign")
+    speed_m_s: Interval | None = Field(None, description="lowest and highest speed, with sign")
     wheel_speed_rpm: Interval | None = Field(None, description="of all wheels, with sign")
     turn_rate_rad_s: Interval | None = Field(None, description="smallest and largest, with sign")
     voltage_v: Interval | None = Field(None, description="of the battery")
@@ -66,7 +66,7 @@ class PatchTerm(Section):
 class PatchParameter(Section):
     """One parameter of schema 2."""
 
-    value: float | None = Field(description="value of the parameter, in its unit; null as there")
+    value: float | None = Field(description="value of the parameter, in its unit; may be null")
     unit: str = Field(description="symbol of the unit, as in the table of parameters")
 
 
@@ -105,7 +105,7 @@ class ModelPatch(Section):
     @model_validator(mode="after")
     def _known_parameters(self) -> Self:
         if self.schema_ == SCHEMA and self.parameters:
-            raise ValueError(f"parameters: write schema: {SCHEMA_2}, which has them")
+            raise ValueError(f"parameters: need schema: {SCHEMA_2}")
         if self.schema_ == SCHEMA_2 and (self.terms or self.groups):
             raise ValueError(f"schema: {SCHEMA_2} has parameters in place of terms and groups")
         if self.schema_ == SCHEMA and "terms" not in self.model_fields_set:
@@ -225,7 +225,7 @@ def load_patch(path: Path, group: str | None = None) -> Patch:
     groups = model.groups or {}
     names = ", ".join(groups)
     if group is None and groups:
-        raise ConfigError(f"{path}: differs by group; take one of them with --group: {names}")
+        raise ConfigError(f"{path}: differs by group; choose one with --group: {names}")
     if group is not None and not groups:
         raise ConfigError(f"{path}: has no groups; leave --group {group} out")
     if group is None:

@@ -41,8 +41,8 @@ class PeerSecurity(Section):
     )
     peer_certificate: Path | None = Field(
         None,
-        description="the certificate that the peer must show, or of the authority that issued it;"
-        " replaces the folder trusted",
+        description="the certificate that the peer must present, or that of its authority; replaces"
+        " the folder trusted",
     )
     peer_host: Annotated[str, Field(min_length=1, max_length=253)] | None = Field(
         None,
@@ -84,7 +84,7 @@ class PeerSecurity(Section):
             idle = [name for name in names if getattr(self, name) is not None]
             if idle:
                 raise ValueError(
-                    f"{idle[0]} is without effect while policy is None: remove it, or set policy,"
+                    f"{idle[0]} has no effect while policy is None: remove it, or set policy,"
                     " for example to Basic256Sha256"
                 )
         for pair in (("certificate", "private_key"), ("user", "password_file")):
@@ -93,7 +93,7 @@ class PeerSecurity(Section):
                 raise ValueError(f"{given} needs {missing} as well: give both, or neither")
         if self.allow_clear_password and (self.is_secure or self.user is None):
             raise ValueError(
-                "allow_clear_password is without effect unless a user logs in over policy None:"
+                "allow_clear_password has no effect unless a user logs in over policy None:"
                 " remove it"
             )
         return self

@@ -124,14 +124,14 @@ class PeerConfig(LinkSection):
     )
     stale_after_ms: Milliseconds = Field(500, description="inputs older than this are stale")
     on_stale: Literal["hold", "zero", "ramp"] = Field(
-        "ramp", description="what happens to set-points then: hold, zero, or ramp (safe state)"
+        "ramp", description="what then happens to set-points: hold, zero, or ramp (safe state)"
     )
     read: Annotated[dict[NodeId, str | Inputs], Field(max_length=1000)] = Field(
-        {}, description="their node: our input signal, or a list of them that get the same value"
+        {}, description="their node: our input signal, or a list of signals that get the same value"
     )
     heartbeat: s7_peer.Heartbeat = Field(default_factory=s7_peer.Heartbeat)
     sequence_node: NodeId | None = Field(
-        None, description="their counter: shows whether the controller runs, not only its server"
+        None, description="their counter: shows that the controller runs, not only its server"
     )
     write: Annotated[dict[str, NodeId], Field(max_length=1000)] = Field(
         {}, description="our output signal: their node"

@@ -61,7 +61,7 @@ class PlantConfig(Section):
     )
     safe_ramp_s: float = of(RobotParameters, "safe_ramp_s")
     exclusive_twist: bool = Field(
-        default=False, description="a twist with both parts drives only the larger one (5.4)"
+        default=False, description="drive only the larger part of a twist with both (5.4)"
     )
     seed: int = of(RobotParameters, "seed")
     terms: dict[str, float | None] = Field(

@@ -20,12 +20,12 @@ class RecordingConfig(Section):
         None, ge=1, description="Start a new file after this many megabytes; null: never"
     )
     keep: int | None = Field(
-        None, ge=1, description="Keep this many files of a rotation, the newest; null: all"
+        None, ge=1, description="Keep only the newest files of a rotation, this many; null: all"
     )
     max_mb: float = Field(
-        50_000, ge=1, description="A recording ends at this size [MB], with all files of a rotation"
+        50_000, ge=1, description="A recording ends at this total size of its files [MB]"
     )
     keep_free_mb: float = Field(
-        500, ge=0, description="A recording ends before less than this is free on the disk [MB]"
+        500, ge=0, description="A recording ends when less than this is free on the disk [MB]"
     )
     buffer_mb: float = Field(64.0, ge=1, le=4096, description="Buffer for a slow disk [MB]")

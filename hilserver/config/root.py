@@ -63,8 +63,8 @@ class Config(Section):
         is_open = page.enabled and page.is_open_to_network and not page.allow_insecure_network
         if is_open and self.opcua.enabled and may not in (None, Role.OBSERVER):
             raise ValueError(
-                f"page.host '{page.host}' is reachable from the network, and whoever opens the page"
-                f" would be {may.name.lower()} without a password: name opcua.users, set"
+                f"page.host '{page.host}' is reachable from the network, and everyone who opens the"
+                f" page would be {may.name.lower()} without a password: name opcua.users, set"
                 " opcua.anonymous: observer, or listen on 127.0.0.1"
             )
         return self

@@ -22,11 +22,11 @@ LAST_DOMAIN = 232
 class Ros2Publish(Section):
     """Topics that are written on request only."""
 
-    tf: bool = Field(False, description="/tf: odom to base_link, as the wheels count it")
-    clock: bool = Field(False, description="/clock: simulated time, which all stamps then have")
-    odom: bool = Field(False, description="odom: position and twist as the wheels count them")
+    tf: bool = Field(False, description="/tf: odom to base_link, from wheel odometry")
+    clock: bool = Field(False, description="/clock: simulated time; all stamps then use it")
+    odom: bool = Field(False, description="odom: position and twist from wheel odometry")
     estimate: bool = Field(
-        False, description="odometry/filtered: what the observer knows, with covariances"
+        False, description="odometry/filtered: the estimate of the observer, with covariances"
     )
     pose_stamped: bool = Field(False, description="/poseStamped: the simulated navigation tag")
     robot_description: bool = Field(False, description="robot_description: URDF, for RViz")
@@ -41,8 +41,8 @@ class Ros2Config(LinkSection):
     )
     rmw: Literal["fastrtps", "cyclonedds"] = Field(
         "fastrtps",
-        description="Middleware of the host: how services carry their identity; with fastrtps they"
-        " act, but the answer never arrives",
+        description="Middleware of the host, which decides how services carry their identity; with"
+        " fastrtps they take effect, but the answer never arrives",
     )
     domain: int | None = Field(
         None, ge=0, le=LAST_DOMAIN, description="DDS domain; null: ROS_DOMAIN_ID, else 0"
@@ -53,33 +53,33 @@ class Ros2Config(LinkSection):
         description="Network interface, by name or address",
     )
     allow_insecure_network: bool = Field(
-        False, description="Use another interface than lo: everybody there may then command"
+        False, description="Use an interface other than lo: everyone there may then command"
     )
     role: Literal["operator", "engineer"] | None = Field(
         None,
-        description="What everybody there may do: operator commands, engineer also sets parameters;"
-        " null: engineer on lo, operator elsewhere",
+        description="What everyone there may do: an operator commands, an engineer also sets"
+        " parameters; null: engineer on lo, operator elsewhere",
     )
     peers: tuple[Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_.:-]{1,253}$")], ...] = (
-        Field((), max_length=50, description="Addresses to look for where there is no multicast")
+        Field((), max_length=50, description="Addresses to contact where there is no multicast")
     )
-    namespace: Namespace = Field("", description="Of relative names; empty: the flavour's own")
+    namespace: Namespace = Field("", description="For relative names; empty: the flavour's own")
     topics: dict[str, TopicName] = Field({}, description="Renames: the flavour's name: other name")
     publish: Ros2Publish = Field(default_factory=Ros2Publish)
     array_order: tuple[Wheel, Wheel, Wheel, Wheel] = Field(
-        ("fl", "rl", "fr", "rr"), description="Wheels and range finders in thesis_sil's arrays"
+        ("fl", "rl", "fr", "rr"), description="Wheels and range finders in the arrays of thesis_sil"
     )
     service_fields: dict[str, str] = Field(
         {},
         max_length=20,
-        description="Other types of fields of services, as SendLighting.command: int32",
+        description="Different types of service fields, as SendLighting.command: int32",
     )
     stale_after_ms: float = Field(
         500.0, ge=20, le=3_600_000, description="Commands older than this are stale"
     )
     on_stale: Literal["device", "ramp"] = Field(
         "device",
-        description="What happens then: device: enable is withdrawn until the host sends it again;"
+        description="What then happens: device: enable is withdrawn until the host sends it again;"
         " ramp: safe state until Reset",
     )
 
@@ -90,8 +90,8 @@ class Ros2Config(LinkSection):
         need("cyclonedds", "ros2", "ROS 2 needs the library cyclonedds")
         if self.interface not in LOOPBACK and not self.allow_insecure_network:
             raise ValueError(
-                f"interface '{self.interface}' is reachable from the network, where everybody may"
-                " then command: use lo, or set allow_insecure_network: true"
+                f"interface '{self.interface}' is reachable from the network, where everyone may"
+                f" then command: use lo, or set allow_insecure_network: true"
             )
         known = FLAVOURS[self.flavour].topics
         for name in self.topics:
@@ -116,7 +116,7 @@ class Ros2Config(LinkSection):
 
     def about(self, _folder: Path) -> str:
         """Return the robot program, the interface and the middleware."""
-        how = f"{self.flavour} on {self.interface}, services as {self.rmw} has them"
+        how = f"{self.flavour} on {self.interface}, services as in {self.rmw}"
         return how if self.enabled else ""
 
     @property

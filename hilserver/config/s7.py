@@ -75,9 +75,9 @@ class Place:
             raise ValueError(f"at '{at}': {what}")
         place = cls(kind, int(byte), int(bit or 0))
         if place.size > 1 and place.byte % 2:
-            raise ValueError(f"at '{at}': a {kind} stands at an even byte")
+            raise ValueError(f"at '{at}': a {kind} must start at an even byte")
         if place.end > BLOCK_BYTES:
-            raise ValueError(f"at '{at}': a block has {BLOCK_BYTES} bytes at most")
+            raise ValueError(f"at '{at}': a block has at most {BLOCK_BYTES} bytes")
         return place
 
     @property
@@ -110,13 +110,14 @@ class Address(NamedTuple):
         kind = "" if match is None else _SHORT.get(match["type"], match["type"])
         if match is None or kind not in FORMS:
             raise ValueError(
-                f"'{text}' is no place in a data block: write DB1,REAL4 or DB1,X6.1; types are"
+                f"'{text}' is not an address in a data block: write DB1,REAL4 or DB1,X6.1; types"
+                f" are"
                 f" X, {', '.join(list(FORMS)[1:])}"
             )
         try:
             return cls(int(match["block"]), Place.parse(kind, match["at"]))
         except ValueError as error:
-            raise ValueError(f"'{text}' is no place in a data block: {error}") from None
+            raise ValueError(f"'{text}' is not an address in a data block: {error}") from None
 
 
 class Endpoint(NamedTuple):
@@ -133,7 +134,7 @@ class Endpoint(NamedTuple):
         match = _ENDPOINT.match(text)
         if match is None or int(match["slot"]) > 31 or not 0 < int(match["port"] or 102) < 65536:
             raise ValueError(
-                f"'{text}' is no S7 controller: write s7://<host>/<rack>/<slot>, as"
+                f"'{text}' is not an S7 controller: write s7://<host>/<rack>/<slot>, as"
                 " s7://192.0.2.20/0/1 for an S7-1500"
             )
         port, rack, slot = int(match["port"] or 102), int(match["rack"]), int(match["slot"])
@@ -180,7 +181,7 @@ def _check_layout(fields: tuple[S7Field, ...]) -> tuple[S7Field, ...]:
     twice = overlap([field.place for field in fields])
     if twice is not None:
         names = {field.place: field.signal for field in fields}
-        raise ValueError(f"'{names[twice[0]]}' and '{names[twice[1]]}' stand on the same bytes")
+        raise ValueError(f"'{names[twice[0]]}' and '{names[twice[1]]}' overlap")
     return fields
 
 
@@ -194,27 +195,27 @@ class S7Server(Section):
     """Data blocks of ours that controllers and panels read and write by put and get."""
 
     host: str = Field("127.0.0.1", min_length=1, max_length=253, description="Address to listen on")
-    port: int = Field(102, ge=0, le=65535, description="ISO on TCP; below 1024 it needs rights")
+    port: int = Field(102, ge=0, le=65535, description="ISO-on-TCP; privileged below 1024")
     blocks: Annotated[dict[Number, Layout], Field(min_length=1, max_length=100)] = Field(
         description="Number of a data block: its signals"
     )
-    pdu_bytes: int = Field(480, ge=240, le=960, description="Longest message that is agreed on")
-    max_clients: int = Field(16, ge=1, le=200, description="Connections at the same time")
+    pdu_bytes: int = Field(480, ge=240, le=960, description="Longest message to agree on [bytes]")
+    max_clients: int = Field(16, ge=1, le=200, description="Connections open at the same time")
     allow_insecure_network: bool = Field(
-        False, description="Listen elsewhere than on loopback; S7 has neither users nor encryption"
+        False, description="Listen beyond loopback; S7 has neither users nor encryption"
     )
     stale_after_ms: float = Field(
         500.0, ge=10, le=3_600_000, description="Values older than this are stale"
     )
     on_stale: Literal["hold", "zero", "ramp"] = Field(
-        "ramp", description="What happens then to what a client commands"
+        "ramp", description="What then happens to the set-points of a client"
     )
 
     @model_validator(mode="after")
     def _closed_to_network(self) -> Self:
         if not is_loopback(self.host) and not self.allow_insecure_network:
             raise ValueError(
-                f"host '{self.host}' is reachable from the network, and S7 knows no password:"
+                f"host '{self.host}' is reachable from the network, and S7 has no passwords:"
                 " listen on 127.0.0.1, or set allow_insecure_network: true"
             )
         return self

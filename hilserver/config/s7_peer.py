@@ -15,7 +15,7 @@ Both = Annotated[
     tuple[
         Annotated[str, AfterValidator(check_address)], Annotated[str, AfterValidator(check_address)]
     ],
-    Field(description="first and last place of the block"),
+    Field(description="first and last address of the block"),
 ]
 
 
@@ -23,16 +23,16 @@ class Heartbeat(Section):
     """One counter at both ends of a block: where they differ, the block was read half-written."""
 
     read: Both | None = Field(
-        None, description="their counter: a read in which its two places differ is dropped"
+        None, description="their counter: a read in which its two copies differ is dropped"
     )
-    write: Both | None = Field(None, description="ours, which counts what is written")
+    write: Both | None = Field(None, description="our counter, incremented with every write")
 
     @model_validator(mode="after")
     def _counts(self) -> Self:
         for which, pair in (("read", self.read), ("write", self.write)):
             kinds = {Address.parse(text).place.type for text in pair or ()}
             if len(kinds) > 1 or not kinds <= COUNTERS:
-                raise ValueError(f"{which}: both are whole numbers of the same type, as UDINT")
+                raise ValueError(f"{which}: both must be integers of the same type, as UDINT")
         return self
 
 
@@ -63,8 +63,8 @@ def block_of(texts: Iterable[str], heartbeat: Both | None) -> Block | None:
     numbers = sorted({address.block for address in found.values()})
     if len(numbers) > 1:
         raise ValueError(
-            f"DB{numbers[0]} and DB{numbers[1]} are two blocks: put all of it into one, which is"
-            " then read as a whole"
+            f"DB{numbers[0]} and DB{numbers[1]} are two blocks: put everything into one, which is"
+            f" then read as a whole"
         )
     places = {text: address.place for text, address in found.items()}
     twice = overlap(list(places.values()))
@@ -72,7 +72,7 @@ def block_of(texts: Iterable[str], heartbeat: Both | None) -> Block | None:
         raise ValueError(f"byte {twice[1].byte} is named twice")
     block = Block(numbers[0], places, pair)
     if pair and (places[pair[0]].byte, places[pair[1]].end) != (block.start, block.end):
-        raise ValueError(f"{pair[0]} and {pair[1]} have to be the first and the last of the block")
+        raise ValueError(f"{pair[0]} and {pair[1]} must be the first and last of the block")
     return block
 
 

@@ -25,7 +25,7 @@ class RobotPermissions(OpcUaPermissions):
             "*Scenario": "operator",
             "*Recording": "operator",
         },
-        description="Pattern of method names: lowest role that calls",
+        description="Pattern of method names: lowest role that may call",
     )
 
 

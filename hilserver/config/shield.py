@@ -19,31 +19,32 @@ CHANNELS: Final[dict[Variant, tuple[str, ...]]] = {
 class ShieldConfig(LinkSection):
     """The shield that a robot's own driver speaks to, on a pseudo-terminal or a serial line."""
 
-    enabled: bool = Field(False, description="Answer as the shield does")
+    enabled: bool = Field(False, description="Answer as the extension shield does")
     link: Path = Field(
         Path("runtime/shield"),
-        description="Symbolic link to the pseudo-terminal that is made; relative to this file",
+        description="Symbolic link to the pseudo-terminal that the daemon creates; relative to this"
+        " file",
     )
     device: Path | None = Field(
         None, description="A serial line instead, such as /dev/ttyS1; it must exist"
     )
     variant: Variant = Field(
-        "iotbot", description="Frames: iotbot answers 32 bytes, crc checks requests, answers 33"
+        "iotbot", description="iotbot: answers of 32 bytes; crc: of 33, requests are checked"
     )
     channels: tuple[str, ...] | None = Field(
         None,
         description="Wheels on the channels 0 to 3; null: by variant, rr fr rl fl or fl fr rl rr",
     )
     reply_delay_ms: float = Field(
-        1.0, ge=0, le=100, description="Request complete to first byte of the response"
+        1.0, ge=0, le=100, description="End of the request to first byte of the response"
     )
-    pace: bool = Field(True, description="Send no byte earlier than 115200 baud permit")
+    pace: bool = Field(True, description="Send no byte earlier than 115200 baud allows")
     parameters: Literal["store", "apply"] = Field(
         "store",
-        description="kp, ki, gear ratio and others: stored and shown only, or applied as gains",
+        description="kp, ki, gear ratio and others: only stored and shown, or applied as gains",
     )
     stale_after_ms: float = Field(
-        1000.0, gt=0, le=1e6, description="Silence of the host after which on_stale acts"
+        1000.0, gt=0, le=1e6, description="Silence of the host after which on_stale applies"
     )
     on_stale: Literal["device", "ramp"] = Field(
         "device",

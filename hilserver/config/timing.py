@@ -23,10 +23,10 @@ class LimitsConfig(Section):
     """When overruns end in the safe state; null: never."""
 
     single_overrun_ms: float | None = Field(
-        100.0, gt=0, description="A longer overrun causes the safe state [ms]; null: never"
+        100.0, gt=0, description="A longer overrun leads to the safe state [ms]; null: never"
     )
     consecutive_overruns: int | None = Field(
-        100, ge=1, description="More consecutive overruns cause the safe state; null: never"
+        100, ge=1, description="More consecutive overruns lead to the safe state; null: never"
     )
 
 
@@ -35,7 +35,7 @@ class RealtimeConfig(Section):
 
     priority: int = Field(80, ge=0, le=99, description="SCHED_FIFO priority; 0: ordinary thread")
     cpu: int | None = Field(
-        None, ge=0, description="Core for the pacing thread alone; the rest of the daemon avoids it"
+        None, ge=0, description="Core of the pacing thread; the rest of the daemon avoids it"
     )
     lock_memory: bool = Field(True, description="Lock and prefault memory")
     hold_latency_target: bool = Field(True, description="Hold /dev/cpu_dma_latency at 0")
@@ -97,16 +97,16 @@ class ControlConfig(Section):
 
     source: Source | None = Field(
         None,
-        description="Who has control at start; null: peer if there are peers, else shield if"
-        " enabled, else ros2 if enabled, else opcua",
+        description="Source with control at the start; null: peer if there are peers, else shield"
+        " if enabled, else ros2 if enabled, else opcua",
     )
     priority: tuple[Source, ...] = Field(
-        SOURCES, description="Who may take control from whom, highest first"
+        SOURCES, description="Sources that may take control from one another, highest first"
     )
     fallback: Literal["nobody", "before"] = Field(
         "nobody",
-        description="Who has control when the one that has it is gone; before: the source before,"
-        " except after a Stop, a lapsed command or the safe state",
+        description="Who gets control when the source in control is gone; before: the previous"
+        " source, except after a Stop, a lapsed command or the safe state",
     )
     opcua_stale_after_ms: float | None = Field(
         None,

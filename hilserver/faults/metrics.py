@@ -5,5 +5,5 @@ from typing import Final
 from hilserver.metrics import gauges
 
 METRICS: Final = gauges(
-    "hil_faults", "Faults at work and signals that are forced, by kind: injected or forced.", "kind"
+    "hil_faults", "Active faults and forced signals, by kind: injected or forced.", "kind"
 )

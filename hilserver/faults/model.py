@@ -41,24 +41,24 @@ FORMS: Mapping[str, Form] = {
         _BOTH,
     ),
     "drop": Form(
-        "a sample is lost with `probability`, the last one stays",
+        "a sample is lost with `probability`; the last one stays",
         ("probability",),
         ("every_s",),
         _BOTH,
     ),
     "reorder": Form(
-        "with `probability` a sample of `delay_s` ago takes the place of the present one",
+        "with `probability`, the sample from `delay_s` ago replaces the present one",
         ("probability", "delay_s"),
         ("every_s",),
         _BOTH,
     ),
-    "hold": Form("sampled every `every_s`, held between", ("every_s",)),
+    "hold": Form("sampled every `every_s`, held in between", ("every_s",)),
     "quantise": Form("rounded to multiples of `step`", ("step",)),
     "spike": Form(
         "with `probability`, `size` is added or subtracted", ("size", "probability"), ("every_s",)
     ),
     "disconnect": Form("keeps its value, quality Uncertain; a link is interrupted", on=_BOTH),
-    "force": Form("is `value`, whatever anyone writes", ("value",)),
+    "force": Form("is `value`, whatever is written", ("value",)),
     "shield.yaw_rate_without_60_2pi": Form(
         "defect 1: the factor 60/(2 pi) is missing, turning is 9.5 times too slow", on=()
     ),
@@ -66,15 +66,15 @@ FORMS: Mapping[str, Form] = {
         "defect 2: the command time-out never fires, the robot drives on", on=()
     ),
     "shield.last_wheel_scaling": Form(
-        "defect 3: wheels faster than `value` rpm (max_rpm if absent) are scaled by the last of"
+        "defect 3: wheels faster than `value` rpm (default: max_rpm) are scaled by the last of"
         " them, not by the fastest",
         takes=("value",),
         on=(),
     ),
     "shield.front_wheels_swapped": Form(
-        "defect 4: front wheels change places when speeds are published", on=()
+        "defect 4: the front wheels are swapped in the published speeds", on=()
     ),
-    "shield.rpm_unsigned": Form("defect 5: speeds are read as unsigned 16 bit", on=()),
+    "shield.rpm_unsigned": Form("defect 5: speeds are read as unsigned 16-bit numbers", on=()),
     "shield.imu_raw_units": Form("defect 5: IMU in g and degrees per second", on=()),
 }
 """Every fault by name."""
@@ -129,7 +129,7 @@ class Fault(Section):
     signal: str | None = Field(None, description="signal it acts on; arrays are possible")
     peer: str | None = Field(None, description="peer link it acts on")
     direction: Literal["in", "out", "both"] = Field(
-        "both", description="of a peer link: what comes in, what goes out"
+        "both", description="of a peer link: incoming or outgoing values"
     )
     from_s: Seconds = Field(0.0, description="begins this long after the start [s]")
     until_s: Seconds | None = Field(None, description="ends this long after the start [s]")
@@ -147,7 +147,7 @@ class Fault(Section):
     delay_s: Positive | None = Field(None, description="[s]")
     jitter_s: Positive | None = Field(None, description="[s]")
     probability: float | None = Field(None, ge=0, le=1, description="for each sample")
-    every_s: Positive | None = Field(None, description="length of a sample [s]; a tick if absent")
+    every_s: Positive | None = Field(None, description="length of a sample [s]; default: a tick")
     step: Positive | None = Field(None, description="signal's unit")
     size: Positive | None = Field(None, description="signal's unit")
 
@@ -166,7 +166,7 @@ class Fault(Section):
         if self.until_s is not None and self.for_s is not None:
             raise ValueError("give until_s or for_s, not both")
         if self.until_s is not None and self.until_s <= self.from_s:
-            raise ValueError(f"until_s is {self.until_s:g}, it has to be above from_s")
+            raise ValueError(f"until_s is {self.until_s:g}, it must be above from_s")
         return self
 
     def _check_place(self, form: Form) -> None:

@@ -75,7 +75,7 @@ class Planner:
         if name not in self._table or self._table[name].hidden:
             raise ValueError(no_signal(name, (signal.name for signal in self._table)))
         if name.startswith("sim."):
-            raise ValueError(f"'{name}' shows the time or the state; no fault can change it")
+            raise ValueError(f"'{name}' shows time or state, which no fault can change")
         return self._table[name]
 
     def _side(self, signal: Signal) -> int:
@@ -92,7 +92,7 @@ class Planner:
         spread = self._ticks(fault.jitter_s)
         if ticks + spread > lay.MAX_DELAY_TICKS:
             limit_s = lay.MAX_DELAY_TICKS * self._period_s
-            raise ValueError(f"{fault.fault} reaches back {limit_s:g} s at most")
+            raise ValueError(f"{fault.fault} reaches back at most {limit_s:g} s")
         numbers = (fault.value, fault.sd, fault.offset, fault.factor, fault.step, fault.size)
         fields = {
             "side": self._side(signal),

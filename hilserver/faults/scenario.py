@@ -58,7 +58,7 @@ class Step(Section):
 class Scenario(Section):
     """A timed scenario."""
 
-    scenario: str = Field("", max_length=200, description="what it is about, for people")
+    scenario: str = Field("", max_length=200, description="description, for people")
     seed: int = Field(0, ge=0, lt=2**31, description="for faults without a seed of their own")
     steps: tuple[Step, ...] = Field((), max_length=MAX_STEPS, description="what is written")
     faults: tuple[Fault, ...] = Field((), max_length=200, description="what is wrong")

@@ -24,7 +24,7 @@ LATE: Final = Output(
     "process_late",
     low=-(2**53),
     high=2**53,
-    description="Slices without an answer so far; negative once it was given up",
+    description="Slices without an answer so far; negative once the FMU was given up",
     is_replayed=True,
 )
 
@@ -170,12 +170,12 @@ class Beside(_Running):
         if status != at.SILENT:  # its end is reported already
             news += self._failed(status)
         if late > self._late and not news:
-            news.append(self._holds(f"had no answer in {late - self._late} slices"))
+            news.append(self._holds(f"did not answer in {late - self._late} slices"))
         if hurried > self._hurried and not news:
             n = hurried - self._hurried
-            news.append(self._holds(f"had no time in {n} slices, in which the plant caught up"))
+            news.append(self._holds(f"had no time in {n} slices while the plant caught up"))
         self._late, self._hurried = late, hurried
         return news
 
     def _holds(self, why: str) -> News:
-        return News(f"FMU '{self._name}' {why}: its outputs hold", is_fault=False)
+        return News(f"FMU '{self._name}' {why}: its outputs keep their last values", is_fault=False)

@@ -235,7 +235,7 @@ class _Function:
             "trunc": f"({_C[kind]})",
         }  # fmt: skip
         if operation not in casts:
-            raise FailedError(f"the kernels' machine code has an operation that C has not: {rest}")
+            raise FailedError(f"the kernels' machine code has an operation that C lacks: {rest}")
         text = casts[operation] + value
         return kind, f"({text}) & 1" if kind == "i1" else text
 
@@ -276,7 +276,7 @@ class _Function:
             return f"{cast}{a} {'>' if name.endswith('ax') else '<'} {cast}{b} ? {a} : {b}"
         if name == "abs":
             return f"({_SIGNED[kind]}){values[0]} < 0 ? 0 - {values[0]} : {values[0]}"
-        raise FailedError(f"the kernels' machine code calls what C has not: {callee}")
+        raise FailedError(f"the kernels' machine code calls a function that C lacks: {callee}")
 
     # --- jumps ------------------------------------------------------------------------------------
 

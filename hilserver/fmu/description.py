@@ -19,7 +19,7 @@ from hilserver.errors import meant
 from hilserver.fmu.layout import BOOLEAN, FLOAT, SIGNED, UNSIGNED
 from hilserver.plant.blocks import BlockError
 
-MISSING: Final = "needs FMPy to be read; install it with: pip install 'hilserver[fmu]'"
+MISSING: Final = "needs FMPy; install it with: pip install 'hilserver[fmu]'"
 MOST_BYTES: Final = 1 << 30  # size of an unpacked FMU
 MOST_DESCRIPTION_BYTES: Final = 1 << 26  # size of its modelDescription.xml, read as a whole
 _MACHINE: Final = {"AMD64": "x86_64", "arm64": "aarch64"}.get(
@@ -132,17 +132,19 @@ def read_fmu(reference: str, base_dir: Path) -> Fmu:
 
 def _read(path: Path) -> Fmu:
     if not path.is_file():
-        raise BlockError(f"is not there; there is no file {path}")
+        raise BlockError(f"does not exist: there is no file {path}")
     if find_spec("fmpy") is None:
         raise BlockError(MISSING)
     try:
         with zipfile.ZipFile(path) as packed:
             entries = {info.filename: info.file_size for info in packed.infolist()}
         if "modelDescription.xml" not in entries:
-            raise BlockError("holds no modelDescription.xml; export it again")
+            raise BlockError("has no modelDescription.xml; export it again")
         outside = [entry for entry in entries if ".." in entry.split("/")]
         if outside:
-            raise BlockError(f"holds a file outside of itself, '{outside[0]:.60}'; export it again")
+            raise BlockError(
+                f"has a path that leaves the archive, '{outside[0]:.60}'; export it again"
+            )
         if sum(entries.values()) > MOST_BYTES:
             raise BlockError(f"unpacks to more than {MOST_BYTES >> 30} GB")
         if entries["modelDescription.xml"] > MOST_DESCRIPTION_BYTES:
@@ -153,9 +155,9 @@ def _read(path: Path) -> Fmu:
     except BlockError:
         raise
     except zipfile.BadZipFile:
-        raise BlockError("is no zip file; export it again") from None
+        raise BlockError("is not a zip file; export it again") from None
     except Exception as error:  # noqa: BLE001 - whatever FMPy's readers raise
-        raise BlockError(f"has a modelDescription.xml that is none: {_one_line(error)}") from None
+        raise BlockError(f"has an invalid modelDescription.xml: {_one_line(error)}") from None
     version = int(said.fmiVersion.partition(".")[0])
     _check(said, version)
     identifier = said.coSimulation.modelIdentifier
@@ -187,11 +189,11 @@ def _check(said: Any, version: int) -> None:
     if version not in _TYPES:
         raise BlockError(f"is of FMI {said.fmiVersion}; FMI 2.0 and 3.0 run here")
     if any(v.type == "Clock" for v in said.modelVariables):
-        raise BlockError("has clocks, which need event mode; a time slice has none")
+        raise BlockError("has clocks, which need event mode; a time slice has no event mode")
     if said.coSimulation is None:
         raise BlockError("offers no co-simulation; export it with its solver (co-simulation)")
     if said.coSimulation.needsExecutionTool:
-        raise BlockError("needs the tool that made it to run; export it without")
+        raise BlockError("runs only with the tool that made it; export it as stand-alone")
 
 
 def _library(identifier: str, version: int, entries: set[str]) -> str:

@@ -84,12 +84,13 @@ def export(
 def _check(composition: Composition, platforms: Sequence[str]) -> None:
     if composition.body is not None:
         raise ConfigError(
-            "the mechatronic model runs in MuJoCo, which an FMU of the robot does not carry; switch"
-            " mechatronic.enabled off"
+            "the mechatronic model runs in MuJoCo, which is not part of the robot's FMU; set"
+            " mechatronic.enabled: false"
         )
     if composition.blocks:
         raise ConfigError(
-            f"own block '{composition.blocks[0].name}' is no part of the robot's FMU; leave it out"
+            f"own block '{composition.blocks[0].name}' cannot be part of the robot's FMU; leave it"
+            f" out"
         )
     if find_spec("fmpy") is None:
         raise ConfigError(f"the export {MISSING}")

@@ -89,7 +89,7 @@ STATUS: Final = {
     ERROR: "error",
     FATAL: "fatal error",
     PENDING: "pending",
-    EVENT_NEEDED: "needs event mode, which a time slice has not",
+    EVENT_NEEDED: "needs event mode, which a time slice does not have",
     TERMINATED: "asks to end the simulation",
     STATE_TOO_LARGE: "its state has grown to more than twice its first size",
     STATE_UNFIT: "its stored state is damaged",

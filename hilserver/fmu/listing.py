@@ -43,7 +43,7 @@ def match(pattern: str, text: str) -> tuple[str, ...]:
     """
     found = re.match(pattern, text)
     if found is None:
-        raise FailedError(f"the kernels' machine code has a line that C has not: {text[:200]}")
+        raise FailedError(f"the kernels' machine code has a line that C lacks: {text[:200]}")
     return found.groups()
 
 

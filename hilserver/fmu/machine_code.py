@@ -113,8 +113,7 @@ def source() -> str:
         listing = str(compiled._library._final_module)
     except AttributeError as error:
         raise FailedError(
-            f"numba {numba.__version__} does not give its machine code away ({error}); use"
-            " numba 0.68"
+            f"numba {numba.__version__} does not expose its machine code ({error}); use numba 0.68"
         ) from None
     (kernel,) = re.findall(r"^define [^\n]*?@(\w*8run_part\w*)\(", listing, re.M)
     return translate(listing, kernel, ENTRY)

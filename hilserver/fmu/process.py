@@ -27,7 +27,7 @@ from hilserver.program import children
 CHILD_START_S: Final = 60.0
 SILENCE_S, LEAST_SLICES = 0.1, 10
 """Without an answer for this long, and for the time of so many slices, it counts as dead."""
-_NO_ANSWER: Final = "does not answer any more and was ended"
+_NO_ANSWER: Final = "no longer answers and was ended"
 _STOP_S: Final = 0.2
 
 

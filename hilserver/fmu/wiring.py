@@ -69,7 +69,7 @@ def wire(
     taken = [_whole(fmu, name) for name in inputs]
     for name, variable in zip(inputs, taken, strict=True):
         if variable.causality != "input":
-            raise BlockError(f"'{name}' of {fmu.path.name} is no input but {variable.causality}")
+            raise BlockError(f"'{name}' of {fmu.path.name} is {variable.causality}, not input")
         missing = [n for n in variable.scalars if n not in inputs]
         if missing:
             raise BlockError(f"input '{missing[0]}' of {fmu.path.name} is not wired")
@@ -87,12 +87,12 @@ def wire(
         left_out=max(0, len(tunable) - MOST_PER_BLOCK),
     )
     if not wiring.n_outputs:
-        raise BlockError(f"{fmu.path.name} has no output that is a number: nothing is seen of it")
+        raise BlockError(f"{fmu.path.name} has no numeric output, so it would have no effect")
     for what, n in (("inputs", wiring.n_inputs), ("outputs", wiring.n_outputs)):
         if n > MOST_PER_BLOCK:
             raise BlockError(
-                f"{fmu.path.name}: {n} {what} are too many, at most {MOST_PER_BLOCK} are possible;"
-                " name some of them"
+                f"{fmu.path.name}: {n} {what} are too many; at most {MOST_PER_BLOCK} are possible:"
+                f" name some of them"
             )
     return wiring
 
@@ -125,10 +125,10 @@ def _whole(fmu: Fmu, name: str) -> Variable:
     """Return the variable with a name, or the array with an element: ``u[2]``."""
     variable = fmu.variables.get(name) or fmu.variable(name.partition("[")[0])
     if variable.kind == _TEXT:
-        raise BlockError(f"'{name}' of {fmu.path.name} is text, which is no signal")
+        raise BlockError(f"'{name}' of {fmu.path.name} is text, which cannot be a signal")
     if variable.count > MOST_PER_BLOCK:
         raise BlockError(
-            f"'{variable.name}' of {fmu.path.name} has {variable.count} values, at most"
+            f"'{variable.name}' of {fmu.path.name} has {variable.count} values; at most"
             f" {MOST_PER_BLOCK} are possible"
         )
     if name not in variable.scalars:

@@ -73,7 +73,7 @@ def make_layout(
     """
     for name, number in (("ring_length", ring_length), ("queue_rows", queue_rows)):
         if number < 1 or number & (number - 1):
-            raise ValueError(f"{name} is {number}; it has to be a power of two")
+            raise ValueError(f"{name} is {number}; it must be a power of two")
     regions: dict[str, Region] = {}
     position = N_CONTROL_WORDS + JSON_WORDS
 

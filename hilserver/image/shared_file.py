@@ -47,7 +47,7 @@ def _remove_left_behind(path: Path) -> bool:
     try:
         found = os.fstat(fd)
         if not stat.S_ISREG(found.st_mode):
-            raise OSError(errno.EINVAL, "is no regular file")
+            raise OSError(errno.EINVAL, "is not a regular file")
         if found.st_uid != os.geteuid():
             raise PermissionError(errno.EPERM, f"belongs to another user (id {found.st_uid})")
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -115,7 +115,7 @@ def virtualised(root: Path) -> Grant:
         for line in _read(root, "proc/cpuinfo").splitlines()
         if line.startswith("flags")
     )
-    found = "a virtual machine" if in_vm else "no hypervisor seen"
+    found = "a virtual machine" if in_vm else "no hypervisor detected"
     remedy = "run on bare metal: a hypervisor takes time away"
     return _item("virtualised", not in_vm, found, "bare metal", remedy)
 
@@ -149,7 +149,7 @@ CHECKS: tuple[Callable[[Path], Grant], ...] = (
 
 
 METRICS: Final = gauges(
-    "hil_audit_ok", "1 where the system fulfils an item of the real-time audit.", "item"
+    "hil_audit_ok", "1 if the system fulfils this item of the real-time audit, else 0.", "item"
 )
 
 

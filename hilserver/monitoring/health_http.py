@@ -198,10 +198,10 @@ class HttpServer:
             request = parse_request(head, self._names)
             return self._respond(request).encode(is_head=request.is_head)
         except TimeoutError:
-            reason = f"no complete request came within {self._timeout_s:g} s"
+            reason = f"no complete request arrived within {self._timeout_s:g} s"
             return Response(HTTPStatus.REQUEST_TIMEOUT, _sentence(reason)).encode()
         except asyncio.LimitOverrunError:
-            reason = f"the head of a request may have {REQUEST_BYTES_MAX} bytes"
+            reason = f"the head of a request may have at most {REQUEST_BYTES_MAX} bytes"
             status = HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE
             return Response(status, _sentence(reason)).encode()
         except RefusedRequestError as refused:

@@ -86,7 +86,7 @@ class Access:
         if any(self._attempts.is_blocked(key, now_s) for key in keys) or (
             self._waiting >= _MAX_WAITING
         ):
-            log.warning("opcua log-in refused: too many failed", user=name[:64], address=address)
+            log.warning("opcua log-in refused: too many failures", user=name[:64], address=address)
             return None
         user = self._users.get(name)
         is_right = await self._is_right(password, user.password if user else self._nobodys_hash)

@@ -107,9 +107,9 @@ class Application:
         if item.AttributeId not in node.attributes:
             return Answer(_Codes.BadAttributeIdInvalid)
         if item.AttributeId != _Attributes.Value or not self.is_writable(item.NodeId):
-            return Answer(_Codes.BadNotWritable, "only the values of inputs can be written")
+            return Answer(_Codes.BadNotWritable, "only inputs can be written")
         if not self.may_write(user, item.NodeId):
-            return Answer(_Codes.BadUserAccessDenied, "your role does not allow to write this")
+            return Answer(_Codes.BadUserAccessDenied, "your role does not allow this write")
         if item.IndexRange:
             return Answer(_Codes.BadWriteNotSupported, "write the whole array")
         if item.Value.StatusCode is not None and item.Value.StatusCode.value != _Codes.Good:

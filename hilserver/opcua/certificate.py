@@ -109,7 +109,7 @@ def parse_certificate(data: bytes) -> x509.Certificate:
 def first_of_chain(data: bytes) -> bytes:
     """Return the first DER certificate of several written one after the other."""
     if len(data) < 4 or data[0] != 0x30:
-        raise ValueError("no DER certificate")
+        raise ValueError("not a DER certificate")
     length, head = data[1], 2
     if length & 0x80:
         head += length & 0x7F
@@ -171,7 +171,7 @@ def parse_key(data: bytes) -> rsa.RSAPrivateKey:
     except TypeError:
         raise ValueError("the key has a password; store it without, readable by you only") from None
     except ValueError:
-        raise ValueError("no private key in PEM form") from None
+        raise ValueError("not a private key in PEM form") from None
     if not isinstance(key, rsa.RSAPrivateKey):
         raise ValueError("not an RSA key")
     return key

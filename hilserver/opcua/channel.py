@@ -128,14 +128,14 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
         """Check that an OpenSecureChannel is meant for us and for this channel."""
         policy = self.security_policy
         if header.SecurityPolicyURI != policy.URI:
-            raise TransportError(_Codes.BadSecurityChecksFailed, "another policy than the channel")
+            raise TransportError(_Codes.BadSecurityChecksFailed, "not the policy of the channel")
         if self._open and channel_id != self.security_token.ChannelId:
             raise TransportError(_Codes.BadSecureChannelIdInvalid, "another channel")
         if policy.URI == SecurityPolicyNone.URI:
             return
         ours = hashlib.sha1(policy.host_certificate, usedforsecurity=False).digest()
         if header.ReceiverCertificateThumbPrint != ours:
-            raise TransportError(_Codes.BadCertificateInvalid, "encrypted for somebody else")
+            raise TransportError(_Codes.BadCertificateInvalid, "encrypted for another certificate")
         if first_of_chain(header.SenderCertificate or b"") != policy.peer_certificate:
             raise TransportError(_Codes.BadSecurityChecksFailed, "another certificate")
 
@@ -146,7 +146,7 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
             raise TransportError(_Codes.BadRequestTypeInvalid, "issue once, then renew")
         is_secure = self.security_policy.Mode != _None
         if params.SecurityMode != self.security_policy.Mode:
-            raise TransportError(_Codes.BadSecurityModeRejected, "another mode than the channel")
+            raise TransportError(_Codes.BadSecurityModeRejected, "not the mode of the channel")
         if is_secure and len(params.ClientNonce or b"") != _NONCE_BYTES:
             raise TransportError(_Codes.BadNonceInvalid, "the nonce has 32 bytes")
         if self._open and is_secure:

@@ -70,13 +70,13 @@ class FrameReader:
     def _judge_header(self) -> tuple[bytes, int]:
         kind, chunk, size = _HEADER.unpack_from(self._buffer)
         if kind not in _MIN_BYTES or chunk not in (b"F", b"C", b"A"):
-            raise TransportError(_Codes.BadTcpMessageTypeInvalid, "no OPC UA message")
+            raise TransportError(_Codes.BadTcpMessageTypeInvalid, "not an OPC UA message")
         if chunk != b"F" and kind != b"MSG":
             raise TransportError(_Codes.BadTcpMessageTypeInvalid, "only messages have chunks")
         if size > (MAX_HELLO_BYTES if kind == b"HEL" else MAX_CHUNK_BYTES):
-            raise TransportError(_Codes.BadTcpMessageTooLarge, "larger than was agreed")
+            raise TransportError(_Codes.BadTcpMessageTooLarge, "larger than agreed")
         if size < _MIN_BYTES[kind]:
-            raise TransportError(_Codes.BadDecodingError, "too short for what it says it is")
+            raise TransportError(_Codes.BadDecodingError, "too short for its message type")
         return kind, size
 
 

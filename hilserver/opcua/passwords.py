@@ -39,7 +39,7 @@ def is_password(password: bytes, text: str) -> bool:
 def _parts(text: str) -> tuple[int, int, int, bytes, bytes]:
     found = _FORM.fullmatch(text)
     if found is None:
-        raise ValueError("no scrypt hash")
+        raise ValueError("not a scrypt hash")
     log_n, r, p, salt, key = found.groups()
     decode = base64.b64decode
     return int(log_n), int(r), int(p), decode(salt, validate=True), decode(key, validate=True)

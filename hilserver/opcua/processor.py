@@ -141,7 +141,7 @@ class Processor:
         if isinstance(error, TransportError):
             self.refuse(error.code, str(error))
         elif isinstance(error, InvalidSignature):
-            self.refuse(_Codes.BadSecurityChecksFailed, "signature or key does not fit")
+            self.refuse(_Codes.BadSecurityChecksFailed, "the signature or key is wrong")
         elif isinstance(error, ServiceError | ua.uaerrors.UaStatusCodeError):
             self.refuse(error.code, "refused")
         elif isinstance(error, _UNDECODABLE):

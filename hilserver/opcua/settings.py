@@ -70,7 +70,7 @@ class _Checked(BaseModel):
 class OpcUaUser(_Checked):
     """Somebody who logs in with name and password."""
 
-    name: str = Field(min_length=1, max_length=64, description="Name to log in with")
+    name: str = Field(min_length=1, max_length=64, description="User name")
     password: Annotated[str, AfterValidator(_check_hash)] = Field(
         description="scrypt hash, made with hilserver certs password", repr=False
     )
@@ -84,10 +84,10 @@ class OpcUaPermissions(_Checked):
     """
 
     write: dict[str, RoleName] = Field(
-        default={"*": "operator"}, description="Pattern of signal names: lowest role that writes"
+        default={"*": "operator"}, description="Pattern of signal names: lowest role that may write"
     )
     call: dict[str, RoleName] = Field(
-        default={"*": "engineer"}, description="Pattern of method names: lowest role that calls"
+        default={"*": "engineer"}, description="Pattern of method names: lowest role that may call"
     )
 
 
@@ -99,7 +99,7 @@ class OpcUaShare(_Checked):
     queued_values: int = Field(
         ge=0,
         le=1_000_000,
-        description="Places in the queues of one session's monitored items, beyond one each",
+        description="Queued values of one session, beyond one per monitored item",
     )
 
 
@@ -136,37 +136,37 @@ class OpcUaSettings(_Checked):
     )
     certificates: Path = Field(
         default=Path("certificates"),
-        description="Folder with own, trusted, rejected and revoked, made by hilserver certs;"
+        description="Folder with own, trusted, rejected and revoked, created by hilserver certs;"
         " relative to this file",
     )
     private_key: Path | None = Field(
-        default=None, description="Key file, if not own/key.pem in that folder"
+        default=None, description="Key file, if it is not own/key.pem in that folder"
     )
     users: tuple[OpcUaUser, ...] = Field(default=(), description="Who may log in")
     anonymous: RoleName | Literal["nobody"] | None = Field(
         default=None,
-        description="Role of a client without a name; default: engineer on loopback without"
-        " users, otherwise nobody",
+        description="Role of an anonymous client; default: engineer on loopback without users,"
+        " otherwise nobody",
     )
     permissions: OpcUaPermissions = Field(
         default_factory=OpcUaPermissions, description="Who may write and call what"
     )
     allow_insecure_network: bool = Field(
         default=False,
-        description="Listen on other addresses than loopback even though everyone there may then"
+        description="Listen on addresses other than loopback, although everyone there may then"
         " read, write and command without a password",
     )
     max_failed_logins: int = Field(
         default=5,
         ge=1,
         le=1000,
-        description="Failed log-ins in a minute per user name, and per address but loopback",
+        description="Failed log-ins per minute and user name, and per address other than loopback",
     )
     max_message_bytes: int = Field(
         default=262_144,
         ge=65_536,
         le=16_777_216,
-        description="Longest request, all chunks together; 65536 before the log-in",
+        description="Longest request, all chunks together [bytes]; 65536 before the log-in",
     )
     max_operations: int = Field(
         default=1000, ge=10, le=10_000, description="Nodes in one request of any service"
@@ -178,7 +178,7 @@ class OpcUaSettings(_Checked):
         default=5.0,
         ge=1.0,
         le=1000.0,
-        description="Shortest publishing interval that a subscription gets",
+        description="Shortest publishing interval granted to a subscription",
     )
     max_connections: int = Field(default=200, ge=1, le=10_000, description="Open TCP connections")
     max_sessions: int = Field(default=100, ge=1, le=10_000, description="Open sessions")
@@ -192,10 +192,10 @@ class OpcUaSettings(_Checked):
         default=50_000,
         ge=0,
         le=1_000_000,
-        description="Places in the queues of all monitored items together, beyond one each",
+        description="Queued values of all sessions together, beyond one per monitored item",
     )
     limits: OpcUaLimits = Field(
-        default_factory=OpcUaLimits, description="What one session may hold, by role"
+        default_factory=OpcUaLimits, description="Limits for one session, by role"
     )
 
     @property
@@ -252,13 +252,13 @@ class OpcUaSettings(_Checked):
         place = f"endpoint '{self.endpoint}' is reachable from the network"
         if not self.is_secure:
             raise ValueError(
-                f"{place}, and policy None is in the clear: remove it from policies, listen on"
+                f"{place}, and policy None does not encrypt: remove it from policies, listen on"
                 " 127.0.0.1, or set allow_insecure_network: true"
             )
         if self.anonymous_role not in (None, Role.OBSERVER):
             raise ValueError(
-                f"{place}: anonymous may be nobody or observer there; name users instead, or set"
-                " allow_insecure_network: true"
+                f"{place}: anonymous may only be nobody or observer there; name users instead, or"
+                f" set allow_insecure_network: true"
             )
         if not self.users and self.anonymous_role is None:
             raise ValueError(

@@ -61,7 +61,7 @@ class Connection(asyncio.Protocol):
         self.processor = Processor(self._server.iserver, transport, self._server.policies)
         self.address = self.processor.address
         if not self._server.make_room(self.address):
-            log.warning("opcua connection refused: too many")
+            log.warning("opcua connection refused: too many are open")
             transport.abort()
             return
         transport.set_write_buffer_limits(high=_MAX_UNREAD_BYTES)

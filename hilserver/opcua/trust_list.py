@@ -147,8 +147,8 @@ class TrustList:
         self.folder = folder
         # trusted as a client like those in the folder: the operator page shows it
         self.ours: x509.Certificate | None = None
-        self._trusted = _Folder(folder / "trusted", "nobody is trusted by it")
-        self._revoked = _Folder(folder / "revoked", "nobody is let in")
+        self._trusted = _Folder(folder / "trusted", "it makes nobody trusted")
+        self._revoked = _Folder(folder / "revoked", "nobody is admitted")
         self._kept = FailedAttempts(KEPT_AT_ONCE, KEPT_WITHIN_S)
 
     def make_folders(self) -> None:

@@ -107,7 +107,7 @@ def _of_term(term: Term) -> Parameter:
 
 def _of_kinematics() -> Iterator[Parameter]:
     jumps = "velocity duty"
-    text = "K_om; null: that of the geometry, as the configuration names it"
+    text = "K_om; null: from the geometry, as configured"
     yield Parameter("kinematics.rotation_gain", "1/m", 1e-6, 1e6, nan, True, text, jumps)
     text = "-1: right-handed; 1: as the thesis prints it"
     yield Parameter("kinematics.yaw_sign", "1", -1.0, 1.0, -1.0, False, text, jumps)

@@ -33,7 +33,7 @@ def named(name: str, table: Mapping[str, Parameter]) -> str:
     name = name.removeprefix("plant.") if name.startswith(f"plant.{TERM}") else name
     if name.startswith(TERM):
         return TERM + main_part(name.removeprefix(TERM))
-    hint = meant(name, table, "docs/reference/parameters.md has all names.")
+    hint = meant(name, table, "docs/reference/parameters.md lists all names.")
     raise PlantError(f"{name:.100}: there is no such parameter: {hint}")
 
 

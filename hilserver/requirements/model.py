@@ -29,27 +29,27 @@ class Requirement(Section):
     ``always``. With neither, one moment suffices if ``within_s`` is given, else it is to the end.
     """
 
-    name: str = Field(min_length=1, max_length=100, description="what it is about, for people")
+    name: str = Field(min_length=1, max_length=100, description="description, for people")
     signal: str | None = Field(None, description="a scalar signal")
     python: str | None = Field(
         None,
-        description="file.py:function or module:function in its place; it takes the drive, a"
+        description="file.py:function or module:function, in place of signal; it takes the drive, a"
         " mapping of signals to arrays with time_s and period_s, and returns a number or an array"
         " with a value for each tick",
     )
     signals: tuple[str, ...] = Field(
-        (), description="with python: what it reads; without, every signal is kept for it"
+        (), description="with python: the signals it reads; without, every signal is kept for it"
     )
     below: float | None = Field(None, description="no sample is above this")
     above: float | None = Field(None, description="no sample is below this")
-    equals: float | None = Field(None, description="samples are this")
-    tolerance: float = Field(0.0, ge=0, description="with equals: and so much beside it")
-    always: bool = Field(False, description="until the end of the drive")
-    within_s: Time | None = Field(None, description="becomes true up to then, from the start [s]")
-    after_s: Time = Field(0.0, description="not looked at before, from the start [s]")
-    for_s: Time | None = Field(None, description="stays true for so long [s]")
+    equals: float | None = Field(None, description="all samples equal this")
+    tolerance: float = Field(0.0, ge=0, description="with equals: allowed deviation")
+    always: bool = Field(False, description="true until the end of the drive")
+    within_s: Time | None = Field(None, description="must become true by then, from the start [s]")
+    after_s: Time = Field(0.0, description="ignored before this time, from the start [s]")
+    for_s: Time | None = Field(None, description="stays true for this long [s]")
     share: float = Field(
-        1.0, gt=0, le=1, description="of the machines of a sweep that have to meet it, for JUnit"
+        1.0, gt=0, le=1, description="share of a sweep's machines that must meet it, for JUnit"
     )
 
     @model_validator(mode="after")
@@ -57,7 +57,7 @@ class Requirement(Section):
         if (self.signal is None) == (self.python is None):
             raise ValueError(f"'{self.name}' needs either signal or python")
         if self.signals and self.python is None:
-            raise ValueError(f"'{self.name}': signals is what python reads; write one signal")
+            raise ValueError(f"'{self.name}': signals goes with python; write one signal")
         bounds = [self.below, self.above]
         if (self.equals is None) == (bounds == [None, None]):
             raise ValueError(f"'{self.name}' needs below, above or both, or equals")
@@ -66,13 +66,13 @@ class Requirement(Section):
                 f"'{self.name}': nothing is above {self.above:g} and below {self.below:g}"
             )
         if self.tolerance and self.equals is None:
-            raise ValueError(f"'{self.name}': tolerance is that of equals")
+            raise ValueError(f"'{self.name}': tolerance goes with equals")
         if self.always and self.for_s is not None:
             raise ValueError(f"'{self.name}': give always or for_s, not both")
         if self.within_s is not None and self.within_s < self.after_s:
             raise ValueError(
-                f"'{self.name}': within_s is {self.within_s:g}, it has to be {self.after_s:g}"
-                " (after_s) at least; both count from the start"
+                f"'{self.name}': within_s is {self.within_s:g}, it must be at least"
+                f" {self.after_s:g} (after_s); both count from the start"
             )
         return self
 

@@ -143,7 +143,7 @@ def _pattern(code: int) -> int:
     number = code - FIRST_LIGHT if code >= FIRST_LIGHT else code
     if not 0 <= number < len(LIGHTS):
         last = FIRST_LIGHT + len(LIGHTS) - 1
-        raise ValueError(f"light pattern {code} is none of 0 .. 8 or {FIRST_LIGHT} .. {last}")
+        raise ValueError(f"light pattern {code} is not 0 .. 8 or {FIRST_LIGHT} .. {last}")
     return number
 
 

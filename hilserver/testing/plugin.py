@@ -37,11 +37,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "--hil-fault",
         action="append",
         metavar="NAME",
-        help="defect of the simulated shield that every test meets, as shield.rpm_unsigned; may be"
-        " given several times",
+        help="defect of the simulated shield in every test, as shield.rpm_unsigned; may be"
+        " repeated",
     )
-    group.addoption("--hil-scenario", metavar="FILE", help="timed scenario that every test meets")
-    group.addoption("--hil-keep", metavar="DIR", help="where failed tests leave their recordings")
+    group.addoption("--hil-scenario", metavar="FILE", help="timed scenario that runs in every test")
+    group.addoption("--hil-keep", metavar="DIR", help="folder for the recordings of failed tests")
     parser.addini("hil_config", "configuration of the simulated robot, like --hil-config")
     parser.addini("hil_mode", "virtual or realtime, like --hil-mode", default="virtual")
     parser.addini("hil_keep", "folder for failed tests, like --hil-keep", default="hil-failures")
@@ -55,7 +55,7 @@ def pytest_configure(config: pytest.Config) -> None:
         " scenario of the simulated robot in this test",
     )
     config.addinivalue_line(
-        "markers", "requirement(id, ...): requirements that the test verifies; in the JUnit report"
+        "markers", "requirement(id, ...): requirements that the test verifies, for the JUnit report"
     )
 
 
@@ -203,7 +203,7 @@ def pytest_runtest_makereport(
         place = keep(item.stash[_HIL], config.rootpath / folder, item.nodeid)
         seed = item.stash[_HIL].daemon.config.plant.seed
         text = (
-            f"recording, scenario and configuration: {place}\nseed {seed}, again with:"
+            f"recording, scenario and configuration: {place}\nseed {seed}, to run it again:"
             f" hilserver run -c {place / 'config.yaml'} --scenario {place / 'scenario.yaml'}"
         )
         report.sections.append(("hilserver", text))

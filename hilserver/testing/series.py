@@ -129,7 +129,7 @@ class Series:
 
     def _need_samples(self) -> None:
         if len(self) == 0:
-            raise AssertionError(f"{self.name}: nothing was captured; advance inside the capture")
+            raise AssertionError(f"{self.name}: nothing was captured; step inside the capture")
 
     def _fail_where(self, wrong: NDArray[np.bool_], what: str) -> None:
         if not wrong.any():

@@ -69,7 +69,7 @@ class Capture(Mapping[str, Series]):
         lost = self._tap.lost - self._lost_before
         if lost and error is None:
             raise AssertionError(
-                f"{lost} frames went by uncaptured: the test kept the event loop busy for longer"
+                f"{lost} frames were not captured: the test kept the event loop busy for longer"
                 " than the ring holds; raise image.ring_frames"
             )
 

@@ -87,7 +87,7 @@ def test_check_looks_at_the_certificate_of_the_server(tmp_path, capsys):
     assert main(check) == 0
     (tmp_path / "certificates" / "own" / "key.pem").write_text("junk")
     assert main(check) == EXIT_BAD_CONFIGURATION
-    assert "key.pem cannot be used: no private key in PEM form" in capsys.readouterr().err
+    assert "key.pem cannot be used: not a private key in PEM form" in capsys.readouterr().err
 
 
 def test_check_looks_at_the_files_of_peers(tmp_path, capsys):

@@ -103,7 +103,7 @@ def test_without_a_position_only_speeds_are_known(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("no json", "is no JSON"),
+        ("no json", "is not JSON"),
         ("{}", "schema: field required"),
         (json.dumps(FOUND | {"noise": {"nav.x_m": {"white_sd": -1}}}), "noise.nav.x_m.white_sd"),
         (

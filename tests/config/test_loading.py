@@ -56,11 +56,11 @@ def complaint(tmp_path, text):
         ("backend: !!python/object:os.system x\n", "config.yaml:1: "),
         ("backend: 2024-13-45\n", "config.yaml:1: a value cannot be read: month"),
         ("? [a]\n: 1\n", "config.yaml:1: "),
-        ("\nbackend: !!float ''\n", "config.yaml:2: a value cannot be read: '' is no float"),
-        ("backend: !!int ''\n", "config.yaml:1: a value cannot be read: '' is no int"),
-        ("backend: !!bool maybe\n", "config.yaml:1: a value cannot be read: 'maybe' is no bool"),
-        ("backend: !!timestamp x\n", "config.yaml:1: a value cannot be read: 'x' is no timestamp"),
-        ('\nbackend: "a\\0b"\n', "config.yaml:2: a text holds the character NUL"),
+        ("\nbackend: !!float ''\n", "config.yaml:2: a value cannot be read: '' is not type float"),
+        ("backend: !!int ''\n", "config.yaml:1: a value cannot be read: '' is not type int"),
+        ("backend: !!bool maybe\n", "config.yaml:1: a value cannot be read: 'maybe' is not type bool"),
+        ("backend: !!timestamp x\n", "config.yaml:1: a value cannot be read: 'x' is not type timestamp"),
+        ('\nbackend: "a\\0b"\n', "config.yaml:2: a text contains the character NUL"),
     ],
 )
 def test_one_sentence_with_file_line_and_key(tmp_path, text, expected):

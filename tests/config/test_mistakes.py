@@ -33,9 +33,9 @@ def complaint(tmp_path, text):
     ("text", "expected"),
     [
         # forms
-        ("metrics:\n", ":1: metrics: there is nothing below it; remove it or write its keys"),
-        ("peers:\n", ":1: peers: there is nothing below it; remove it or write its entries"),
-        ("plant:\n  terms:\n", ":2: plant.terms: there is nothing below it"),
+        ("metrics:\n", ":1: metrics: is empty; remove it or add its keys"),
+        ("peers:\n", ":1: peers: is empty; remove it or add its entries"),
+        ("plant:\n  terms:\n", ":2: plant.terms: is empty"),
         ("- a\n", ":1: write 'key: value' lines, not a list"),
         ("hello\n", ":1: write 'key: value' lines, not 'hello'"),
         ("plant: [1]\n", ":1: plant: [1] is not valid; it should be keys and values"),

@@ -142,7 +142,7 @@ def test_one_group_of_a_patch_is_taken(tmp_path):
 @pytest.mark.parametrize(
     ("content", "words", "code", "complaint"),
     [
-        (grouped(asphalt=0, sand=0), [], 78, "take one of them with --group: asphalt, sand"),
+        (grouped(asphalt=0, sand=0), [], 78, "choose one with --group: asphalt, sand"),
         (grouped(asphalt=0, sand=0), ["mud"], 78, "has no group 'mud'; it has asphalt, sand"),
         (PATCH, ["sand"], 78, "has no groups; leave --group sand out"),
         (grouped(sand=20), ["sand"], 78, "groups.sand.rotation_gain: 20 1 is outside"),

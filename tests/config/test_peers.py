@@ -75,9 +75,9 @@ def test_what_is_no_node_id(text):
         ({"publishing_ms": -1}, "greater than 0"),
         ({"read": {}, "write": {}}, "reads and writes nothing"),
         ({"security": {"policy": "Basic256"}}, "Input should be 'None', 'Basic256Sha256'"),
-        ({"security": {"mode": "sign"}}, "mode is without effect while policy is None"),
-        ({"security": {"peer_host": "x"}}, "peer_host is without effect while policy is None"),
-        ({"security": {"trust": "x"}}, "trust is without effect while policy is None"),
+        ({"security": {"mode": "sign"}}, "mode has no effect while policy is None"),
+        ({"security": {"peer_host": "x"}}, "peer_host has no effect while policy is None"),
+        ({"security": {"trust": "x"}}, "trust has no effect while policy is None"),
         (
             {"security": SECURE | {"certificate": "a.der"}},
             "certificate needs private_key as well: give both, or neither",

@@ -40,10 +40,10 @@ def test_addresses_are_those_of_node_red():
     [
         ("DB1,REAL", "write DB1,REAL4"),
         ("DB1,TEXT4", "types are X, BYTE"),
-        ("DB1,REAL3", "a REAL stands at an even byte"),
+        ("DB1,REAL3", "a REAL must start at an even byte"),
         ("DB1,X3", "a BOOL has a bit"),
         ("DB1,INT2.1", "a INT has no bit"),
-        ("DB1,REAL9000", "8192 bytes at most"),
+        ("DB1,REAL9000", "at most 8192 bytes"),
     ],
 )
 def test_what_is_no_place_is_named(text, words):
@@ -86,11 +86,11 @@ def test_a_heartbeat_belongs_to_an_s7_controller():
 @pytest.mark.parametrize(
     ("section", "words"),
     [
-        (layout(field(0), field(2, "INT", "b")), "'a' and 'b' stand on the same bytes"),
-        (layout(field(1)), "stands at an even byte"),
+        (layout(field(0), field(2, "INT", "b")), "'a' and 'b' overlap"),
+        (layout(field(1)), "must start at an even byte"),
         (layout(field("x")), "at 'x': write the byte"),
         (layout(field(0, "STRING")), "type"),
-        (layout(field(0), host="192.0.2.1"), "S7 knows no password"),
+        (layout(field(0), host="192.0.2.1"), "S7 has no passwords"),
     ],
 )
 def test_what_is_no_layout_is_named(section, words):

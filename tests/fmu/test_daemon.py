@@ -45,7 +45,7 @@ async def test_beside_the_daemon_nothing_that_it_does_stops_the_plant(fmus, misc
         assert words in daemon.control.reason
         assert daemon.control.reason.startswith("FMU 'motor' ")
         texts = [e.message for e in daemon.events.recent if e.source == "motor"]
-        assert [words in text for text in texts if "outputs hold" not in text] == [True]
+        assert [words in text for text in texts if "outputs keep" not in text] == [True]
         tick = daemon.scheduler.tick
         await wait_until(lambda: daemon.scheduler.tick > tick + 100)
         assert daemon.image.latest().status[daemon.table.slot("motor.y")] >> 31 == 1
@@ -71,7 +71,7 @@ async def test_one_that_loops_for_ever_is_ended_whatever_its_priority(fmus, prio
     start, realtime = {"mischief": LOOPS, "atStep": 300}, LIGHT | {"priority": priority}
     async with daemon_with(fmus / "lag3.fmu", realtime, process=True, start=start) as daemon:
         await wait_until(lambda: daemon.control.state is State.SAFE)
-        assert "does not answer any more and was ended" in daemon.control.reason
+        assert "no longer answers and was ended" in daemon.control.reason
 
 
 async def begins_anew(daemon):

@@ -97,7 +97,7 @@ def test_who_had_a_leftover_open_does_not_see_the_daemon_in_it(name):
 
 def test_a_pipe_in_its_place_is_named_and_nothing_waits(name):
     os.mkfifo(path_of(name))
-    with pytest.raises(FailedError, match=f"hilserver-{name}: is no regular file"):
+    with pytest.raises(FailedError, match=f"hilserver-{name}: is not a regular file"):
         SharedFile(name, N_BYTES)
     with pytest.raises(FailedError, match="not complete"):
         map_read_only(name)

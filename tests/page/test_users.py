@@ -161,7 +161,7 @@ async def test_who_fails_too_often_is_told_to_wait_and_nobody_else_is_locked_out
         _, answer = await visitor.call("login", "nobody", "wrong")
         assert answer["text"] == "name or password is wrong"
     _, answer = await visitor.call("login", "nobody", "wrong")
-    assert answer["text"].endswith("of this name or address: wait a minute")
+    assert answer["text"].endswith("for this name or address: wait a minute")
     assert (await visitor.call("login", "emma", PASSWORDS["emma"]))[0] == 200
 
 

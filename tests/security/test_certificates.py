@@ -457,7 +457,7 @@ async def test_passwords() -> None:
     assert hash_password("geheim ü", log_n=10) != text
     assert is_password("geheim ü".encode(), text)
     assert not is_password(b"geheim", text)
-    with pytest.raises(ValueError, match="no scrypt hash"):
+    with pytest.raises(ValueError, match="not a scrypt hash"):
         is_password(b"geheim", "geheim")
 
 

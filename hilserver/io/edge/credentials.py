@@ -36,9 +36,9 @@ def _password(config: EdgeConfig, folder: Path) -> str | None:
     except OSError as error:
         raise ConfigError(f"password_file: {path} cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise ConfigError(f"password_file: {path} is not UTF-8; save it so") from None
+        raise ConfigError(f"password_file: {path} is not UTF-8; save it as UTF-8") from None
     if not lines:
-        raise ConfigError(f"password_file: {path} is empty; write the password into its first line")
+        raise ConfigError(f"password_file: {path} is empty; put the password on its first line")
     return lines[0]
 
 

@@ -56,7 +56,7 @@ class EdgeLink(Part):
             self.status,
             world.gate,
             world.events.publish,
-            fresh=lambda: "databus: values come in",
+            fresh=lambda: "databus: values are coming in",
         )
         with world.at("edge"):
             self._collections = payload.collections_of(config, world.table)
@@ -196,7 +196,7 @@ class EdgeLink(Part):
         status = self.status
         status.failed_attempts += not status.connected
         status.connected, status.state, status.last_error = False, LinkState.HELD_OFF, reason
-        sentence = f"the broker {status.endpoint} is away: {reason}"
+        sentence = f"the broker {status.endpoint} is not reachable: {reason}"
         self._source.faults.refuse(EdgeFault.NO_BROKER, "broker", sentence, time.monotonic_ns())
 
     # --- values out and in ------------------------------------------------------------------------
@@ -219,7 +219,7 @@ class EdgeLink(Part):
         if collection is None or not isinstance(message.payload, bytes | bytearray):
             return
         if message.retain:
-            why = "the broker has kept it, of whatever age; publish writes without retain"
+            why = "it is a retained message, so its age is unknown; publish writes without retain"
             self._refuse(collection, why)
         else:
             self._write(collection, bytes(message.payload))

@@ -58,7 +58,7 @@ def collections_of(config: EdgeConfig, table: SignalTable) -> list[Collection]:
         for pattern in group.signals:
             if not any(fnmatchcase(signal.name, pattern) for signal in scalars):
                 raise ConfigError(
-                    f"group '{group.name}': no signal fits '{pattern}'; see 'hilserver signals'"
+                    f"group '{group.name}': no signal matches '{pattern}'; see 'hilserver signals'"
                 )
         signals = tuple(
             signal
@@ -166,17 +166,17 @@ def written(collection: Collection, data: bytes) -> Mapping[str, object]:
     try:
         message = from_json(data)  # Python's own recurses as deep as a stranger's message nests
     except ValueError:
-        raise ValueError("is no JSON") from None
+        raise ValueError("is not JSON") from None
     points = message.get("vals") if isinstance(message, dict) else None
     if not isinstance(points, list):
         raise ValueError("has no list 'vals'")
     inputs, found = collection.inputs, {}
     for point in points:
         if not isinstance(point, dict) or not {"id", "val"} <= point.keys():
-            raise ValueError("an entry of 'vals' has no 'id' or no 'val'")
+            raise ValueError("has an entry without 'id' or 'val' in 'vals'")
         signal = inputs.get(str(point["id"])[:20])
         if signal is None:
-            raise ValueError(f"id {point['id']!s:.20} is no input of the group")
+            raise ValueError(f"id {point['id']!s:.20} is not an input of the group")
         found[signal.name] = _number(signal, point["val"])
     return found
 

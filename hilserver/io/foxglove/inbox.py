@@ -85,4 +85,4 @@ class Inbox(ServerListener):
         now_s = time.monotonic()
         if now_s - self._complained_s >= COMPLAIN_EVERY_S:
             self._complained_s = now_s
-            _log.warning("a viewer published what is no command", topic=topic, why=why)
+            _log.warning("a viewer published something that is not a command", topic=topic, why=why)

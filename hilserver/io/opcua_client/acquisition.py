@@ -152,6 +152,6 @@ class Acquisition:
         now_ns = time.monotonic_ns()
         for name, node in found.items():
             if node is None:
-                self.intake.missing(name, "the peer does not know its namespace", now_ns)
+                self.intake.missing(name, "the peer does not have this namespace", now_ns)
         known = {name: node for name, node in found.items() if node is not None}
         return list(known), list(known.values())

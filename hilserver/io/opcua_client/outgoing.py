@@ -78,7 +78,7 @@ def variant(value: object, kind: ua.VariantType, *, is_bad: bool = False) -> ua.
 
 def _float(value: object, kind: ua.VariantType, is_bad: bool) -> float:
     if not isinstance(value, int | float) or not (is_bad or math.isfinite(value)):
-        raise UnfitError(f"{value!s:.40} is no finite number")
+        raise UnfitError(f"{value!s:.40} is not a finite number")
     if math.isfinite(value) and abs(value) >= _FLOATS[kind]:
         raise UnfitError(f"{value:g} does not fit into {kind.name}")
     return float(value)

@@ -36,12 +36,12 @@ def certificate_refused(
         Verdict.REVOCATION_UNKNOWN: "its certificate may be revoked: a file in 'revoked' cannot be"
         " read; replace or remove it, the log names it",
         Verdict.POLICY: "its certificate is too weak: RSA 2048 to 4096 bits and SHA-256 are needed",
-        Verdict.ISSUER_TIME: "the authority of its certificate is not valid now",
+        Verdict.ISSUER_TIME: "the certificate of its authority is not valid now",
         Verdict.URI: f"it announces the application URI {_quoted(application_uri)}, which its"
-        " certificate does not name: make that certificate anew",
+        " certificate does not name: issue that certificate again",
     }.get(verdict)
     if verdict is Verdict.INVALID:
-        sentence = "it shows no certificate that can be read"
+        sentence = "it presents no readable certificate"
     if sentence is None:
         sentence = _about(parse_certificate(data), verdict, host, trust_with)
     return RefusedError(
@@ -92,7 +92,7 @@ def token_missing(user: str | None, offered: Iterable[ua.UserTokenPolicy]) -> Re
     return RefusedError(
         FaultKind.LOG_IN,
         "token",
-        f"not connected: it takes no {what} at this endpoint but {kinds}: {remedy}",
+        f"not connected: this endpoint accepts {kinds} but no {what}: {remedy}",
     )
 
 
@@ -101,7 +101,8 @@ def password_exposed(policy: str) -> RefusedError:
     return RefusedError(
         FaultKind.LOG_IN,
         "exposed",
-        f"not connected: it wants the password with {_quoted(policy) or 'no'} encryption: set mode:"
+        f"not connected: it asks for the password with {_quoted(policy) or 'no'} encryption: set"
+        f" mode:"
         " sign_and_encrypt",
     )
 
@@ -116,7 +117,7 @@ def refused_by_peer(
         remedy = "set user and password_file" if user is None else "check user and password_file"
         kind, sentence = FaultKind.LOG_IN, f"it refuses {who}: {remedy}"
     elif code in _POLICY_CODES:
-        kind, sentence = FaultKind.SECURITY_POLICY, "it refuses policy and mode: set security"
+        kind, sentence = FaultKind.SECURITY_POLICY, "it refuses this policy and mode: set security"
     elif code.startswith("BadCertificate") or code == "BadSecurityChecksFailed":
         which = f"our certificate {ours}" if ours else "an unprotected connection"
         remedy = "trust it there, and check both clocks" if ours else "set security"
@@ -131,8 +132,8 @@ def hung_up(ours: str) -> RefusedError:
     return RefusedError(
         FaultKind.CERTIFICATE,
         "closed",
-        f"not connected: it closes the connection when it sees our certificate {ours}: trust it"
-        " there, and check both clocks",
+        f"not connected: it closes the connection after receiving our certificate {ours}: trust it"
+        f" there, and check both clocks",
     )
 
 

@@ -225,7 +225,7 @@ def _identity(config: PeerConfig, opcua: OpcUaSettings, folder: Path) -> _Identi
     )
     if not application_uris(certificate):
         raise ConfigError(
-            "our certificate names no application URI: make another with 'hilserver certs make'"
+            "our certificate names no application URI: make a new one with 'hilserver certs make'"
         )
     left = certificate.not_valid_after_utc - datetime.now(UTC)
     if left < _WARN_BEFORE:
@@ -237,7 +237,7 @@ def _identity(config: PeerConfig, opcua: OpcUaSettings, folder: Path) -> _Identi
     only = None
     if security.peer_certificate is not None:
         only = _load(folder / security.peer_certificate)
-        trust_with = "it is another one than peer_certificate"
+        trust_with = "it is not the one in peer_certificate"
     return _Identity(
         _POLICIES[security.policy],
         _MODES[security.effective_mode],
@@ -255,7 +255,7 @@ def _load(path: Path) -> x509.Certificate:
     except OSError as error:
         raise ConfigError(f"{path} cannot be read: {error.strerror}") from None
     except ValueError as error:
-        raise ConfigError(f"{path} is no certificate: {error}") from None
+        raise ConfigError(f"{path} is not a certificate: {error}") from None
 
 
 def _read_password(path: Path) -> str:
@@ -268,7 +268,7 @@ def _read_password(path: Path) -> str:
     except OSError as error:
         raise ConfigError(f"password_file {path} cannot be read: {error.strerror}") from None
     except ValueError:
-        raise ConfigError(f"password_file {path} holds no text") from None
+        raise ConfigError(f"password_file {path} contains no text") from None
     if not 0 < len(password.encode()) <= MAX_PASSWORD_BYTES:
         raise ConfigError(
             f"password_file {path}: its first line must be a password of up to"

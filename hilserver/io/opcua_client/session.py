@@ -170,7 +170,7 @@ class Session:
         """Send one multi-read; one DataValue per node, in order."""
         values: list[ua.DataValue] = await self.services.read(request)
         if len(values) != len(request.NodesToRead):
-            raise LinkLostError("the peer answered a read with another number of values")
+            raise LinkLostError("the peer answered a read with the wrong number of values")
         return values
 
     async def read_attributes(

@@ -80,7 +80,7 @@ class Subscription:
         now_ns = time.monotonic_ns()
         missing = [node for node in nodes if resolved[node] is None]
         for node in missing:
-            self._intake.missing(node, "the peer does not know its namespace", now_ns)
+            self._intake.missing(node, "the peer does not have this namespace", now_ns)
         found = [node for node in nodes if resolved[node] is not None]
         if not found:
             return missing
@@ -134,7 +134,7 @@ class Subscription:
         request.ItemsToCreate = items
         results = list(await self._session.services.create_monitored_items(request))
         if len(results) != len(items):
-            raise LinkLostError("the peer answered a subscription with another number of nodes")
+            raise LinkLostError("the peer answered a subscription with the wrong number of nodes")
         again = [
             index
             for index, result in enumerate(results)
@@ -181,7 +181,7 @@ class Subscription:
         if self._failure.done():
             self._failure.result()
         if time.monotonic() - self._received_s > self._silent_after_s:
-            raise LinkLostError("the subscription fell silent")
+            raise LinkLostError("the subscription went silent")
 
     async def delete(self) -> None:
         """Delete the subscription at the peer."""

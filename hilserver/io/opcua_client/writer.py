@@ -77,7 +77,7 @@ class Writer:
     async def _send(self, signals: list[str], request: ua.WriteParameters) -> None:
         results = await self._session.services.write(request)
         if len(results) != len(signals):
-            raise LinkLostError("the peer answered a write with another number of results")
+            raise LinkLostError("the peer answered a write with the wrong number of results")
         self._status.writes += 1
         for signal, result in zip(signals, results, strict=True):
             if not result.is_good() and signal in self._targets:
@@ -131,12 +131,12 @@ class Writer:
         now_ns = time.monotonic_ns()
         for signal, node in wanted.items():
             if signal not in kinds:
-                sentence = f"{node} is not there, so {signal} is not written"
+                sentence = f"{node} does not exist, so {signal} is not written"
                 self._faults.report(FaultKind.MISSING_NODE, node, sentence, now_ns)
                 continue
             kind = variant_type(kinds[signal][1])
             if kind is None:
-                sentence = f"{node} is no number, so {signal} is not written"
+                sentence = f"{node} is not numeric, so {signal} is not written"
                 self._faults.report(FaultKind.REFUSED_WRITE, node, sentence, now_ns)
                 continue
             self._targets[signal] = (kinds[signal][0], kind)

@@ -79,7 +79,7 @@ class AddressSpaceBuilder:
         kinds = ua.ObjectIds
         name = ua.QualifiedName(GROUP, self._di_index)
         place = Place(group, name, self.robot, kinds.HasComponent)
-        self._object(place, kinds.FolderType, "Who made the robot, and which one it is")
+        self._object(place, kinds.FolderType, "Manufacturer and identity of the robot")
         for name, value, kind in entries:
             shown = ua.LocalizedText(value) if kind == LOCALIZED_TEXT else value
             typed = ua.Variant(shown, ua.VariantType(kind))

@@ -98,7 +98,7 @@ _NUMBER = Argument("number", ValueType.UINT32, "Number of the proposal, see reca
 _RECORDING = Argument("name", STRING, "Plain file name in folders.recordings, .mcap or .csv")
 
 METHODS = (
-    Method("Start", "Run on from a pause", lambda on: on.control.start()),
+    Method("Start", "Resume after a pause", lambda on: on.control.start()),
     Method("Stop", "Emergency stop: go to the safe state", lambda on: on.control.stop()),
     Method("Pause", "Stop the simulation at the next tick", lambda on: on.control.pause()),
     Method(
@@ -109,7 +109,7 @@ METHODS = (
     ),
     Method(
         "Reset",
-        "Acknowledge the safe state; otherwise put the simulation back to its start",
+        "Acknowledge the safe state; otherwise return the simulation to its start",
         lambda on: on.control.reset(),
     ),
     Method(
@@ -132,7 +132,7 @@ METHODS = (
     ),
     Method(
         "Unforce",
-        "Let a forced signal go",
+        "Release a forced signal",
         lambda on, signal: on.faults.unforce(signal),
         (_SIGNAL,),
     ),
@@ -144,11 +144,11 @@ METHODS = (
     ),
     Method("ClearFaults", "End all injected faults", lambda on: on.faults.clear()),
     Method(
-        "ResetStatistics", "Start the timing figures anew", lambda on: on.control.reset_statistics()
+        "ResetStatistics", "Restart the timing statistics", lambda on: on.control.reset_statistics()
     ),
     Method(
         "SetPose",
-        "Put the robot at a pose",
+        "Place the robot at a pose",
         lambda on, x, y, yaw: on.control.set_pose(x, y, yaw),
         (
             Argument("x", ValueType.DOUBLE, "Position in the world frame [m]"),
@@ -157,7 +157,7 @@ METHODS = (
         ),
     ),
     Method(
-        "AlignPose", "Put the robot where the measured one is", lambda on: on.control.align_pose()
+        "AlignPose", "Place the robot where the measured one is", lambda on: on.control.align_pose()
     ),
     Method(
         "SetSpeed",
@@ -185,33 +185,33 @@ METHODS = (
     Method("StopRecording", "End the recording", lambda on: on.files.recordings.stop()),
     Method(
         "LoadPatch",
-        "Lay a model patch over the plant, from one tick on",
+        "Apply a model patch to the plant, from one tick on",
         lambda on, name: on.files.patches.load(_plain(name)),
         (_PATCH,),
     ),
-    Method("RemovePatch", "Go on without the model patch", lambda on: on.files.patches.remove()),
+    Method("RemovePatch", "Continue without the model patch", lambda on: on.files.patches.remove()),
     Method(
         "ResetParameters",
-        "Go back to the parameters of the configuration, from one tick on",
+        "Return to the configured parameters, from one tick on",
         lambda on: on.files.patches.reset(),
     ),
     Method(
         "AcceptProposal",
-        "Lay the patch of a proposal over the plant, from one tick on",
+        "Apply the patch of a proposal to the plant, from one tick on",
         lambda on, number: on.files.recalibration.accept(number, CALLER.get()),
         (_NUMBER,),
         _undecided,
     ),
     Method(
         "RejectProposal",
-        "Go on without a proposal; it is not made again",
+        "Reject a proposal; it is not made again",
         lambda on, number: on.files.recalibration.reject(number, CALLER.get()),
         (_NUMBER,),
         _undecided,
     ),
     Method(
         "PostponeProposal",
-        "Leave a proposal open and remind nobody",
+        "Leave a proposal open without further reminders",
         lambda on, number: on.files.recalibration.postpone(number, CALLER.get()),
         (_NUMBER,),
         _undecided,

@@ -28,9 +28,9 @@ GROUPS = {
     "methods": "Commands to the daemon",
     "slices": "Timing of every time slice",
     "peers": "Links to OPC UA peers",
-    "audit": "What this computer lacks for real time, and what is set open",
+    "audit": "What this computer lacks for real time, and insecure settings",
     "faults": "Injected faults and forced signals",
-    "recalibration": "Proposals that the model keeps up with its robot",
+    "recalibration": "Proposals for keeping the model in step with the robot",
     "parameters": "Numbers of the robot that can change while it runs",
 }
 """Folders of nodes that are not signals."""
@@ -162,7 +162,7 @@ def describe(
             path=CONTROL_SOURCE,
             parent="control",
             name="source",
-            description="Kind of source that has control: writing 'opcua' takes it",
+            description="Kind of source that has control: write 'opcua' to take it",
             type_definition=BASE_DATA_VARIABLE,
             data_type=DATA_TYPES[STRING],
             writable=True,

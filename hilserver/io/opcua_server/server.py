@@ -96,7 +96,7 @@ class OpcUaServer(Part):
         self._robot_events.attach(self._world.events)
         self.publish_diagnostics()
         if not self.audit()["opcua_access"]["ok"]:
-            log.warning("opcua open to the network: anyone may command", endpoint=self.url)
+            log.warning("opcua is open to the network: anyone may command", endpoint=self.url)
         log.info("opcua server listens", endpoint=self.url)
 
     async def stop(self) -> None:

@@ -25,7 +25,7 @@ _WORDS = {
     "Double": "a finite number",
     "Boolean": "true or false",
     "Byte": "an integer from 0 to 255",
-    "UInt32": "an integer, not negative",
+    "UInt32": "a non-negative integer",
     "Int64": "an integer",
 }
 
@@ -93,7 +93,7 @@ class LogIns:
         """
         keys, now_s = keys_of(name, browser.address), time.monotonic()
         if any(self._attempts.is_blocked(key, now_s) for key in keys):
-            raise RefusedError("too many failed log-ins of this name or address: wait a minute")
+            raise RefusedError("too many failed log-ins for this name or address: wait a minute")
         for key in keys:  # before the answer, or parallel guesses would all pass
             self._attempts.failed(key, now_s)
         async with browser.lock:
@@ -178,7 +178,7 @@ class Calls:
 
     async def _login(self, browser: Browser, name: str, password: str) -> dict[str, Any]:
         if not self._setup.opcua.needs_login:
-            raise RefusedError("nobody has to log in here")
+            raise RefusedError("this page needs no log-in")
         browser.may_stop = False
         await self._log_ins.log_in(browser, str(name)[:64], str(password)[:1024])
         self._browsers.rekey(browser)
@@ -216,7 +216,7 @@ class Calls:
 
         def check() -> None:
             if self._live.driver not in (None, number, taken_from):
-                raise RefusedError("another browser drives: say that you take control from it")
+                raise RefusedError("another browser is driving: confirm to take control")
 
         await self._driving.take(client, check)
         if self._live.find(number) is not client:  # it has left meanwhile
@@ -236,7 +236,7 @@ class Calls:
         """Change parameters, all in one tick; null as in config.yaml."""
         known = {row["name"] for row in self._setup.parameters}
         if not isinstance(values, dict) or not values:
-            raise WrongTypeError("set takes parameters by name, with their values")
+            raise WrongTypeError("set takes parameter names with their values")
         for name, value in values.items():
             if name not in known:
                 raise RefusedError(f"there is no parameter '{name:.60}'")

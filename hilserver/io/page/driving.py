@@ -51,9 +51,9 @@ class Command:
             given = data.get("rpm")
             numbers = given if isinstance(given, list) else []
         else:
-            raise RefusedError("a command has the mode 'twist' or 'wheels'")
+            raise RefusedError("the mode of a command is 'twist' or 'wheels'")
         if len(numbers) != len(names) or not all(map(is_finite_number, numbers)):
-            raise RefusedError("a command has finite numbers")
+            raise RefusedError("a command must contain finite numbers")
         values = {n: float(v) for n, v in zip(names, numbers, strict=True)}
         return cls({"control.mode": _MODES[mode], **values})
 
@@ -94,17 +94,17 @@ class Driving:
             before, self.driver, self._next = self.driver, seat, None
             self._taken_s = time.monotonic()
         if before is not None and before is not seat:
-            before.tell({"type": "refused", "text": "another browser has taken the wheel"})
+            before.tell({"type": "refused", "text": "another browser has taken control"})
 
     def command(self, seat: Seat, data: Mapping[str, Any]) -> None:
         """Take a command of `seat`; RefusedError if it does not drive or its picture is too old."""
         command = Command.parse(data)
         if seat is not self.driver:
-            raise RefusedError("you do not drive: take control first")
+            raise RefusedError("you do not have control: take control first")
         seen = data.get("seen")
         is_fresh = isinstance(seen, int) and age_ms(seen) <= self._deadman_ms
         if not is_fresh and not command.is_zero:
-            raise RefusedError("your picture is too old to drive by")
+            raise RefusedError("the page's data is too old to drive by")
         self._next = command
         self._news.set()
 

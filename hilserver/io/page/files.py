@@ -36,7 +36,7 @@ def files_in(folder: Path, *suffixes: str) -> Iterator[dict[str, Any]]:
 def file_in(folder: Path, name: object) -> Path:
     """Return a file by its plain name; RefusedError if there is none."""
     if not is_plain(name):
-        raise RefusedError(f"{str(name)!r:.60} is no plain file name")
+        raise RefusedError(f"{str(name)!r:.60} is not a plain file name")
     path = folder / str(name)
     if not path.is_file():
         raise RefusedError(f"there is no '{name}' in the folder {folder.name}")

@@ -67,7 +67,7 @@ class Hand:
         """
         access = self._access
         if not access.endpoint:
-            raise RefusedError("the OPC UA server of the daemon is off: this page only shows")
+            raise RefusedError("the OPC UA server of the daemon is off: this page is read-only")
         await self.close()
         client = Client(access.endpoint, timeout=HAND_ANSWER_S, watchdog_intervall=30.0)
         client.name = "hilserver page"
@@ -189,7 +189,7 @@ def _arguments(method: Method, given: Sequence[Any]) -> list[ua.Variant]:
     try:
         return [_variant(a.type, v) for a, v in zip(method.arguments, given, strict=True)]
     except (TypeError, ValueError, OverflowError):
-        raise RefusedError(f"{method.name}: an argument does not fit") from None
+        raise RefusedError(f"{method.name}: an argument has the wrong type") from None
 
 
 def _check(codes: Sequence[ua.StatusCode], infos: Sequence[ua.DiagnosticInfo] | None) -> None:

@@ -116,7 +116,7 @@ class Jobs:
             mapping = str(own)
         running = next((job for job in self._jobs if job.state == "running"), None)
         if running is not None:
-            raise RefusedError(f"the diagnosis of {running.log} is running; wait or cancel it")
+            raise RefusedError(f"the diagnosis of {running.log} is running: wait or cancel it")
         stamp = time.strftime("%Y%m%d-%H%M%S")
         folder = self._setup.folder("reports") / f"{path.stem[:60]}-{stamp}"
         job = Job(self._next, path.name, folder)
@@ -158,7 +158,7 @@ class Jobs:
         for job in self._jobs:
             if job.number == number and job.state == state:
                 return job
-        raise RefusedError(f"there is no such diagnosis that is {state}")
+        raise RefusedError(f"there is no such diagnosis in state {state}")
 
     def report(self, folder: str, name: str) -> Path | None:
         """Return a file of a finished diagnosis."""

@@ -56,7 +56,7 @@ async def _keep_running(setup: Setup, listener: socket.socket) -> None:
             code = error.strerror or str(error)
         if loop.time() - started_s > STEADY_S:
             wait_s = RESTART_S
-        _log.error("the page has ended, the daemon runs on", exit=code, again_in_s=wait_s)
+        _log.error("the page has stopped; the daemon keeps running", exit=code, again_in_s=wait_s)
         await asyncio.sleep(wait_s)
         wait_s = min(2 * wait_s, LONGEST_RESTART_S)
 

@@ -172,14 +172,14 @@ class Live:
             now_s = int(time.monotonic())
             second, count = (second, count + 1) if now_s == second else (now_s, 1)
             if message.type is not WSMsgType.TEXT or count > MESSAGES_PER_S:
-                await _close(client, WSCloseCode.POLICY_VIOLATION, "no message of this page")
+                await _close(client, WSCloseCode.POLICY_VIOLATION, "not a message of this page")
                 return
             try:
                 self._understand(client, json.loads(message.data))
             except RefusedError as error:
                 client.tell({"type": "refused", "text": str(error)})
             except (ValueError, TypeError, KeyError, RecursionError):
-                await _close(client, WSCloseCode.POLICY_VIOLATION, "no message of this page")
+                await _close(client, WSCloseCode.POLICY_VIOLATION, "not a message of this page")
                 return
 
     def _understand(self, client: Client, data: Mapping[str, Any]) -> None:

@@ -220,7 +220,7 @@ class PageServer:
         unknown = next((name for name in names if name not in self._slots), None)
         if unknown is not None or len(names) > MAX_PLOTTED:
             raise web.HTTPBadRequest(
-                text=f"there is no signal '{unknown}', or too many are asked for"
+                text=f"there is no signal '{unknown}', or too many are requested"
             )
         return web.json_response(history(self._image, self._slots, names))
 
@@ -275,11 +275,11 @@ class PageServer:
                 data = await request.json()
             name, arguments = data["method"], data.get("arguments", [])
         except TimeoutError:
-            raise web.HTTPRequestTimeout(text="the call has not arrived") from None
+            raise web.HTTPRequestTimeout(text="the call did not arrive completely") from None
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
-            raise web.HTTPBadRequest(text="a call has a method and arguments") from None
+            raise web.HTTPBadRequest(text="a call needs a method and arguments") from None
         if not isinstance(name, str) or not isinstance(arguments, list):
-            raise web.HTTPBadRequest(text="a call has the name of a method and a list of arguments")
+            raise web.HTTPBadRequest(text="a call needs a method name and a list of arguments")
         try:
             result = await self._calls.do(browser, name, arguments)
         except WrongTypeError as error:

@@ -44,11 +44,11 @@ class Uploads:
         """
         if not is_plain(name) or Path(name).suffix not in LOG_SUFFIXES:
             raise RefusedError(
-                f"{name!r:.60} is no name of a log: letters, digits, _ . - and one of"
+                f"{name!r:.60} is not a log name: letters, digits, _ . - and one of"
                 f" {', '.join(LOG_SUFFIXES)}"
             )
         if self._one.locked():
-            raise RefusedError("another log is coming in; wait until it is complete")
+            raise RefusedError("another log is being uploaded; wait until it is complete")
         async with self._one:
             target = self._folder / name
             try:
@@ -58,7 +58,7 @@ class Uploads:
                     await asyncio.to_thread(_complete, part, target)
             except FileExistsError:
                 raise RefusedError(
-                    f"there is a log '{name}' already; give this one another name"
+                    f"a log '{name}' exists already; give this one another name"
                 ) from None
             except OSError as error:
                 raise RefusedError(f"{name} cannot be stored: {error.strerror}") from None
@@ -78,13 +78,13 @@ class Uploads:
                 async with asyncio.timeout(PIECE_S):
                     piece = await request.content.read(PIECE_BYTES)
             except TimeoutError:
-                raise RefusedError("the log has not arrived completely") from None
+                raise RefusedError("the log did not arrive completely") from None
             if not piece:
                 return size
             size += len(piece)
             if size > room:
                 raise RefusedError(
-                    f"the log is larger than the {max(room, 0) >> 20} MB that are to be had here"
+                    f"the log is larger than the {max(room, 0) >> 20} MB that are free here"
                 )
             await asyncio.to_thread(part.write, piece)
 

@@ -59,7 +59,7 @@ class Intake:
 
     def missing(self, node: str, why: str, now_ns: int) -> None:
         """Report a node that the peer does not have (yet)."""
-        self._faults.report(FaultKind.MISSING_NODE, node, f"{node} is not there: {why}", now_ns)
+        self._faults.report(FaultKind.MISSING_NODE, node, f"{node} does not exist: {why}", now_ns)
         self._drop(node, now_ns)
 
     def receive(self, samples: Iterable[tuple[str, Verdict]], now_ns: int) -> None:
@@ -127,7 +127,7 @@ class Intake:
     def _count(self, verdict: Verdict, now_ns: int) -> bool:
         value = verdict.value
         if not isinstance(value, int | float) or value != int(value):
-            sentence = f"{self._counter}: {value!r} is no counter"
+            sentence = f"{self._counter}: {value!r} is not a counter value"
             self._faults.report(FaultKind.SEQUENCE_JUMP, str(self._counter), sentence, now_ns)
             return False
         before = self.sequence.last

@@ -206,7 +206,7 @@ def describe(error: BaseException) -> str:
     if isinstance(error, TimeoutError):
         return "no answer in time"
     if isinstance(error, ConnectionRefusedError):
-        return "nobody listens there"
+        return "nothing is listening there"
     if isinstance(error, OSError):
         return error.strerror or str(error) or "the connection broke"
     return f"{error.__class__.__name__}: {error}"

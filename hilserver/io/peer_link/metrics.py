@@ -31,34 +31,36 @@ METRICS: Final[tuple[Metric[Peers], ...]] = (
     ),
     Metric(
         "hil_peer_reconnects_total",
-        "Sessions with the peer after the first one.",
+        "Sessions with the peer, not counting the first.",
         ("peer",),
         _each(lambda peer: counter(peer.reconnects)),
     ),
     Metric(
         "hil_peer_round_trip_seconds",
-        "Heartbeat read of the peer's clock, request to answer.",
+        "Round trip of the heartbeat read of the peer's clock.",
         ("peer",),
         _each(lambda peer: durations(peer.round_trip)),
         (100 * US, 1 * S),
     ),
     Metric(
         "hil_peer_one_way_latency_seconds",
-        "SourceTimestamp to arrival, corrected by the clock offset, only from stamps that advance.",
+        "Time from SourceTimestamp to arrival, corrected by the clock offset; only stamps that"
+        " advance.",
         ("peer",),
         _each(lambda peer: durations(peer.one_way)),
         (100 * US, 1 * S),
     ),
     Metric(
         "hil_peer_interval_seconds",
-        "Time between two arrivals of data from the peer.",
+        "Time between arrivals of data from the peer.",
         ("peer",),
         _each(lambda peer: durations(peer.interval)),
         (1 * MS, 10 * S),
     ),
     Metric(
         "hil_peer_faults_total",
-        "Wrong data and refusals of a peer by kind, such as NaN with status Good or frozen stamps.",
+        "Invalid data and refusals of a peer by kind, such as NaN with status Good or frozen"
+        " stamps.",
         ("peer", "kind"),
         _faults,
     ),

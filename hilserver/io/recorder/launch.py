@@ -111,4 +111,4 @@ async def _log_messages(process: asyncio.subprocess.Process) -> None:
 
 async def _watch(process: asyncio.subprocess.Process) -> None:
     code = await process.wait()
-    _log.error("the recording has ended, the daemon runs on", exit_code=code)
+    _log.error("the recording has ended; the daemon keeps running", exit_code=code)

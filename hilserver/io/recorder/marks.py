@@ -72,7 +72,7 @@ class Marks:
             if number != last:
                 last, deadline_s = number, time.monotonic() + PATIENCE_S
             elif time.monotonic() > deadline_s:
-                _log.warning("a recorder stands still: time goes on without it", mark=path.name)
+                _log.warning("a recorder is stalled: going on without it", mark=path.name)
                 self._given_up[path] = number
                 return
             time.sleep(_LOOK_S)
@@ -108,4 +108,4 @@ class StateService:
 
 def _tell(task: asyncio.Task[int]) -> None:
     if not task.cancelled() and (error := task.exception()) is not None:
-        _log.warning("no state for the recorder", error=str(error))
+        _log.warning("no state was saved for the recorder", error=str(error))

@@ -66,7 +66,7 @@ class Recorder:
         for pattern in patterns:
             if not fnmatch.filter(names, pattern):
                 raise FailedError(
-                    f"no signal fits '{pattern}'; see 'hilserver signals' for the names"
+                    f"no signal matches '{pattern}'; see 'hilserver signals' for the names"
                 )
         return [
             slot
@@ -177,7 +177,8 @@ class Recorder:
             raise error
         if not in_time:
             raise FailedError(
-                f"{self.path}: the disk did not take the rest within {CLOSE_WITHIN_S:g} s; {counts}"
+                f"{self.path}: the disk did not accept the rest within {CLOSE_WITHIN_S:g} s;"
+                f" {counts}"
             )
         return f"recorded {counts}; {_losses(self._source.lost, self._writing.dropped)}"
 

@@ -64,7 +64,7 @@ class FileSeries:
         if self._rotates:
             number = max(self._numbers(), default=0) + 1
             if number > 999_999:
-                raise FailedError(f"{self._path}: too many files of this name; choose another")
+                raise FailedError(f"{self._path}: too many files with this name; choose another")
             self.current = self._file(number)
         self._check_room("cannot begin")
         writer = open_writer(self.current, run, slots, utc_minus_monotonic_ns, self._settings.bag)

@@ -36,7 +36,7 @@ class Source:
         self._fd = os.open(path_of(name), os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
         if self.daemon_is_gone():
             self.close()
-            raise FailedError(f"the daemon of the process image '{name}' is not running any more")
+            raise FailedError(f"the daemon of the process image '{name}' is no longer running")
         self.description = self._describe()
         self._ring_length = self._reader.control.ring_length
         self._shadow = ShadowReader(self._reader)

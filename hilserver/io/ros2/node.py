@@ -212,7 +212,7 @@ class Ros2Node(Part):
         self.status.writes += 1
         for name, out, cdr in batch:
             if not out.write(cdr):
-                sentence = f"a reader of {name} does not take what it insists on"
+                sentence = f"a reader of {name} requests a QoS that this writer does not offer"
                 self._report(Ros2Fault.NOT_TAKEN, name, sentence)
 
     # --- what comes in ----------------------------------------------------------------------------
@@ -289,7 +289,7 @@ class Ros2Node(Part):
         for name, endpoint in self._endpoints():
             matched += endpoint.matched
             if self._grows(f"qos {name}", endpoint.incompatible):
-                sentence = f"somebody's quality of service for {name} does not fit: no data flow"
+                sentence = f"a node's quality of service for {name} is incompatible: no data flows"
                 self._report(Ros2Fault.INCOMPATIBLE_QOS, name, sentence)
             if isinstance(endpoint, In) and (more := self._grows(f"lost {name}", endpoint.lost)):
                 status.sequence_missed += more

@@ -45,7 +45,7 @@ def domain_of(config: Ros2Config) -> int:
         return config.domain
     text = os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
     if not text.isdecimal() or int(text) > LAST_DOMAIN:
-        raise ConfigError(f"ROS_DOMAIN_ID is '{text}'; a domain is a number of 0 .. {LAST_DOMAIN}")
+        raise ConfigError(f"ROS_DOMAIN_ID is '{text}'; a domain is a number 0 .. {LAST_DOMAIN}")
     return int(text)
 
 
@@ -148,7 +148,7 @@ class Participant:
         except DDSException as error:
             raise FailedError(
                 f"ros2: no DDS domain {number} on interface '{config.interface}' ({error.msg});"
-                " is its name right, and does no other program hold its ports?"
+                f" check its name, and that no other program uses its ports"
             ) from None
         self.number = number
         self._waiting: _Waiting | None = None

@@ -21,9 +21,8 @@ JOB_S = 2.0
 ASKED_PDU = 480  # requested bytes of a message; controllers grant 240 to 960
 
 WHY = {
-    Code.NO_BLOCK: "there is no such block, or its access is optimized: switch that off in its"
-    " properties",
-    Code.BEYOND: "the block is shorter",
+    Code.NO_BLOCK: "there is no such block, or it has optimized access: switch that off",
+    Code.BEYOND: "the block is too short",
     Code.DENIED: "access is denied: permit access with PUT/GET in the protection settings of the"
     " controller",
 }
@@ -54,7 +53,7 @@ class Connection:
             async with asyncio.timeout(CONNECT_S):
                 await self._open()
         except WireError as error:
-            raise LinkLostError(f"what it answers {error}") from None
+            raise LinkLostError(f"its answer {error}") from None
         return self
 
     async def _open(self) -> None:
@@ -90,10 +89,10 @@ class Connection:
             try:
                 ((code, piece),) = wire.pieces(answer.data, 1)
             except WireError as error:
-                raise LinkLostError(f"what it answers {error}") from None
+                raise LinkLostError(f"its answer {error}") from None
             _check(block, code)
             if len(piece) != item.size:
-                raise LinkLostError("the controller answered a read with another number of bytes")
+                raise LinkLostError("the controller answered a read with the wrong length")
             data += piece
         return data
 
@@ -107,7 +106,7 @@ class Connection:
             data = wire.values(part, 0)
             answer = await self._asked(wire.asks(Function.WRITE, items), data)
             if len(answer.data) != len(items):
-                raise LinkLostError("the controller answered a write with another number of codes")
+                raise LinkLostError("the controller answered a write with the wrong length")
             for item, code in zip(items, answer.data, strict=True):
                 _check(item.block, code)
 
@@ -116,9 +115,9 @@ class Connection:
             async with self._turn, asyncio.timeout(JOB_S):
                 return await self._exchange(parameters, data)
         except WireError as error:
-            raise LinkLostError(f"what it answers {error}") from None
+            raise LinkLostError(f"its answer {error}") from None
         except EOFError:
-            raise LinkLostError("the controller hung up") from None
+            raise LinkLostError("the controller closed the connection") from None
 
     async def _exchange(self, parameters: bytes, data: bytes = b"") -> Job:
         self._number = self._number % 0xFFFF + 1
@@ -136,8 +135,8 @@ class Connection:
 
 def _no_slot(rack: int, slot: int) -> RefusedError:
     sentence = (
-        f"not connected: there is no controller in rack {rack}, slot {slot}, or it has no"
-        " connection left: an S7-1500 or S7-1200 is in slot 1, an S7-300 in slot 2"
+        f"not connected: there is no controller in rack {rack}, slot {slot}, or it has no free"
+        f" connection: an S7-1500 or S7-1200 is in slot 1, an S7-300 in slot 2"
     )
     return RefusedError(FaultKind.NO_SLOT, "slot", sentence)
 

@@ -91,7 +91,7 @@ class S7Peer(Peer):
             status.round_trip.observe(now_ns - sent_ns)
             values = {text: unpacked(p, data, block.start) for text, p in block.places.items()}
             if len({values[end] for end in block.heartbeat}) > 1:
-                sentence = f"DB{block.number} was read while it was written: dropped"
+                sentence = f"DB{block.number} was read while it was being written: dropped"
                 self._faults.report(FaultKind.TORN_READ, f"DB{block.number}", sentence, now_ns)
                 return pace.after(None)
             intake.receive(((text, judge_value(v)) for text, v in values.items()), now_ns)

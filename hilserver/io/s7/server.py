@@ -172,7 +172,7 @@ class Server:
         task, most = asyncio.current_task(), self._config.max_clients
         host = str((writer.get_extra_info("peername") or ["a client"])[0])
         if task is None or not self._has_room():
-            sentence = f"{host} is one too many: s7.server.max_clients is {most}"
+            sentence = f"{host} was turned away: s7.server.max_clients is {most}"
             self._report(FaultKind.NO_ROOM, host, sentence)
             writer.transport.abort()
             return
@@ -181,9 +181,9 @@ class Server:
             _stay_alive(writer.get_extra_info("socket"))
             await self._converse(task, reader, writer)
         except WireError as error:
-            self._report(FaultKind.NO_S7, host, f"{host}: what it sends {error}")
+            self._report(FaultKind.NO_S7, host, f"{host}: its message {error}")
         except TimeoutError:
-            self._report(FaultKind.NO_S7, host, f"{host}: it neither asks nor reads")
+            self._report(FaultKind.NO_S7, host, f"{host}: it neither sends nor reads")
         except (OSError, EOFError):
             pass  # the client is gone
         except asyncio.CancelledError:

@@ -122,13 +122,13 @@ async def _rest(head: bytes, reader: asyncio.StreamReader) -> tuple[int, bytes]:
         head += await reader.readexactly(4 - len(head))
         version, _, length = struct.unpack(">BBH", head)
         if version != 3 or not 7 <= length <= LONGEST_MESSAGE:
-            raise WireError("is no message of ISO on TCP")
+            raise WireError("is not an ISO-on-TCP message")
         body = await reader.readexactly(length - 4)
         begin = body[0] + 1
         if begin > len(body) or begin < 3:
-            raise WireError("has no header of ISO 8073")
+            raise WireError("has no ISO 8073 header")
         if body[1] & 0xF0 == _HANG_UP:
-            raise EOFError("the other side hung up")
+            raise EOFError("the other side closed the connection")
         if body[1] & 0xF0 != _DATA:
             return body[1] & 0xF0, body[2:]
         payload += body[begin:]
@@ -143,7 +143,7 @@ def confirmed(request: tuple[int, bytes]) -> bytes:
     """Return the confirmation of a connection; WireError if none was requested."""
     kind, rest = request
     if kind != _CONNECT or len(rest) < 5:
-        raise WireError("asks for no connection")
+        raise WireError("is not a connection request")
     theirs = struct.unpack(">H", rest[2:4])[0]
     return _handshake(_CONFIRM, theirs, rest[5:])
 
@@ -178,11 +178,11 @@ def taken_apart(message: tuple[int, bytes]) -> Job:
     """Return a message of either side, parsed; WireError if it is malformed."""
     kind, payload = message
     if kind != _DATA or len(payload) < 10 or payload[0] != _S7:
-        raise WireError("is no message of S7")
+        raise WireError("is not an S7 message")
     _, what, _, number, n_parameters, n_data = _HEAD.unpack_from(payload)
     start = ANSWER_HEAD if what in (_ANSWER, _ERROR) else 10
     if len(payload) != start + n_parameters + n_data:
-        raise WireError("is not as long as it says")
+        raise WireError("is not as long as its header says")
     error = struct.unpack_from(">H", payload, 10)[0] if start == ANSWER_HEAD else 0
     middle = start + n_parameters
     return Job(what, number, payload[start:middle], payload[middle:], error)
@@ -204,10 +204,10 @@ def agreed(parameters: bytes) -> tuple[int, int]:
     WireError if they are malformed, or permit hardly more than a header.
     """
     if len(parameters) != 8 or parameters[0] != Function.SETUP:
-        raise WireError("agrees on nothing")
+        raise WireError("is not a valid setup")
     jobs, _, pdu_bytes = struct.unpack_from(">HHH", parameters, 2)
     if pdu_bytes < SHORTEST_PDU:
-        raise WireError(f"permits messages of {pdu_bytes} bytes only")
+        raise WireError(f"permits only messages of {pdu_bytes} bytes")
     return jobs, pdu_bytes
 
 
@@ -264,12 +264,12 @@ def pieces(data: bytes, count: int) -> list[tuple[int, bytes]]:
     for _ in range(count):
         at += at % 2
         if at + 4 > len(data):
-            raise WireError("has less data than items")
+            raise WireError("has data for fewer items than announced")
         code, kind, length = struct.unpack_from(">BBH", data, at)
         size = length if kind in (_AS_BIT, _AS_REAL, _AS_OCTETS) else (length + 7) // 8
         piece = data[at + 4 : at + 4 + size]
         if len(piece) != size:
-            raise WireError("has less data than it says")
+            raise WireError("has less data than announced")
         found.append((code, piece))
         at += 4 + size
     return found

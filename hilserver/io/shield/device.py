@@ -175,7 +175,7 @@ class Device:
     def _frequency_hz(self, request: Request) -> float:
         if request.integer <= MOST_FREQUENCY_HZ:
             return float(request.integer)
-        text = f"frequency is sent as a float ({request.number:g}), the shield takes an integer"
+        text = f"frequency is sent as a float ({request.number:g}); the shield takes an integer"
         self._report(ShieldFault.FREQUENCY_FORM, request, text)
         return float(request.integer)
 
@@ -183,7 +183,7 @@ class Device:
         if math.isfinite(request.number):
             return request.number
         self._report(
-            ShieldFault.BAD_NUMBER, request, f"{request.name} is no finite number", request.name
+            ShieldFault.BAD_NUMBER, request, f"{request.name} is not a finite number", request.name
         )
         return None
 

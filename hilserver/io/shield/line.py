@@ -34,7 +34,7 @@ def open_pseudo_terminal(link: Path) -> Line:
     FailedError if the link cannot be made, or its name is taken.
     """
     if os.path.lexists(link) and not link.is_symlink():
-        raise FailedError(f"shield.link: {link} exists and is no link; name another place")
+        raise FailedError(f"shield.link: {link} exists and is not a link; choose another path")
     file, host = os.openpty()
     try:
         path = Path(os.ttyname(host))
@@ -74,7 +74,7 @@ def open_device(path: Path) -> Line:
         raise FailedError(f"shield.device: cannot open {path}: {reason}") from None
     try:
         if not stat.S_ISCHR(os.fstat(file).st_mode) or not os.isatty(file):
-            raise FailedError(f"shield.device: {path} is no serial line")
+            raise FailedError(f"shield.device: {path} is not a serial line")
         fcntl.ioctl(file, termios.TIOCEXCL)
         _set_up(file)
     except (OSError, termios.error) as error:

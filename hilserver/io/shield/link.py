@@ -48,12 +48,12 @@ class Gains:
         ValueError if another source has control, or the loop would not be stable.
         """
         if self._gate.owner != NAME:
-            raise ValueError(f"gains are not taken over: '{self._gate.owner}' has control")
+            raise ValueError(f"gains are not applied: '{self._gate.owner}' has control")
         k_p = self._loop.k_p if math.isnan(k_p) else k_p
         k_i = self._loop.k_i if math.isnan(k_i) else k_i
         loop = dataclasses.replace(self._loop, k_p=k_p, k_i=k_i)
         if k_p < 0.0 or k_i < 0.0 or not loop.is_stable(self._period_s):
-            raise ValueError(f"gains are not taken over: kp {k_p:g}, ki {k_i:g} are not stable")
+            raise ValueError(f"gains are not applied: kp {k_p:g}, ki {k_i:g} are not stable")
         values = {"internal.gains": 1.0, "internal.k_p": k_p, "internal.k_i": k_i}
         self._image.push([Row(self._table.slot(name), value) for name, value in values.items()])
 
@@ -77,7 +77,7 @@ class ShieldLink(Part):
             status,
             world.gate,
             world.events.publish,
-            fresh=lambda: f"shield: a host sends on {self.address}",
+            fresh=lambda: f"shield: a host is sending on {self.address}",
             is_exact=True,  # the thread of the line stamps arrivals
         )
         max_rpm, gains = world.table["wheel.fl.setpoint_rpm"].high, Gains(world)
@@ -236,9 +236,9 @@ class ShieldLink(Part):
     def _note_counters(self, now_ns: int) -> None:
         """Report what the thread has counted since the last look."""
         for kind, word, text in (
-            (ShieldFault.SKIPPED_BYTES, w.SKIPPED, "bytes that belong to no request"),
-            (ShieldFault.UNANSWERED, w.UNANSWERED, "requests come faster than the line answers"),
-            (ShieldFault.UNHEARD, w.UNHEARD, "requests came faster than they could be obeyed"),
+            (ShieldFault.SKIPPED_BYTES, w.SKIPPED, "bytes that are not part of a request"),
+            (ShieldFault.UNANSWERED, w.UNANSWERED, "requests come too fast for the line to answer"),
+            (ShieldFault.UNHEARD, w.UNHEARD, "requests came too fast to be carried out"),
         ):
             count = self.status.count(word)
             if count > self._seen.get(kind, 0):

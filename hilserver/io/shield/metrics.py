@@ -32,7 +32,7 @@ METRICS: Final[tuple[Metric[Shields], ...]] = (
     ),
     Metric(
         "hil_shield_lateness_seconds",
-        "Earliest time that the line permits for a response to its write.",
+        "Time from the earliest moment that the line permits a response to its write.",
         (),
         _lateness,
         (10 * US, 100 * MS),

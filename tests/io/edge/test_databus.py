@@ -243,5 +243,7 @@ def make_certificate(folder, name):
 def test_a_pattern_that_fits_nothing_is_named(tmp_path):
     groups = [{"name": "a", "signals": ["wheel.*.speed"]}]
     config = configuration(edge={"enabled": True, "groups": groups}, opcua={"enabled": False})
-    with pytest.raises(ConfigError, match=r"edge.*: group 'a': no signal fits 'wheel\.\*\.speed'"):
+    with pytest.raises(
+        ConfigError, match=r"edge.*: group 'a': no signal matches 'wheel\.\*\.speed'"
+    ):
         Daemon(assemble_config(config, tmp_path))

@@ -40,13 +40,13 @@ def test_a_write_is_read_by_name():
 @pytest.mark.parametrize(
     ("data", "reason"),
     [
-        (b"[" * 60_000, "is no JSON"),
-        (b'{"a":' * 10_000, "is no JSON"),
-        (b"\xff", "is no JSON"),
+        (b"[" * 60_000, "is not JSON"),
+        (b'{"a":' * 10_000, "is not JSON"),
+        (b"\xff", "is not JSON"),
         (b"x" * 70_000, "70000 bytes"),
         (b"[]", "no list 'vals'"),
         (b'{"vals": [{"id": "1"}]}', "no 'id' or no 'val'"),
-        (b'{"vals": [{"id": "sim", "val": 1}]}', "id sim is no input"),
+        (b'{"vals": [{"id": "sim", "val": 1}]}', "id sim is not an input"),
     ],
 )
 def test_what_is_no_write_is_refused_in_words(data, reason):
@@ -56,5 +56,5 @@ def test_what_is_no_write_is_refused_in_words(data, reason):
 
 def test_an_output_cannot_be_written():
     speed = TABLE.slot("wheel.fl.speed_rpm")
-    with pytest.raises(ValueError, match="is no input"):
+    with pytest.raises(ValueError, match="is not an input"):
         payload.written(COLLECTION, json.dumps({"vals": [{"id": speed, "val": 1}]}).encode())

@@ -169,7 +169,7 @@ async def test_a_link_that_was_never_heard_is_stale_but_not_lost():
         await wait_until(lambda: harness.status.failed_attempts >= 2)
         assert harness.status.stale
         assert harness.stale == []
-        assert harness.status.last_error == "nobody listens there"
+        assert harness.status.last_error == "nothing is listening there"
 
 
 async def test_outputs_are_written_back_with_stamp_and_status(peer):
@@ -223,7 +223,7 @@ async def test_refused_and_impossible_writes_are_named(peer):
         faults = " ".join(harness.status.faults.values())
         assert "refuses wheel.rr.speed_rpm" in faults
         assert "s=label is no number" in faults
-        assert "s=absent is not there" in faults
+        assert "s=absent does not exist" in faults
         assert (await peer.read("rpm_act_FL")).Value.Value == 7.0
 
 

@@ -342,7 +342,7 @@ async def test_no_password_that_others_can_read_over_a_signed_link(
             monkeypatch.setattr(token, "SecurityPolicyUri", uri)
     async with relay(signing.server.bserver.port) as (url, seen):
         sentence = await refused(station.link(url, STOCK_NODES, mode="sign"))
-    assert "it wants the password with" in sentence
+    assert "it asks for the password with" in sentence
     assert was_sent(seen, "CreateSession")
     assert not was_sent(seen, "ActivateSession")
     assert b"drive" not in seen
@@ -409,7 +409,7 @@ async def test_files_that_are_missing_or_open_are_one_sentence(
     monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(station.folder))
     station.link(url)  # systemd guards the folder; the bits of a file there show an access list
     monkeypatch.delenv("CREDENTIALS_DIRECTORY")
-    for text, message in ((b"", "must be a password"), (b"\xff\n", "holds no text")):
+    for text, message in ((b"", "must be a password"), (b"\xff\n", "contains no text")):
         write_private(secret, text)
         with pytest.raises(ConfigError, match=message):
             station.link(url)
@@ -419,7 +419,7 @@ async def test_files_that_are_missing_or_open_are_one_sentence(
     station.password("otto")
     with pytest.raises(ConfigError, match=r"peer 'iot2050': .*none\.der cannot be read"):
         station.link(url, peer_certificate="none.der")
-    with pytest.raises(ConfigError, match="password is no certificate"):
+    with pytest.raises(ConfigError, match="password is not a certificate"):
         station.link(url, peer_certificate="password")
     (station.trust.folder / "own" / "certificate.der").unlink()
     with pytest.raises(ConfigError, match="make a certificate with 'hilserver certs make'"):

@@ -87,9 +87,9 @@ def test_backoff_doubles_up_to_its_limit_and_begins_anew():
 @pytest.mark.parametrize(
     ("error", "text"),
     [
-        (LinkLostError("the subscription fell silent"), "the subscription fell silent"),
+        (LinkLostError("the subscription went silent"), "the subscription went silent"),
         (TimeoutError(), "no answer in time"),
-        (ConnectionRefusedError(), "nobody listens there"),
+        (ConnectionRefusedError(), "nothing is listening there"),
         (ExceptionGroup("g", [TimeoutError()]), "no answer in time"),
         (ua.uaerrors.BadTooManySessions(), "the peer answered BadTooManySessions"),
         (ValueError("odd bytes"), "ValueError: odd bytes"),

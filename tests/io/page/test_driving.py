@@ -72,7 +72,7 @@ async def test_no_command_of_before_comes_after_control_was_taken(rig, late):
     names = [name for name, _ in written]
     assert [name for name, _ in itertools.groupby(names)] == ["first", "second"]
     assert first.messages == [
-        {"type": "refused", "text": "another browser has taken the wheel"},
+        {"type": "refused", "text": "another browser has taken control"},
     ]
 
 

@@ -144,7 +144,7 @@ def test_what_cannot_work_is_one_sentence(tmp_path, options, complaint):
 def test_no_signal_and_no_folder_are_one_sentence(daemon, tmp_path):
     (tmp_path / "file").write_text("")
     for options, complaint in (
-        (["-o", "run.csv", "--signals", "pos.*"], "no signal fits 'pos.*'"),
+        (["-o", "run.csv", "--signals", "pos.*"], "no signal matches 'pos.*'"),
         (["-o", "file/run.csv"], "cannot be written"),
     ):
         command = [sys.executable, "-m", "hilserver", "record", "--image", daemon.image, *options]

@@ -24,7 +24,7 @@ async def test_set_points_come_in_and_outputs_go_back_in_whatever_order_the_side
     port = free_port()
     async with Link(port) as link:
         await wait_until(lambda: link.status.failed_attempts > 1)
-        assert link.status.last_error == "nobody listens there"
+        assert link.status.last_error == "nothing is listening there"
         for speed in (20.0, -7.5):
             await come_and_go(link, port, speed)
         assert link.status.reconnects >= 1

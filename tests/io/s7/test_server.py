@@ -140,8 +140,8 @@ async def test_what_is_no_s7_ends_its_connection_alone(sent):
 @pytest.mark.parametrize(
     ("sent", "words"),
     [
-        (b"", "it neither asks nor reads"),
-        (HELLO[:9], "it neither asks nor reads"),
+        (b"", "it neither sends nor reads"),
+        (HELLO[:9], "it neither sends nor reads"),
         (HELLO + b"\3", "ends in the middle of a message"),
         (HELLO + b"\3\0\0\x1f\x02", "ends in the middle of a message"),
         (HELLO + job(1, asks(Function.READ, [Item(1, 0, 400)])) * 100_000, "nor reads"),
@@ -171,7 +171,7 @@ async def test_there_is_a_place_for_so_many_clients_and_it_comes_back():
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         assert await reader.read() == b""
         writer.close()
-        sentence = "127.0.0.1 is one too many: s7.server.max_clients is 2"
+        sentence = "127.0.0.1 was turned away: s7.server.max_clients is 2"
         assert daemon.part("s7").status.fault_counts == {"no_room": 1}
         assert any(sentence in event.message for event in daemon.events.recent)
         await asyncio.to_thread(clients[0].disconnect)

@@ -132,7 +132,7 @@ async def test_a_real_line_is_answered_and_its_loss_survived(tmp_path, host_prog
                 got.extend(os.read(near, 64))
             return len(got) == 32
 
-        await robot.until(answered, "the line answers")
+        await robot.until(answered, "the line to answer")
         assert got[0] == Command.ENABLE
         os.close(near)
 

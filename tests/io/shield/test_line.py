@@ -36,7 +36,7 @@ def test_a_stale_link_is_replaced_and_that_of_another_left(tmp_path):
 
 def test_a_file_is_never_replaced_by_a_link(tmp_path):
     (tmp_path / "shield").write_text("mine")
-    with pytest.raises(FailedError, match="exists and is no link; name another place"):
+    with pytest.raises(FailedError, match="exists and is not a link; choose another path"):
         open_pseudo_terminal(tmp_path / "shield")
     assert (tmp_path / "shield").read_text() == "mine"
 
@@ -56,6 +56,6 @@ def test_a_mistyped_device_is_a_sentence_and_no_new_file(tmp_path):
 def test_what_is_no_line_is_refused(tmp_path):
     (tmp_path / "file").write_text("text")
     for path in (tmp_path / "file", "/dev/null"):
-        with pytest.raises(FailedError, match="is no serial line"):
+        with pytest.raises(FailedError, match="is not a serial line"):
             open_device(path)
     assert (tmp_path / "file").read_text() == "text"
