@@ -64,7 +64,7 @@ async def beside(
         events = [e.message for e in daemon.events.recent]
     replayed = ""
     if model is not None and replay:
-        is_late = any("its outputs hold" in text for text in events)
+        is_late = any("its outputs keep" in text for text in events)
         replayed = "late" if is_late else await asyncio.to_thread(_replayed, model, log, folder)
     process = model is not None and model.process
     return Drive(process, ticks, missed, state, reason, events, replayed)

@@ -47,14 +47,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("wheel", type=Path)
     parser.add_argument("--out", type=Path, required=True, help="archive to write")
-    parser.add_argument("--work", type=Path, required=True, help="folder; the base stays in it")
-    parser.add_argument("--extras", default="edge,foxglove", help="of hilserver, with commas")
+    parser.add_argument("--work", type=Path, required=True, help="folder; keeps the base system")
+    parser.add_argument("--extras", default="edge,foxglove", help="extras, comma-separated")
     args = parser.parse_args()
     if os.geteuid() != 0:
-        print("the image needs root: debootstrap makes its file system", file=sys.stderr)
+        print("run this as root: debootstrap creates the file system of the image", file=sys.stderr)
         return 1
     if shutil.which("debootstrap") is None:
-        print("debootstrap is missing: 'apt-get install debootstrap'", file=sys.stderr)
+        print("debootstrap is missing: run 'apt-get install debootstrap'", file=sys.stderr)
         return 1
     base, root = args.work / "base", args.work / "root"
     if not base.exists():

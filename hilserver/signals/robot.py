@@ -101,7 +101,7 @@ def _add_inputs(b: _Builder, ranges: Ranges) -> None:
     text = "Commanded sideways speed, left +; skid steering: only 0"
     b.add("twist.lateral_m_s", "m/s", in_, 0.0 - lateral, lateral, text)
     for wheel in WHEELS:
-        text = f"Duty of the {wheel} wheel straight to the process, past the speed controller"
+        text = f"Duty of the {wheel} wheel straight to the process, bypassing the speed controller"
         b.add(f"wheel.{wheel}.duty_command_pct", "%", in_, -100.0, 100.0, text)
     byte, boolean = ValueType.BYTE, ValueType.BOOLEAN
     modes, enabled = ("wheels", "twist", "duty"), ("disabled", "enabled")
@@ -134,10 +134,10 @@ def _add_hidden(b: _Builder) -> None:
 def _robot_outputs() -> list[tuple[str, str, float, float, str]]:
     rows: list[tuple[str, str, float, float, str]] = []
     for wheel in WHEELS:
-        text = f"Measured speed of the {wheel} wheel as the controller sees it"
+        text = f"Measured speed of the {wheel} wheel, as seen by the controller"
         rows.append((f"wheel.{wheel}.speed_rpm", "rpm", -200.0, 200.0, text))
     rows += [
-        (f"wheel.{w}.duty_pct", "%", -100.0, 100.0, f"Action value of the {w} wheel, PWM duty")
+        (f"wheel.{w}.duty_pct", "%", -100.0, 100.0, f"Controller output of the {w} wheel, PWM duty")
         for w in WHEELS
     ]
     rows += [
@@ -173,7 +173,7 @@ def _robot_outputs() -> list[tuple[str, str, float, float, str]]:
 
 def _add_lights(b: _Builder) -> None:
     out, byte = Direction.OUT, ValueType.BYTE
-    text = "Light pattern that is shown"
+    text = "Light pattern shown"
     b.add("lights.state", "1", out, 0, len(LIGHTS) - 1, text, type_=byte, labels=LIGHTS)
     for place in CORNERS:
         for colour in COLOURS:
@@ -209,8 +209,8 @@ def _body_outputs() -> list[tuple[str, str, float, float, str]]:
     ]
     for quantity, unit, size, text in (
         ("speed_rpm", "rpm", 10_000.0, "Speed of the {} wheel of the body"),
-        ("normal_force_n", "N", 1e6, "Force with which the floor carries the {} wheel"),
-        ("slip_m_s", "m/s", 100.0, "Slip of the {} wheel: forward over the floor +"),
+        ("normal_force_n", "N", 1e6, "Normal force of the floor on the {} wheel"),
+        ("slip_m_s", "m/s", 100.0, "Slip of the {} wheel; forward over the floor is positive"),
         ("torque_nm", "N·m", 1e4, "Torque of the {} drive, mirrored like the speed"),
     ):
         low = 0.0 if unit == "N" else -size
@@ -251,7 +251,7 @@ def _add_estimate(b: _Builder) -> None:
         ("yaw_rad", "rad", math.pi, "heading, counter-clockwise +"),
         ("linear_m_s", "m/s", 100.0, "forward velocity"),
         ("angular_rad_s", "rad/s", 500.0, "yaw rate, counter-clockwise +"),
-        ("gyro_bias_rad_s", "rad/s", 10.0, "what the gyroscope shows at rest"),
+        ("gyro_bias_rad_s", "rad/s", 10.0, "reading of the gyroscope at rest"),
     ):
         known.append((f"{name}_sd", unit, 0.0, 1e6, f"Standard deviation of estimate.{name}"))
         b.add(f"estimate.{name}", unit, out, -size, size, f"Observer: {text}")
@@ -260,12 +260,12 @@ def _add_estimate(b: _Builder) -> None:
     for one, other, unit in (("x", "y", "m²"), ("x", "yaw", "m"), ("y", "yaw", "m")):
         text = f"Covariance of the errors in {one} and {other}"
         b.add(f"estimate.{one}_{other}_cov", unit, out, -1e9, 1e9, text)
-    text = "Innovation of the newest sample, squared and by its covariance: 1 on average"
+    text = "Innovation of the newest sample, squared and normalised by its covariance: 1 on average"
     b.add("estimate.nis", "1", out, 0, 1e12, text)
     text = f"State of the observer: {', '.join(f'{i} {s}' for i, s in enumerate(ESTIMATE_STATES))}"
     last, byte = len(ESTIMATE_STATES) - 1, ValueType.BYTE
     b.add("estimate.state", "1", out, 0, last, text, type_=byte, labels=ESTIMATE_STATES)
-    text = "Samples of the navigation that did not fit and were left out"
+    text = "Navigation samples that were rejected as outliers"
     b.add("estimate.rejected", "1", out, 0, 2**53, text, type_=ValueType.INT64)
 
 
@@ -295,13 +295,13 @@ def robot_table(
     words, last = tuple(state.word for state in State), max(State)
     text = f"State of the daemon: {', '.join(f'{state} {state.word}' for state in State)}"
     b.add("sim.state", "1", out, 0, last, text, type_=ValueType.BYTE, labels=words)
-    b.add("internal.state", "1", Direction.IN, 0, last, "What sim.state shows", hidden=True)
-    text = "Number of the last change of the parameters"
+    b.add("internal.state", "1", Direction.IN, 0, last, "State that sim.state shows", hidden=True)
+    text = "Number of the last parameter change"
     b.add("internal.edition", "1", out, 0, 2**53, text, hidden=True)
     for name, unit, low, high, text in outputs:
         b.add(f"{MEASURED}{name}", unit, Direction.IN, low, high, f"Real robot: {text}")
     for wheel in WHEELS:
-        text = f"Real robot: set-point that its {wheel} wheel follows at the time"
+        text = f"Real robot: set-point that its {wheel} wheel currently follows"
         name, rpm = f"{MEASURED}wheel.{wheel}.setpoint_rpm", ranges.max_rpm
         b.add(name, "rpm", Direction.IN, -rpm, rpm, text)
     for name, unit, low, high, text in _body_outputs() if body else ():

@@ -42,7 +42,7 @@ const links = VIEWS.map((view) =>
 async function emergencyStop(): Promise<void> {
   try {
     await live.stop();
-    toast("Emergency stop: the safe state holds until you reset it.");
+    toast("Emergency stop: the robot stays in the safe state until you press Reset.");
   } catch (error) {
     toast(`Emergency stop failed: ${(error as Error).message}`, "error");
   }
@@ -122,7 +122,7 @@ function isBusy(): boolean {
 
 async function take(): Promise<void> {
   const who = driver();
-  if (who && isBusy() && !(await ask(`${capital(who)} drives.`, `Take control from ${who}? The robot is brought to rest first.`, "Take it"))) return;
+  if (who && isBusy() && !(await ask(`${capital(who)} is driving.`, `Take control from ${who}? The robot stops first.`, "Take over"))) return;
   try {
     await call("take", live.you, ...(live.slow.driver === null ? [] : [live.slow.driver]));
   } catch (error) {
@@ -156,7 +156,7 @@ function showBoard(context: Context): void {
   stateChip.title = board.reason ?? "";
   const who = driver();
   setText(owner, `${capital(who === "you" ? "you drive" : `${who || "nobody"} drives`)}`);
-  owner.title = live.drives ? "The arrow keys drive in every view" : "";
+  owner.title = live.drives ? "The arrow keys work in every view" : "";
   const hasController = Object.keys(board.peers ?? {}).length > 0;
   controller.hidden = !live.connected || !context.session.drive || !hasController || live.drives || board.owner === "peer";
   owner.classList.toggle("you", live.drives);
@@ -168,7 +168,7 @@ function showBoard(context: Context): void {
   const late = plant ? lateness("plant", plant) : "";
   margin.classList.toggle("warn", !!late);
   setText(why, late);
-  margin.title = `Least so far: ${micros(plant?.["margin_min_us"] as number | null | undefined)}`;
+  margin.title = `Smallest so far: ${micros(plant?.["margin_min_us"] as number | null | undefined)}`;
 }
 
 function showAge(): void {
@@ -177,10 +177,10 @@ function showAge(): void {
   setText(battery, Number.isFinite(volts) ? `${number(volts)} V` : "–");
   const { board } = live.slow;
   let text = "";
-  if (live.loggedOut) text = "The page was started again.";
-  else if (!live.connected) text = "No connection to the page's server: what you see is old. Trying again …";
+  if (live.loggedOut) text = "The page has been restarted.";
+  else if (!live.connected) text = "No connection to the page's server: the values shown are old. Reconnecting …";
   else if (live.stale && board.state !== "paused" && live.lastFrame > 0)
-    text = `No fresh picture for ${(live.ageMs / 1000).toFixed(1)} s.`;
+    text = `No new data for ${(live.ageMs / 1000).toFixed(1)} s.`;
   else if (board.state === "safe") text = `Safe state: ${board.reason ?? ""}. The drive is off.`;
   if (banner.dataset.text !== text) {
     banner.dataset.text = text;

@@ -10,7 +10,7 @@ const TRAIL = 3000;
 const MARGIN = 0.08;
 
 export class Plan implements Picture {
-  readonly element = h("canvas", { role: "img", "aria-label": "The hall from above; the figures below say the same" });
+  readonly element = h("canvas", { role: "img", "aria-label": "The hall from above; the values below give the same information" });
   readonly keys = h("ul", { class: "keys" });
   private trail: [number, number][] = [];
   private follows = false;

@@ -171,7 +171,7 @@ export class Scene implements Picture {
     this.renderer.shadowMap.type = THREE.PCFShadowMap;
     this.element = this.renderer.domElement;
     this.element.setAttribute("role", "img");
-    this.element.setAttribute("aria-label", "The robot in its hall; the figures below say the same");
+    this.element.setAttribute("aria-label", "The robot in its hall; the values below give the same information");
     this.camera.up.set(0, 0, 1);
     this.controls = new OrbitControls(this.camera, this.element);
     this.controls.maxPolarAngle = Math.PI / 2 - 0.05;

@@ -12,7 +12,7 @@ export function makeStick(move: (x: number, y: number) => void): Stick {
   const knob = h("div", { class: "knob" });
   const base = h(
     "div",
-    { class: "stick", role: "application", tabindex: "0", "aria-label": "Stick: drag, or hold the arrow keys" },
+    { class: "stick", role: "application", tabindex: "0", "aria-label": "Joystick: drag, or hold the arrow keys" },
     h("div", { class: "cross", "aria-hidden": "true" }),
     knob,
   );

@@ -113,7 +113,7 @@ export async function copy(text: string): Promise<void> {
   area.select();
   const done = document.execCommand("copy");
   area.remove();
-  if (!done) throw new Error("This browser lets no page copy.");
+  if (!done) throw new Error("This browser does not allow copying.");
 }
 
 /** The name of a signal, which a narrow column breaks between its words. */

@@ -133,7 +133,7 @@ def test_two_sets_are_compared(stages, capsys):
     ("words", "complaint"),
     [
         (["-o", "out"], "name at least one log"),
-        (["--compare", "a.csv", "-o", "out"], "go together"),
+        (["--compare", "a.csv", "-o", "out"], "belong together"),
         (
             ["a.csv", "--compare", "a.csv", "--against", "b.csv", "-o", "o"],
             "cannot be combined with other logs",

@@ -58,8 +58,14 @@ def complaint(tmp_path, text):
         ("? [a]\n: 1\n", "config.yaml:1: "),
         ("\nbackend: !!float ''\n", "config.yaml:2: a value cannot be read: '' is not type float"),
         ("backend: !!int ''\n", "config.yaml:1: a value cannot be read: '' is not type int"),
-        ("backend: !!bool maybe\n", "config.yaml:1: a value cannot be read: 'maybe' is not type bool"),
-        ("backend: !!timestamp x\n", "config.yaml:1: a value cannot be read: 'x' is not type timestamp"),
+        (
+            "backend: !!bool maybe\n",
+            "1: a value cannot be read: 'maybe' is not type bool",
+        ),
+        (
+            "backend: !!timestamp x\n",
+            "1: a value cannot be read: 'x' is not type timestamp",
+        ),
         ('\nbackend: "a\\0b"\n', "config.yaml:2: a text contains the character NUL"),
     ],
 )

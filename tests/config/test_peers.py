@@ -89,9 +89,9 @@ def test_what_is_no_node_id(text):
         ({"security": LOG_IN}, "could read the password of 'otto' with policy None"),
         (
             {"security": SECURE | LOG_IN | {"allow_clear_password": True}},
-            "allow_clear_password is without effect",
+            "allow_clear_password has no effect",
         ),
-        ({"security": {"allow_clear_password": True}}, "allow_clear_password is without effect"),
+        ({"security": {"allow_clear_password": True}}, "allow_clear_password has no effect"),
         ({"sequence_node": "seq"}, "is not a node id"),
         ({"name": "a b"}, "String should match pattern"),
         (

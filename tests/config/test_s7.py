@@ -64,8 +64,8 @@ def test_what_is_no_place_is_named(text, words):
         ({"read": {"DB1,REAL4": "a", "DB1,INT6": "b"}}, "byte 6 is named twice"),
         ({"read": {"DB1,REAL0": "a", "DB1,REAL300": "b"}}, "304 bytes come in several parts"),
         ({"heartbeat": {"read": ["DB1,UINT0", "DB1,UDINT8"]}}, "of the same type"),
-        ({"heartbeat": {"read": ["DB1,REAL0", "DB1,REAL8"]}}, "whole numbers"),
-        ({"heartbeat": {"read": ["DB1,UINT8", "DB1,UINT10"]}}, "the first and the last"),
+        ({"heartbeat": {"read": ["DB1,REAL0", "DB1,REAL8"]}}, "integers of the same type"),
+        ({"heartbeat": {"read": ["DB1,UINT8", "DB1,UINT10"]}}, "the first and last"),
         ({"poll_ms": 500}, "must be at least twice the interval"),
     ],
 )

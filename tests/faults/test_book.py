@@ -26,7 +26,7 @@ BIAS = {"fault": "bias", "signal": "pose.x_m", "offset": 1.0}
         (BIAS | {"signal": "pose.z_m"}, "there is no signal 'pose.z_m'"),
         (BIAS | {"signal": "pose.x"}, "there is no signal 'pose.x'; did you mean 'pose.x_m'"),
         (BIAS | {"signal": "internal.command"}, "there is no signal 'internal.command'"),
-        (BIAS | {"signal": "sim.tick"}, "shows the time"),
+        (BIAS | {"signal": "sim.tick"}, "shows time or state"),
         (BIAS | {"offset": float("nan")}, "finite number"),
         (BIAS | {"offset": 1e300}, "less than or equal to"),
         (BIAS | {"colour": "red"}, "a fault has no key 'colour'"),

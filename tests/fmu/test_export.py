@@ -321,7 +321,7 @@ def test_states_instances_reset_and_refusals_in_a_foreign_importer(fmu):
 
 def test_what_is_no_part_of_it_is_refused(fmu, tmp_path, capsys):
     for sections, words in (
-        ({"mechatronic": {"enabled": True}}, "runs in MuJoCo, which an FMU"),
+        ({"mechatronic": {"enabled": True}}, "runs in MuJoCo, which is not part"),
         ({"blocks": [{"name": "copy", "fmu": str(fmu[3])}]}, "own block 'copy' cannot be part of"),
     ):
         configured(tmp_path, *sections.get("blocks", ()), **sections)

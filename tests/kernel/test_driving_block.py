@@ -69,9 +69,9 @@ async def test_what_is_out_of_range_is_not_commanded(tmp_path, wild):
     ("drives", "says"),
     [
         ({"speed": "twist.linear_m_s"}, r"drives.speed: the block has no output 'speed'"),
-        ({"speed_m_s": "pose.x_m"}, "is no scalar set-point"),
-        ({"speed_m_s": "wheels.setpoints_rpm"}, "is no scalar set-point"),
-        ({"speed_m_s": "nothing"}, "is no scalar set-point"),
+        ({"speed_m_s": "pose.x_m"}, "is not a scalar set-point"),
+        ({"speed_m_s": "wheels.setpoints_rpm"}, "is not a scalar set-point"),
+        ({"speed_m_s": "nothing"}, "is not a scalar set-point"),
     ],
 )
 def test_what_it_cannot_command_is_refused(tmp_path, drives, says):

@@ -227,7 +227,7 @@ async def test_a_full_queue_refuses_to_hand_control_over():
     async with robot() as core:
         while core.image.push([Row(core.table.slot("lights.red"), 1.0)]):
             pass
-        with pytest.raises(Exception, match="queue of inputs is full"):
+        with pytest.raises(Exception, match="input queue is full"):
             core.gate.take("opcua")
         assert core.gate.owner == "peer"
 

@@ -233,7 +233,7 @@ def test_what_no_sensor_measured_is_marked_in_the_imu(tmp_path):
     ("words", "said", "code"),
     [
         (["none.csv", "x.mcap"], "no such file", 2),
-        (["in.csv", "x.xlsx"], "write a name that ends in", 1),
+        (["in.csv", "x.xlsx"], "end the name in", 1),
         (["in.csv", "in.csv"], "exists already", 1),
         (["folder", "x.csv"], "without a bag", 2),
         (["in.csv", "x.csv", "--mapping", "nothing"], "built in are", 2),

@@ -187,7 +187,7 @@ def test_a_second_browser_asks_before_it_takes_control(driving, url, plant):
     driving.do("click", role="button", name="Cancel")
     plant.wait(lambda: plant.command() > 0.1)  # a starved browser pauses for a moment
     driving.do("click", role="button", name="Take control")
-    driving.do("click", role="button", name="Take it")
+    driving.do("click", role="button", name="Take over")
     driving.do("wait", selector=".owner", text="You drive")
     driving.do("back")
     driving.do("wait", selector=".control button", text="Take control")

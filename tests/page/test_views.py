@@ -80,7 +80,7 @@ def test_a_whole_shift_by_keyboard(browser, url, plant):
     browser.do("to", name="Step")
     browser.do("press", key="Enter")
     plant.wait(lambda: plant.value("sim.tick") == tick + 100)
-    browser.do("to", name="Run on")
+    browser.do("to", name="Resume")
     browser.do("press", key="Enter")
     browser.do("wait", selector=".state", text="running")
     browser.do("press", key="3")
@@ -130,7 +130,7 @@ def test_events_of_a_group_are_hidden_when_it_is_let_go(browser, url):
     browser.do("open", url=url)
     browser.do("view", name="Time")
     browser.do("click", role="button", name="Pause")
-    browser.do("click", role="button", name="Run on")
+    browser.do("click", role="button", name="Resume")
     browser.do("wait", selector=".events li", text="running")
     browser.do("click", role="button", name="Commands and states")
     shown = "[...document.querySelectorAll('.events li')].map((e) => e.innerText).join()"
@@ -247,7 +247,7 @@ def test_a_paused_plot_is_read_at_a_cursor_that_keys_move(browser, url):
     browser.do("press", key="Home")
     becomes(browser, "document.querySelector('[aria-label=Cursor]').value", "'0'")
     assert browser.do("run", script=moment) != last
-    browser.do("click", role="button", name="Run on")
+    browser.do("click", role="button", name="Resume")
     assert browser.do("run", script="document.querySelector('[aria-label=Cursor]').hidden")
     assert browser.do("errors") == []
 
@@ -263,7 +263,7 @@ def test_fingers_stop_the_plots_stretch_them_and_draw_them_along(browser, url, p
     browser.do("view", name="Watch")
     becomes(browser, "/[0-9]/.test(document.querySelector('.legend b').textContent)", "true")
     browser.do("fingers", selector=".plot .u-over", begin=[0.4, 0.6], end=[0.1, 0.9])
-    browser.do("wait", selector="button", text="Run on")
+    browser.do("wait", selector="button", text="Resume")
     (low, high), other = browser.do("run", script=_STRETCHES)
     assert 0 < high - low < 10  # of 20 s
     assert other == [low, high]
@@ -271,7 +271,7 @@ def test_fingers_stop_the_plots_stretch_them_and_draw_them_along(browser, url, p
     (low_then, high_then), _ = browser.do("run", script=_STRETCHES)
     assert low_then > low
     assert high_then - low_then == pytest.approx(high - low, abs=0.02)
-    browser.do("click", role="button", name="Run on")
+    browser.do("click", role="button", name="Resume")
     assert browser.do("errors") == []
 
 
@@ -280,7 +280,7 @@ def test_a_stretch_that_the_mouse_marks_is_shown_in_all_plots_and_stays(browser,
     browser.do("view", name="Watch")
     becomes(browser, "/[0-9]/.test(document.querySelector('.legend b').textContent)", "true")
     browser.do("mark", selector=".plot .u-over", begin=0.5, end=0.75)
-    browser.do("wait", selector="button", text="Run on")
+    browser.do("wait", selector="button", text="Resume")
     (low, high), other = browser.do("run", script=_STRETCHES)
     assert high - low == pytest.approx(5, abs=0.5)  # a quarter of 20 s
     assert other == [low, high]
@@ -336,7 +336,7 @@ def test_events_are_found_by_text_and_severity(browser, url):
     browser.do("open", url=url)
     browser.do("view", name="Time")
     browser.do("click", role="button", name="Pause")
-    browser.do("click", role="button", name="Run on")
+    browser.do("click", role="button", name="Resume")
     browser.do("wait", selector=".events li", text="running")
     browser.do("fill", label="Find an event", text="no event says this")
     becomes(browser, shown, "0")

@@ -226,7 +226,7 @@ STIMULI = (
     Stimulus(pause, appears=("State",)),
     Stimulus(command_out_of_range, up=("Refused values",)),
     Stimulus(measure, appears=("Model gap",)),
-    Stimulus(inject_a_fault, up=("Faults at work",)),
+    Stimulus(inject_a_fault, up=("Active faults",)),
     Stimulus(tune, up=("Parameters changed",)),
     Stimulus(put_far_away, up=("Pose", "Samples of the navigation", "Found elsewhere")),
     Stimulus(slow_motion, up=("End to end",), down=("Real-time factor",), repeatable=True),

@@ -73,7 +73,7 @@ def test_a_function_that_fails_is_one_sentence(file, function, says):
         ({"python": "checks.py:nothing"}, "there is no 'nothing'"),
         ({"python": "other.py:jerk"}, "there is no file"),
         ({"python": "jerk"}, "write file.py:name"),
-        ({"python": "no.such.module:jerk"}, "its import failed"),
+        ({"python": "no.such.module:jerk"}, "the import failed"),
     ],
 )
 def test_what_does_not_exist_is_refused_with_its_place(file, keys, says):

@@ -130,8 +130,8 @@ def test_times_are_ticks_but_for_rounding():
         ({"signal": "s", "below": 1.0, "above": 2.0}, "nothing is above 2 and below 1"),
         ({"signal": "s", "below": 1.0, "tolerance": 1.0}, "tolerance goes with equals"),
         ({"signal": "s", "below": 1.0, "always": True, "for_s": 1.0}, "always or for_s"),
-        ({"signal": "s", "below": 1.0, "after_s": 3.0, "within_s": 1.0}, "has to be 3"),
-        ({"signal": "s", "below": 1.0, "signals": ["t"]}, "what python reads"),
+        ({"signal": "s", "below": 1.0, "after_s": 3.0, "within_s": 1.0}, "must be at least 3"),
+        ({"signal": "s", "below": 1.0, "signals": ["t"]}, "goes with python"),
         ({"signal": "s", "below": math.nan}, "finite"),
     ],
 )

@@ -163,7 +163,7 @@ def test_a_program_that_forgets_to_stop_still_ends():
 async def test_start_twice_is_refused():
     rig = make(counting_step, backend="virtual")
     await rig.scheduler.start()
-    with pytest.raises(RuntimeError, match="starts once"):
+    with pytest.raises(RuntimeError, match="can start only once"):
         await rig.scheduler.start()
     await rig.scheduler.stop()
 

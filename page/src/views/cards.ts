@@ -26,7 +26,7 @@ export function sliceCard(name: string, slice: Slice, bounds: number[]): HTMLEle
       ["execution, mean", us("execution_mean_us")],
       ["execution, max", us("execution_max_us")],
       ["margin, last", us("margin_last_us")],
-      ["margin, least", us("margin_min_us")],
+      ["margin, smallest", us("margin_min_us")],
       ["wake latency, max", us("latency_max_us")],
       ["jitter", us("jitter_us")],
       ...OVERRUNS.map(count),

@@ -38,15 +38,15 @@ export function diagnosisView(context: Context): View {
             h("li", {}, h("code", {}, log.name), h("span", { class: "hint" }, bytes(log.bytes)),
               download(log.name),
               action("Diagnose", () => diagnose(log.name), { disabled: !mayWork, "aria-label": `Diagnose ${log.name}` })))
-        : [h("li", { class: "note" }, `No logs yet: record a run, upload a log, or put one into the folder ${files.folders["recordings"]}.`)]),
+        : [h("li", { class: "note" }, `No logs yet: record a run, upload a log, or put one in the folder ${files.folders["recordings"]}.`)]),
     );
     patches.replaceChildren(
       ...(files.patches.length
         ? files.patches.map(({ name }) => h("li", {}, h("code", {}, name), action("Load", () => call("LoadPatch", name), { disabled: !may(context, "LoadPatch"), "aria-label": `Load ${name}` })))
-        : [h("li", { class: "note" }, `No patches yet: a diagnosis makes them, or the folder ${files.folders["patches"]} has them.`)]),
+        : [h("li", { class: "note" }, `No patches yet: run a diagnosis, or put one in the folder ${files.folders["patches"]}.`)]),
     );
     sweeps.replaceChildren(
-      ...(files.sweeps.length ? files.sweeps.map(sweepItem) : [h("li", { class: "note" }, `No sweeps yet: hilserver sweep FILE -o ${files.folders["sweeps"]}/NAME makes one.`)]),
+      ...(files.sweeps.length ? files.sweeps.map(sweepItem) : [h("li", { class: "note" }, `No sweeps yet: run hilserver sweep FILE -o ${files.folders["sweeps"]}/NAME.`)]),
     );
   }
 
@@ -59,7 +59,7 @@ export function diagnosisView(context: Context): View {
     const text = h("textarea", { rows: 16, spellcheck: "false" });
     text.value = job.mapping;
     const known = h("select", {}, h("option", { value: "" }, "the mapping below"), ...mappings.map((each) => h("option", { value: each }, `built in: ${each}`)));
-    const said = `${job.log} does not name its signals as hilserver does. The mapping below is a guess: check and complete it. It is kept beside the log.`;
+    const said = `${job.log} does not use hilserver's signal names. The mapping below is a first guess: check and complete it. It is stored beside the log.`;
     if (!(await ask("Name the columns", said, "Diagnose with it", field("Take", known), field("Mapping", text)))) return;
     if (!known.value) await call("map", job.log, text.value);
     await diagnose(job.log, known.value);
@@ -71,15 +71,15 @@ export function diagnosisView(context: Context): View {
     const file = picker.files?.[0];
     if (!file) return picker.click();
     picker.value = "";
-    toast(`${file.name} is sent: ${bytes(file.size)}.`);
+    toast(`${file.name} is being uploaded: ${bytes(file.size)}.`);
     const size = await upload(file);
-    toast(`${file.name} is here: ${bytes(size)}.`);
+    toast(`${file.name} is uploaded: ${bytes(size)}.`);
     await load();
   }, { disabled: !mayWork });
 
   function sweepItem({ name, title }: Sweep): HTMLElement {
     const open = h("button", { type: "button", disabled: title === null, "aria-label": `Read the report of ${name}`, onclick: () => read(`sweeps/${name}`) }, "Read");
-    return h("li", {}, h("code", {}, name), h("span", { class: "hint" }, title ?? "has not ended"), open);
+    return h("li", {}, h("code", {}, name), h("span", { class: "hint" }, title ?? "not finished"), open);
   }
 
   function read(folder: string, look = true): void {
@@ -108,7 +108,7 @@ export function diagnosisView(context: Context): View {
     setText(patch, board.patch ? `${board.patch} is loaded.` : "No patch is loaded.");
     remove.disabled = !board.patch || !may(context, "RemovePatch");
     const entries = Object.entries(board.gaps ?? {});
-    const none = h("div", {}, h("dt", {}, "No measured values come in."), h("dd", {}, ""));
+    const none = h("div", {}, h("dt", {}, "No measured values are coming in."), h("dd", {}, ""));
     gaps.replaceChildren(...(entries.length ? entries.map(([name, gap]) => gapRow(name, gap, units.get(name) ?? "")) : [none]));
   }
 
@@ -120,7 +120,7 @@ export function diagnosisView(context: Context): View {
       h("div", { class: "job-head" }, h("code", {}, job.log), h("span", { class: "chip" }, job.state)),
       job.state === "running" && h("progress", { max: 1, value: job.share, "aria-label": `Progress of ${job.log}` }),
       job.state === "running" && h("span", { class: "hint" }, `${Math.round(job.share * 100)} % ${job.stage}`),
-      job.state === "running" && job.waits && h("span", { class: "hint waits" }, "It waits: others take all processor time, and a diagnosis only takes what they leave."),
+      job.state === "running" && job.waits && h("span", { class: "hint waits" }, "Waiting for free processor time: a diagnosis runs at the lowest priority."),
       job.text && !done && h("pre", { tabindex: "0" }, job.text),
       done && h("pre", { tabindex: "0" }, job.text),
       h("div", { class: "buttons" },

@@ -53,7 +53,7 @@ export function driveView(context: Context): View {
   // --- twist or single wheels -------------------------------------------------------------------
 
   const sliders = WHEELS.map((wheel) => {
-    const input = h("input", { type: "range", min: -100, max: 100, value: 0, step: 5, "aria-label": `${WHEEL_NAMES[wheel]} wheel, per cent forward; springs back` });
+    const input = h("input", { type: "range", min: -100, max: 100, value: 0, step: 5, "aria-label": `${WHEEL_NAMES[wheel]} wheel, percent forward; returns to zero when released` });
     const shown = h("output", {}, "0");
     const spring = (): void => {
       input.value = "0";

@@ -6,23 +6,23 @@ import { action, h, number } from "../ui";
 
 const LOOKS: Record<string, string> = {
   nothing: "The last window fits the model.",
-  as_running: "The last window fits the model that runs.",
+  as_running: "The last window fits the running model.",
   named: "A cause was named on the last window; the next one has to confirm it.",
-  too_small: "The last window shows a change, too small to be proposed.",
+  too_small: "The last window shows a change that is too small to propose.",
   unexplained: "The last window shows something that no known cause explains.",
-  data_fault: "The data of the last window have a fault; nothing is proposed.",
-  not_judged: "The last window says too little: more motion, more channels.",
-  confirmed: "Confirmed on a window that took no part.",
-  not_confirmed: "What was named was not confirmed on the next window.",
-  no_test: "What was named cannot be confirmed: the next window shows too little for that.",
-  known: "What was named again is decided, or waits for that.",
-  proposal: "A cause was named and confirmed on a window that took no part: decide.",
-  accepted: "The patch acts; the next whole window says whether the gap has fallen.",
-  rejected: "The proposal is rejected; it is not made again.",
+  data_fault: "The data of the last window are faulty; nothing is proposed.",
+  not_judged: "The last window is not conclusive: more motion or more channels are needed.",
+  confirmed: "Confirmed on an independent window.",
+  not_confirmed: "The named cause was not confirmed on the next window.",
+  no_test: "The named cause could not be tested: the next window is not conclusive.",
+  known: "The same cause was named again; it is already decided or awaits a decision.",
+  proposal: "A cause was named and confirmed on an independent window: please decide.",
+  accepted: "The patch is active; the next full window will show whether the gap has shrunk.",
+  rejected: "The proposal is rejected and will not be made again.",
   postponed: "The proposal is postponed.",
-  better: "The gap has fallen.",
-  not_better: "The gap has not fallen.",
-  too_short: "The robot moved too little to say whether the gap has fallen: the next window will.",
+  better: "The gap has shrunk.",
+  not_better: "The gap has not shrunk.",
+  too_short: "The robot moved too little to show whether the gap has shrunk; the next window may.",
 };
 /** Verdicts whose sentence says more than a proposal does. */
 const SAID = ["named", "too_small", "unexplained", "no_test", "too_short"];
@@ -51,7 +51,7 @@ export function proposalCard(context: Context): { element: HTMLElement; show: (b
 
 function said(look: Record<string, string | number | boolean>): string {
   if (look["is_looking"]) return "A window is being diagnosed.";
-  if (look["gap_changed"]) return "The gap has left its usual range; the next window is diagnosed.";
+  if (look["gap_changed"]) return "The gap has left its usual range; the next window will be diagnosed.";
   return String(LOOKS[String(look["verdict"] || (look["kind"] === "proposal" && "proposal"))] ?? look["sentence"] ?? "") || "The first window is being recorded.";
 }
 
@@ -66,7 +66,7 @@ function proposed(context: Context, p: Proposal): HTMLElement {
     h("dl", { class: "pairs" },
       ...Object.entries(p.terms).map(([name, t]) => pair(name, `${t.present === null ? "off" : number(t.present)} → ${number(t.value)} ${t.unit === "1" ? "" : t.unit}${t.ci95 ? ` (${number(t.ci95[0])} to ${number(t.ci95[1])})` : ""}`)),
       ...Object.entries(p.gone).map(([name, value]) => pair(name, `${number(value)} → off`))),
-    h("p", { class: "hint" }, measured ? "Gap before and after, measured since the decision" : `Gap before and after on window ${p.windows[p.windows.length - 1]}, which took no part`),
+    h("p", { class: "hint" }, measured ? "Gap before and after, measured since the decision" : `Gap before and after on window ${p.windows[p.windows.length - 1]}, which was not used to find it`),
     h("dl", { class: "pairs", "data-gain": measured ? "effect" : "gain" }, ...rows(measured ? p.effect : p.gain)),
     waits && h("div", { class: "buttons" }, decide("Accept", "AcceptProposal", true), decide("Reject", "RejectProposal"), p.stage === "open" && decide("Postpone", "PostponeProposal")),
   );

@@ -115,7 +115,7 @@ export function signalsView(context: Context): View {
     scenarios.replaceChildren(
       ...(files.length
         ? files.map(({ name }) => h("li", {}, h("code", {}, name), action("Start", () => call("StartScenario", name), { disabled: !may(context, "StartScenario"), "aria-label": `Start ${name}` })))
-        : [h("li", { class: "note" }, `No scenarios yet: put one into the folder ${folders["scenarios"]}.`)]),
+        : [h("li", { class: "note" }, `No scenarios yet: put one in the folder ${folders["scenarios"]}.`)]),
     );
   }
   loadScenarios().catch((error: Error) => toast(error.message, "error"));
@@ -132,7 +132,7 @@ export function signalsView(context: Context): View {
               h("li", { class: fault.acts ? "acts" : "" }, h("code", {}, fault.name), h("span", { class: "hint" }, fault.acts ? "acts" : "waits"),
                 fault.fault === "force" && action("Release", () => call("Unforce", fault.place), { "aria-label": `Release ${fault.place}` })),
             )
-          : [h("li", { class: "note" }, "No fault, no forced signal.")]),
+          : [h("li", { class: "note" }, "No active faults, no forced signals.")]),
       );
     }
     end.disabled = !scenario || !may(context, "StopScenario");

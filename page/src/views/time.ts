@@ -79,11 +79,11 @@ export function timeView(context: Context): View {
   const search = h("input", { type: "search", placeholder: "Find an event", "aria-label": "Find an event" });
   const least = h("select", { "aria-label": "Severity" }, ...Object.entries(SEVERITIES).map(([name, value]) => h("option", { value }, name)));
   for (const control of [search, least]) control.addEventListener("input", slow);
-  const events = h("ol", { class: "events", tabindex: "0", "aria-label": "Events, the newest first" });
+  const events = h("ol", { class: "events", tabindex: "0", "aria-label": "Events, newest first" });
 
   function slow(): void {
     const { board } = live.slow;
-    setText(run, paused() ? "Run on" : "Pause");
+    setText(run, paused() ? "Resume" : "Pause");
     run.disabled = !may(context, "Pause") || board.state === "safe";
     step.disabled = !may(context, "Step") || !paused();
     reset.disabled = !may(context, "Reset");
@@ -95,10 +95,10 @@ export function timeView(context: Context): View {
     const us = (key: string): string => micros(plant?.[key] as number | null | undefined);
     const figures = {
       "Real-time factor": board.realtime_factor == null ? "–" : `${board.realtime_factor.toFixed(3)}×`,
-      "Step, every": plant ? `${plant.period_ms} ms` : "–",
-      "Step takes, mean": us("execution_mean_us"),
-      "Step takes, max": us("execution_max_us"),
-      "Margin, least": us("margin_min_us"),
+      "Step period": plant ? `${plant.period_ms} ms` : "–",
+      "Step time, mean": us("execution_mean_us"),
+      "Step time, max": us("execution_max_us"),
+      "Margin, smallest": us("margin_min_us"),
     };
     pace.replaceChildren(...Object.entries(figures).map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))));
     setText(record, board.recording ? "Stop" : "Record");
@@ -116,7 +116,7 @@ export function timeView(context: Context): View {
     events.replaceChildren(...(shown.length ? shown : []).map((event) =>
       h("li", { class: event.severity >= 500 ? "severe" : "" }, h("time", {}, `${seconds(event.age_s)} ago`),
         h("span", {}, h("b", {}, event.source), ` ${event.text.replace(`${event.source}: `, "")}`, event.count > 1 && h("small", { class: "chip" }, `${event.count} times`)))));
-    if (!shown.length) events.append(h("li", { class: "note" }, "Nothing of this kind has happened lately."));
+    if (!shown.length) events.append(h("li", { class: "note" }, "No recent events of this kind."));
   }
   slow();
   live.want("time", ["sim.time_s", "sim.tick"]);

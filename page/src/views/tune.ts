@@ -62,7 +62,7 @@ export function tuneView(context: Context): View {
   const name = h("input", { value: "tuned", pattern: "[A-Za-z0-9_][A-Za-z0-9_.\\-]*", "aria-label": "Name of the patch" });
   const save = action("Save as patch", async () => {
     await call("SaveParameters", name.value);
-    toast(`Saved as ${name.value}: the diagnosis view loads it.`);
+    toast(`Saved as ${name.value}: load it in the Diagnosis view.`);
   }, { disabled: !may(context, "SaveParameters") });
 
   async function change(p: Parameter, value: number | null): Promise<void> {

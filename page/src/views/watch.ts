@@ -249,7 +249,7 @@ export function watchView(context: Context): View {
 
   function showPause(): void {
     pause.setAttribute("aria-pressed", String(paused));
-    setText(pause, paused ? "Run on" : "Pause");
+    setText(pause, paused ? "Resume" : "Pause");
     cursor.hidden = moment.hidden = !paused;
   }
 

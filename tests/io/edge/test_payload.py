@@ -45,7 +45,7 @@ def test_a_write_is_read_by_name():
         (b"\xff", "is not JSON"),
         (b"x" * 70_000, "70000 bytes"),
         (b"[]", "no list 'vals'"),
-        (b'{"vals": [{"id": "1"}]}', "no 'id' or no 'val'"),
+        (b'{"vals": [{"id": "1"}]}', "without 'id' or 'val'"),
         (b'{"vals": [{"id": "sim", "val": 1}]}', "id sim is not an input"),
     ],
 )

@@ -50,7 +50,7 @@ def test_what_cannot_begin_leaves_no_file(tmp_path, monkeypatch, name):
 
     monkeypatch.setattr(WholeFile, "append", full)
     run = {"schema": 1, "base_period_ns": 1_000_000, "configuration": None, "signals": [SIGNAL]}
-    with pytest.raises(FailedError, match="no space is left"):
+    with pytest.raises(FailedError, match="no space left"):
         FileSeries(Settings(tmp_path / name)).open(run, [0], 0)
     assert list(tmp_path.iterdir()) == []
 

@@ -71,7 +71,7 @@ def test_a_recorder_that_stands_still_is_given_up_until_it_moves(plant, monkeypa
     monkeypatch.setattr(marks, "PATIENCE_S", 0.05)
     mark = Mark(plant.image.name)
     plant.run()
-    assert capfd.readouterr().out.count("stands still") == 1
+    assert capfd.readouterr().out.count("a recorder is stalled") == 1
     mark.close()
 
 
