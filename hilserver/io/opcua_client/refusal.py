@@ -92,7 +92,7 @@ def token_missing(user: str | None, offered: Iterable[ua.UserTokenPolicy]) -> Re
     return RefusedError(
         FaultKind.LOG_IN,
         "token",
-        f"not connected: this endpoint accepts {kinds} but no {what}: {remedy}",
+        f"not connected: it accepts no {what} at this endpoint, only {kinds}: {remedy}",
     )
 
 
