@@ -106,7 +106,7 @@ def test_check_looks_at_the_files_of_peers(tmp_path, capsys):
     ("keys", "complaint"),
     [
         ("user: robot, password_file: secret.txt", "password_file: secret.txt cannot be read: No "),
-        ("user: robot, password_file: empty.txt", "password_file: empty.txt is empty; write the"),
+        ("user: robot, password_file: empty.txt", "password_file: empty.txt is empty; put the"),
         ("tls: {ca: absent.pem}", "tls: a file cannot be read: No such file or directory"),
         ("tls: {ca: junk.pem}", "tls: a certificate or key cannot be used: "),
     ],

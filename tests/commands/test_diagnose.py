@@ -141,7 +141,7 @@ def test_two_sets_are_compared(stages, capsys):
         (["a.csv", "--dask", "tcp://h:1", "-o", "out"], "use it with --each"),
         (["a.csv", "-o", "file"], "file: is a file"),
         (["--group", "a=a.csv", "-o", "out"], "name two or more"),
-        (["--group", "a=a.csv", "--group", "a=b.csv", "-o", "out"], "--group a is there twice"),
+        (["--group", "a=a.csv", "--group", "a=b.csv", "-o", "out"], "--group a is given twice"),
         (["--group", "a=a.csv", "--group", "b=b.csv", "c.csv", "-o", "o"], "cannot be combined"),
     ],
 )
