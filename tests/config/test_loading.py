@@ -60,11 +60,11 @@ def complaint(tmp_path, text):
         ("backend: !!int ''\n", "config.yaml:1: a value cannot be read: '' is not type int"),
         (
             "backend: !!bool maybe\n",
-            "1: a value cannot be read: 'maybe' is not type bool",
+            "config.yaml:1: a value cannot be read: 'maybe' is not type bool",
         ),
         (
             "backend: !!timestamp x\n",
-            "1: a value cannot be read: 'x' is not type timestamp",
+            "config.yaml:1: a value cannot be read: 'x' is not type timestamp",
         ),
         ('\nbackend: "a\\0b"\n', "config.yaml:2: a text contains the character NUL"),
     ],
