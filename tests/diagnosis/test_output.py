@@ -94,7 +94,7 @@ def test_too_little_motion_is_not_nothing_found_in_any_output():
     assert summary(still).startswith("The robot stood still")
     page = documents(Diagnosis(still, evidence(300)))["report.html"]
     assert "nothing was found" not in page
-    assert "is the sensors' noise" not in page
+    assert "is sensor noise" not in page
 
 
 def test_what_could_not_be_judged_is_not_nothing_found():

@@ -81,10 +81,10 @@ def remarks(stages: Collection[Prepared]) -> tuple[str, ...]:
             np.median(np.diff(t)) > DENSE_SHARE * _closed_s(robot) for t in duties if len(t) > 1
         ):
             return (
-                "The duty was recorded too rarely to know it between its samples after a step:"
-                " replayed from the duty, a wheel speed counts only where the set-points had rested"
-                f" for {REST * robot.process.t1_s:.2f} s. A wrong time constant of the motors shows"
-                " in the whole chain alone.",
+                "The duty was recorded at too low a rate to be known between samples after a"
+                " step: in the replay from the duty, a wheel speed counts only where the"
+                f" set-points had been constant for {REST * robot.process.t1_s:.2f} s. A wrong"
+                " motor time constant shows only in the whole chain.",
             )
     return ()
 

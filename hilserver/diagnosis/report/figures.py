@@ -58,10 +58,10 @@ def path(way: Path) -> Figure:
         f"{name} {number(float(np.hypot(*(track[-1] - way.measured[-1]))), 'm', digits=2)}"
         for name, track in models
     )
-    rings = "Rings: where a model begins; that pose is fitted."
+    rings = "Ring: start of a model run; the start pose is fitted."
     if way.begins:
         pieces = len(way.begins) + 1
-        rings = f"Rings: where a model begins, in {pieces} pieces; those poses are fitted."
+        rings = f"Rings: starts of the {pieces} model runs; the start poses are fitted."
     title = f"Path, {way.group}, segment {way.span}" if way.group else f"Path, segment {way.span}"
     return Figure(picture([plot], title), title, f"Distance from the measured end: {ends}. {rings}")
 
@@ -88,10 +88,10 @@ def horizons(rows: Sequence[HorizonRow]) -> Figure | None:
         if own := [r.gain for r in runs if r.quantity == key]:
             legend.append((f"quantity q{place}", name))
             _gain_line(plot, own, f"quantity q{place}", name, unit, shift=APART**place)
-    caption = "Error of the simulation by that of the extension, on held-out parts."
+    caption = "Error of the simulation divided by that of the extended model, on held-out parts."
     if any(g.ci95 is None for g in gains):
         caption += " Rings: too few runs for an interval."
-    svg = picture([plot], "Gain over the length of a free run")
+    svg = picture([plot], "Gain over the length of the free run")
     return Figure(svg, "Gain", caption, wide=True, legend=tuple(legend))
 
 
@@ -121,9 +121,9 @@ def likeness(similarity: Similarity) -> Figure | None:
     names = [similarity.names[i] for i in kept]
     return Figure(
         _heat_map(names, cosine[np.ix_(kept, kept)], similarity.limit),
-        "Which causes look alike in these data",
-        f"Full colour: the same effect (orange: with the other sign). Framed: above"
-        f" {similarity.limit:g}, these data cannot tell the two apart. Causes that look like no"
+        "Causes that look alike in these data",
+        "Full colour: the same effect (orange: with opposite sign). Framed: above"
+        f" {similarity.limit:g}, these data cannot tell the two apart. Causes that resemble no"
         " other are left out.",
         wide=True,
     )
@@ -154,7 +154,7 @@ def _heat_map(names: Sequence[str], cosine: Array, limit: float) -> Markup:
     width, height = left + len(names) * size + 10, bottom + 130
     return Markup(  # noqa: S704 - names of causes and numbers
         f'<svg style="width:{width:.0f}px" viewBox="0 0 {width:.0f} {height:.0f}" role="img"'
-        f' aria-label="Likeness of causes">{"".join(parts)}</svg>'
+        f' aria-label="Similarity of causes">{"".join(parts)}</svg>'
     )
 
 
@@ -166,7 +166,7 @@ def dependence(item: Dependence) -> Figure:
     plot.level(0.0)
     plot.band(item.x, item.low, item.high, "extended")
     plot.line(item.x, item.mean, "extended", name)
-    caption = f"Statistic {number(item.statistic)}, critical {number(item.critical)}."
+    caption = f"Test statistic {number(item.statistic)}, critical value {number(item.critical)}."
     return Figure(picture([plot], name), plain(name), caption)
 
 
@@ -179,7 +179,7 @@ def course(item: Course) -> Figure:
     plot.dots(item.t_s, item.value, "extended",
               [number(float(v), item.unit) for v in item.value])  # fmt: skip
     svg = picture([plot], f"{item.cause} over time")
-    return Figure(svg, item.cause, "Fitted in windows, with 95 %.")
+    return Figure(svg, item.cause, "Fitted in windows, with 95 % intervals.")
 
 
 def paths(ways: Iterable[Path]) -> list[Figure]:
@@ -198,7 +198,7 @@ def interval(parameter: Parameter, name: str) -> Markup:
     margin = 0.12 * ((right - left) or 1.0)
     scale = Scale(left - margin, right + margin, 0, INTERVAL_WIDTH)
     a, b, at, zero = (f"{float(scale(v)):.1f}" for v in (low, high, parameter.value, null))
-    text = f"{name}: {number(low)} to {number(high)}; without the effect {number(null)}"
+    text = f"{name}: {number(low)} to {number(high)}; no effect: {number(null)}"
     ticks = Markup("").join(
         Markup('<path class="axis" d="M{x} 20v4"/><text x="{x}" y="38">{text}</text>').format(
             x=f"{float(scale(value)):.1f}", text=label(value)

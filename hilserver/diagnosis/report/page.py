@@ -25,7 +25,7 @@ STYLES: Final = ("plot.css", "style.css")
 MODELS: Final = (
     ("measured", "measured"),
     ("simulated", "simulated: the plant as it is configured"),
-    ("extended", "extended: the same plant with what was found in the other half of the log"),
+    ("extended", "extended: the same plant with the causes found in the other half of the log"),
 )
 
 

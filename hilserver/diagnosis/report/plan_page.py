@@ -28,5 +28,5 @@ def _headline(document: PlanDocument) -> str:
     both = document.as_planned, document.proposed
     shown, then = (sum(v.shows for v in prospect.causes) for prospect in both)
     if not document.proposed.better:
-        return f"{document.manoeuvre} shows {shown} causes; nothing better was found."
+        return f"{document.manoeuvre} shows {shown} causes; no better manoeuvre was found."
     return f"{document.manoeuvre} shows {shown} causes; the proposed manoeuvre shows {then}."

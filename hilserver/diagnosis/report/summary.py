@@ -32,7 +32,7 @@ def summary(findings: Findings) -> str:
         f"  {text}" for text in (words.of_patch(findings), words.understated(findings)) if text
     ]
     if findings.verdict is Overall.NOTHING_FOUND and findings.smallest_detectable:
-        lines.append("  The report says how large an effect must be to be found.")
+        lines.append("  The report shows how large an effect must be to be detected.")
     lines += [f"  Note: {notice}" for notice in findings.notices]
     return "\n".join(
         textwrap.fill(line, WIDTH, subsequent_indent="  ", break_on_hyphens=False) for line in lines

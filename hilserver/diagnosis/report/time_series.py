@@ -50,10 +50,10 @@ def _anew(begins: int) -> str:
     """Say where the models begin anew, and what is not drawn."""
     if not begins:
         return ""
-    text = f" The models begin anew {begins} time{'s' * (begins > 1)}"
-    text += ", at the marks above." if begins <= MAX_MARKS else ", where the lines break."
+    text = f" The models restart {begins} time{'s' * (begins > 1)}"
+    text += ", at the marks at the top." if begins <= MAX_MARKS else ", where the lines break."
     step = math.ceil((begins + 1) / MAX_RUNS)
-    return f"{text} One piece in {step} is drawn." if step > 1 else text
+    return f"{text} Only one run in {step} is drawn." if step > 1 else text
 
 
 def improvement(item: Series) -> float:

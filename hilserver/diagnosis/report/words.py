@@ -23,7 +23,7 @@ BADGES = {
     Verdict.NAMED_GROUP: "One of several causes",
     Verdict.STRUCTURE_NOT_IN_LIBRARY: "No known cause",
     Verdict.DRIFT: "Changes over time",
-    Verdict.INSUFFICIENT_EXCITATION: "Too little motion to say",
+    Verdict.INSUFFICIENT_EXCITATION: "Too little motion to tell",
     Verdict.DATA_FAULT: "Data fault",
     Verdict.DIFFERS: "Differs",
     Verdict.NO_DIFFERENCE: "No difference",
@@ -41,22 +41,25 @@ COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", 
 def headline(findings: Findings) -> str:
     """Return the headline, one sentence."""
     if not findings.findings and not findings.smallest_detectable and findings.not_judged:
-        return "Nothing could be judged: channels are missing. See what was not judged, and why."
+        return (
+            "Nothing could be judged because channels are missing."
+            " See what was not judged, and why."
+        )
     silent = [f for f in findings.findings if f.verdict is Verdict.INSUFFICIENT_EXCITATION]
     if silent and findings.verdict in {Overall.NOTHING_FOUND, Overall.NO_DIFFERENCE}:
         return plain(explain_finding(silent[0]))
     if findings.verdict is Overall.NOTHING_FOUND:
-        return "The simulation fits these data: nothing was found."
+        return "The simulation matches these data: nothing was found."
     if findings.verdict is Overall.NO_DIFFERENCE:
         return "The two sets of recordings do not differ."
     named = [f for f in findings.findings if f.verdict is not Verdict.INSUFFICIENT_EXCITATION]
     if len(named) == 1:
         return plain(explain_finding(named[0]))
     if findings.verdict is Overall.DIFFERS:
-        return f"The two sets of recordings differ in {_count(named).lower()} things."
+        return f"The two sets of recordings differ in {_count(named).lower()} ways."
     faults = [f for f in named if f.verdict is Verdict.DATA_FAULT]
     if len(faults) == len(named):
-        return f"{_count(faults)} faults of the recording, none of the robot."
+        return f"{_count(faults)} faults in the recording, none in the robot."
     others = len(named) - len(faults)
     what = "thing differs" if others == 1 else "things differ"
     text = f"{_count(named[:others])} {what} from the simulation"
@@ -161,8 +164,8 @@ def of_patch(findings: Findings) -> str:
         return ""
     each = (f"{QUANTITIES[key][0]} {replace(Change.of(alone[key]), ci95=None)}" for key in less)
     return (
-        f"The patch by itself: {', '.join(each)}."
-        " It holds neither the clock of this log nor what has no name."
+        f"With the patch alone: {', '.join(each)}. It corrects neither the clock of this log nor"
+        " errors without a known cause."
     )
 
 
@@ -175,9 +178,10 @@ def understated(findings: Findings) -> str:
     if not missing or held_out(findings) == "other logs":
         return ""
     return (
-        "The gain of the extended model is measured on each half of the recording with what the"
-        f" other half shows by itself. Not shown by both: {', '.join(missing).replace('_', ' ')}."
-        " So it is more than was measured; a longer recording shows how much."
+        "The gain of the extended model is measured on each half of the recording, with the"
+        " causes that the other half shows on its own. Not shown by both halves:"
+        f" {', '.join(missing).replace('_', ' ')}."
+        " The true gain is therefore larger; a longer recording would show how much."
     )
 
 
@@ -195,12 +199,13 @@ def where(cuts: Sequence[CutRow]) -> str:
         named.append("in the motors, the gears or their load")
     elif ("setpoints", True) in large and "duty" in judged:
         named.append(
-            "in the controller, the transmission of the set-points or the response of the motors"
+            "in the controller, in the transmission of the set-points or in the response of the"
+            " motors"
         )
     elif ("setpoints", True) in large:
         named.append("in the drive")
     if ("speed", False) in large:
-        named.append("in the kinematics or the sensors of the pose")
+        named.append("in the kinematics or in the pose sensors")
     return f"The error arises {', and '.join(named)}." if named else ""
 
 
@@ -226,7 +231,7 @@ def steps(findings: Findings) -> list[Step]:
         if item.separating_experiment:
             items.append(Step(_label(item, "Find out which"), item.separating_experiment))
         elif item.verdict is Verdict.STRUCTURE_NOT_IN_LIBRARY:
-            items.append(Step(_label(item, "Find the rest"), signals=tuple(item.regressors)))
+            items.append(Step(_label(item, "Find the cause"), signals=tuple(item.regressors)))
         elif item.verdict is not Verdict.NO_DIFFERENCE:
             items += [Step(_label(item, cause), remedy(cause)) for cause in item.causes[:1]]
     return list(dict.fromkeys(items))

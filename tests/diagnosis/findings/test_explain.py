@@ -14,4 +14,4 @@ def test_a_robot_with_two_wheels_has_a_left_encoder():
     finding = Finding(
         verdict=Verdict.NAMED, causes=("encoder_scale",), block="drive", explanation=text
     )
-    assert "encoder of one wheel (left) shows" in of_two_wheels(finding).explanation
+    assert "encoder of one wheel (left) reads" in of_two_wheels(finding).explanation

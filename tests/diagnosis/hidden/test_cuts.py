@@ -60,7 +60,7 @@ def test_a_fault_of_the_kinematics_shows_from_the_measured_speed_alone():
         assert ratios(rows, cut, "yaw", "gyro").min() > 3.0
     assert ratios(rows, "duty", "speed") == pytest.approx(1.0, abs=0.06)
     assert ratios(rows, "setpoints", "wheel") == pytest.approx(1.0, abs=0.06)
-    assert where(rows) == "The error arises in the kinematics or the sensors of the pose."
+    assert where(rows) == "The error arises in the kinematics or in the pose sensors."
 
 
 @pytest.mark.parametrize(

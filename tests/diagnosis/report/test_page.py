@@ -123,7 +123,7 @@ def test_hundred_segments_that_all_begin_at_zero_follow_each_other():
 
 
 def test_channels_that_do_not_change_are_folded_away(page):
-    before, _, folded = page.partition("Channels that the extension does not change")
+    before, _, folded = page.partition("Channels that the extended model leaves unchanged")
     assert "<h3>The navigation&#39;s heading</h3>" in before
     assert "<h3>The speed of the front left wheel</h3>" not in before
     assert "<h3>The speed of the front left wheel</h3>" in folded
@@ -199,7 +199,7 @@ def test_every_cell_says_its_column_for_a_phone(page):
 def test_an_error_that_stays_is_not_called_better():
     stays = findings(total_gain={"speed_rpm": gain(0.096, 0.0961, 0.99, 1.0)})
     text = Reader(render(stays, Evidence())).text
-    assert "Not changed: wheel speed." in text
+    assert "Unchanged: wheel speed." in text
     assert "better" not in text.split("What is wrong")[0]
 
 
@@ -238,14 +238,14 @@ def test_what_is_not_clearly_better_is_not_the_headline():
 
 def test_a_decision_stands_beside_what_was_found_in_the_end(page):
     section = page[page.index('<section id="selection">') :].partition("</section>")[0]
-    assert "So both differ from those of the test alone" in section
+    assert "Both therefore differ from the single test above" in section
     taken, refused = re.findall(r"<tr>\s*<td.*?</tr>", section, re.DOTALL)
     assert re.findall(r"<td[^>]*>(?:<code>)?([^<]*)", taken)[-2:] == ["0.001", f"{MINUS}0.47"]
     assert re.findall(r"<td[^>]*>(?:<code>)?([^<]*)", refused)[-2:] == ["", ""]
 
 
 def test_what_the_patch_gains_by_itself_is_said_once_where_it_is_less(page):
-    said = "The patch by itself: position 2 times smaller."
+    said = "With the patch alone: position 2 times smaller."
     given = findings()
     given = given.model_copy(
         update={"patch_gain": given.total_gain | {"position_m": gain(0.2, 0.1, 1.8, 2.2)}}
@@ -253,20 +253,20 @@ def test_what_the_patch_gains_by_itself_is_said_once_where_it_is_less(page):
     assert render(given, Evidence()).count(said) == 1
     assert said in " ".join(summary(given).split())
     alike = given.model_copy(update={"patch_gain": given.total_gain})
-    assert "by itself: position" not in render(alike, Evidence()) + page
+    assert "patch alone: position" not in render(alike, Evidence()) + page
 
 
 def test_a_ceiling_is_explained_where_it_stands(page):
     text = Reader(page).text
     assert "regression: 3.9&times;" in page
-    assert "what a fit reaches that may use everything measured" in text
+    assert "the regression fits all measured signals" in text
     assert "flexible" not in text
 
 
 def test_a_regression_that_reaches_nothing_is_left_out():
     page = render(findings(ceiling={"position_m": 0.39}), Evidence())
     assert "regression: 0.39" not in page
-    assert "Regression, for comparison" not in page
+    assert "For comparison, the regression" not in page
 
 
 def test_without_an_extension_there_is_no_gain():
@@ -282,8 +282,8 @@ def test_without_an_extension_there_is_no_gain():
 
 
 def test_levels_are_those_of_the_screen(page):
-    assert "in at most one of 500, over all causes" in page
-    assert "at most 0.002; its size" in page
+    assert "in at most one in 500 recordings, over all causes" in page
+    assert "at most 0.002; the size" in page
 
 
 def as_halves_show(*halves):
@@ -307,7 +307,7 @@ def test_what_no_half_shows_is_not_called_unchanged():
         assert "unchanged" not in said.lower()
         assert "not changed" not in said.lower()
         assert "rotation gain (by neither)" in " ".join(said.split())
-    assert "not measured, since neither half" in text
+    assert "not measured, because neither half" in text
 
 
 def test_a_gain_that_one_half_lacks_says_so():
@@ -321,4 +321,4 @@ def test_a_gain_on_other_logs_leaves_nothing_out():
     there = as_halves_show(0, 0).model_copy(update={"notices": (f"{ON_OTHER_LOGS}b.csv",)})
     text = Reader(render(there, Evidence())).text
     assert "by neither" not in text
-    assert "Not changed: heading" in text
+    assert "Unchanged: heading" in text

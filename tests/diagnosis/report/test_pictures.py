@@ -100,7 +100,7 @@ def test_a_path_shows_where_its_models_begin_anew():
         rings = picture.of("dot", "begin", role)
         assert [r.at for r in rings] == [line.points[k] for k in (0, 31, 62)]
         assert {r.colour("stroke") for r in rings} == {role}
-    assert "in 3 pieces" in drawn.caption
+    assert "starts of the 3 model runs" in drawn.caption
     assert drawn.title == "Path, segment 2"
     assert len({m.colour("stroke") for role, _ in MODELS for m in picture.of("line", role)}) == 3
 
@@ -137,7 +137,7 @@ def test_lines_of_a_channel_break_where_its_models_begin_anew(given):
     assert {m.pieces for m in picture.of("line")} == {5}
     (marks,) = picture.of("begin")
     assert marks.pieces == 4
-    assert "begin anew 4 times, at the marks above" in drawn.caption
+    assert "restart 4 times, at the marks at the top" in drawn.caption
 
 
 def test_every_stretch_of_a_long_log_is_drawn(given):
@@ -154,7 +154,7 @@ def test_every_stretch_of_a_long_log_is_drawn(given):
 def test_what_is_left_out_of_a_line_is_said(given):
     drawn = series(runs(given, 2 * MAX_RUNS))
     assert {m.pieces for m in Drawing(drawn.svg).of("line")} == {MAX_RUNS}
-    assert "One piece in 2 is drawn." in drawn.caption
+    assert "Only one run in 2 is drawn." in drawn.caption
 
 
 def test_a_run_keeps_its_ends_however_many_there_are():

@@ -66,4 +66,4 @@ def test_the_page_says_what_the_plan_says():
 
 def test_where_nothing_better_was_found_it_says_so():
     text = Reader(render_plan(document(better=False))).text
-    assert "nothing better was found" in text
+    assert "no better manoeuvre was found" in text
