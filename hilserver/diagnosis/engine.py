@@ -51,7 +51,7 @@ from hilserver.plant.parameters import RobotParameters
 
 T = TypeVar("T")
 
-HALVES = "selecting anew without each half of the log"
+HALVES = "repeating the selection on each half of the log"
 
 
 def diagnose(

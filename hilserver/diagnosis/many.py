@@ -49,4 +49,6 @@ def connected(address: str) -> Any:
         return Client(address, timeout=CONNECT_WITHIN_S)
     except (OSError, ValueError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise FailedError(f"--dask {address}: no cluster answers there: {reason}") from None
+        raise FailedError(
+            f"--dask {address}: no cluster answers at this address: {reason}"
+        ) from None

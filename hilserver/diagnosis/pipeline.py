@@ -81,8 +81,8 @@ def refuse_twice(groups: Mapping[str, MeasuredLog]) -> None:
             if source.sha256 in seen:
                 other, file = seen[source.sha256]
                 raise LogError(
-                    f"{source.file}: is in group {name} the same as {file} in group {other}; name"
-                    " it in one of them"
+                    f"{source.file}: in group {name} is the same log as {file} in group {other};"
+                    " list it in only one of them"
                 )
             seen[source.sha256] = (name, source.file)
 

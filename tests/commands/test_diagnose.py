@@ -175,7 +175,7 @@ def test_groups_reach_the_engine(stages, tmp_path, monkeypatch, capsys):
     files = {name: [s.file for s in log.sources] for name, log in asked[0].items()}
     assert files == {"asphalt": ["a.csv", "b.csv"], "sand": ["s.csv"]}
     assert main(["diagnose", "--group", "a=a.csv", "--group", "b=a.csv", "-o", "out"]) == 2
-    assert "name it in one of them" in capsys.readouterr().err
+    assert "list it in only one of them" in capsys.readouterr().err
 
 
 def test_a_bad_configuration_is_exit_78(stages, tmp_path, capsys):

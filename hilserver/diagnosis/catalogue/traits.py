@@ -17,7 +17,7 @@ class Need(StrEnum):
     DUTY = "no duty in the log"
     VOLTAGE = "no battery voltage in the log"
     POSITION = "no position in the log"
-    PLACE = "the navigation's frame begins anew with every segment"
+    PLACE = "the navigation frame changes with every segment"
     YAW = "no navigation yaw in the log"
     GYRO = "no turn rate in the log"
     STAMPS = "the log has no time stamps"
@@ -67,7 +67,7 @@ TRAITS: Final[Mapping[str, Traits]] = MappingProxyType({
     "controller_gains": Traits(abrupt=0.01),
     "encoder_scale": Traits(needs=(Need.DUTY,)),
     "encoder_filter": Traits(whole_ticks=True),
-    "backlash": Traits(not_judged="the play between motor and wheel is not tested"),
+    "backlash": Traits(not_judged="backlash between motor and wheel is not tested"),
     "rotation_gain": Traits(scrubs_as="friction_anisotropy.ratio"),
     "rotation_gain_speed": Traits(bends_turn=True),
     "rotation_gain_radius": Traits(bends_turn=True),
@@ -75,7 +75,7 @@ TRAITS: Final[Mapping[str, Traits]] = MappingProxyType({
     "acceleration_slip": Traits(needs=(Need.POSITION,)),
     # rollers separate it from a scale of the navigation; tyres on one floor do not
     "traction_slip": Traits(
-        needs=(Need.POSITION,), not_judged="on one floor it is the same as nav_scale"
+        needs=(Need.POSITION,), not_judged="on a single floor it has the same effect as nav_scale"
     ),
     "roller_slip": Traits(needs=(Need.POSITION,)),
     "body_lag": Traits(delays_turn=True),
@@ -85,7 +85,7 @@ TRAITS: Final[Mapping[str, Traits]] = MappingProxyType({
     "floor_slope": Traits(needs=(Need.POSITION, Need.PLACE)),
     "surface_change": Traits(needs=(Need.POSITION, Need.PLACE), of_a_place=True),
     "friction_anisotropy": Traits(
-        not_judged="in steady turns it is the same as rotation_gain and icr_offset"
+        not_judged="in steady turns it has the same effect as rotation_gain and icr_offset"
     ),
     "nav_frame_yaw": Traits(needs=(Need.POSITION, Need.YAW)),
     "nav_lever_arm": Traits(needs=(Need.POSITION,)),

@@ -91,17 +91,17 @@ def _physical() -> list[Cause]:
 
 
 _OF_THE_LOG: Final[tuple[tuple[str, Block, str, float | None, str], ...]] = (
-    ("clock_offset", "timing", "s", 0.0, "stamps of a source are late by this much"),
-    ("clock_drift", "timing", "1", 0.0, "stamps of a source gain this much per second"),
-    ("sign_flip", "data", "1", 1.0, "a channel has the other sign: factor -1"),
-    ("swapped_sides", "data", "", None, "left and right exchanged"),
-    ("unit_error", "data", "1", 1.0, "a channel is too large by this factor"),
-    ("held_samples", "data", "Hz", None, "a channel changes at this lower rate"),
-    ("interpolated_setpoint", "data", "Hz", None, "set-points made up between samples"),
-    ("setpoint_as_measurement", "data", "1", 0.0, "a measured channel is the set-point"),
+    ("clock_offset", "timing", "s", 0.0, "delay of the time stamps of a source"),
+    ("clock_drift", "timing", "1", 0.0, "gain of the time stamps of a source per second"),
+    ("sign_flip", "data", "1", 1.0, "a channel has the wrong sign: factor -1"),
+    ("swapped_sides", "data", "", None, "left and right sides are swapped"),
+    ("unit_error", "data", "1", 1.0, "factor by which a channel is too large"),
+    ("held_samples", "data", "Hz", None, "lower rate at which a channel changes"),
+    ("interpolated_setpoint", "data", "Hz", None, "set-points were interpolated between samples"),
+    ("setpoint_as_measurement", "data", "1", 0.0, "a measured channel is a copy of the set-point"),
     ("dropouts", "data", "1", 0.0, "share of samples that are missing or repeated"),
-    ("limited_channel", "data", "1", None, "largest reading of a channel, in its unit"),
-    ("missed_ticks", "timing", "1", 0.0, "share of the recorder's ticks that did not happen"),
+    ("limited_channel", "data", "1", None, "largest possible reading of a channel, in its unit"),
+    ("missed_ticks", "timing", "1", 0.0, "share of the recorder's ticks that were missed"),
 )
 """Name, block, unit (empty if it has no size), null and description."""
 

@@ -26,7 +26,7 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
         size = _wrap(log[name], robot.max_rpm * RAD_S_PER_RPM)
         if size:
             log = log.with_channels({name: _unwrap(log[name], size)})
-            notices.append(f"{name}: the angle wraps at {size:.4g} rad; it was made continuous")
+            notices.append(f"{name}: the angle wraps at {size:.4g} rad; it was unwrapped")
     alone = {a: s for a, s in speed_of.items() if a in log and s not in log and len(log[a]) > 1}
     if alone:
         speeds = {speed: _changing(log[angle]) for angle, speed in alone.items()}

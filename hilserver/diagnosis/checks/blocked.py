@@ -46,9 +46,10 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
     times = "once" if len(spells) == 1 else f"{len(spells)} times"
     longest = max(spells, key=lambda spell: spell.end_s - spell.begin_s)
     note = (
-        f"the robot stood {times} although its wheels drove it, longest from t_s ="
-        f" {longest.begin_s:.4g} to {longest.end_s:.4g}: it was blocked or lifted; what was"
-        " measured then is left out"
+        f"the robot stood still {times} although its wheels were turning or commanded, the"
+        " longest from t_s ="
+        f" {longest.begin_s:.4g} to {longest.end_s:.4g}: it was blocked or lifted; these"
+        " measurements were left out"
     )
     left = cut(log, [_left(i, s.start_s, s.end_s, spells) for i, s in enumerate(log.spans)])
     return replace(left, notices=(*log.notices, note)), []

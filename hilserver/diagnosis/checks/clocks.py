@@ -73,7 +73,7 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
     gyro = _lag(rate, _integral(log.channels.get(GYRO)), is_angle=False)
     for source, prefix, lags in (
         ("navigation", "nav.", [lag for lag in (yaw, position) if lag is not None]),
-        ("inertial unit", "imu.", [gyro] if gyro is not None else []),
+        ("IMU", "imu.", [gyro] if gyro is not None else []),
     ):
         judged = _judge(lags)
         if judged is None:
@@ -110,11 +110,16 @@ def _agree(figures: list[tuple[float, float]], least: float, most_sd: float) -> 
 def _finding(source: str, names: list[str], lag: Lag, *, drifts: bool) -> Finding:
     if drifts:
         value, sd, unit = lag.drift, lag.drift_sd, "s/s"
-        text = f"The clock of the {source} runs {1e6 * value:+.0f} us per second beside the wheels'"
+        text = (
+            f"The clock of the {source} drifts by {1e6 * value:+.0f} us per second relative"
+            " to that of the wheels"
+        )
     else:
         value, sd, unit = lag.offset_s, lag.offset_sd_s, "s"
-        text = f"The stamps of the {source} are {value:+.3f} s beside those of the wheels"
-    explanation = f"{text}: let both take their time from one clock; the stamps were shifted."
+        text = (
+            f"The time stamps of the {source} are offset by {value:+.3f} s from those of the wheels"
+        )
+    explanation = f"{text}: take both from the same clock; the time stamps were corrected."
     interval = (value - 1.96 * sd, value + 1.96 * sd)
     cause = "clock_drift" if drifts else "clock_offset"
     return data_fault(cause, names, value, interval, unit, explanation)

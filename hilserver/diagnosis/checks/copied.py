@@ -27,9 +27,9 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
     if not copies:
         return log, []
     lag_s = float(np.median([copy.figure for copy in copies.values()]))
-    how = "the set-point itself" if lag_s == 0 else f"the set-point of {lag_s * 1e3:.0f} ms before"
+    how = "the set-point itself" if lag_s == 0 else f"the set-point {lag_s * 1e3:.0f} ms earlier"
     text = (
-        f"The wheel speed in {listed(list(copies))} is no measurement but {how}: record the"
+        f"The wheel speed in {listed(list(copies))} is not a measurement but {how}: record the"
         " measured speeds; these columns were dropped."
     )
     finding = data_fault("setpoint_as_measurement", copies, lag_s, None, "s", text)

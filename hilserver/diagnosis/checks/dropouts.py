@@ -40,7 +40,7 @@ def find_repeated(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, li
     """Find single channels that repeat samples; the repetitions are left out."""
     names = (n for n in measured_channels(log.channels) if not n.endswith("duty_pct"))
     again = classified(names, lambda name: repeated(log[name], standing(log, log[name])))
-    findings = [_finding(again, "are repetitions of the one before")] if again else []
+    findings = [_finding(again, "repeat the previous sample")] if again else []
     return corrected(log, again), findings
 
 
@@ -55,8 +55,8 @@ def _finding(faults: Faults, what: str) -> Finding:
     shares = [fault.figure for fault in faults.values()]
     share, interval = float(np.median(shares)), (min(shares) * 0.8, max(shares) * 1.2)
     text = (
-        f"{listed(list(faults))}: {100 * share:.2g} % of the samples {what}: look for the"
-        " recorder's or the radio's interruptions."
+        f"{listed(list(faults))}: {100 * share:.2g} % of the samples {what}: look for"
+        " interruptions of the recorder or the radio link."
     )
     return data_fault("dropouts", faults, share, interval, "1", text)
 

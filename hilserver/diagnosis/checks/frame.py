@@ -54,5 +54,5 @@ def without_kinematics(log: MeasuredLog, why: str) -> MeasuredLog:
     """Return a log without the channels that show the kinematics, see `unidentified`."""
     moved = {*POSITION, YAW, GYRO}
     kept = {name: c for name, c in log.channels.items() if name not in moved}
-    note = f"the machine {why}: the kinematics are not judged"
+    note = f"the robot {why}: the kinematics are not judged"
     return replace(log, channels=kept, notices=(*log.notices, note))

@@ -33,8 +33,8 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
     if GYRO in log and (limit := _limit(log[GYRO].values, asked_turn(log, robot))) is not None:
         limits[GYRO] = limit
         text = (
-            f"{GYRO}: no reading lies beyond {limit:.4g} rad/s although the robot turned faster:"
-            " the sensor or its driver is limited; choose a larger range."
+            f"{GYRO}: no reading exceeds {limit:.4g} rad/s although the robot turned faster: the"
+            " sensor or its driver is limited; choose a larger range."
         )
         found = [limited([GYRO], log[GYRO].values, limit, "rad/s", text)]
     return log.with_limits(limits), found

@@ -75,8 +75,8 @@ def _without(log: MeasuredLog, gone: dict[str, Mask], value: str) -> MeasuredLog
         if marked.any() and not marked.all()
     }
     note = (
-        f"{listed(list(left))}: {value} stands for a sample that is missing,"
-        f" {max(int(marked.sum()) for marked in gone.values())} times; they were left out: leave"
-        " such fields empty"
+        f"{listed(list(left))}: {value} marks a missing sample,"
+        f" {max(int(marked.sum()) for marked in gone.values())} times; these were left out:"
+        " leave such fields empty"
     )
     return replace(log.with_channels(left), notices=(*log.notices, note))

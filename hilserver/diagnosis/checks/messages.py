@@ -109,13 +109,13 @@ def _finding(log: MeasuredLog, faults: Faults) -> Finding:
         seconds = sum(span.end_s - span.start_s for span in log.spans)
         rate_hz = (1.0 - share) * len(log[name]) / seconds
         text = (
-            "{names}: a new message comes only {rate_hz} times a second, and is repeated in the"
-            " rows between: leave these empty; the repetitions were dropped."
+            "{names}: a new message arrives only {rate_hz} times a second and is repeated in the"
+            " rows in between: leave these empty; the repetitions were dropped."
         )
         slow = {name: fault._replace(figure=rate_hz) for name, fault in faults.items()}
         return rate_fault("held_samples", slow, text)
     text = (
-        f"{listed(list(faults))}: {100 * share:.2g} % of the messages stand in the log twice: leave"
-        " rows empty for which none came; the repetitions were dropped."
+        f"{listed(list(faults))}: {100 * share:.2g} % of the messages appear twice in the log:"
+        " leave rows without a new message empty; the repetitions were dropped."
     )
     return data_fault("dropouts", faults, share, (0.8 * share, 1.2 * share), "1", text)

@@ -92,13 +92,16 @@ def _wheels_by_setpoints(log: MeasuredLog, _robot: RobotParameters) -> Found:
         sign = float(np.sign(np.median([weights[w][1] for w in crossed])))
         kinds = ["speed_rpm"]
         return _swapped(
-            log, kinds, dict.fromkeys(kinds, sign), "the speeds follow the other side's set-points"
+            log,
+            kinds,
+            dict.fromkeys(kinds, sign),
+            "the speeds follow the set-points of the other side",
         )
     against = [w for w, (own, other) in weights.items() if own < -0.2 - 2 * abs(other)]
     if not against:
         return log, []
     names = [f"wheel.{w}.speed_rpm" for w in against]
-    return _flipped(log, names, 0.99, "the speed runs against its set-point")
+    return _flipped(log, names, 0.99, "the speed has the opposite sign of its set-point")
 
 
 def _two_weights(y: Array, own: Array, other: Array) -> tuple[float, float] | None:
@@ -173,9 +176,9 @@ def _frame(log: MeasuredLog, robot: RobotParameters) -> Found:
     others = [line(rate, other, SLOWEST_TURN_RAD_S) for other in _other_rates(log, robot)]
     votes = [np.sign(o.slope) for o in others if o is not None and abs(o.correlation) > SIGN_SURE]
     if sum(votes) > 0:
-        text = "the tag's y axis points right: its course turns against its heading"
+        text = "the y axis of the tag points right: its course turns opposite to its heading"
         return _flipped(log, [NAV_Y], mirrored, text)
-    text = "the heading turns against the course over ground"
+    text = "the heading turns opposite to the course over ground"
     return _flipped(log, [YAW], mirrored, text)
 
 
@@ -213,14 +216,16 @@ def _wheels_by_navigation(log: MeasuredLog, robot: RobotParameters) -> Found:
         signs[wheels] = forward * np.sign(fit[0]), robot.yaw_sign * np.sign(fit[1])
     both = len({wheels[0] in LEFT_WHEELS for wheels in signs}) == 2
     if both and set(signs.values()) == {(-1.0, 1.0)}:
-        text = "they roll backward where the tag, unless it is mounted so, goes forward"
+        text = "they roll backward where the tag, unless mounted backward, moves forward"
         return _swapped(log, kinds, dict.fromkeys(kinds, 1.0), text)
     names = [f"wheel.{w}.{kind}" for wheels, sign in signs.items() if sign == (-1.0, -1.0)
              for w in wheels for kind in kinds]  # fmt: skip
     against = [name for name in names if name in log]
     if not against:
         return log, []
-    return _flipped(log, against, 0.99, "the wheels roll against the motion that the tag measured")
+    return _flipped(
+        log, against, 0.99, "the wheels roll opposite to the motion measured by the tag"
+    )
 
 
 def _is_aligned(log: MeasuredLog, robot: RobotParameters) -> bool:
@@ -251,14 +256,14 @@ def _turning(log: MeasuredLog, robot: RobotParameters) -> Found:
     between = _against(gyro, yaw)
     if by_wheels[GYRO] and by_wheels[YAW]:
         world = [n for n in (NAV_Y, YAW, GYRO, IMU_YAW) if n in log]
-        return _flipped(log, world, 0.99, "the base's yaw runs against the measurement")
+        return _flipped(log, world, 0.99, "the yaw of the base runs opposite to the measurement")
     if by_wheels[GYRO] and (yaw is None or between):
-        return _flipped(log, [GYRO], 0.99, "the gyro turns against the wheels")
+        return _flipped(log, [GYRO], 0.99, "the gyro turns opposite to the wheels")
     if by_wheels[YAW] and (gyro is None or between):
         world = [n for n in (NAV_Y, YAW) if n in log]
-        return _flipped(log, world, 0.99, "the base's yaw runs against the measurement")
+        return _flipped(log, world, 0.99, "the yaw of the base runs opposite to the measurement")
     if wheels is None and between:
-        return _flipped(log, [GYRO], 0.99, "the gyro turns against the heading")
+        return _flipped(log, [GYRO], 0.99, "the gyro turns opposite to the heading")
     return log, []
 
 

@@ -69,8 +69,8 @@ def find_stuck(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[
     if not stuck:
         return log, []
     text = (
-        f"{listed(stuck)}: the same value in every row although the robot moved, as of a sensor"
-        " that is stuck or not connected; it was left out."
+        f"{listed(stuck)}: the same value in every row although the robot moved, as if the"
+        " sensor were stuck or not connected; the column was left out."
     )
     return log.without(stuck), [data_fault("held_samples", stuck, 0.0, None, "Hz", text)]
 
@@ -128,8 +128,8 @@ def find_held(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[F
             fresh = _fresh(log[name], begins, 1.0 / slow[name].figure)
             group[name] = slow[name]._replace(left=subset(log[name], fresh))
         text = (
-            "{names}: a new value comes only {rate_hz} times a second and is repeated in the rows"
-            " between: leave these empty; the repetitions were dropped."
+            "{names}: a new value arrives only {rate_hz} times a second and is repeated in the"
+            " rows in between: leave these empty; the repetitions were dropped."
         )
         findings.append(rate_fault("held_samples", group, text))
     return corrected(log, {n: f for group in groups for n, f in group.items()}), findings

@@ -40,8 +40,8 @@ def find_interpolated(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog
     names = (name for name in (*SETPOINTS, *TWIST) if name in log)
     faults = classified(names, lambda name: interpolated(log[name]))
     text = (
-        "The set-points were sent at {rate_hz} Hz and joined by straight lines in the log, which"
-        " the robot never saw: record them as they were sent; they were taken as steps."
+        "The set-points were sent at {rate_hz} Hz but interpolated linearly in the log, which"
+        " the robot never saw: record them as they were sent; they were treated as steps."
     )
     findings = [rate_fault("interpolated_setpoint", faults, text)] if faults else []
     return corrected(log, faults), findings
@@ -107,9 +107,9 @@ def find_sparse(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list
     speed_of = {a: b for a, b in zip(SETPOINTS, SPEEDS, strict=True) if log.has(a, b)}
     faults = classified(speed_of, lambda name: sparse(log[name], log[speed_of[name]]))
     text = (
-        "{names}: the log holds a set-point {rate_hz} times a second and repeats it, but the wheels"
-        " followed what was sent between: record every set-point; straight lines were taken in"
-        " their place."
+        "{names}: the log contains only {rate_hz} set-points a second and repeats each, but the"
+        " wheels followed others sent in between: record every set-point; linear interpolation"
+        " was used instead."
     )
     findings = [rate_fault("held_samples", faults, text)] if faults else []
     return corrected(log, faults), findings

@@ -26,10 +26,10 @@ def too_little_motion() -> Finding:
         verdict=Verdict.INSUFFICIENT_EXCITATION,
         causes=(),
         block="drive",
-        explanation="The robot stood still in all of a recording: nothing of its drive, its"
-        " kinematics and its navigation can be judged.",
-        separating_experiment="Record a drive with straights at several speeds, turns both ways"
-        " and stops; `hilserver plan` lists what it can show.",
+        explanation="The robot stood still for the whole recording: its drive, kinematics and"
+        " navigation cannot be judged.",
+        separating_experiment="Record a drive with straight runs at several speeds, turns in"
+        " both directions and stops; `hilserver plan` lists what such a drive can show.",
     )
 
 

@@ -21,7 +21,7 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
     name = max(fastest, key=lambda one: fastest[one])
     note = (
         f"{name} reaches {fastest[name]:.4g} rpm, but plant.max_rpm is {robot.max_rpm:.4g}: the"
-        " replay scales such set-points down; if the machine does not, set plant.max_rpm in the"
+        " replay scales such set-points down; if the robot does not, set plant.max_rpm in the"
         " configuration or the mapping"
     )
     return replace(log, notices=(*log.notices, note)), []

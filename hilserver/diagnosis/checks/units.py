@@ -34,25 +34,25 @@ from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RAD_S_PER_RPM
 
 WHEEL = {
-    RAD_S_PER_RPM: "holds rad/s where rpm is meant",
-    30.0 / np.pi: "holds rpm where rad/s is meant",
-    6.0: "holds deg/s where rpm is meant",
-    1.0 / 60.0: "holds turns per second where turns per minute are meant",
-    1e-3: "is a thousand times too small",
-    1e3: "is a thousand times too large",
+    RAD_S_PER_RPM: "in rad/s instead of rpm",
+    30.0 / np.pi: "in rpm instead of rad/s",
+    6.0: "in deg/s instead of rpm",
+    1.0 / 60.0: "in revolutions per second instead of rpm",
+    1e-3: "a thousand times too small",
+    1e3: "a thousand times too large",
 }
 ANGLE = {
-    180.0 / np.pi: "holds degrees where radians are meant",
-    np.pi / 180.0: "holds radians where degrees are meant",
-    1e-3: "is a thousand times too small",
-    1e3: "is a thousand times too large",
+    180.0 / np.pi: "in degrees instead of radians",
+    np.pi / 180.0: "in radians instead of degrees",
+    1e-3: "a thousand times too small",
+    1e3: "a thousand times too large",
 }
 LENGTH = {
-    1e3: "holds millimetres where metres are meant",
-    1e2: "holds centimetres where metres are meant",
-    1e-3: "is a thousand times too small",
+    1e3: "in millimetres instead of metres",
+    1e2: "in centimetres instead of metres",
+    1e-3: "a thousand times too small",
 }
-SHARE = {0.01: "holds a share of 1 where per cent is meant"}
+SHARE = {0.01: "a fraction of 1 instead of a percentage"}
 M_PER_DEG: Final = 111_320.0  # of latitude; of longitude less
 SAME_SIDE: Final = (SPEEDS[1], SPEEDS[0], SPEEDS[3], SPEEDS[2])
 
@@ -93,8 +93,8 @@ def _finding(channels: list[str], factor: float, ratio: Line, text: str) -> Find
     half = 1.96 * abs(factor) * np.sqrt(1 / ratio.correlation**2 - 1) / np.sqrt(ratio.n)
     half = max(float(half), 0.02 * factor)
     said = (
-        f"{listed(channels)} {text} (factor {factor:.4g} against the other channels): correct the"
-        " unit in the mapping; it was converted."
+        f"{listed(channels)}: {text} (factor {factor:.4g} relative to the other channels):"
+        " correct the unit in the mapping; the values were converted."
     )
     return data_fault("unit_error", channels, factor, (factor - half, factor + half), "1", said)
 
@@ -104,8 +104,8 @@ def _of_wheels(robot: RobotParameters) -> dict[float, str]:
     rim = robot.wheel_radius_m * RAD_S_PER_RPM
     return {
         **WHEEL,
-        rim: "holds m/s where rpm is meant",
-        3.6 * rim: "holds km/h where rpm is meant",
+        rim: "in m/s instead of rpm",
+        3.6 * rim: "in km/h instead of rpm",
     }
 
 
@@ -227,8 +227,8 @@ def _without_degrees(log: MeasuredLog, robot: RobotParameters) -> MeasuredLog:
     if fit is None or fit.correlation < UNIT_ALIKE or not 0.3 < fit.slope * M_PER_DEG < 2.0:
         return log
     note = (
-        f"{listed(POSITION)} hold latitude and longitude in degrees and were left out: write"
-        " metres to the east and to the north of a fixed point, as UTM has them"
+        f"{listed(POSITION)} are latitude and longitude in degrees and were left out: write"
+        " metres east and north of a fixed point, as in UTM"
     )
     return replace(log.without(POSITION), notices=(*log.notices, note))
 

@@ -19,8 +19,8 @@ from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.decisions import Action, Decision
 
-EXCHANGED: Final = "another delay in its place explains the data better"
-SUPERFLUOUS: Final = "beside another delay it does not hold on held-out blocks"
+EXCHANGED: Final = "another delay explains the data better in its place"
+SUPERFLUOUS: Final = "together with another delay it does not hold on held-out blocks"
 
 
 def with_other_delays(library: Library, point: Point, rows: list[Decision]) -> Point:

@@ -43,8 +43,8 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
         if not names or not _free_to_turn(problem, free, FULL_DUTY_PCT * end / most):
             continue
         text = (
-            f"{listed(names)}: no reading lies beyond {end:.4g} % although the wheels turn as with"
-            " more: the log is limited, not the drive; choose a larger range."
+            f"{listed(names)}: no reading exceeds {end:.4g} % although the wheels turn as with"
+            " more duty: the log is limited, not the drive; choose a larger range."
         )
         values = np.concatenate([log[name].values for name in names])
         found.append(limited(names, values, end, "%", text))

@@ -19,8 +19,8 @@ from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.schema.decisions import Decision
 from hilserver.diagnosis.thresholds import LEAST_GAIN, SELECTION_MOST_CAUSES
 
-STAYS: Final = "no name, but held-out errors would grow without its column, which stays"
-COMES: Final = "too few blocks show it for a name; held-out blocks confirm its column"
+STAYS: Final = "not named, but kept: held-out errors would grow without it"
+COMES: Final = "shown by too few blocks to be named, but kept: held-out blocks confirm it"
 
 
 def before_settling(

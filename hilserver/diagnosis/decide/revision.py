@@ -76,7 +76,9 @@ def revised(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     if is_missed or (bare and not unknown and fitted.is_gross):
         unknown = _remaining(problem, point, rng, 0.0 if bare else explained)
     if not drift and fails(p, point):
-        rows += left_out(problem, point, p.base, "dropped", "far more remains than it explains")
+        rows += left_out(
+            problem, point, p.base, "dropped", "much more error remains than it explains"
+        )
         point = problem.point(Model(), p.base.poses)
         unknown = _remaining(problem, point, rng, 0.0)
     scrubbed = scrubs(problem, point, unknown)
@@ -149,7 +151,7 @@ def _changing(
     left = point.deviance - changing.gain
     clear = not p.problem.stage.memoryless or left < GROSS * len(point.left)
     if changing.p and clear and changing.gain > max((u.gain for u in unknown), default=0.0):
-        why = "another cause changes along the log"
+        why = "another cause changes over the course of the log"
         rows += left_out(p.problem, point, changing.point, "dropped", why)
         return changing.point, [], changing.p
     return point, unknown, {}
@@ -189,7 +191,7 @@ def no_name(problem: Problem, f: Fitted, ties: Mapping[str, Sequence[Rival]]) ->
     cause = f.candidate.cause
     mirrored = traits_of(cause).mirrored_by and not problem.stage.robot.is_mecanum
     alone = not mirrored and all(implausible(r.fitted) for r in ties.get(cause, ()))
-    return "of a size that no machine has" if implausible(f) and alone else None
+    return "implausibly large" if implausible(f) and alone else None
 
 
 def _harmless(problem: Problem, point: Point, doubtful: Iterable[int]) -> set[int]:
@@ -228,11 +230,15 @@ def _weighed(p: Prepared, selected: Selected) -> tuple[Point, dict[str, list[Riv
     exchanged, ties = with_best_rivals(p.library, point, selected.near)
     rows += left_out(problem, point, exchanged, "swapped", "a rival explains the data better")
     point = prune(problem, exchanged)
-    rows += left_out(problem, exchanged, point, "dropped", "the others have made it superfluous")
+    rows += left_out(
+        problem, exchanged, point, "dropped", "the other causes have made it unnecessary"
+    )
     simpler = with_fewer(problem, point, ties)
     if simpler is None:
         return point, ties
-    rows += left_out(problem, point, simpler, "swapped", "a rival needs no other cause beside it")
+    rows += left_out(
+        problem, point, simpler, "swapped", "a rival explains the data without another cause"
+    )
     return with_best_rivals(p.library, with_noise_anew(problem, p.library, simpler), selected.near)
 
 
@@ -243,9 +249,9 @@ def _without_what_tyres_do(
 
     def imitates(point: Point) -> Doubt:
         if (index := late_turn(point)) is not None:
-            return index, "tyres that scrub make the turn late as well"
+            return index, "scrubbing tyres delay the turn as well"
         if (index := bent_turn(problem, point, explained)) is not None:
-            return index, "tyres that scrub bend the turn as well"
+            return index, "scrubbing tyres also make the turn depend on speed and radius"
         return None
 
     return _without_doubtful(problem, point, rows, imitates)

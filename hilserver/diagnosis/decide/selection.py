@@ -47,7 +47,7 @@ from hilserver.diagnosis.thresholds import (
 TRIALS: Final = 8  # candidates fitted per round: those with the largest linear gains
 MOST_FITTED: Final = 3  # causes fitted in full per round, each with all its shapes
 MOST_SHAPES: Final = 4  # shapes of a cause fitted where much is left to explain
-TOO_LARGE: Final = "of a size that no machine has; others explain as much"
+TOO_LARGE: Final = "implausibly large; other causes explain as much"
 DETOUR: Final = "fewer causes explain as much without the first choice"
 ROUNDS: Final = 3  # each removes more than half of the weights' bias to earlier fits
 
@@ -300,7 +300,7 @@ def _already(problem: Problem, library: Library, point: Point, selected: Selecte
     for index, cause in enumerate(point.model.causes):
         z = wald(problem, point, index)
         selected.p[cause] = 2.0 * float(ndtr(-z))
-        why = f"runs already, {z:.1f} standard errors from zero"
+        why = f"already active, {z:.1f} standard errors from zero"
         selected.rows.append(Decision(cause, "taken", None, why))
     return point
 
@@ -337,7 +337,10 @@ def _accepted(
         elif not holds(problem, point, fitted):
             why = f"{saved}, but not on held-out blocks"
         elif any(_part_of(problem, other, trial, least) for other in unsure):
-            why = f"{saved}, but nothing beside a cause that saves more and shows in too few blocks"
+            why = (
+                f"{saved}, but hardly any next to a cause that saves more but shows in too"
+                " few blocks"
+            )
         if why is None:
             why = f"{saved}, {z:.1f} standard errors from zero"
             gain = Step(problem, point, fitted).gain

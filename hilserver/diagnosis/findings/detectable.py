@@ -59,7 +59,7 @@ def smallest(
         part = next((p for p in parts if p.name == name), parts[0])
         hopeless = np.inf if part.reference is None else HOPELESS * abs(part.reference)
         if size > min(largest, hopeless):
-            reason = f"the drive hardly excites it: below {size:.3g} {part.unit} it would not show"
+            reason = f"hardly excited: below {size:.3g} {part.unit} it would not be detected"
             not_judged.append(NotJudged(cause=cause, reason=reason))
         else:
             judged.append(Detectable(cause=cause, size=size, unit=part.unit))

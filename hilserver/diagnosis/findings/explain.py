@@ -84,10 +84,10 @@ def explain_finding(finding: Finding) -> str:
         return finding.explanation
     if finding.verdict is Verdict.STRUCTURE_NOT_IN_LIBRARY:
         on = ", ".join(finding.regressors) or "nothing that was measured"
-        most = "".join(f", and shows most in {signal}" for signal in finding.parameters)
+        most = "".join(f", and is largest in {signal}" for signal in finding.parameters)
         return f"An error remains that no known cause explains; it depends on {on}{most}."
     if not finding.causes:
-        return "The simulation deviates, and no cause can be named."
+        return "The simulation deviates from the measurement, but no cause can be named."
     text = explain(finding.causes, finding.parameters)
     if finding.verdict is Verdict.DRIFT:
         return f"Not constant over the recording: {_lower(text)}"
@@ -124,7 +124,8 @@ def separating_experiment(causes: Iterable[str]) -> str:
     if left and len(group) > 1 and (not texts or len(left) > 1):
         names = ", ".join(sorted(left))
         texts.append(
-            f"For {names}: 'hilserver plan' finds the manoeuvre and channels that tell them apart."
+            f"For {names}: 'hilserver plan' finds the manoeuvre and the channels that separate"
+            " them."
         )
     return " ".join(texts)
 

@@ -208,8 +208,8 @@ def structure(unknown: Sequence[Unknown], block: Block, most: dict[str, Paramete
 def lost(late: int, judged: int) -> Finding:
     """Return the finding of set-points that were logged as sent but never arrived."""
     text = (
-        f"{late} of {judged} set-point steps stand in the log as sent, but reached"
-        " the wheels a message too late or never: messages were lost on the way."
+        f"{late} of {judged} set-point steps were logged as sent but reached the wheels one"
+        " message late or never: messages were lost on the way."
     )
     return _finding(
         Verdict.STRUCTURE_NOT_IN_LIBRARY, (), "drive", 0.001,
@@ -293,7 +293,7 @@ def worsened(total: Mapping[str, Gain], *patches: Mapping[str, Gain]) -> str | N
         if key in changed and gain.ci95 is not None and gain.ci95[1] < 1.0:
             low, high = gain.ci95
             return (
-                f"no model patch: its terms make {key} worse on data that took no part in the fit"
+                f"no model patch: its terms make {key} worse on data not used for the fit"
                 f" (ratio {gain.ratio:.2f}, {low:.2f} to {high:.2f})"
             )
     return None

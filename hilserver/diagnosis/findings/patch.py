@@ -9,9 +9,9 @@ from hilserver.diagnosis.schema.evidence import Diagnosis
 from hilserver.diagnosis.schema.findings import InGroup, Parameter
 
 _HEAD = """\
-# Terms that 'hilserver diagnose' has fitted. Run the extended model with
+# Terms fitted by 'hilserver diagnose'. Run the extended model with
 #   hilserver run --patch model_patch.yaml
-# Outside the ranges below the outputs that a term changes are flagged Uncertain.
+# Outside the ranges below, outputs changed by a term are flagged Uncertain.
 """
 _WITH_GROUP = "model_patch.yaml --group NAME"
 MAX_NAMES = 3

@@ -30,7 +30,7 @@ class Group(_Model):
     """Causes that the manoeuvre cannot tell apart at their reference sizes."""
 
     causes: tuple[str, ...]
-    cosine: float = Field(description="smallest |cos| of two of them")
+    cosine: float = Field(description="smallest |cos| between any two of them")
     separating_experiment: str
 
 
@@ -50,7 +50,7 @@ class Missing(_Model):
     channel: str
     signals: tuple[str, ...]
     shows: tuple[str, ...]
-    separates: tuple[str, ...] = Field(description="causes that then stand in no group")
+    separates: tuple[str, ...] = Field(description="causes that it removes from every group")
 
 
 class Proposed(Prospect):

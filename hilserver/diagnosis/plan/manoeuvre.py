@@ -64,7 +64,8 @@ def of_log(log: MeasuredLog, robot: RobotParameters) -> list[Manoeuvre]:
     names = SETPOINTS if log.has(*SETPOINTS) else TWIST
     if not log.has(*names):
         raise LogError(
-            f"{_files(log)}: has no set-points; known are {SETPOINTS[0]} ... {SETPOINTS[-1]}, or"
+            f"{_files(log)}: contains no set-points; known columns are {SETPOINTS[0]} ..."
+            f" {SETPOINTS[-1]}, or"
             f" {TWIST[0]} with {TWIST[1]}"
         )
     found = []
@@ -77,7 +78,7 @@ def of_log(log: MeasuredLog, robot: RobotParameters) -> list[Manoeuvre]:
     total_s = sum(m.duration_s for m in found)
     if not SHORTEST_S <= total_s <= LONGEST_PLAN_S:
         raise LogError(
-            f"{_files(log)}: lasts {total_s:.3g} s; a plan is made for {SHORTEST_S:g} to"
+            f"{_files(log)}: lasts {total_s:.3g} s; a plan needs {SHORTEST_S:g} to"
             f" {LONGEST_PLAN_S:g} s"
         )
     return found
@@ -140,8 +141,7 @@ def of_scenario(
     last_s = at_s[-1] + AFTER_S if duration_s is None else max(duration_s, at_s[-1])
     if not SHORTEST_S <= last_s <= LONGEST_PLAN_S:
         raise ConfigError(
-            f"{path}: lasts {last_s:.3g} s; a plan is made for {SHORTEST_S:g}"
-            f" to {LONGEST_PLAN_S:g} s"
+            f"{path}: lasts {last_s:.3g} s; a plan needs {SHORTEST_S:g} to {LONGEST_PLAN_S:g} s"
         )
     return [_last_of_each(np.array(at_s), np.array(rpm), last_s).changes()]
 

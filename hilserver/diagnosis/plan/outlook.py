@@ -29,7 +29,7 @@ from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
 from hilserver.diagnosis.schema.findings import Detectable, NotJudged
 from hilserver.diagnosis.thresholds import GROUP_COSINE, HOPELESS
 
-OTHERWISE = "is not found by its sensitivity; whether a manoeuvre shows it is not planned"
+OTHERWISE = "not found by its sensitivity; the plan does not cover it"
 LEAST_SHOWN = 0.1
 """A limit that shows only below a tenth of its reference effect is not worth a name."""
 NOT_SEEN = "the manoeuvre does not excite it"

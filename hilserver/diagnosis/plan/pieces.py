@@ -85,7 +85,7 @@ def _straights(robot: RobotParameters, reach_m: float) -> Iterator[tuple[str, li
         if across_s <= ACROSS_S:
             there, back = (across_s, rpm, rpm), (across_s, -rpm, -rpm)
             legs = [back, STAY, there, there, STAY, back, PAUSE]
-            yield f"straight across the room with stays, {rpm:.0f} rpm", legs
+            yield f"straight across the room with stops, {rpm:.0f} rpm", legs
     parts = [(0.25, 0.8), (0.5, 0.6), (0.9, 0.5)]
     factor = min(1.0, 0.95 * reach_m / sum(share * top * m_s * s for share, s in parts))
     stairs = [(factor * s, share * top, share * top) for share, s in parts]
@@ -140,12 +140,12 @@ def _sides(move: Move) -> list[tuple[str, Move]]:
 def _steps(robot: RobotParameters) -> Iterator[tuple[str, list[Move]]]:
     top = robot.max_rpm
     launch = there_and_back([(0.5, 0.8 * top, 0.8 * top)])
-    yield "launches both ways", [*launch, *launch]
+    yield "rapid starts both ways", [*launch, *launch]
     full = [(0.4, top, top), (0.8, -top, -top), (0.4, top, top)]
     yield "full reversals that saturate", [*full, PAUSE]
     for rpm in (1.5, 4.0):
         creep = [(0.8, rpm, rpm), (0.8, -rpm, -rpm)]
-        yield f"creeping reversals, {rpm:g} rpm", [*creep, *creep, PAUSE]
+        yield f"slow reversals, {rpm:g} rpm", [*creep, *creep, PAUSE]
     sizes = (5.0, 12.0, 25.0)
     small = [(0.4, sign * rpm, sign * rpm) for rpm in sizes for sign in (1.0, -1.0)]
     yield "small steps both ways", [*small, PAUSE]

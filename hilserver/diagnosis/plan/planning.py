@@ -74,14 +74,14 @@ def plan(wish: Wish, assembly: Assembly, report: Report) -> tuple[PlanDocument, 
     chosen = _better(studio, recording, wish.room_m, wish.duration_s or given.duration_s)
     spans = [_joined(chosen)]
     if not _inside(spans, given.robot, wish.room_m):
-        raise FailedError(f"the pieces drift out of {_sides(wish.room_m)}; give more --room")
+        raise FailedError(f"the pieces drift out of {_sides(wish.room_m)}; increase --room")
     then = look(spans, recording, studio)
     stays = _inside(given.spans, given.robot, wish.room_m)
     fits = stays and given.duration_s <= (wish.duration_s or given.duration_s)
     better = then.score > now.score or not fits
     if not better:
         spans, then = given.spans, now
-    leaves = f"{wish.manoeuvre.name} leaves {_sides(wish.room_m)} when begun in the middle"
+    leaves = f"{wish.manoeuvre.name} leaves {_sides(wish.room_m)} when started in the middle"
     length_s = sum(s.duration_s for s in spans)
     document = PlanDocument(
         version=__version__,
@@ -103,7 +103,9 @@ def plan(wish: Wish, assembly: Assembly, report: Report) -> tuple[PlanDocument, 
         notices=given.notices if stays else (*given.notices, leaves),
     )
     files = {
-        SCENARIO: as_yaml(as_scenario(spans, f"what a diagnosis finds best in {length_s:.0f} s")),
+        SCENARIO: as_yaml(
+            as_scenario(spans, f"the best manoeuvre for a diagnosis in {length_s:.0f} s")
+        ),
         PLAN: document.model_dump_json(by_alias=True, indent=1) + "\n",
     }
     return document, files
@@ -128,7 +130,7 @@ def _better(
     if not able:
         raise FailedError(
             f"no piece fits into {duration_s:.3g} s and {_sides(room_m)};"
-            " give more --duration or --room"
+            " increase --duration or --room"
         )
     return choose(able, information_of(able, recording, studio), left_s, studio.report)
 

@@ -20,8 +20,8 @@ def lines(document: PlanDocument) -> list[str]:
     out += _prospect(planned)
     for missing in document.missing_channels:
         gain = [f"shows {', '.join(missing.shows)}"] if missing.shows else []
-        gain += [f"tells apart {', '.join(missing.separates)}"] if missing.separates else []
-        out += _wrapped(f"with {missing.channel} too: ", " and ".join(gain) or "nothing more")
+        gain += [f"separates {', '.join(missing.separates)}"] if missing.separates else []
+        out += _wrapped(f"also with {missing.channel}: ", " and ".join(gain) or "nothing more")
     if not proposed.better:
         return [*out, "", "No better manoeuvre was found for this time and room."]
     out += ["", f"Proposed, {proposed.duration_s:.0f} s: {_count(proposed)}"]
@@ -34,7 +34,7 @@ def _count(prospect: Prospect) -> str:
     grouped = {c for group in prospect.groups for c in group.causes}
     alone = sum(cause not in grouped for cause in shown)
     causes = "1 cause at its" if len(shown) == 1 else f"{len(shown)} causes at their"
-    return f"shows {causes} reference size, {alone} by a name of their own"
+    return f"shows {causes} reference size, {alone} of them by a unique name"
 
 
 def _prospect(prospect: Prospect) -> list[str]:

@@ -86,7 +86,7 @@ def prepare_all(
     reasons: dict[str, str] = {}
     for name, stage in stages_of(log, robot, jobs).items():
         if stage.follows_setpoints and lost_setpoints:
-            text = "the log does not hold the set-points that the machine got"
+            text = "the log does not contain the set-points that the robot received"
             candidates, others = judged_candidates(stage)
             reasons |= dict.fromkeys([*others, *(c.cause for c in candidates)], text)
             continue

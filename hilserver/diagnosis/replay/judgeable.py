@@ -12,9 +12,9 @@ from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, VOLTAGE,
 from hilserver.measured.data import MeasuredLog
 
 NO_STAGE: Final[Mapping[StageName, str]] = {
-    "drive": "no set-points with wheel speeds, or the mapping gives no plant.process",
-    "pose": "no pose and no turn rate in the log, or no wheel speed of both sides"
-    " (of a mecanum robot: of every wheel)",
+    "drive": "no set-points with wheel speeds, or no plant.process in the mapping",
+    "pose": "no pose and no turn rate in the log, or no wheel speed on both sides (mecanum"
+    " robot: on every wheel)",
 }
 """Why causes are not judged if the log does not allow their stage."""
 

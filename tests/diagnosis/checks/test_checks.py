@@ -159,7 +159,7 @@ def test_all_wheels_and_setpoints_in_the_speed_of_the_rim_are_converted(table):
     checked = check(log_of(t, spoilt), ROBOT)
     assert {f.causes for f in checked.findings} == {("unit_error",)}
     assert {n for f in checked.findings for n in f.regressors} == {*SPEEDS, *SENT}
-    assert all("holds km/h where rpm is meant" in f.explanation for f in checked.findings)
+    assert all("in km/h instead of rpm" in f.explanation for f in checked.findings)
     assert checked.log[SPEEDS[0]].values == pytest.approx(columns[SPEEDS[0]])
 
 
@@ -169,7 +169,7 @@ def test_a_position_in_degrees_is_left_out_with_the_remedy(table):
     checked = check(log_of(t, {**columns, **degrees}), ROBOT)
     assert not checked.findings
     assert not {NAV[0], NAV[1]} & set(checked.log.channels)
-    assert "nav.x_m, nav.y_m hold latitude and longitude in degrees" in checked.log.notices[0]
+    assert "nav.x_m, nav.y_m are latitude and longitude in degrees" in checked.log.notices[0]
 
 
 def test_units_of_a_heading(table):

@@ -24,7 +24,7 @@ def test_a_far_value_that_comes_again_is_left_out_with_a_sentence(table, name):
     assert not checked.findings
     assert len(checked.log[name]) == np.isfinite(columns[name]).sum() - marked.sum()
     assert checked.log[name].values.min() > -100.0
-    assert f"{name}: -9999 stands for a sample that is missing" in checked.log.notices[0]
+    assert f"{name}: -9999 marks a missing sample" in checked.log.notices[0]
 
 
 def test_a_position_at_zero_that_no_wheels_have_driven_to_is_none(table):
@@ -37,7 +37,7 @@ def test_a_position_at_zero_that_no_wheels_have_driven_to_is_none(table):
     assert len(log.spans) == 1
     for name in NAV:
         assert len(log[name]) == (np.isfinite(columns[name]) & ~gone).sum()
-    assert "0 stands for a sample that is missing" in log.notices[0]
+    assert "0 marks a missing sample" in log.notices[0]
 
 
 def test_segments_whose_poses_begin_at_zero_lose_nothing(table):

@@ -35,7 +35,7 @@ def test_what_held_out_blocks_confirm_predicts():
 @pytest.mark.parametrize(
     "how",
     [{"size": 0.0}, {"size": 0.6}, {"size": 1.0, "memoryless": True}, {"size": 1.0, "prior": 0.1}],
-    ids=["not there", "less than a hundredth", "of the drive", "of a size that no machine has"],
+    ids=["not there", "less than a hundredth", "of the drive", "implausibly large"],
 )
 def test_nothing_else_does(how):
     p, named = prepared(**how)

@@ -68,7 +68,7 @@ def test_a_gross_misfit_beside_a_cause_too_small_for_its_name_is_reported(
 
 
 def test_a_cause_that_is_none_excuses_no_structure_by_its_own_inexactness(monkeypatch):
-    """It is of a size that no machine has: nothing is left whose form could be inexact."""
+    """It is implausibly large: nothing is left whose form could be inexact."""
     rng = np.random.default_rng(6)
     column = np.where(np.arange(N) < N // 2, 60.0, 2.5) * toy.smooth(rng, N)
     faint = np.where(np.arange(N) < N // 2, 0.0, column)

@@ -78,7 +78,7 @@ def test_wheels_that_nobody_knows_of_do_not_stand_still(words, plant):
     assert findings.findings == (), said(findings)
     assert findings.verdict == Overall.NOT_JUDGED
     (reason,) = [n.reason for n in findings.not_judged if n.cause == "rotation_gain"]
-    assert "no wheel speed of both sides" in reason
+    assert "no wheel speed on both sides" in reason
 
 
 def test_seconds_since_1970_are_no_error_of_the_drive():
