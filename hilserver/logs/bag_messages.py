@@ -79,7 +79,7 @@ def _files(path: Path) -> Sequence[Path]:
     files = {file.name: file for file in sorted(path.iterdir()) if is_bag(file) and file.is_file()}
     twice = {name for name in files if name.removesuffix(".zstd") in files.keys() - {name}}
     if not files:
-        raise LogError(f"{path}: is a folder without a bag (.db3 or .mcap); name the log itself")
+        raise LogError(f"{path}: the folder contains no bag (.db3 or .mcap); name the log itself")
     return [file for name, file in files.items() if name not in twice]
 
 
@@ -92,7 +92,7 @@ def _read_file(path: Path, wanted: set[str], most: int | None) -> Bag:
         try:
             budget.unzstd_file(path, plain)
         except zstandard.ZstdError as error:
-            raise LogError(f"{path}: cannot be unpacked ({error}); copy it again") from None
+            raise LogError(f"{path}: cannot be decompressed ({error}); copy it again") from None
         return _read_plain(bag, plain, wanted, budget)
 
 
@@ -115,7 +115,7 @@ def _read_sqlite(bag: Bag, file: Path, wanted: set[str], budget: Budget) -> None
     except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter in an error message of sqlite
         if not any(bag.messages.values()):
             raise LogError(
-                f"{bag.path}: is no readable bag ({error}); copy it again, or run 'ros2 bag"
+                f"{bag.path}: not a readable bag ({error}); copy it again, or run 'ros2 bag"
                 " reindex'"
             ) from None
         bag.notices.append(f"{bag.path}: is damaged ({error}); everything before that was read")
@@ -165,7 +165,7 @@ def _read_mcap(bag: Bag, file: Path, wanted: set[str], budget: Budget) -> None:
     names: dict[int, str] = {}
     with file.open("rb") as opened:
         if opened.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-            raise LogError(f"{bag.path}: is not an MCAP file; is its beginning missing?")
+            raise LogError(f"{bag.path}: not an MCAP file; is its beginning missing?")
         for offset, opcode, body in records_of(opened):
             if opcode in (Opcode.DATA_END, Opcode.FOOTER):
                 return

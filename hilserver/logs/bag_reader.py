@@ -28,7 +28,7 @@ def read_own_bag(path: Path) -> Log:
     runs, frames = _all(bags, topics.RUN), _all(bags, topics.FRAMES)
     if not runs:
         raise LogError(
-            f"{path}: holds no recording of hilserver (no topic {topics.RUN}); name a mapping of"
+            f"{path}: contains no hilserver recording (no topic {topics.RUN}); give a mapping of"
             " its topics"
         )
     try:
@@ -36,10 +36,12 @@ def read_own_bag(path: Path) -> Log:
         contents = Contents(names=list(run.pop("order")), run=run, ended=True)
         contents.configuration = run.pop("configuration", None)
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
-        raise LogError(f"{path}: its message on {topics.RUN} is damaged; record again") from None
+        raise LogError(f"{path}: its message on {topics.RUN} is damaged; record it again") from None
     dtype = payload_dtype(len(contents.names))
     if any(len(frame) != dtype.itemsize for frame in frames):
-        raise LogError(f"{path}: frames of another length than its list of signals; record again")
+        raise LogError(
+            f"{path}: the length of its frames does not match its list of signals; record it again"
+        )
     contents.tables = [np.frombuffer(b"".join(frames), dtype=dtype)]
     for data in _all(bags, topics.STATES):
         state = types.decode(data, topics.STATE_TYPE)

@@ -37,7 +37,9 @@ class BagWriter:
         from rosbags.rosbag2 import StoragePlugin, Writer  # noqa: PLC0415 -- slow to import
 
         if path.exists():
-            raise FailedError(f"{path}: exists already; a bag is a new folder, choose another name")
+            raise FailedError(
+                f"{path}: already exists; a bag needs a new folder: choose another name"
+            )
         slot_of = {run["signals"][slot]["name"]: slot for slot in slots}
         self._layout = make_layout(list(slot_of))
         self._slots = np.array([slot_of[name] for name in self._layout.names], dtype=np.intp)

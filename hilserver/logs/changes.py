@@ -25,7 +25,7 @@ SCHEMA: Final[Mapping[str, Any]] = {
         "number": {**_NUMBER, "description": "internal.edition from this tick on"},
         "parameters": {
             "type": "object",
-            "description": "every value by its name; null as in config.yaml",
+            "description": "every value by name; null as in config.yaml",
             "additionalProperties": {"type": ["number", "null"]},
         },
         "packed": {"type": "string", "description": "float64, little-endian, in base64"},

@@ -29,7 +29,7 @@ def separator_of(head: str) -> str:
 
 def decimal_notice(path: Path, separator: str) -> str:
     """Return the notice about a file whose numbers were read with decimal commas."""
-    return f"{path}: {_NAMES[separator]} separate its columns: commas are decimal marks"
+    return f"{path}: {_NAMES[separator]} separate its columns: commas are read as decimal marks"
 
 
 def with_points(
@@ -50,8 +50,8 @@ def with_points(
                             table.path, reader.line_num, table.header, table.header[place]
                         )
                         raise LogError(
-                            f"{where}: {text!r:.60}: the file has decimal commas and points; write"
-                            " one of them, and no marks of thousands"
+                            f"{where}: {text!r:.60}: the file has both decimal commas and"
+                            " points; use only one, and no thousands separators"
                         )
                     used = mark
             if text.count(COMMA) == 1:
@@ -76,7 +76,7 @@ def with_stamps(
             if ns is None:
                 where = place_of(table.path, reader.line_num, table.header, time)
                 raise LogError(
-                    f"{where}: {text!r:.60} is no date with a time; write one, as"
+                    f"{where}: {text!r:.60} is not a date with a time; write one, as"
                     " 2026-11-25T12:00:00.020"
                 )
             row[place] = str(ns)

@@ -113,7 +113,9 @@ def read_table(
         except UnicodeDecodeError as error:
             raise _undecodable(path, error) from None
         except csv.Error as error:
-            raise LogError(f"{path}: is not CSV: {error}; write UTF-8 text with commas") from None
+            raise LogError(
+                f"{path}: not a CSV file: {error}; write UTF-8 text with commas"
+            ) from None
 
 
 def _undecodable(path: Path, error: UnicodeDecodeError) -> LogError:
@@ -147,7 +149,7 @@ def _without(header: list[str] | None, table: Table, reader: Any) -> Iterator[li
     if again:
         more = f" and in {len(again) - 1} more" if len(again) > 1 else ""
         table.notices.append(
-            f"{table.path}: the header stands again in row {again[0]}{more}; it was skipped there"
+            f"{table.path}: the header is repeated in row {again[0]}{more}; it was skipped there"
         )
 
 
@@ -200,28 +202,29 @@ def _begin(
 ) -> Table:
     """Return the checked, empty table of a header."""
     if header is None:
-        raise LogError(f"{path}: is empty; the first row has to be the header 't_s,<signal>,...'")
+        raise LogError(f"{path}: is empty; the first row must be the header 't_s,<signal>,...'")
     header = [name.strip() for name in header]
     if header[:1] and header[0].startswith(NO_NAME):
         raise LogError(
-            f"{path}: row 1 begins with {header[0][:4]!r}; the header has to be the first row and"
-            " begin with the name of a column: remove what stands before it"
+            f"{path}: row 1 begins with {header[0][:4]!r}; the header must be the first row and"
+            " begin with the name of a column: remove everything before it"
         )
     if all(_is_number(name or "0") for name in header):
         raise LogError(
-            f"{path}: row 1 is no header but numbers; put 't_s,<signal>,...' into the first row"
+            f"{path}: row 1 contains numbers instead of a header; put 't_s,<signal>,...' in the"
+            " first row"
         )
     if time is not None and time not in header:
         raise LogError(
-            f"{path}: row 1: there is no column '{time}'; name the time column so, in s, or map it"
-            " with --mapping"
+            f"{path}: row 1: there is no column '{time}'; give the time column this name, in s,"
+            " or map it with --mapping"
         )
     read = [i for i, name in enumerate(header) if name and (used is None or name in used)]
     for index in read:
         name = header[index]
         if name in header[:index]:
             raise LogError(
-                f"{path}: row 1, column {index + 1} '{name:.60}': the column stands there twice;"
+                f"{path}: row 1, column {index + 1} '{name:.60}': the column appears twice;"
                 " remove one of them"
             )
         if names is not None and name not in names:
@@ -244,7 +247,7 @@ def _append(table: Table, line: int, row: list[str], at: int) -> None:
     if len(row) < width or any(map(str.strip, row[width:])):
         remedy = "remove or complete the row"
         if len(row) > width:
-            remedy += ", or separate columns by semicolons where decimals have commas"
+            remedy += ", or separate the columns with semicolons if decimals have commas"
         raise LogError(
             f"{table.path}: row {line} has {len(row)} columns, the header has {width}; {remedy}"
         )
@@ -253,8 +256,8 @@ def _append(table: Table, line: int, row: list[str], at: int) -> None:
     except ValueError:
         if line == 2 and not any(map(_is_number, row)):
             raise LogError(
-                f"{table.path}: row 2 holds no number; remove what stands between the header and"
-                " the numbers, such as a row of units"
+                f"{table.path}: row 2 contains no number; remove everything between the header"
+                " and the numbers, such as a row of units"
             ) from None
         numbers = [_number(table, line, place, row[place]) for place in table.read]
     if at >= 0 and (table.origin or abs(numbers[at]) >= EXACT):
@@ -284,7 +287,7 @@ def _number(table: Table, line: int, index: int, text: str) -> float:
         remedy = "write one with a decimal point, or nothing"
         if utc_ns(text) is not None:
             remedy = "a mapping reads dates, as time: {unit: iso}"
-        raise LogError(f"{where}: {text!r:.60} is no number; {remedy}") from None
+        raise LogError(f"{where}: {text!r:.60} is not a number; {remedy}") from None
 
 
 def _read_meta(path: Path) -> tuple[dict[str, Any] | None, list[State]]:
@@ -296,7 +299,7 @@ def _read_meta(path: Path) -> tuple[dict[str, Any] | None, list[State]]:
         return unpack_meta(meta.read_text(encoding="utf-8"))
     except (ValueError, OSError):
         raise LogError(
-            f"{meta}: is damaged; remove it to read {path.name} as a log of others"
+            f"{meta}: is damaged; remove it to read {path.name} as a foreign log"
         ) from None
 
 

@@ -98,7 +98,7 @@ def read_mcap(path: Path) -> Log:
     contents, budget = Contents(), Budget(path)
     with path.open("rb") as file:
         if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-            raise LogError(f"{path}: is not an MCAP file; is its beginning missing?")
+            raise LogError(f"{path}: not an MCAP file; is its beginning missing?")
         for offset, opcode, body in records_of(file):
             if opcode in (Opcode.DATA_END, Opcode.FOOTER):
                 contents.ended = True
@@ -117,8 +117,8 @@ def read_mcap(path: Path) -> Log:
                 zlib.error,
             ):
                 raise LogError(
-                    f"{path}: the record at byte {offset} is damaged; cut the file off there, what"
-                    " stands before it can be read"
+                    f"{path}: the record at byte {offset} is damaged; truncate the file there to"
+                    " read what comes before it"
                 ) from None
     return to_log(path, contents)
 
@@ -151,7 +151,7 @@ def to_log(path: Path, contents: Contents, notices: Sequence[str] = ()) -> Log:
     run = contents.run
     if not contents.names or run.get("schema") != SCHEMA:
         raise LogError(
-            f"{path}: holds no recording of hilserver (no topic {TOPIC}); name a mapping of its"
+            f"{path}: contains no hilserver recording (no topic {TOPIC}); give a mapping of its"
             " topics"
         )
     run["configuration"] = contents.configuration
@@ -160,7 +160,7 @@ def to_log(path: Path, contents: Contents, notices: Sequence[str] = ()) -> Log:
         if run.get("foreign") and TIME not in contents.names:
             raise ValueError("is damaged: it has no times")
     except ValueError as error:
-        raise LogError(f"{path}: what it says about its run {error}; record again") from None
+        raise LogError(f"{path}: its record of the run {error}; record it again") from None
     table = (
         np.concatenate(contents.tables)
         if contents.tables

@@ -79,7 +79,7 @@ def read_mf4(path: Path) -> Log:
         raise
     except Exception as error:  # noqa: BLE001 -- damaged bytes fail the library in many ways
         raise LogError(
-            f"{path}: is no readable MF4 file: {str(error) or type(error).__name__:.120}"
+            f"{path}: not a readable MF4 file: {str(error) or type(error).__name__:.120}"
         ) from None
     return _as_log(path, table, run, states)
 
@@ -95,7 +95,7 @@ def _table(mdf: "MDF", path: Path) -> dict[str, NDArray[Any]]:
     if not {TIME, SEGMENT} <= set(mdf.channels_db):
         raise LogError(
             f"{path}: was not written by hilserver (no channel '{TIME}'); export it as CSV or"
-            " Parquet, and name a mapping of its columns"
+            " Parquet, and give a mapping of its columns"
         )
     group, _ = mdf.channels_db[TIME][0]
     names = [channel.name for channel in mdf.groups[group].channels]
@@ -114,7 +114,7 @@ def _as_log(
         try:
             check_run(run, names)
         except ValueError as error:
-            raise LogError(f"{path}: what it says about its run {error}; record again") from None
+            raise LogError(f"{path}: its record of the run {error}; record it again") from None
     good = np.zeros(len(t_s), dtype=np.int64)
     status = {name: table.get(name + STATUS, good).astype(np.int64) for name in names}
     return Log(

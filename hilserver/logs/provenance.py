@@ -77,7 +77,7 @@ def unpack_meta(text: str) -> tuple[dict[str, Any], list[State]]:
     try:
         run: dict[str, Any] = json.loads(text)
         if run["schema"] != SCHEMA:
-            raise ValueError(f"is not of schema {SCHEMA}")
+            raise ValueError(f"does not have schema {SCHEMA}")
         states = [_unpack_state(entry) for entry in run.pop("states")]
     except (KeyError, TypeError, AttributeError, RecursionError, zlib.error) as error:
         raise ValueError(f"is damaged: {error}") from None
@@ -130,7 +130,7 @@ def check_run(run: Mapping[str, Any], names: Iterable[str] = ()) -> None:
     known = {signal.name for signal in said.signals}
     for name in names:
         if name not in known:
-            raise ValueError(f"is damaged: it does not know its signal {name!r:.60}")
+            raise ValueError(f"is damaged: it does not list the signal {name!r:.60}")
 
 
 def _pack_words(state: State) -> str:

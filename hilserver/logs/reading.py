@@ -32,7 +32,7 @@ def read_log(path: Path, known: Container[str] | None = None) -> Log:
         raise LogError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
     if not path.exists():
         raise LogError(f"{path}: no such file or folder")
-    raise LogError(f"{path}: is no log that can be read; known are .csv, .mcap and bags, and .mf4")
+    raise LogError(f"{path}: not a readable log; supported are .csv, .mcap, bags and .mf4")
 
 
 def is_bag_of_ros(path: Path) -> bool:
@@ -52,12 +52,12 @@ def refuse_others(path: Path) -> None:
     except OSError as error:
         raise LogError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
     if not path.is_file() and not path.is_dir():
-        raise LogError(f"{path}: is a device or a pipe, not a file; save the log as a file first")
+        raise LogError(f"{path}: is a device or pipe, not a file; save the log to a file first")
     if path.is_file():
         with path.open("rb") as file:
             is_ros1 = file.read(len(ROS1_BEGINNING)) == ROS1_BEGINNING
         if is_ros1:
             raise LogError(
-                f"{path}: is a bag of ROS 1; convert it with 'rosbags-convert --src {path.name}"
+                f"{path}: is a ROS 1 bag; convert it with 'rosbags-convert --src {path.name}"
                 f" --dst {path.stem}' and read the folder {path.stem}"
             )

@@ -60,7 +60,9 @@ class Table:
         wrong = np.flatnonzero(~(np.isfinite(numbers) & (numbers == np.rint(numbers))))
         if wrong.size:
             where = self.where(int(wrong[0]), name)
-            raise LogError(f"{where}: {float(numbers[wrong[0]])!r} is no whole number; write one")
+            raise LogError(
+                f"{where}: {float(numbers[wrong[0]])!r} is not a whole number; write one"
+            )
         return numbers.astype(np.int64)
 
     def segment(self, name: str = SEGMENT) -> NDArray[np.int64]:
@@ -83,7 +85,7 @@ def in_time(table: Table, time: str, segment: str = SEGMENT, block: str = BLOCK)
     missing = np.flatnonzero(~np.isfinite(t))
     if missing.size:
         where = table.where(int(missing[0]), time)
-        raise LogError(f"{where}: there is no time; every row needs one, in s")
+        raise LogError(f"{where}: the time is missing; every row needs one, in s")
     fall = np.flatnonzero((np.diff(t) < 0) & (np.diff(run) == 0))
     if fall.size:
         raise _falls(table, time, t, run, int(fall[0]) + 1)
@@ -113,7 +115,7 @@ def _falls(
         repr(float(t[i])) if not table.origin else str(table.origin + int(t[i]))
         for i in (row, row - 1)
     )
-    return LogError(f"{table.where(row, time)}: {now} does not rise after {before}; {remedy}")
+    return LogError(f"{table.where(row, time)}: {now} is not later than {before}; {remedy}")
 
 
 def first_of_equal(
@@ -158,4 +160,7 @@ def repeated_stamps(where: str, repeated: int, what: str) -> list[str]:
     """Return the notice about rows or messages with repeated stamps."""
     if not repeated:
         return []
-    return [f"{where}: {repeated} {what} with a repeated stamp dropped; the first of each counts"]
+    return [
+        f"{where}: {repeated} {what} with a repeated time stamp were dropped; the first of"
+        " each is kept"
+    ]

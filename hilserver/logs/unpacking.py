@@ -35,8 +35,8 @@ class Budget:
         if self._left < 0 or n_bytes > PIECE_BYTES:
             size = self._path.stat().st_size
             raise LogError(
-                f"{self._path}: its {size / 1e6:.3g} MB unpack to far more than a recording does;"
-                " if it is one, cut it into shorter files"
+                f"{self._path}: its {size / 1e6:.3g} MB expand to far more than a recording"
+                " would; if it is one, split it into shorter files"
             )
 
     def keep(self, n_bytes: int) -> None:
@@ -44,8 +44,9 @@ class Budget:
         self._kept += n_bytes
         if self._kept > KEPT_BYTES or n_bytes > PIECE_BYTES:
             raise LogError(
-                f"{self._path}: its mapped topics hold more than {KEPT_BYTES >> 30} GB, or a"
-                f" message more than {PIECE_BYTES >> 20} MB; map topics of numbers, or cut the bag"
+                f"{self._path}: its mapped topics contain more than {KEPT_BYTES >> 30} GB, or a"
+                f" message more than {PIECE_BYTES >> 20} MB; map only topics with numbers, or"
+                " split the bag"
             )
 
     def unzstd_file(self, path: Path, plain: Path) -> None:
@@ -83,9 +84,9 @@ class Budget:
         elif chunk.compression == "":
             data = chunk.data
         else:
-            raise ValueError(f"is packed by {chunk.compression}")
+            raise ValueError(f"has unknown compression {chunk.compression}")
         if len(data) != most:
-            raise ValueError("does not hold what it declares")
+            raise ValueError("does not have the size that it declares")
         if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
-            raise ValueError("has another checksum")
+            raise ValueError("has a wrong checksum")
         return data

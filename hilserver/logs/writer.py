@@ -65,7 +65,9 @@ class WholeFile:
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             self.close()
-            raise OSError(errno.EBUSY, "another program writes it; choose another name") from None
+            raise OSError(
+                errno.EBUSY, "another program is writing to it; choose another name"
+            ) from None
         except OSError:
             pass  # a file system without locks
         if os.fstat(self._fd).st_size:

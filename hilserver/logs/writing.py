@@ -75,4 +75,4 @@ def forget(path: Path) -> None:
 def check_suffix(path: Path) -> None:
     """Refuse a suffix that is not one of our formats."""
     if path.suffix not in SUFFIXES:
-        raise FailedError(f"{path}: a log ends in {' or '.join(SUFFIXES)}; choose such a name")
+        raise FailedError(f"{path}: the name of a log must end in {' or '.join(SUFFIXES)}")

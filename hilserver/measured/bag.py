@@ -39,7 +39,7 @@ def read_bag(path: Path, mapping: LogMapping) -> Recording:
     if not parts and failed:
         raise failed[0]
     if not parts:
-        raise LogError(f"{path}: the mapped topics hold no message; record them")
+        raise LogError(f"{path}: the mapped topics contain no messages; record them")
     notices += map(str, failed)
     start_ns = min(int(stamps_ns[0]) for stamps_ns, _ in parts)
     stamped = [
@@ -92,4 +92,4 @@ def _part(
 
 def _empty(path: Path, name: str, mapping: LogMapping) -> str:
     signals = ", ".join(s for s, channel in mapping.channels.items() if channel.topic == name)
-    return f"{path}: topic '{name}' holds no messages; nothing is known of {signals}"
+    return f"{path}: topic '{name}' contains no messages; there are no data for {signals}"

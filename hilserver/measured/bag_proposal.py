@@ -75,7 +75,7 @@ def refuse_unmapped(path: Path) -> NoReturn:
     offer = f"{fitting} with --mapping, which fits" if fitting else "a file with --mapping"
     known = ", ".join(f"{name} ({topic.type})" for name, topic in sorted(topics.items()))
     raise ForeignLog(
-        f"{path}: a bag needs a mapping of its topics; name {offer}; its topics are {known:.600}",
+        f"{path}: a bag needs a mapping of its topics; give {offer}; its topics are {known:.600}",
         "" if fitting else _proposal(path, topics),
     )
 

@@ -69,7 +69,7 @@ class Field:
                 better = self.path.replace(f"[{place}]", f"[{one}]", 1)
                 return (
                     f"field '{self.path}' is '{one}' in some messages and '{other}' in others;"
-                    f" name it, as {better}"
+                    f" select it by name, as {better}"
                 )
         return None
 
@@ -96,7 +96,9 @@ class Field:
         try:
             return float("list" if isinstance(value, np.ndarray) else value)
         except (TypeError, ValueError):
-            raise self._gone(lambda: f"field '{self.path}' is no number; name one") from None
+            raise self._gone(
+                lambda: f"field '{self.path}' is not a number; choose one that is"
+            ) from None
 
     def _hint(self, message: Any) -> str:
         known = _fields(message)
@@ -105,13 +107,15 @@ class Field:
     def _element(self, holder: Any, items: Any, key: int | str) -> Any:
         names = names_of(holder, items)
         if isinstance(key, str) and key not in names:
-            known = f"it has {', '.join(names):.200}" if names else "count from 0"
+            known = f"it has {', '.join(names):.200}" if names else "indices start at 0"
             raise self._gone(
                 lambda: f"field '{self.path}': there is no '{key}'; {meant(key, names, known)}"
             )
         place = names.index(key) if isinstance(key, str) else key
         if not isinstance(items, list | np.ndarray) or place >= len(items):
-            raise self._gone(lambda: f"the list in field '{self.path}' is shorter; count from 0")
+            raise self._gone(
+                lambda: f"the list in field '{self.path}' is shorter; indices start at 0"
+            )
         if key == place and place < len(names):
             self._at.setdefault(place, {})[names[place]] = None
         return items[place]
@@ -123,7 +127,7 @@ class Field:
             norm = math.nan
         if not abs(norm - 1.0) < UNIT_NORM:
             raise self._gone(
-                lambda: f"the quaternion of field '{self.path}' has the norm {norm:.3g}",
+                lambda: f"the quaternion in field '{self.path}' has norm {norm:.3g}",
                 is_mistake=False,
             )
         return math.atan2(2.0 * (q.w * q.z + q.x * q.y), norm**2 - 2.0 * (q.y**2 + q.z**2))

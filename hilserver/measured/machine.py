@@ -27,7 +27,7 @@ def machine(log: MeasuredLog, robot: RobotParameters) -> RobotParameters:
     try:
         return replace(robot, **given)
     except PlantError as error:
-        raise LogError(f"{log.sources[0].file}: the machine of its mapping: {error}") from None
+        raise LogError(f"{log.sources[0].file}: plant section of its mapping: {error}") from None
 
 
 def machine_config(log: MeasuredLog, config: Config) -> Config:

@@ -27,16 +27,19 @@ class TimeMap(Section):
         "s", description="its unit; iso: dates, as 2026-11-25T12:00:00.020"
     )
     rate_hz: float | None = Field(
-        None, gt=0, le=1e6, description="no stamps: rows at this rate; delays are not judged"
+        None,
+        gt=0,
+        le=1e6,
+        description="if the file has no time stamps: rate of the rows; delays are then not judged",
     )
     stamp: Literal["received", "header"] = Field(
-        "received", description="bags: when the recorder received it, or header.stamp"
+        "received", description="bags: time of reception by the recorder, or header.stamp"
     )
 
     @model_validator(mode="after")
     def _one_of_them(self) -> Self:
         if self.column is not None and self.rate_hz is not None:
-            raise ValueError("column and rate_hz exclude each other; keep one of them")
+            raise ValueError("column and rate_hz exclude each other; remove one of them")
         return self
 
 
@@ -53,34 +56,37 @@ class ChannelMap(Section):
     topic: str | None = Field(None, description="topic of a bag, instead of a column")
     field: str | None = Field(
         None,
-        description="number in its message: a.b.c, list[2] or list[name]; quaternion.yaw is"
+        description="number in the message: a.b.c, list[2] or list[name]; quaternion.yaw is"
         " computed",
     )
-    unit: str | None = Field(None, description="default: the signal's own; 1: any, see scale")
-    sign: Literal[-1, 1] = Field(1, description="-1 turns it around")
-    scale: float | None = Field(None, description="factor, after the unit")
-    offset: float = Field(0.0, description="added last, in the signal's unit")
-    optional: bool = Field(default=False, description="true: a log may lack it")
+    unit: str | None = Field(None, description="default: that of the signal; 1: any, see scale")
+    sign: Literal[-1, 1] = Field(1, description="-1 reverses it")
+    scale: float | None = Field(None, description="factor, applied after the unit")
+    offset: float = Field(0.0, description="added last, in the unit of the signal")
+    optional: bool = Field(default=False, description="true: may be missing from a log")
 
     @model_validator(mode="after")
     def _column_or_topic(self) -> Self:
         if (self.column is None) == (self.topic is None):
-            raise ValueError("a channel needs either column, or topic and field")
+            raise ValueError("a channel needs either column or topic and field")
         if (self.topic is None) != (self.field is None):
             raise ValueError("topic and field belong together; write both")
         if self.scale == 0.0:
-            raise ValueError("scale 0 leaves nothing of the column; write the factor")
+            raise ValueError("scale must not be 0; write the factor")
         return self
 
 
 class LogMapping(Section):
     """A mapping file."""
 
-    time: TimeMap = Field(default_factory=TimeMap, description="where the stamps are")
-    segment: ColumnMap | None = Field(None, description="column that tells runs apart")
-    block: ColumnMap | None = Field(None, description="column of the units of held-out splits")
+    time: TimeMap = Field(default_factory=TimeMap, description="source of the time stamps")
+    segment: ColumnMap | None = Field(None, description="column that numbers the runs")
+    block: ColumnMap | None = Field(
+        None, description="column that numbers the blocks held out together"
+    )
     plant: PlantConfig = Field(
-        default_factory=PlantConfig, description="keys of the plant configuration of that machine"
+        default_factory=PlantConfig,
+        description="keys of the plant configuration that describe this machine",
     )
     channels: dict[str, ChannelMap] = Field(min_length=1, description="by signal name")
 
@@ -132,7 +138,7 @@ def load_mapping(mapping: Path | str) -> LogMapping:
     path = Path(mapping)
     if not path.exists():
         known = ", ".join(builtin_mappings())
-        raise LogError(f"{path}: no such mapping file; built in are {known}")
+        raise LogError(f"{path}: no such mapping file; built-in mappings are {known}")
     refuse_others(path)
     return _load(path)
 
@@ -148,7 +154,8 @@ def _load(path: Path) -> LogMapping:
         ]
         if {c.topic is None for c in result.channels.values()} == {True, False}:
             complaints.append(
-                f"{place(path, ('channels',))}a log is a table or a bag; use columns or topics"
+                f"{place(path, ('channels',))}a log is either a table or a bag; use only columns"
+                " or only topics"
             )
     except ConfigError as error:
         raise LogError(str(error)) from None

@@ -57,14 +57,15 @@ class Decoder:
             return lambda data: json.loads(data, object_hook=lambda d: SimpleNamespace(**d))
         if topic.serialization not in ("cdr", "ros1"):
             raise TopicError(
-                f"{self._where}: its messages are {topic.serialization or 'of no known kind'}; cdr,"
-                " ros1 and json can be read: convert the topic to CSV"
+                f"{self._where}: its messages are"
+                f" {topic.serialization or 'of unknown encoding'}; only cdr, ros1 and json can"
+                " be read: convert the topic to CSV"
             )
         store, name = self._store(), full_type(topic.type)
         if name not in store.fielddefs:
             raise TopicError(
-                f"{self._where}: the definition of its type '{topic.type}' is not in the bag;"
-                " record it with ROS 2 Iron or newer, or convert the topic to CSV"
+                f"{self._where}: the bag does not contain the definition of its type"
+                f" '{topic.type}'; record it with ROS 2 Iron or newer, or convert the topic to CSV"
             )
         decode = store.deserialize_ros1 if topic.serialization == "ros1" else store.deserialize_cdr
         return lambda data: decode(data, name)
@@ -93,7 +94,7 @@ class Decoder:
         except (TypesysError, ValueError, LookupError, TypeError, RecursionError) as error:
             self.notices.append(
                 f"{self._where}: the definition of its type '{topic.type}' cannot be read"
-                f" ({type(error).__name__}); that of ROS 2 Humble is taken"
+                f" ({type(error).__name__}); that of ROS 2 Humble is used"
             )
             return known
         return store
@@ -139,8 +140,12 @@ class Decoder:
         if from_header:
             decoded &= stamps != 0
             if not decoded.any():
-                raise LogError(f"{self._where}: its headers have no stamps; take 'stamp: received'")
-            self._leave_out(int((stamps == 0).sum()), "messages without a stamp in their header")
+                raise LogError(
+                    f"{self._where}: its headers have no time stamps; use 'stamp: received'"
+                )
+            self._leave_out(
+                int((stamps == 0).sum()), "messages without a time stamp in their header"
+            )
         return stamps[decoded], values[decoded]
 
     def _leave_out(self, count: int, what: str) -> None:
@@ -153,7 +158,9 @@ class Decoder:
             if (mistake := read.mistake(n)) is not None:
                 raise LogError(f"{self._where}: {mistake}")
         for absent, reason in dict.fromkeys((r.absent, r.reason) for r in readers if r.absent):
-            self.notices.append(f"{self._where}: {absent} of {n} messages are no samples: {reason}")
+            self.notices.append(
+                f"{self._where}: {absent} of {n} messages contain no sample: {reason}"
+            )
 
 
 def full_type(name: str) -> str:
@@ -168,4 +175,4 @@ def _header_ns(where: str, message: Any) -> int:
         rest = stamp.nanosec if hasattr(stamp, "nanosec") else stamp.nsec
         return int(stamp.sec) * 1_000_000_000 + int(rest)
     except AttributeError:
-        raise LogError(f"{where}: its messages have no header; take 'stamp: received'") from None
+        raise LogError(f"{where}: its messages have no header; use 'stamp: received'") from None

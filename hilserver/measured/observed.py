@@ -34,12 +34,12 @@ def series_of(
         there = [name for name in side if name in log]
         if not there:
             raise LogError(
-                f"{log.sources[0].file}: holds no speed of the wheels {', '.join(side)}; the"
+                f"{log.sources[0].file}: contains no speed for the wheels {', '.join(side)}; the"
                 " observer needs both sides: map their columns"
             )
         if robot.is_mecanum and len(there) < len(side):
             raise LogError(
-                f"{log.sources[0].file}: holds the speed of {there[0]} alone of the wheels"
+                f"{log.sources[0].file}: contains only the speed of {there[0]} of the wheels"
                 f" {', '.join(side)}; mecanum wheels move the robot sideways: map all columns"
             )
         sides.append(there)

@@ -31,8 +31,8 @@ def without_jumps(log: MeasuredLog) -> MeasuredLog:
         for name, channel in log.channels.items()
     }
     note = (
-        f"the clock jumps by {moved_s[-1]:.4g} s in all: stamps behind a jump are counted on from"
-        " the last one before it"
+        f"the clock jumps by {moved_s[-1]:.4g} s in total: the time stamps after a jump were"
+        " shifted to continue from the last one before it"
     )
     return replace(log, channels=channels, spans=spans, notices=(*log.notices, note))
 
@@ -97,6 +97,6 @@ def _note(spans: tuple[Span, ...], edges: list[Pieces]) -> str:
     longest_s, at_s = max(pauses)
     times = "once, for" if len(pauses) == 1 else f"{len(pauses)} times, the longest for"
     return (
-        f"the recording pauses {times} {longest_s:.4g} s after t_s = {at_s:.10g}: it was cut into"
+        f"the recording pauses {times} {longest_s:.4g} s, after t_s = {at_s:.10g}: it was cut into"
         f" {len(spans) + len(pauses)} segments, each with a start pose of its own"
     )

@@ -78,7 +78,8 @@ def propose(header: Sequence[str], row: Sequence[str] = ()) -> str:
         for signal, at in lines(name, words, f"column: {quoted(name)}"):
             channels.setdefault(signal, at)
     return text(
-        channels, time or "time: {rate_hz: 50}   # no column of times was seen: write the row rate"
+        channels,
+        time or "time: {rate_hz: 50}   # no time column was recognised: write the row rate",
     )
 
 
@@ -87,11 +88,11 @@ def text(channels: Mapping[str, str], *time: str) -> str:
     if not channels:
         return ""
     parts = [
-        "# Guessed from names: check every line, above all units and signs.",
-        "# Right wheels turn backwards when the robot drives forward: where they count forward as",
-        "# positive, 'sign: -1' turns them round.",
+        "# Guessed from names: check every line, especially units and signs.",
+        "# Right wheels turn backward when the robot drives forward: if the log counts forward as",
+        "# positive for them, 'sign: -1' reverses it.",
         *time,
-        "# The machine that was recorded, else the configured one. Two wheels: no wheelbase_m.",
+        "# The recorded machine, if it is not the configured one. Two wheels: no wheelbase_m.",
         "# plant: {wheel_radius_m: 0.1, track_m: 0.4, wheelbase_m: 0.3}",
         "plant: {}",
         "channels:",
@@ -115,13 +116,15 @@ def line(signal: str, name: str, words: set[str], at: str) -> str:
     unit, note = _unit(name, signal), ""
     if signal.endswith("angle_rad") and words & _COUNTS:
         unit = ', unit: "1", scale: 0.001'
-        note = "   # counts: write 2 pi / counts per turn as the scale"
+        note = "   # counts: the scale is 2 pi / counts per revolution"
     elif signal.endswith(("speed_rpm", "setpoint_rpm")) and not unit and "velocity" in words:
         unit, note = ", unit: rad/s", "   # rad/s, as in JointState?"
     elif signal.endswith("speed_rpm") and not unit and "rpm" not in words:
-        note = "   # rpm? Counts are an angle: wheel.fl.angle_rad, with a scale"
+        note = "   # rpm? For counts use wheel.fl.angle_rad with a scale"
     elif signal.startswith("nav.") and words & ODOMETRY:
-        note = "   # made of the wheels' speeds? Then it shows none of their errors: leave it out"
+        note = (
+            "   # computed from the wheel speeds? Then it shows none of their errors: leave it out"
+        )
     sign = ", sign: -1" if signal.startswith(("wheel.fr", "wheel.rr")) else ""
     return f"  {signal}: {{{at}{unit}{sign}}}{note}"
 

@@ -57,7 +57,7 @@ def read_measured(
     table = None if mapping is None else load_mapping(mapping)
     recordings = [_read(path, table, sampling) for path in paths]
     if not recordings:
-        raise LogError("there is no log; name at least one")
+        raise LogError("no log given; name at least one")
     sources = tuple(Source(_shown(path), _sha256(path)) for path in paths)
     _refuse_others(paths, sources, recordings)
     log = MeasuredLog(
@@ -82,8 +82,8 @@ def _refuse_slow(path: Path, recording: Recording) -> None:
     usual_s = min((float(np.median(steps)) for steps in steps_s if steps.size), default=0.0)
     if recording.has_stamps and usual_s > SLOWEST_ROWS_S:
         raise LogError(
-            f"{path}: its rows are {usual_s:.3g} s apart, too far for anything that a drive does;"
-            " write seconds, or name the unit in a mapping, as time: {unit: ms}"
+            f"{path}: its rows are {usual_s:.3g} s apart, too far to show the motion of a robot;"
+            f" write seconds, or give the unit in a mapping, as time: {{unit: ms}}"
         )
 
 
@@ -92,8 +92,8 @@ def _refuse_lengths(path: Path, lengths_s: Sequence[float]) -> None:
     longest_s, total_s = max(lengths_s), sum(lengths_s)
     if total_s > LONGEST_LOG_S:
         raise LogError(
-            f"{path}: lasts {total_s:.6g} s; a diagnosis takes {LONGEST_LOG_S:g} s at most: cut"
-            " a part out, or correct the unit of its time"
+            f"{path}: lasts {total_s:.6g} s; a diagnosis accepts {LONGEST_LOG_S:g} s at most:"
+            " cut out a part, or correct the unit of its time"
         )
     if longest_s < SHORTEST_SEGMENT_S:
         raise LogError(
@@ -109,17 +109,20 @@ def _read(path: Path, mapping: LogMapping | None, sampling: Sampling | None) -> 
     except OSError as error:
         raise LogError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
     if not any(np.isfinite(v).any() for part in recording.parts for v in part.columns.values()):
-        raise LogError(f"{path}: holds no sample of any signal; record some, or map its columns")
+        raise LogError(
+            f"{path}: contains no samples of any signal; record some, or map its columns"
+        )
     usual_s = max(float(np.median(np.abs(part.t_s))) for part in recording.parts)
     if usual_s > LATEST_S:
         raise LogError(
-            f"{path}: its times are about {usual_s:.3g} s, which is no time of a recording; write"
-            " seconds, or name the unit in a mapping, as time: {unit: ns}"
+            f"{path}: its times are about {usual_s:.3g} s, impossible for a recording; write"
+            f" seconds, or give the unit in a mapping, as time: {{unit: ns}}"
         )
     seconds = sum(span.end_s - span.start_s for span in _spans(recording, 0)[0])
     if seconds < SHORTEST_LOG_S:
         raise LogError(
-            f"{path}: holds only {seconds:.3g} s; a diagnosis needs at least {SHORTEST_LOG_S:g} s"
+            f"{path}: contains only {seconds:.3g} s; a diagnosis needs at least"
+            f" {SHORTEST_LOG_S:g} s"
         )
     return recording
 
@@ -134,12 +137,16 @@ def _by_kind(path: Path, mapping: LogMapping | None, sampling: Sampling | None) 
     if mapping.is_for_bags and is_bag(path):
         return read_bag(path, mapping)
     if mapping.is_for_bags:
-        raise LogError(f"{path}: the mapping names topics of a bag, this is a table; name columns")
+        raise LogError(
+            f"{path}: the mapping names topics of a bag, but this is a table; name columns"
+        )
     if is_bag(path):
-        raise LogError(f"{path}: the mapping names columns, this is a bag; name topic and field")
+        raise LogError(
+            f"{path}: the mapping names columns, but this is a bag; name topic and field"
+        )
     if path.suffix not in (".csv", ".parquet"):
         raise LogError(
-            f"{path}: is no table that can be read; known are .csv and .parquet, unpacked"
+            f"{path}: not a readable table; supported are .csv and .parquet, uncompressed"
         )
     return read_mapped(path, mapping)
 
@@ -151,12 +158,12 @@ def _refuse_others(
     for index, path in enumerate(paths):
         for earlier in range(index):
             if sources[index].sha256 == sources[earlier].sha256:
-                raise LogError(f"{path}: is the same as {paths[earlier]}; name it once")
+                raise LogError(f"{path}: is the same log as {paths[earlier]}; name it only once")
             machines = {recordings[earlier].machine, recordings[index].machine} - {None}
             if len(machines) > 1:
                 raise LogError(
-                    f"{path}: was recorded with another plant than {paths[earlier]}; pool logs of"
-                    " one machine, or use --each"
+                    f"{path}: was recorded with a different plant from that of {paths[earlier]};"
+                    " pool only logs of one machine, or use --each"
                 )
 
 

@@ -82,7 +82,7 @@ def refuse_foreign(path: Path) -> None:
         columns = ", ".join(f"'{name}'" for name in header)
         if proposal := propose(header, first):  # else the reader will report the error
             raise ForeignLog(
-                f"{path}: row 1: none of the columns {columns:.600} is a signal of hilserver; name"
+                f"{path}: row 1: none of the columns {columns:.600} is a hilserver signal; name"
                 " them in a mapping file and give it with --mapping",
                 proposal,
             )
@@ -110,8 +110,8 @@ def log_of_parquet(path: Path) -> tuple[Log, Table]:
     table = read_parquet(path)
     if TIME not in table.header:
         raise LogError(
-            f"{path}: there is no column 't_s'; name the time column so, in s, or map it with"
-            " --mapping"
+            f"{path}: there is no column 't_s'; give the time column this name, in s, or map it"
+            " with --mapping"
         )
     names = [name for name in table.header if name not in (TIME, SEGMENT, BLOCK)]
     table = in_time(table, TIME)
@@ -146,7 +146,7 @@ def read_mapped(path: Path, mapping: LogMapping) -> Recording:
     dated = mapping.time.unit == DATED and time is not None
     if is_parquet and dated:
         raise LogError(
-            f"{path}: Parquet has numbers or time stamps, no dates; write their unit, as"
+            f"{path}: Parquet has numbers or time stamps but no dates; give their unit, as"
             " time: {unit: us}"
         )
     table = (
@@ -215,6 +215,6 @@ def refuse_absurd(values: Array, name: str, where: Callable[[int, str], str]) ->
     if wrong.size:
         row = int(wrong[0])
         raise LogError(
-            f"{where(row, name)}: {float(values[row]):g} is no value of a robot; write a finite"
-            " number or nothing"
+            f"{where(row, name)}: {float(values[row]):g} is not a possible value for a robot;"
+            " write a finite number or nothing"
         )

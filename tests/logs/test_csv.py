@@ -80,7 +80,7 @@ def test_a_header_that_stands_there_again_is_skipped_with_a_notice(tmp_path, mar
     log = read_log(path)
     assert log.columns["wheel.fl.setpoint_rpm"].tolist() == [1, 2, 3]
     assert log.notices == [
-        f"{path}: the header stands again in row 3 and in 1 more; it was skipped there"
+        f"{path}: the header is repeated in row 3 and in 1 more; it was skipped there"
     ]
 
 
@@ -100,19 +100,19 @@ def test_others_may_leave_out_samples_and_the_last_line_end(tmp_path):
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        (b"", "is empty; the first row has to be the header"),
-        (b"0.0,1.0\n0.1,2.0\n", "row 1 is no header but numbers; put 't_s"),
-        (b"time,a\n0,1\n", "row 1: there is no column 't_s'; name the time column so"),
+        (b"", "is empty; the first row must be the header"),
+        (b"0.0,1.0\n0.1,2.0\n", "row 1 contains numbers instead of a header; put 't_s"),
+        (b"time,a\n0,1\n", "row 1: there is no column 't_s'; give the time column this name"),
         (b"t_s,wheel.fl.setpoint\n0,1\n", "row 1, column 2 'wheel.fl.setpoint': there is no such"),
         (b"t_s,wheel.fl.setpoint\n0,1\n", "did you mean 'wheel.fl.setpoint_rpm'?"),
-        (b"t_s,a,a\n0,1,2\n", "row 1, column 3 'a': the column stands there twice"),
+        (b"t_s,a,a\n0,1,2\n", "row 1, column 3 'a': the column appears twice"),
         (b"t_s,a\n0,1\n0.1,x\n0.2,1\n", "row 3, column 2 'a': 'x' is no number; write one"),
         (b"t_s,a\n0,1\n0.1\n0.2,1\n", "row 3 has 1 columns, the header has 2; remove or complete"),
-        (b"t_s,a\n0,1\n0.2,1\n0.1,1\n", "row 4, column 1 't_s': 0.1 does not rise after 0.2; sort"),
-        (b"t_s,a\n0,1\n0.1,1\n0,1\n", "0.0 does not rise after 0.1; number the runs in a column"),
-        (b"t_s,a\n0,1\nnan,1\n", "row 3, column 1 't_s': there is no time; every row needs one"),
-        (b"t_s,a\n0,1\n,1\n", "row 3, column 1 't_s': there is no time"),
-        (b"t_s,segment\n0,0.5\n", "row 2, column 2 'segment': 0.5 is no whole number"),
+        (b"t_s,a\n0,1\n0.2,1\n0.1,1\n", "row 4, column 1 't_s': 0.1 is not later than 0.2; sort"),
+        (b"t_s,a\n0,1\n0.1,1\n0,1\n", "0.0 is not later than 0.1; number the runs in a column"),
+        (b"t_s,a\n0,1\nnan,1\n", "row 3, column 1 't_s': the time is missing; every row needs one"),
+        (b"t_s,a\n0,1\n,1\n", "row 3, column 1 't_s': the time is missing"),
+        (b"t_s,segment\n0,0.5\n", "row 2, column 2 'segment': 0.5 is not a whole number"),
         (b"t_s,a\n0,1\n0.1,\xe4\n", "row 3: byte 14 is not UTF-8; save the file as UTF-8"),
         ("t_s,a\n0,1\n".encode("utf-16"), "is not UTF-8; save the file as UTF-8"),
         (b't_s,a\n0,"1\n', "is not CSV"),

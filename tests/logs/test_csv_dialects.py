@@ -78,14 +78,18 @@ def test_two_kinds_of_marks_are_refused_at_the_second(tmp_path, rows, place):
     path.write_text(f"t_s;a\n{rows}")
     with pytest.raises(LogError) as error:
         read_log(path)
-    assert str(error.value).startswith(f"{path}: {place}: the file has decimal commas and points;")
+    assert str(error.value).startswith(
+        f"{path}: {place}: the file has both decimal commas and points;"
+    )
     assert "\n" not in str(error.value)
 
 
 def test_marks_of_columns_that_nobody_reads_do_not_matter(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("t_s;a;date;\n" + "".join(f"{i},5;1,5;26.11.2026;x\n" for i in range(3)))
-    with pytest.raises(LogError, match=r"'26.11.2026': the file has decimal commas and points"):
+    with pytest.raises(
+        LogError, match=r"'26.11.2026': the file has both decimal commas and points"
+    ):
         read_log(path)
     path.write_text("t_s;a;;\n" + "".join(f"{i},5;1,5;26.11.2026;x\n" for i in range(3)))
     assert read_log(path).t_s.tolist() == [0.5, 1.5, 2.5]

@@ -126,7 +126,7 @@ def test_a_column_that_its_run_does_not_know_is_a_sentence(tmp_path):
         mdf.append([asammdf.Signal(np.zeros(3), np.arange(3.0), name=name) for name in names])
         mdf.attach(json.dumps(run).encode(), META, mime="application/json")
         mdf.save(path)
-    with pytest.raises(LogError, match="does not know its signal 'another'"):
+    with pytest.raises(LogError, match="does not list the signal 'another'"):
         read_log(path)
 
 

@@ -89,7 +89,7 @@ def test_a_chunk_that_holds_more_than_it_declares_ends_the_reading(tmp_path, com
     with bounded(300):
         (bag,) = read_messages(path, {TOPIC})
     assert len(bag.messages[TOPIC]) == 10
-    assert "does not hold what it declares" in bag.notices[0]
+    assert "does not have the size that it declares" in bag.notices[0]
 
 
 def recording_with(path, *records):
@@ -115,13 +115,13 @@ def test_what_a_file_unpacks_to_in_all_is_bounded(tmp_path, monkeypatch, make, r
     records["length"] = record_dtype(4).itemsize - 9
     data = zstandard.ZstdCompressor().compress(records.tobytes())
     path = make(tmp_path / "a.mcap", *[chunk("zstd", records.nbytes, data)] * 20)
-    with bounded(200), pytest.raises(LogError, match="unpack to far more than a recording does"):
+    with bounded(200), pytest.raises(LogError, match="expand to far more than a recording would"):
         read(path)
 
 
 def test_a_chunk_that_declares_too_much_is_refused(tmp_path):
     path = mcap_with(tmp_path / "a.mcap", chunk("zstd", 1 << 40, packed(MB)))
-    with bounded(200), pytest.raises(LogError, match="unpack to far more"):
+    with bounded(200), pytest.raises(LogError, match="expand to far more"):
         read_messages(path, {TOPIC})
 
 
@@ -135,7 +135,7 @@ def test_a_packed_file_is_bounded_too(tmp_path, monkeypatch):
     monkeypatch.setattr(unpacking, "FREE_BYTES", 16 * MB)
     path = tmp_path / "a.db3.zstd"
     path.write_bytes(packed(1024 * MB))
-    with bounded(200), pytest.raises(LogError, match="unpack to far more"):
+    with bounded(200), pytest.raises(LogError, match="expand to far more"):
         read_messages(path, {TOPIC})
     path.write_bytes(b"hello")
     with pytest.raises(LogError, match="cannot be unpacked"):
@@ -202,13 +202,13 @@ def test_many_small_messages_that_each_become_large(tmp_path, monkeypatch):
     connection.execute("UPDATE messages SET data = ?", (packed(4 * MB),))
     connection.commit()
     connection.close()
-    with bounded(200), pytest.raises(LogError, match="unpack to far more"):
+    with bounded(200), pytest.raises(LogError, match="expand to far more"):
         read_messages(path, {TOPIC})
 
 
 def test_what_stays_in_memory_is_bounded(tmp_path, monkeypatch):
     monkeypatch.setattr(unpacking, "KEPT_BYTES", 1000)
-    with pytest.raises(LogError, match="its mapped topics hold more than"):
+    with pytest.raises(LogError, match="its mapped topics contain more than"):
         read_messages(write_bag(tmp_path / "bag"), {TOPIC})
 
 
@@ -217,7 +217,7 @@ def test_a_parquet_file_of_many_equal_numbers(tmp_path, monkeypatch):
     parquet = pytest.importorskip("pyarrow.parquet")
     monkeypatch.setattr(unpacking, "FREE_BYTES", 16 * MB)
     parquet.write_table(pa.table({"t_s": np.zeros(10_000_000)}), tmp_path / "a.parquet")
-    with bounded(200), pytest.raises(LogError, match="unpack to far more"):
+    with bounded(200), pytest.raises(LogError, match="expand to far more"):
         read_parquet(tmp_path / "a.parquet")
 
 

@@ -110,17 +110,21 @@ KINDS = {
     "missing": (lambda folder: folder / "none.csv", None, "none.csv: no such file"),
     "missing, mapped": (lambda folder: folder / "none", COLUMNS, "none: no such file"),
     "missing bag": (lambda folder: folder / "none.bag", TOPICS, "none.bag: no such file"),
-    "folder": (folder_without_a_bag, TOPICS, "is a folder without a bag .* name the log"),
+    "folder": (folder_without_a_bag, TOPICS, "the folder contains no bag .* name the log"),
     "folder without mapping": (
         folder_without_a_bag,
         None,
-        "is a folder without a bag .* name the log",
+        "the folder contains no bag .* name the log",
     ),
-    "empty": (raw(""), None, "log.csv: is empty; the first row has to be the header"),
-    "only header": (raw(f"t_s,{SPEED}\n"), None, "holds no sample of any signal; record"),
+    "empty": (raw(""), None, "log.csv: is empty; the first row must be the header"),
+    "only header": (raw(f"t_s,{SPEED}\n"), None, "contains no samples of any signal; record"),
     "one row": (csv(rows=1), None, "holds only 0 s; a diagnosis needs at least 1 s"),
     "too short": (csv(rows=30), None, "holds only 0.58 s; a diagnosis needs at least 1 s"),
-    "no header": (raw("0.0,1.0\n0.1,2.0\n"), None, "row 1 is no header but numbers; put 't_s"),
+    "no header": (
+        raw("0.0,1.0\n0.1,2.0\n"),
+        None,
+        "row 1 contains numbers instead of a header; put 't_s",
+    ),
     "no time column": (csv(header=f"time,{SPEED}"), None, "row 1: there is no column 't_s'; name"),
     "unknown column": (
         csv(header="t_s,wheel.fl.speed"),
@@ -140,33 +144,33 @@ KINDS = {
     "points and decimal commas": (
         csv(header=f"t_s;{SPEED}", row="{t};{i},5"),
         None,
-        f"row 2, column 2 '{SPEED}': '0,5': the file has decimal commas and points; write one",
+        f"row 2, column 2 '{SPEED}': '0,5': the file has both decimal commas and points; use only",
     ),
     "what only Excel reads": (
         raw(f"sep=;\nt_s;{SPEED}\n0;1\n"),
         None,
-        r"row 1 begins with 'sep='; the header has to be the first row",
+        r"row 1 begins with 'sep='; the header must be the first row",
     ),
     "a comment": (
         raw(f"# made by x at 12:00\nt_s,{SPEED}\n0,1\n"),
         None,
-        "row 1 begins with '# ma'; .* remove what stands before it",
+        "row 1 begins with '# ma'; .* remove everything before it",
     ),
     "the header a comment": (csv(header=f"# t_s,{SPEED}"), None, "row 1 begins with '# t_'; the"),
     "a row of units": (
         raw(f"t_s,{SPEED}\ns,rpm\n" + "".join(f"{0.02 * i},{i}\n" for i in range(120))),
         None,
-        "row 2 holds no number; remove what stands between the header and the numbers, such as",
+        "row 2 contains no number; remove everything between the header and the numbers, such as",
     ),
     "decimal commas between commas": (
         raw(f"t_s,{SPEED}\n" + "".join(f"0,{i:03d},{i},0\n" for i in range(120))),
         None,
-        "row 2 has 4 columns, the header has 2; .*semicolons where decimals have commas",
+        "row 2 has 4 columns, the header has 2; .*semicolons if decimals have commas",
     ),
     "backwards": (
         csv(row="-{t},{i}"),
         None,
-        "row 3, column 1 't_s': -0.02 does not rise after -0.0; sort the rows by time",
+        "row 3, column 1 't_s': -0.02 is not later than -0.0; sort the rows by time",
     ),
     "milliseconds": (
         raw(f"t_s,{SPEED}\n" + "".join(f"{20 * i},{i}\n" for i in range(400))),
@@ -174,32 +178,36 @@ KINDS = {
         r"its rows are 20 s apart, .* in a mapping, as time: \{unit: ms\}",
     ),
     "decimal commas": (row_of("0,06,3"), None, "row 5 has 3 columns, the header has 2; remove"),
-    "device": (lambda _folder: Path("/dev/zero"), None, "is a device or a pipe, not a file; save"),
-    "pipe": (pipe, None, "log.csv: is a device or a pipe, not a file; save the log as a file"),
+    "device": (lambda _folder: Path("/dev/zero"), None, "is a device or pipe, not a file; save"),
+    "pipe": (pipe, None, "log.csv: is a device or pipe, not a file; save the log to a file"),
     "time of no clock": (
         csv(row="{i}e30,1"),
         None,
-        r"its times are about 5.95e\+31 s, which is no time of a recording; write seconds, or",
+        r"its times are about 5.95e\+31 s, impossible for a recording; write seconds, or",
     ),
-    "years": (csv(row="{i}e6,1"), None, "lasts 1.19e[+]08 s; a diagnosis takes 28800 s at most"),
+    "years": (csv(row="{i}e6,1"), None, "lasts 1.19e[+]08 s; a diagnosis accepts 28800 s at most"),
     "text": (row_of("0.06,fast"), None, f"row 5, column 2 '{SPEED}': 'fast' is no number; write"),
     "infinite": (row_of("0.06,inf"), None, f"row 5, column .*'{SPEED}': inf is no value"),
-    "absurd": (row_of("0.06,1e300"), None, "row 5, .* 1e[+]300 is no value of a robot; write"),
+    "absurd": (
+        row_of("0.06,1e300"),
+        None,
+        "row 5, .* 1e[+]300 is not a possible value for a robot; write",
+    ),
     "too few fields": (row_of("0.06"), None, "row 5 has 1 columns, the header has 2; remove"),
     "time falls": (row_of("0.01,3"), None, "row 5, column 1 't_s': 0.01 does not rise .*; sort"),
     "time begins anew": (
         raw(f"t_s,{SPEED}\n" + "".join(f"{0.02 * (i % 60)},{i}\n" for i in range(120))),
         None,
-        "row 62, column 1 't_s': 0.0 does not rise after 1.18; number the runs in a column 'seg",
+        "row 62, column 1 't_s': 0.0 is not later than 1.18; number the runs in a column 'seg",
     ),
     "a run in between": (
         raw(f"t_s,{SPEED}\n" + "".join(f"{0.02 * i - (i // 60)},{i}\n" for i in range(120))),
         None,
-        "does not rise after 1.18; number the runs",
+        "is not later than 1.18; number the runs",
     ),
-    "time is NaN": (row_of("nan,3"), None, "row 5, column 1 't_s': there is no time; every row"),
-    "time is infinite": (row_of("inf,3"), None, "row 5, column 1 't_s': there is no time"),
-    "letters": (row_of("0.06,ä"), None, "row 5, .*'ä' is no number"),
+    "time is NaN": (row_of("nan,3"), None, "row 5, column 1 't_s': the time is missing; every row"),
+    "time is infinite": (row_of("inf,3"), None, "row 5, column 1 't_s': the time is missing"),
+    "letters": (row_of("0.06,ä"), None, "row 5, .*'ä' is not a number"),
     "not UTF-8": (raw(b"t_s,a\n0,1\n0.1,\xe4\n"), None, "byte 14 is not UTF-8; save the file"),
     "UTF-16": (raw("t_s,a\n0,1\n".encode("utf-16")), None, "is not UTF-8; save the file"),
     "binary": (raw(bytes(range(256)) * 20), None, "is not UTF-8; save the file"),
@@ -207,17 +215,17 @@ KINDS = {
     "quote not closed": (row_of('0.06,"3'), None, "is not CSV: .*; write UTF-8 text"),
     "gzip": (raw(gzip.compress(b"t_s\n"), "log.csv.gz"), None, "log.csv.gz: is no log .* known"),
     "gzip named CSV": (raw(gzip.compress(b"t_s,a\n0,1\n" * 99)), None, "is not UTF-8"),
-    "kind": (raw("x", "log.xlsx"), None, "is no log that can be read; known are"),
-    "kind, mapped": (raw("x", "log.xlsx"), COLUMNS, "is no table that can be read; known are"),
+    "kind": (raw("x", "log.xlsx"), None, "not a readable log; supported are"),
+    "kind, mapped": (raw("x", "log.xlsx"), COLUMNS, "not a readable table; supported are"),
     "segment not whole": (
         csv(header=f"t_s,segment,{SPEED}", row="{t},0.5,{i}"),
         None,
-        "row 2, column 2 'segment': 0.5 is no whole number; write one",
+        "row 2, column 2 'segment': 0.5 is not a whole number; write one",
     ),
     "block not whole": (
         csv(header=f"t_s,block,{SPEED}", row="{t},nan,{i}"),
         None,
-        "row 2, column 2 'block': nan is no whole number; write one",
+        "row 2, column 2 'block': nan is not a whole number; write one",
     ),
     "a segment every few rows": (
         raw(f"t_s,segment,{SPEED}\n" + "".join(f"{0.02 * i},{i // 12},{i}\n" for i in range(150))),
@@ -233,17 +241,17 @@ KINDS = {
         None,
         "segment 0 begins twice; give each run its own number",
     ),
-    "no usable channel": (csv(row="{t},"), None, "holds no sample of any signal; record some"),
-    "only time": (csv(header="t_s", row="{t}"), None, "holds no sample of any signal"),
+    "no usable channel": (csv(row="{t},"), None, "contains no samples of any signal; record some"),
+    "only time": (csv(header="t_s", row="{t}"), None, "contains no samples of any signal"),
     "same log twice": (
         two(csv(), csv()),
         None,
-        "1.log.csv: is the same as .*0.log.csv; name it once",
+        "1.log.csv: is the same log as .*0.log.csv; name it only once",
     ),
     "two machines": (
         two(recording(0.31), recording(0.5)),
         None,
-        "was recorded with another plant than .*; pool logs of one machine",
+        "was recorded with a different plant from that of .*; pool only logs of one machine",
     ),
     "mapped column missing": (
         csv(header="t_s,lefft"),
@@ -282,7 +290,7 @@ KINDS = {
     "mapped far": (
         csv(header="time,left", row="{t},1{i}"),
         "time: {column: time}\n" + COLUMNS.replace("left", "left, scale: 1.0e+300"),
-        "row 2, .*'left', as wheel.fl.speed_rpm: .* is no value of a robot",
+        "row 2, .*'left', as wheel.fl.speed_rpm: .* is not a possible value for a robot",
     ),
     "mapping without channels": (csv(), "time: {rate_hz: 50}\n", "key 'channels' is missing"),
     "mapping rate": (csv(), "time: {rate_hz: -1}\n" + COLUMNS, "map.yaml:1: time.rate_hz"),
@@ -299,7 +307,7 @@ KINDS = {
     "mapping mixes": (
         csv(),
         COLUMNS + "  nav.x_m: {topic: /a, field: x}\n",
-        "a log is a table or a bag; use columns or topics",
+        "a log is either a table or a bag; use only columns or only topics",
     ),
     "mapping topic without field": (
         csv(),
@@ -311,7 +319,7 @@ KINDS = {
     "bag without mapping": (
         bag(),
         None,
-        r"a bag needs a mapping of its topics; name .*; its topics are .*/iotbot/rpm \(iotbot",
+        r"a bag needs a mapping of its topics; give .*; its topics are .*/iotbot/rpm \(iotbot",
     ),
     "topic missing": (
         bag(topics=("/iotbot/rmp",)),
@@ -331,19 +339,19 @@ KINDS = {
     "no header in messages": (
         bag(),
         "time: {stamp: header}\n" + TOPICS,
-        "its messages have no header; take 'stamp: received'",
+        "its messages have no header; use 'stamp: received'",
     ),
-    "bag without messages": (bag(n=0), TOPICS, "the mapped topics hold no message; record"),
-    "db3 truncated": (bag(cut(0.02)), TOPICS, "is no readable bag .*; copy it again, or run"),
-    "db3 that is none": (raw("hello " * 99, "bag.db3"), TOPICS, "is no readable bag"),
-    "MCAP that is none": (raw("hello", "run.mcap"), None, "run.mcap: is not an MCAP file; is its"),
+    "bag without messages": (bag(n=0), TOPICS, "the mapped topics contain no messages; record"),
+    "db3 truncated": (bag(cut(0.02)), TOPICS, "not a readable bag .*; copy it again, or run"),
+    "db3 that is none": (raw("hello " * 99, "bag.db3"), TOPICS, "not a readable bag"),
+    "MCAP that is none": (raw("hello", "run.mcap"), None, "run.mcap: not an MCAP file; is its"),
     "MCAP bag, cut early": (bag(cut(0.001), storage=MCAP), TOPICS, "no topic|no MCAP"),
     "foreign MCAP unmapped": (
         lambda folder: bag_file(write_bag(folder / "bag", storage=MCAP)),
         None,
         "a bag needs a mapping of its topics; name",
     ),
-    "Parquet that is none": (raw("hello", "log.parquet"), None, "is no readable Parquet file"),
+    "Parquet that is none": (raw("hello", "log.parquet"), None, "not a readable Parquet file"),
     "Parquet with text": (parquet({"t_s": T, SPEED: ["x"] * 120}), None, "holds no numbers; leave"),
     "Parquet without time": (parquet({SPEED: T}), None, "there is no column 't_s'; name"),
     "Parquet unknown": (parquet({"t_s": T, "speed": T}), None, "column 'speed': there is no such"),
@@ -395,7 +403,7 @@ def test_parquet_without_its_library(tmp_path, monkeypatch):
 
 
 def test_no_log_at_all():
-    with pytest.raises(LogError, match="there is no log; name at least one"):
+    with pytest.raises(LogError, match="no log given; name at least one"):
         read_measured([])
 
 

@@ -111,7 +111,7 @@ def test_a_point_that_somebody_clicked_on_a_map_is_no_measured_position(tmp_path
 def test_odometry_alone_is_proposed_with_a_warning(tmp_path):
     assert proposed(tmp_path, {"/odom": odometry()})["nav.x_m"] == ("/odom", "pose.pose.position.x")
     (line, *_) = [row for row in (tmp_path / "map.yaml").read_text().splitlines() if "nav.x" in row]
-    assert "made of the wheels' speeds?" in line
+    assert "computed from the wheel speeds?" in line
 
 
 def test_a_twist_is_a_command_where_its_topic_says_so(tmp_path):

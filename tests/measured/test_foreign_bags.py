@@ -156,7 +156,7 @@ def test_where_the_definition_fails_that_of_the_distribution_may_do(tmp_path):
     damage_definition(bag, ODOMETRY, "Foo/Bar/Baz[ x\n")
     log = measured(tmp_path, bag, x_m=("/odom", "pose.pose.position.x"))
     assert len(log["nav.x_m"]) == 100
-    assert "that of ROS 2 Humble is taken" in log.notices[0]
+    assert "that of ROS 2 Humble is used" in log.notices[0]
 
 
 def test_messages_with_a_shorter_list_are_no_samples_and_counted(tmp_path):
@@ -167,7 +167,7 @@ def test_messages_with_a_shorter_list_are_no_samples_and_counted(tmp_path):
     for field in ("velocity[0]", f"velocity[{NAMES[0]}]"):
         log = measured(tmp_path, bag, speed=("/joint_states", field))
         assert log[SPEED].values.tolist() == list(range(100))
-        assert "30 of 130 messages are no samples" in log.notices[0]
+        assert "30 of 130 messages contain no sample" in log.notices[0]
 
 
 def test_joints_are_found_by_their_names_in_any_order(tmp_path):
@@ -223,7 +223,7 @@ def test_a_quaternion_that_is_none_is_no_heading(tmp_path):
     )
     assert len(log["nav.x_m"]) == 100
     assert log["nav.yaw_rad"].values == pytest.approx([0.2] * 97)
-    assert "3 of 100 messages are no samples: the quaternion" in log.notices[0]
+    assert "3 of 100 messages contain no sample: the quaternion" in log.notices[0]
     never = write(tmp_path / "never", [odometry(i, (0.0,) * 4) for i in range(100)])
     fields = {"x_m": "pose.pose.position.x", "yaw_rad": "pose.pose.orientation.yaw"}
     log = measured(tmp_path, never, **{k: ("/odom", f) for k, f in fields.items()})
@@ -237,7 +237,7 @@ def test_stamps_of_headers_that_were_never_set_are_no_times(tmp_path):
     bag = write(tmp_path / "bag", messages)
     log = measured(tmp_path, bag, stamp=True, x_m=("/odom", "pose.pose.position.x"))
     assert len(log["nav.x_m"]) == 97
-    assert "3 messages without a stamp in their header were left out" in log.notices[0]
+    assert "3 messages without a time stamp in their header were left out" in log.notices[0]
 
 
 @pytest.mark.parametrize(
@@ -314,7 +314,7 @@ def test_json_in_mcap_is_read(tmp_path, schema):
         ),
         (
             lambda p: write_mcap(p / "a.mcap", "ros2", "cdr", None, [b"\0\1\0\0"] * 9),
-            "the definition of its type '' is not in the bag",
+            "the bag does not contain the definition of its type ''",
         ),
         (
             lambda p: write_mcap(p / "a.mcap", "", "json", None, [b"[]", b"1", b""] * 9),
@@ -331,7 +331,7 @@ def test_containers_are_called_by_their_names(tmp_path, make, complaint):
 def test_a_bag_of_ros_1_gets_its_remedy_whatever_it_is_called(tmp_path, name):
     (tmp_path / name).write_bytes(b"#ROSBAG V2.0\n" + bytes(4096))
     with pytest.raises(
-        LogError, match=f"is a bag of ROS 1; convert it with 'rosbags-convert --src {name}"
+        LogError, match=f"is a ROS 1 bag; convert it with 'rosbags-convert --src {name}"
     ):
         read_measured([tmp_path / name], "iotbot")
 
@@ -344,7 +344,9 @@ def test_a_mapped_topic_without_messages_is_a_notice(tmp_path):
     connection.close()
     log = read_measured([bag], "iotbot")
     assert "nav.x_m" not in log
-    assert "topic '/poseStamped' holds no messages; nothing is known of nav.x_m" in log.notices[0]
+    assert (
+        "topic '/poseStamped' contains no messages; there are no data for nav.x_m" in log.notices[0]
+    )
 
 
 def whole_bag(folder, storage):

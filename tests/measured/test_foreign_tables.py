@@ -76,9 +76,7 @@ T_NS = [*range(20), *range(10**7, 2 * 10**7, 10**6)]
 
 def test_a_long_stamp_that_falls_is_named_as_it_stands(tmp_path):
     text = "stamp,left\n1700000000000000200,1\n1700000000000000300,1\n1700000000000000250,1\n"
-    with pytest.raises(
-        LogError, match="1700000000000000250 does not rise after 1700000000000000300"
-    ):
+    with pytest.raises(LogError, match="1700000000000000250 is not later than 1700000000000000300"):
         measured(tmp_path, text, "time: {column: stamp, unit: ns}\n" + LEFT)
 
 
@@ -104,7 +102,7 @@ def test_dates_are_stamps(tmp_path, form, comma):
 
 def test_what_is_no_date_is_named_and_a_date_without_mapping_too(tmp_path):
     mapping = "time: {column: when, unit: iso}\n" + LEFT
-    with pytest.raises(LogError, match="row 3, column 1 'when': 'noon' is no date with a time"):
+    with pytest.raises(LogError, match="row 3, column 1 'when': 'noon' is not a date with a time"):
         measured(tmp_path, "when,left\n2026-11-25T12:00:00,1\nnoon,2\n", mapping)
     path = tmp_path / "log.csv"
     path.write_text(f"t_s,{SPEED}\n2026-11-25T12:00:00,1\n")
@@ -127,7 +125,9 @@ def test_of_equal_stamps_the_first_row_counts_and_the_others_are_counted(tmp_pat
     assert log[SPEED].values.tolist() == list(range(100))
     assert log[SPEED].t_s.tolist() == T
     (notice,) = log.notices
-    assert notice.endswith("3 rows with a repeated stamp dropped; the first of each counts")
+    assert notice.endswith(
+        "3 rows with a repeated time stamp were dropped; the first of each is kept"
+    )
 
 
 def test_equal_stamps_of_two_segments_stay_apart(tmp_path):

@@ -63,5 +63,7 @@ def test_the_replay_drives_the_machine_that_the_diagnosis_judges(plant):
 
 
 def test_a_machine_that_does_not_fit_is_one_sentence():
-    with pytest.raises(LogError, match=r"^log.csv: the machine of its mapping: plant.icr_offset_m"):
+    with pytest.raises(
+        LogError, match=r"^log.csv: plant section of its mapping: plant.icr_offset_m"
+    ):
         machine(log_with(track_m=0.05, wheelbase_m=0.03), OWN)

@@ -132,7 +132,7 @@ def test_the_proposal_has_a_plant_and_warns_of_what_it_cannot_know():
     said = {line.split(":")[0].strip(): line.partition("#")[2] for line in text.splitlines()}
     assert "2 pi / counts per turn" in said["wheel.fl.angle_rad"]
     assert "rpm?" in said["wheel.fr.speed_rpm"]
-    assert "made of the wheels' speeds?" in said["nav.x_m"]
+    assert "computed from the wheel speeds?" in said["nav.x_m"]
     assert not said["nav.yaw_rad"]
     assert not said["time"]
 

@@ -155,7 +155,7 @@ def test_what_cannot_be_replayed_is_one_sentence(replay_here, recorded, tmp_path
     for words, code, complaint in (
         ((recorded.full, "-o", recorded.full), 1, "is the log itself"),
         (("nothing.mcap", "-o", "a.csv"), 2, "no such file"),
-        ((recorded.full, "-o", "a.txt"), 1, "a log ends in .mcap or .csv"),
+        ((recorded.full, "-o", "a.txt"), 1, "the name of a log must end in .mcap or .csv"),
         ((recorded.full, "--from", "none.npz", "-o", "a.csv"), 2, "there is no snapshot"),
     ):
         text = replay_here(*words, code=code)

@@ -129,7 +129,10 @@ def test_without_space_it_ends_with_one_sentence_and_a_readable_file(daemon, tmp
     ("options", "complaint"),
     [
         (["-o", "run.mcap", "--image", "nobody"], "no process image 'nobody'"),
-        (["-o", "run.txt", "--image", "nobody"], "run.txt: a log ends in .mcap or .csv"),
+        (
+            ["-o", "run.txt", "--image", "nobody"],
+            "run.txt: the name of a log must end in .mcap or .csv",
+        ),
         (["-o", "run.csv", "--keep", "2", "--image", "nobody"], "--keep counts the files of a"),
     ],
 )
