@@ -32,12 +32,13 @@ def check_sign(gain: RotationGain) -> Check:
     """Return "sign": with the plant's signs K_om is positive."""
     interval = gain.unsteady.ci95
     if interval is None or interval[0] <= 0.0 <= interval[1]:
-        return Check("sign", None, "the turning is too weak to show the sign", gain.unsteady)
+        return Check("sign", None, "the robot turns too little to show the sign", gain.unsteady)
     passed = interval[0] > 0.0
     text = (
-        "left forward and right backward turns as the configured yaw_sign says"
+        "left forward and right backward turns the robot as the configured yaw_sign says"
         if passed
-        else "the yaw runs against the wheels: swapped sides, a flipped yaw, or the other yaw_sign"
+        else "the yaw runs opposite to the wheels: sides swapped, yaw sign flipped, or wrong"
+        " yaw_sign"
     )
     return Check("sign", passed, text, gain.unsteady)
 
@@ -46,7 +47,7 @@ def _front_is_rear(log: MeasuredLog, side: str) -> Check:
     name = f"front = rear, {'left' if side == 'l' else 'right'}"
     front, rear = f"wheel.f{side}.speed_rpm", f"wheel.r{side}.speed_rpm"
     if not log.has(front, rear):
-        return Check(name, None, f"the log has not both {front} and {rear}")
+        return Check(name, None, f"the log does not contain both {front} and {rear}")
     x = log[front].values
     y = per_span(log, front, lambda span, t_s: at(log[rear], span, t_s))
     good = np.isfinite(y)

@@ -45,8 +45,8 @@ def identify_dead_zone(log: MeasuredLog, resting_rpm: float = RESTING_RPM) -> li
             found.append(zone)
     if not found:
         raise LogError(
-            f"{files(log)}: no wheel's duty is swept from turning backward over rest to turning "
-            "forward; the dead zone needs such a sweep, slower than the wheels"
+            f"{files(log)}: no wheel's duty is swept from backward rotation through standstill"
+            " to forward rotation; the dead zone needs such a sweep, slower than the wheels respond"
         )
     return found
 

@@ -52,8 +52,8 @@ def identify_noise(log: MeasuredLog, *, everywhere: bool = False) -> list[Channe
             found.append(ChannelNoise(name, samples, fit_noise(stretches)))
     if not found:
         raise LogError(
-            f"{files(log)}: the robot never stands still for {STAND_S:g} s with a sensor on; "
-            "record a minute at rest, or say --everywhere if the values are errors already"
+            f"{files(log)}: the robot never stands still for {STAND_S:g} s with a sensor in the"
+            " log; record a minute at rest, or use --everywhere if the values are already errors"
         )
     return found
 

@@ -145,7 +145,9 @@ def identify_rotation(
     u = data.u()
     good = np.isfinite(u)
     if good.sum() < _SAMPLES_MIN or np.sqrt(np.mean(u[good] ** 2)) * 2.0 < _TURNING_RAD_S:
-        raise LogError(f"{files(log)}: the robot hardly turns; K_om needs a drive with spins")
+        raise LogError(
+            f"{files(log)}: the robot hardly turns; K_om needs a drive with turns on the spot"
+        )
     unsteady = regress(u[good, None], data.y[good], data.block[good])
     free = regress(np.stack([u[good], np.ones(good.sum())], 1), data.y[good], data.block[good])
     flags: list[str] = []
@@ -158,10 +160,10 @@ def identify_rotation(
     if not offset.holds(0.0) and abs(free.values[0] / unsteady.values[0] - 1.0) > 0.01:
         flags.append(
             f"{channel} has an offset of {offset.value:.4f} rad/s; without it K_om is "
-            f"{free.values[0]:.4g} 1/m: turn both ways equally long"
+            f"{free.values[0]:.4g} 1/m: turn equally long in both directions"
         )
     if value.ci95 is not None and value.ci95[1] < 0.0:
-        flags.append("K_om is negative: the yaw, or both sides of the wheels, run the wrong way")
+        flags.append("K_om is negative: the yaw or the wheels of both sides have the wrong sign")
     return RotationGain(
         channel, zone_rpm, robot.k_om, value, steady, share, without_lag, lag, offset, tuple(flags)
     )
@@ -178,8 +180,9 @@ def _steady(
     share = float(chosen.sum() / max(good.sum(), 1))
     if chosen.sum() < _SAMPLES_MIN or not np.any(np.abs(u[chosen]) > 0.5 * _TURNING_RAD_S):
         flags.append(
-            f"the wheels are never within {zone_rpm:g} rpm of turning set-points for "
-            f"{settle_s:g} s: no steady estimate (is the drive saturated, or the zone too narrow?)"
+            f"the wheels are never within {zone_rpm:g} rpm of their set-points for {settle_s:g}"
+            " s while the robot turns: no steady estimate (is the drive saturated, or the zone"
+            " too narrow?)"
         )
         return None, share
     found = regress(u[chosen, None], data.y[chosen], data.block[chosen])
@@ -217,7 +220,7 @@ def _flag_lag(lag: Estimate, unsteady: Estimate, corrected: Estimate, flags: lis
     if sure and abs(corrected.value - unsteady.value) > 0.005 * abs(corrected.value):
         flags.append(
             f"the yaw rate comes {lag.value * 1e3:.0f} ms after the wheels' speeds: the unsteady "
-            f"estimate {unsteady.value:.4g} 1/m is false, {corrected.value:.4g} without the lag"
+            f"estimate {unsteady.value:.4g} 1/m is wrong, {corrected.value:.4g} without the lag"
         )
 
 

@@ -140,7 +140,7 @@ def identify_steps(log: MeasuredLog, source: str | None = None) -> StepResponse:
     tangent = find_tangent(t_s, mean / final)
     pair = two_constants(t_s, mean / final)
     if t_s[-1] < _SETTLED * sum(pair):
-        flags.append("the steps end before the wheels have settled: the gain is uncertain")
+        flags.append("the steps end before the wheels have settled, so the gain is uncertain")
     fits = _Fits(steps, "rpm/%" if quantity == "duty_pct" else "1", final)
     order, chain = fits.chain(sum(pair))
     two = fits.pair(pair)
@@ -170,20 +170,20 @@ def _steps(log: MeasuredLog, inputs: Sequence[str]) -> tuple[str, dict[str, list
         if any(by_wheel.values()):
             return quantity, by_wheel
     raise LogError(
-        f"{files(log)}: no wheel has a step that holds 0.1 s before and 0.15 s after, with its"
-        f" speed; record steps of {' or '.join(inputs)}"
+        f"{files(log)}: no wheel has a step with constant input for 0.1 s before and 0.15 s"
+        f" after it, and a speed; record steps of {' or '.join(inputs)}"
     )
 
 
 def _flags(log: MeasuredLog, quantity: str, by_wheel: dict[str, list[Step]]) -> list[str]:
     if quantity == "duty_pct":
         return []
-    flags = ["the input is the set-point: this is the answer of the closed loop"]
+    flags = ["the input is the set-point, so this is the response of the closed loop"]
     for wheel, steps in by_wheel.items():
         if steps and f"wheel.{wheel}.duty_pct" in log:
             duty = log[f"wheel.{wheel}.duty_pct"].values
             if np.max(np.abs(duty)) >= SATURATED_PCT:
-                flags.append(f"the drive of {wheel} saturates: its answer is not linear")
+                flags.append(f"the drive of {wheel} saturates, so its response is not linear")
     return flags
 
 

@@ -24,7 +24,7 @@ def number(estimate: Estimate | None, *, scale: float = 1.0, unit: str | None = 
     shown = "" if unit == "1" else f" {unit}"
     value = f"{estimate.value * scale:.4g}"
     if estimate.ci95 is None:
-        return f"{value}{shown} (too few data for an interval)"
+        return f"{value}{shown} (too little data for an interval)"
     low, high = (f"{limit * scale:.4g}" for limit in estimate.ci95)
     return f"{value}{shown}, 95 %: {low} .. {high}"
 
@@ -53,7 +53,7 @@ def step_lines(found: StepResponse) -> list[str]:
     graphical = (
         f"order {found.strejc.order}, T = {found.strejc.time_constant_s:.4g} s"
         if found.strejc.order > 1
-        else "below order 2: two time constants"
+        else "below order 2: see the two time constants"
     )
     tangent = found.tangent
     return [
@@ -64,9 +64,9 @@ def step_lines(found: StepResponse) -> list[str]:
         f"Strejc, from two points    T1 = {found.two_point_s[0]:.4g} s, "
         f"T2 = {found.two_point_s[1]:.4g} s",
         f"fit, order {found.order}               T = {number(found.time_constant)}; "
-        f"gain {number(found.chain_gain)}; rest {found.rms_rpm[0]:.3g} rpm rms",
+        f"gain {number(found.chain_gain)}; residual {found.rms_rpm[0]:.3g} rpm rms",
         f"fit, two time constants    T1 = {number(found.t1)}; T2 = {number(found.t2)}; "
-        f"gain {number(found.gain)}; rest {found.rms_rpm[1]:.3g} rpm rms",
+        f"gain {number(found.gain)}; residual {found.rms_rpm[1]:.3g} rpm rms",
         *_flags(found.flags),
     ]
 
@@ -90,7 +90,7 @@ def zone_lines(zones: Iterable[DeadZone]) -> list[str]:
     """Return the dead zone of every wheel."""
     return [
         f"{zone.wheel}: at rest from {number(zone.lower_pct)} to {number(zone.upper_pct)}"
-        + (f"; {zone.held_rows} rows only hold an old speed" if zone.held_rows else "")
+        + (f"; {zone.held_rows} rows only repeat an old speed" if zone.held_rows else "")
         for zone in zones
     ]
 

@@ -78,7 +78,7 @@ def identify_update_rate(log: MeasuredLog) -> UpdateRate:
     if len(apart) < _CHANGES_MIN:
         raise LogError(
             f"{files(log)}: the command changes less than {_CHANGES_MIN + 1} times during the "
-            "rise; the controller is faster than the rows, or there is no step"
+            "rise; the controller is faster than the row rate, or there is no step"
         )
     error = _standard_error(apart)
     half = float(stats.t.ppf(0.975, len(apart) - 1)) * error
@@ -131,8 +131,8 @@ def _of_wheel(log: MeasuredLog, wheel: str) -> tuple[WheelRise, Array, float]:
     t_s, values = t_s[step], values[step]
     if len(values) < FEWEST_FOR_A_RATE:
         raise LogError(
-            f"{files(log)}: {len(values)} samples of {wheel} until its set-point changes"
-            f" again; an update rate needs {FEWEST_FOR_A_RATE}: hold the set-point longer"
+            f"{files(log)}: {len(values)} samples of {wheel} before its set-point changes again;"
+            f" an update rate needs {FEWEST_FOR_A_RATE}: hold the set-point longer"
         )
     settled = values[len(values) // 2 :]
     final = float(np.median(settled))

@@ -99,7 +99,7 @@ def _moved(robot: RobotParameters, by: Mapping[str, float]) -> Parameters:
             return pack(replace(robot, terms=terms))
         except PlantError as error:
             last = error
-    raise PlantError(f"the uncertainty of the parameters does not fit the robot: {last}")
+    raise PlantError(f"the parameter uncertainty does not match the robot: {last}")
 
 
 def constants(figures: Figures, moved: Sequence[Parameters]) -> NDArray[np.float64]:

@@ -20,13 +20,13 @@ def counted(numbers: NDArray[np.float64]) -> Head:
 METRICS: Final[tuple[Metric[Sequence[Head]], ...]] = (
     Metric(
         "hil_observer_samples_total",
-        "Samples of the navigation: accepted, rejected as outliers, or too late to be taken in.",
+        "Navigation samples: accepted, rejected as outliers, or too late to be used.",
         ("outcome",),
         lambda all_: [((name,), counter(int(one[name]))) for one in all_ for name in SAMPLES],
     ),
     Metric(
         "hil_observer_readmitted_total",
-        "Times that the robot was found elsewhere than the observer had it.",
+        "Number of times that the robot was found away from where the observer had placed it.",
         (),
         lambda all_: [((), counter(int(one.readmitted))) for one in all_],
     ),

@@ -64,7 +64,9 @@ class History:
         try:
             line["hash"] = _hash(line)
         except ValueError:
-            raise FailedError(f"{self.path}: a number of a {kind} is not finite") from None
+            raise FailedError(
+                f"{self.path}: a {kind} contains a number that is not finite"
+            ) from None
         data = (json.dumps(line, ensure_ascii=False) + "\n").encode()
         self._write(data)
         self._size += len(data)

@@ -114,7 +114,7 @@ class Judge:
         new = [f for f in named if changed & f.parameters.keys()]
         return Looked(
             "named",
-            sentence_of(new) or f"No longer there: {', '.join(sorted(gone))}.",
+            sentence_of(new) or f"No longer present: {', '.join(sorted(gone))}.",
             tuple(cause for f in new for cause in f.causes) or tuple(sorted(gone)),
             terms,
             gone,

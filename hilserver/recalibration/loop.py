@@ -69,7 +69,7 @@ class Loop:
             return []
         assert self.proposal is not None
         self.proposal, self._accepted_in = self.proposal.after(Step.REPLACE), None
-        text = f"proposal {self.proposal.number} no longer runs: its effect is not measured"
+        text = f"proposal {self.proposal.number} is no longer active: its effect is not measured"
         return [Note("decision", {"who": "", "proposal": self.proposal.as_json()}, text)]
 
     def _is_undone(self, loaded: Values) -> bool:
@@ -184,7 +184,7 @@ class Loop:
         if is_better:
             text = f"proposal {before.number} was right: {gained(compared.gain)}"
             return [Note("effect", {**fields, "verdict": "better"}, text)]
-        text = f"proposal {before.number} has not made the gap smaller"
+        text = f"proposal {before.number} did not make the gap smaller"
         note = Note("effect", {**fields, "verdict": "not_better"}, text, 500)
         if not before.gain:  # it was itself a way back: neither model is better
             return [note]
@@ -201,8 +201,12 @@ class Loop:
             If no proposal has that number, or it is already decided.
         """
         if self.proposal is None or self.proposal.number != number:
-            newest = "there is none" if self.proposal is None else f"it is {self.proposal.number}"
-            raise ControlRefused(f"{step}: {number} is not the newest proposal: {newest}")
+            newest = (
+                "there is no proposal"
+                if self.proposal is None
+                else f"that is {self.proposal.number}"
+            )
+            raise ControlRefused(f"{step}: {number} is not the latest proposal: {newest}")
         return self.proposal.after(step)
 
     def adopt(self, decided: Proposal, recording: int) -> None:
@@ -267,8 +271,8 @@ def back(proposal: Proposal, number: int, window: int) -> Proposal:
     return Proposal(
         number=number,
         causes=proposal.causes,
-        sentence=f"Proposal {proposal.number} has not made the gap smaller: go back to the model"
-        " before it.",
+        sentence=f"Proposal {proposal.number} did not make the gap smaller: return to the"
+        " previous model.",
         terms={n: Term(v, units.get(n, "1"), None, now.get(n)) for n, v in before.items()},
         gone={name: value for name, value in now.items() if name not in before},
         windows=(*proposal.windows, window),
@@ -285,4 +289,4 @@ def gained(gain: Mapping[str, Quantity]) -> str:
 
 def announced(proposal: Proposal) -> str:
     """Return the sentence of the event."""
-    return f"proposal {proposal.number} waits for a decision: {proposal.sentence}"
+    return f"proposal {proposal.number} needs a decision: {proposal.sentence}"

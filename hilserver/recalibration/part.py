@@ -86,11 +86,11 @@ class Recalibration(Part):
         self.loop.restore(sound, patches.split(self._differing)[0], self._news.last)
         if (line := broken(self._history.lines)) is not None:
             self._failed(f"{self._history.path}: line {line} does not follow from those before it:"
-                         " lines are missing, or it was changed and does not count")  # fmt: skip
+                         " lines are missing, or it was changed; it is ignored")  # fmt: skip
         self._history.lines.clear()
         if (window := process.cut_short(self._folder)) is not None:
             why = "the daemon was killed during its look"
-            text = f"window {window} was not judged: {why}; nothing of it was applied"
+            text = f"window {window} was not judged: {why}; nothing from it was applied"
             self._note(Note("failed", {"window": window, "error": why}, text, 500))
         self._tasks = [
             asyncio.create_task(self._record(), name="recalibration: windows"),
@@ -112,7 +112,7 @@ class Recalibration(Part):
                 why = await process.recorded(command)
             except FailedError as error:
                 why = str(error)
-            self._failed(f"no windows are recorded: {why}")
+            self._failed(f"windows are not being recorded: {why}")
             await asyncio.sleep(RECORD_AGAIN_S)
 
     async def _look(self) -> None:
@@ -198,8 +198,8 @@ class Recalibration(Part):
             loaded, others = patches.split(self._differing)
             if loaded != present(decided):
                 raise ControlRefused(
-                    f"the parameters have changed since proposal {number} was made; it would undo"
-                    " that: reject it, and the next look starts from what runs now"
+                    f"the parameters have changed since proposal {number} was made; accepting it"
+                    " would undo that: reject it, and the next look starts from the present model"
                 )
             # Written again: what was shown is accepted, whatever has become of the file since.
             patches.write(self._patches, decided, others, self._world.files.patches.config_sha256)
@@ -220,7 +220,7 @@ class Recalibration(Part):
         self._decided(decided, who)
 
     def _decided(self, decided: Proposal, who: str) -> None:
-        sentence = f"proposal {decided.number} is {decided.stage} by {who}"
+        sentence = f"proposal {decided.number} was {decided.stage} by {who}"
         self._last = {"kind": "decision", "verdict": str(decided.stage), "sentence": sentence}
         self.figures.decisions[str(decided.stage)] += 1
         self._say(sentence)
@@ -275,7 +275,7 @@ class Recalibration(Part):
         channel = self._gap.take(self._frame)
         if channel is not None and self.loop.changed is None:
             self.loop.changed = channel
-            self._say(f"the gap of {channel} has left its usual range; a look follows", 400)
+            self._say(f"the gap of {channel} has left its usual range; a look will follow", 400)
 
     # --- what doors show --------------------------------------------------------------------------
 

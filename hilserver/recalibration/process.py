@@ -50,7 +50,7 @@ async def _run(path: Path, limit_s: float) -> Result:
             async with asyncio.timeout(limit_s):
                 out, said = await process.communicate()
         except TimeoutError:
-            return Result(error=f"it took longer than {limit_s:g} s and was ended")
+            return Result(error=f"it took longer than {limit_s:g} s and was stopped")
     try:
         return Result.of(out.decode())
     except ValueError:
@@ -77,7 +77,7 @@ def cut_short(folder: Path) -> int | None:
 def _ended(code: int, said: bytes) -> str:
     how = f"its process {children.how_ended(code)}"
     last = said.decode(errors="replace").strip().rpartition("\n")[2][:MOST_SAID]
-    return how if code < 0 else f"{how}: {last or 'it said nothing'}"
+    return how if code < 0 else f"{how}: {last or 'no error message'}"
 
 
 def recorder(image: str, folder: Path, window_s: float, max_mb: float) -> list[str]:

@@ -36,7 +36,7 @@ def main() -> int:
         result = Judge(order).result()
     except MemoryError:
         limit = order.share.memory_bytes / 1e6
-        result = Result(error=f"it needs more than recalibration.memory_mb, {limit:.0f} MB")
+        result = Result(error=f"it needs more memory than recalibration.memory_mb, {limit:.0f} MB")
     print(result.text(), flush=True)
     return 0
 

@@ -59,12 +59,13 @@ class Engine:
                 else "use the hilserver of its run"
             )
             raise kind(
-                f"{what}: was made with {key} {there}, here it is {here}; {remedy}, or replay its"
+                f"{what}: was made with {key} {there}, but here it is {here}; {remedy}, or"
+                " replay its"
                 " set-points with --as-inputs"
             )
         if len(state) != self._store.state_words:
             raise LogError(
-                f"{what}: holds a state of a different size; the file is probably incomplete"
+                f"{what}: contains a state of a different size; the file is probably incomplete"
             )
 
     def feed_state(self, *, in_rows: bool) -> None:
@@ -77,7 +78,7 @@ class Engine:
         while changes and changes[0].tick < until and self._changes.room:
             change = changes.popleft()
             if change.packed.size != self._changes.length:
-                raise LogError(f"the change in tick {change.tick} is of another configuration")
+                raise LogError(f"the change at tick {change.tick} belongs to another configuration")
             self._changes.post(change.number, change.packed, change.tick)
             posted.append(change)
         return posted

@@ -29,21 +29,22 @@ def assembly_of(log: Log, patch: Patch | None = None) -> Assembly:
     that it names (hall, own block) is missing.
     """
     if log.run is None or log.run.get("configuration") is None:
-        raise LogError(f"{log.path}: carries no configuration; name the one of its run with -c")
+        raise LogError(f"{log.path}: contains no configuration; give that of its run with -c")
     try:
         data = configuration_of(log.run)
         config = Config.model_validate({k: data[k] for k in SECTIONS if k in data})
         laid_over = patch or patch_of(log.run)
     except (ValueError, TypeError, KeyError):
         raise LogError(
-            f"{log.path}: its configuration is not one of this version"
-            f" ({log.run.get('version', 'unknown')} made it); name one with -c and --as-inputs"
+            f"{log.path}: its configuration does not match this version"
+            f" ({log.run.get('version', 'unknown')} made it); give one with -c and --as-inputs"
         ) from None
     try:
         return assemble_config(config, Path(log.run.get("config_folder", "")), laid_over)
     except ConfigError as error:
         raise ConfigError(
-            f"{log.path}: its configuration cannot be used here: {error}; name it with -c"
+            f"{log.path}: its configuration cannot be used here: {error}; give the right one"
+            " with -c"
         ) from None
 
 

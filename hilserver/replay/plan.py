@@ -74,7 +74,7 @@ def plan_exact(
     plan = Plan(stretches, feeds_state=True)
     if plan.n_ticks < len(log) and start is None:
         plan.notices.append(
-            f"{log.path}: {len(log) - plan.n_ticks} of {len(log)} rows have no state before them"
+            f"{log.path}: {len(log) - plan.n_ticks} of {len(log)} rows have no preceding state"
             " and are left out"
         )
     return plan
@@ -89,10 +89,10 @@ def _inputs(
     if missing:
         raise LogError(
             f"{log.path}: was recorded without the input '{missing[0]}'; record all signals, or"
-            " replay what it has with --as-inputs"
+            " replay the inputs it has with --as-inputs"
         )
     if not len(log):
-        raise LogError(f"{log.path}: holds no frames")
+        raise LogError(f"{log.path}: contains no frames")
     values = np.stack([log.columns[s.name] for s in inputs], axis=1)
     if not log.status:
         status = np.full(values.shape, GOOD, dtype=np.int64)
@@ -124,11 +124,11 @@ def _no_state(log: Log, ticks: NDArray[np.int64], start: State | None) -> LogErr
     if start is not None:
         return LogError(
             f"{log.path}: has no frame of tick {start.tick}, at which the snapshot was taken; it"
-            f" goes from tick {ticks.min()} to {ticks.max()}"
+            f" covers ticks {ticks.min()} to {ticks.max()}"
         )
     return LogError(
-        f"{log.path}: holds no state to begin with; name a snapshot of its run with --from, or"
-        " replay its set-points with --as-inputs"
+        f"{log.path}: contains no state to start from; give a snapshot of its run with --from,"
+        " or replay its set-points with --as-inputs"
     )
 
 
@@ -180,11 +180,12 @@ def plan_inputs(log: Log, table: SignalTable, base_period_ns: int) -> Plan:
     ]
     if not any(n in names for of_mode in OF_MODE for n in of_mode):
         raise LogError(
-            f"{log.path}: has no column with set-points; known are wheel.fl.setpoint_rpm ...,"
+            f"{log.path}: has no column with set-points; known columns are wheel.fl.setpoint_rpm"
+            " ...,"
             f" {', '.join(TWIST)} and wheel.fl.duty_command_pct ..."
         )
     if not len(log):
-        raise LogError(f"{log.path}: holds no rows")
+        raise LogError(f"{log.path}: contains no rows")
     plan = Plan([], feeds_state="internal.state" in names)
     mode = _mode(log, plan.notices)
     ticks = log.ticks(base_period_ns)
@@ -218,13 +219,13 @@ def _mode(log: Log, notices: list[str]) -> int:
     if idle:
         shown = " or ".join(f"{mode:g}" for mode in sorted(in_force))
         notices.append(
-            f"{log.path}: {', '.join(idle)} take no effect: {MODE} is {shown} throughout;"
+            f"{log.path}: {', '.join(idle)} have no effect: {MODE} is {shown} throughout;"
             " record or map it, or leave the others out"
         )
     is_off = ENABLE in used and not np.nan_to_num(log.columns[ENABLE]).any()
     if is_off or not any(mode in in_force for mode in given):
         why = f"{ENABLE} is 0 throughout" if is_off else "no set-point is in force"
-        notices.append(f"{log.path}: none of its columns drives the robot: {why}")
+        notices.append(f"{log.path}: none of its columns moves the robot: {why}")
     return first
 
 

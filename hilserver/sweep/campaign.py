@@ -156,7 +156,7 @@ def _alone(job: Job, machine: Machine, workers: Workers) -> Result:
         if (result := _tried(job, [machine], workers)) is not None:
             return result
     text = (
-        f"ended its worker {LIVES} times: its code does not return within"
+        f"stopped its worker {LIVES} times: its code does not return within"
         f" {job.sweep.limits.time_s:g} s, needs too much memory, or crashes"
     )
     return fingerprint(), [Outcome(machine.index, error=text)]
@@ -170,7 +170,7 @@ def _awake(job: Job, workers: Workers) -> None:
     for _ in range(STARTS):
         if _tried(job, [], workers) is not None:
             return
-    raise FailedError(f"{STARTS} workers died while they started; is there enough memory?")
+    raise FailedError(f"{STARTS} workers died while starting; is there enough memory?")
 
 
 def _tried(job: Job, machines: list[Machine], workers: Workers) -> Result | None:
@@ -188,7 +188,8 @@ def _checked(result: Result, mixed: bool) -> Result:
     where = result[0]
     if where != fingerprint() and not mixed:
         raise FailedError(
-            f"a worker computes with other bits ({where}, here {fingerprint()}): its hilserver,"
-            " processor or mathematical library differs; use alike workers, or --mixed"
+            f"the results of a worker are not bit-identical ({where}, here {fingerprint()}): its"
+            " hilserver version, processor or math library differs; use identical workers, or"
+            " --mixed"
         )
     return result

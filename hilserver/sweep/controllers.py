@@ -85,7 +85,7 @@ class Driver:
             return
         if not isinstance(commands, Mapping):
             raise WrongCommand(
-                f"returned {commands!r:.60}; a mapping of input signals to values is needed"
+                f"returned {commands!r:.60}; it must return a mapping of input signals to values"
             )
         # `...` equals no command, not even None.
         changed = {n: v for n, v in commands.items() if self._newest.get(n, ...) != v}
@@ -105,7 +105,7 @@ class Driver:
         signal = self._known.get(name)
         if signal is None:
             if name not in self._table or not self._table[name].writable:
-                raise WrongCommand(f"commands '{name!s:.60}', which is no input of the robot")
+                raise WrongCommand(f"commands '{name!s:.60}', which is not an input of the robot")
             signal = self._known[name] = self._table[name]
         if isinstance(value, np.generic):
             value = value.item()

@@ -45,7 +45,7 @@ class Journal:
             return 0
         if not resume:
             raise FailedError(
-                f"{self.path} exists: continue it with --resume, or choose another folder"
+                f"{self.path} already exists: continue with --resume, or choose another folder"
             )
         lines = whole.splitlines()
         try:
@@ -55,8 +55,8 @@ class Journal:
             raise FailedError(f"{self.path} is damaged; choose another folder") from None
         if not isinstance(first, dict) or first.get("key") != head["key"]:
             raise FailedError(
-                f"{self.path} is about another sweep, robot, controller or version of hilserver;"
-                " choose another folder"
+                f"{self.path} belongs to another sweep, robot, controller or version of"
+                " hilserver; choose another folder"
             )
         for row in rows:
             index = row["index"]

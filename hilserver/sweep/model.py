@@ -31,20 +31,22 @@ Share = Annotated[float, Field(ge=0, le=1)]
 class Distribution(Section):
     """How one parameter scatters over the machines."""
 
-    sd: float | None = Field(None, gt=0, le=1e12, description="normal, standard deviation")
-    mean: Number | None = Field(None, description="with sd; null: what the configuration has")
-    uniform: tuple[Number, Number] | None = Field(None, description="between two ends")
+    sd: float | None = Field(
+        None, gt=0, le=1e12, description="standard deviation of a normal distribution"
+    )
+    mean: Number | None = Field(None, description="mean, with sd; null: value of the configuration")
+    uniform: tuple[Number, Number] | None = Field(None, description="uniform between two limits")
     values: tuple[Number, ...] | None = Field(
-        None, min_length=1, max_length=1000, description="one of these, each as often"
+        None, min_length=1, max_length=1000, description="one of these, equally likely"
     )
 
     @model_validator(mode="after")
     def _is_one(self) -> Self:
         given = [key for key in ("sd", "uniform", "values") if getattr(self, key) is not None]
         if len(given) != 1:
-            raise ValueError("write one of sd, uniform and values")
+            raise ValueError("write exactly one of sd, uniform and values")
         if self.mean is not None and self.sd is None:
-            raise ValueError("mean goes with sd")
+            raise ValueError("mean needs sd")
         if self.uniform is not None and self.uniform[0] >= self.uniform[1]:
             low, high = self.uniform
             raise ValueError(f"uniform goes from {low:g} up to {high:g}; swap the two numbers")
@@ -55,10 +57,10 @@ class Source(Section):
     """Where the machines come from."""
 
     findings: Path | None = Field(
-        None, description="findings.json of a diagnosis: how well one machine is known (joint)"
+        None, description="findings.json of a diagnosis: uncertainty of one machine (joint)"
     )
     population: dict[str, Distribution] = Field(
-        {}, max_length=100, description="how machines scatter: parameter and distribution"
+        {}, max_length=100, description="how the machines vary: distribution by parameter"
     )
 
     @model_validator(mode="after")
@@ -71,8 +73,8 @@ class Source(Section):
 class FaultShare(Section):
     """A fault that some of the machines have."""
 
-    share: Share = Field(description="of the machines that have it")
-    fault: Fault = Field(description="as in a scenario")
+    share: Share = Field(description="share of the machines that have the fault")
+    fault: Fault = Field(description="fault, as in a scenario")
 
 
 class DriveConfig(Section):
@@ -89,13 +91,13 @@ class DriveConfig(Section):
         None,
         min_length=2,
         max_length=1000,
-        description="way in the plane [m]; path.error_m is the distance of the pose to it",
+        description="path in the plane [m]; path.error_m is the distance of the pose from it",
     )
 
     @model_validator(mode="after")
     def _lasts(self) -> Self:
         if self.scenario is None and self.duration_s is None:
-            raise ValueError("without a scenario, write duration_s")
+            raise ValueError("without a scenario, duration_s is needed")
         return self
 
 
@@ -103,18 +105,18 @@ class ControllerConfig(Section):
     """The controller under test: a block, a Python object or a process."""
 
     block: str | None = Field(None, description="file.py:function, compiled into a slice")
-    name: str | None = Field(None, description="of the block; null: that of its function")
+    name: str | None = Field(None, description="slice of the block; null: that of its function")
     slice: str = Field("sensors", description="of the block")
     inputs: dict[str, str] = Field({}, description="input of the block: signal")
     drives: dict[str, str] = Field({}, description="output of the block: command")
     parameters: dict[str, float] = Field({}, description="of the block")
-    python: str | None = Field(None, description="file.py:Class, made anew for each machine")
+    python: str | None = Field(None, description="file.py:Class, one instance for each machine")
     every_ms: float | None = Field(None, gt=0, le=10_000, description="period of python")
     command: tuple[str, ...] = Field(
         (),
         max_length=100,
         description="a program, started in the folder of the sweep for each machine; {endpoint}"
-        " stands for the robot's address, {seed} for the machine's seed",
+        " stands for the address of the robot, {seed} for the seed of the machine",
     )
     lockstep: Literal["opcua"] | None = Field(None, description="how the program steps the robot")
 
@@ -122,7 +124,7 @@ class ControllerConfig(Section):
     def _is_one_kind(self) -> Self:
         given = [k for k in _KINDS if getattr(self, k)]
         if len(given) != 1:
-            raise ValueError("write one of block, python and command")
+            raise ValueError("write exactly one of block, python and command")
         (kind,) = given
         for other, (needs, *more) in _KINDS.items():
             if other == kind and not getattr(self, needs):
@@ -144,8 +146,10 @@ _KINDS: Final = {
 class Limits(Section):
     """What one machine may use; a machine that uses more fails."""
 
-    time_s: float = Field(60.0, gt=0, le=3600, description="on the clock")
-    memory_mb: float = Field(1000.0, ge=100, le=1e6, description="beyond what a worker begins with")
+    time_s: float = Field(60.0, gt=0, le=3600, description="wall-clock time")
+    memory_mb: float = Field(
+        1000.0, ge=100, le=1e6, description="beyond what a worker uses at its start"
+    )
 
 
 class Sweep(Section):
@@ -153,15 +157,19 @@ class Sweep(Section):
 
     model_config = ConfigDict(populate_by_name=True)
 
-    machines: int = Field(ge=1, le=MOST_MACHINES, description="how many")
-    seed: int = Field(0, ge=0, lt=2**31, description="of all draws")
-    config: Path | None = Field(None, description="of the robot; null: that of the command")
+    machines: int = Field(ge=1, le=MOST_MACHINES, description="number of machines")
+    seed: int = Field(0, ge=0, lt=2**31, description="seed of all draws")
+    config: Path | None = Field(
+        None, description="configuration of the robot; null: that of the command"
+    )
     from_: Source = Field(alias="from", description="where the machines come from")
-    faults: tuple[FaultShare, ...] = Field((), max_length=50, description="and what is wrong")
-    drive: DriveConfig = Field(description="what they do")
-    controller: ControllerConfig | None = Field(None, description="null: the scenario alone")
+    faults: tuple[FaultShare, ...] = Field(
+        (), max_length=50, description="faults that some of them have"
+    )
+    drive: DriveConfig = Field(description="what the machines do")
+    controller: ControllerConfig | None = Field(None, description="null: only the scenario")
     require: tuple[Requirement, ...] = Field(
-        min_length=1, max_length=MAX_REQUIREMENTS, description="what each machine has to meet"
+        min_length=1, max_length=MAX_REQUIREMENTS, description="what each machine must meet"
     )
     limits: Limits = Limits()
 

@@ -49,7 +49,7 @@ def drive_again(prepared: Prepared, index: int, folder: Path) -> Outcome:
     (folder / MARGINS).write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
     if not outcome.error and margins != outcome.margins:
         raise FailedError(
-            f"machine {index} drives differently in the daemon: margins {margins}, in the sweep"
+            f"machine {index} behaves differently in the daemon: margins {margins}, in the sweep"
             f" {outcome.margins}; please report it with {folder}"
         )
     return outcome
@@ -61,7 +61,7 @@ async def _record(
     """Play the scenario with the written configuration; return the margins of the recording."""
     job, assembly = prepared.job, assemble(folder / CONFIG)
     if assembly.composition.parameters.numbers.tobytes() != np.array(machine.p).tobytes():
-        raise FailedError(f"{folder / CONFIG} makes another robot than machine {machine.index}")
+        raise FailedError(f"{folder / CONFIG} makes a different robot from machine {machine.index}")
     judge, names = judge_of(job, assembly.table)
     kept: list[NDArray[np.float64]] = []
     async with Simulation(assembly, Play(scenario, folder / SCENARIO)) as simulation:
@@ -86,7 +86,8 @@ def _scenario(
     whole = sorted((*base.steps, *steps), key=lambda step: step.at_s)
     if len(whole) > MAX_STEPS:
         raise FailedError(
-            f"the controller commanded {len(steps)} times, and a scenario holds {MAX_STEPS} steps;"
+            f"the controller commanded {len(steps)} times, but a scenario can hold only"
+            f" {MAX_STEPS} steps;"
             " choose a longer every_ms or a shorter drive"
         )
     title = f"machine {machine.index} of {prepared.job.path.name}"

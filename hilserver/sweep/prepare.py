@@ -151,7 +151,7 @@ def _assembled(
         assembly = assemble_config(quiet(config), folder, patch)
     if any(block.model is not None for block in assembly.composition.blocks):
         raise ConfigError(
-            f"{place(folder / 'config.yaml', ('blocks',))}a sweep cannot begin an FMU anew for"
+            f"{place(folder / 'config.yaml', ('blocks',))}a sweep cannot restart an FMU for"
             " every machine; leave it out"
         )
     return assembly
@@ -187,8 +187,8 @@ def _drive(sweep: Sweep, path: Path, assembly: Assembly) -> tuple[Scenario, int]
                 )
             if sweep.controller is not None and sweep.controller.command:
                 raise ConfigError(
-                    f"{place(file, ('steps', index))}the controller is a program and alone"
-                    " commands; keep the faults and leave 'steps' out"
+                    f"{place(file, ('steps', index))}the controller is a program, and only it"
+                    " may command; keep the faults and leave 'steps' out"
                 )
     duration_s = sweep.drive.duration_s or scenario.lasts_s
     return scenario, max(round(duration_s * 1e9 / assembly.base_period_ns), 1)
@@ -199,7 +199,7 @@ def _check_times(sweep: Sweep, path: Path, duration_s: float) -> None:
         if requirement.lasts_s > duration_s:
             raise ConfigError(
                 f"{place(path, ('require', index))}'{requirement.name}' needs a drive of"
-                f" {requirement.lasts_s:g} s, this one ends after {duration_s:g} s"
+                f" {requirement.lasts_s:g} s, but this one ends after {duration_s:g} s"
             )
 
 
@@ -220,16 +220,16 @@ def _findings(
         first = error.errors(include_url=False)[0]
         key = ".".join(str(part) for part in first["loc"])
         raise ConfigError(
-            f"{where}{file} is no findings.json of hilserver: {key}: {first['msg']}"
+            f"{where}{file} is not a findings.json of hilserver: {key}: {first['msg']}"
         ) from None
     if findings.config_sha256 != config.sha256:
         raise ConfigError(
-            f"{where}{file} is about another robot: it was made with the configuration"
-            f" {findings.config_sha256[:12]}, this one is {config.sha256[:12]}; name the one that"
-            " was diagnosed with 'config' or -c, or diagnose again"
+            f"{where}{file} is from another robot: it was made with configuration"
+            f" {findings.config_sha256[:12]}, this one is {config.sha256[:12]}; give the"
+            " configuration that was diagnosed with 'config' or -c, or diagnose again"
         )
     if findings.joint is None or not findings.joint.parameters:
-        raise ConfigError(f"{where}{file} has no joint: nothing was fitted in its logs")
+        raise ConfigError(f"{where}{file} has no joint: nothing was fitted to its logs")
     patch = None
     if findings.model_patch is not None:
         patch = load_patch(file.parent / findings.model_patch)
@@ -244,7 +244,7 @@ def _joint(found: tuple[Path, Findings] | None, path: Path) -> tuple[Joint | Non
     mine = [k for k, n in enumerate(joint.parameters) if n in TERMS or n in causes]
     left_out = tuple(n for k, n in enumerate(joint.parameters) if k not in mine)
     if not mine:
-        raise ConfigError(f"{where}{found[0]}: its joint holds no parameter of a robot")
+        raise ConfigError(f"{where}{found[0]}: its joint contains no parameter of a robot")
     names = tuple(TERM + main_part(joint.parameters[k]) for k in mine)
     try:
         root = root_of(np.array(joint.covariance)[np.ix_(mine, mine)])
@@ -269,12 +269,12 @@ def _draws(
         where = place(path, ("from", "population", given_name))
         name = _full_name(given_name, table)
         if name is None:
-            hint = meant(given_name, table, "docs/reference/parameters.md has all names")
+            hint = meant(given_name, table, "all names are in docs/reference/parameters.md")
             raise ConfigError(f"{where}there is no such parameter; {hint}")
         if name in population or (joint is not None and name in joint.names):
             raise ConfigError(f"{where}{name} is drawn twice; keep one")
         if table[name].when == "restart":
-            raise ConfigError(f"{where}{name} is fixed when a robot is built; leave it out")
+            raise ConfigError(f"{where}{name} is fixed once a robot is built; leave it out")
         if distribution.sd is not None and distribution.mean is None and isnan(nominal[name]):
             raise ConfigError(f"{where}{name} is null in the configuration; write a mean")
         population[name] = distribution

@@ -134,8 +134,7 @@ class Stepped:
             return
         if process.returncode is None:
             raise _Failed(
-                f"took longer than {time_s:g} s: {watch.place}, the controller does not step any"
-                " more"
+                f"took longer than {time_s:g} s: {watch.place}, the controller no longer steps"
             )
         raise _Failed(f"the controller {_ending(process.returncode, lines)}; {watch.place}")
 
@@ -163,7 +162,7 @@ class _Watch:
     def place(self) -> str:
         """How far the drive has got, in words."""
         period_s = self._daemon.assembly.base_period_ns * 1e-9
-        return f"the drive has come to {self._done * period_s:g} s of {self._n * period_s:g} s"
+        return f"the drive reached {self._done * period_s:g} s of {self._n * period_s:g} s"
 
     def _look(self) -> None:
         image, control = self._daemon.image, self._daemon.control
@@ -177,8 +176,8 @@ class _Watch:
             self._fail(f"{fault_of(code).text}; {self.place}")
         elif control.state not in (State.PAUSED, State.STOPPING):
             self._fail(
-                f"the controller let the robot run by itself ({control.reason}); one in lockstep"
-                f" calls Step and nothing else that moves it; {self.place}"
+                f"the controller let the robot run freely ({control.reason}); in lockstep it may"
+                f" move the robot only with Step; {self.place}"
             )
 
     def _fail(self, why: str) -> None:

@@ -168,7 +168,7 @@ def read_table(folder: Path) -> Table:
         about = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
         columns = _read_columns(folder)
     except (OSError, ValueError, KeyError) as error:
-        raise LogError(f"{folder}: holds no finished sweep: {error!s:.120}") from None
+        raise LogError(f"{folder}: contains no finished sweep: {error!s:.120}") from None
     numbers = {k: np.array(v, dtype=np.float64) for k, v in columns.items() if k not in _TEXTS}
     names = (*about["of_one_machine"], *about["population"])
     return Table(

@@ -17,7 +17,7 @@ def headline(table: Table) -> str:
     """Return a sentence on the share that passes."""
     n = len(table) - table.count(REFUSED)
     if n == 0:
-        return "No machine could be built: every draw is outside the range of a parameter."
+        return "No machine could be built: every draw has a parameter outside its range."
     passed = table.count(PASSED)
     return f"{passed} of {n} machines pass: {100 * passed / n:.1f} %"
 
@@ -28,9 +28,9 @@ def details(table: Table) -> str:
     low, high = exact_interval(table.count(PASSED), n)
     text = f"95 % between {100 * low:.1f} % and {100 * high:.1f} %."
     if failed := table.count(ERROR):
-        text += f" On {failed} the controller failed."
+        text += f" The controller failed on {failed}."
     if refused := table.count(REFUSED):
-        text += f" {refused} more draws are no machines: a parameter is outside its range."
+        text += f" {refused} more draws were left out because a parameter is outside its range."
     return text
 
 
@@ -39,17 +39,18 @@ def scope(table: Table) -> str:
     one, many = table.about["of_one_machine"], table.about["population"]
     if one and many:
         return (
-            "The machines are one machine as uncertain as its diagnosis left it, and scatter in"
-            f" {', '.join(many)} besides: the share mixes both."
+            "The machines are one machine with the uncertainty left by its diagnosis, and also"
+            " vary in"
+            f" {', '.join(many)}: the share mixes both."
         )
     if one:
         return (
-            "The machines are one and the same, as uncertain as its diagnosis left it: the share is"
-            " the probability that the controller passes on that machine."
+            "The machines are all the same machine, with the uncertainty left by its diagnosis:"
+            " the share is the probability that the controller passes on that machine."
         )
     return (
-        "The machines are a population: the share is that of its machines on which the controller"
-        " passes. It says nothing about a machine that is not drawn from it."
+        "The machines are a population: the share is the proportion of its machines on which the"
+        " controller passes. It says nothing about machines outside this population."
     )
 
 
@@ -61,13 +62,13 @@ def plan(prepared: Prepared, outcome: Outcome, seconds: float, workers: int) -> 
     duration_s = prepared.job.n_ticks * prepared.assembly.base_period_ns * 1e-9
     lines = [f"{sweep.machines} machines, {duration_s:g} s each, {len(sweep.require)} requirements"]
     lines += [f"  {name}: {_drawn(name, draws)}" for name in draws.names]
-    lines += [f"  left out, no parameter of a robot: {name}" for name in prepared.left_out]
-    lines.append(f"{len(refused)} of the first {tried} draws are no machines")
-    lines += [f"  as: {refused[0]}"] if refused else []
+    lines += [f"  left out, not a parameter of a robot: {name}" for name in prepared.left_out]
+    lines.append(f"{len(refused)} of the first {tried} draws have a parameter outside its range")
+    lines += [f"  for example: {refused[0]}"] if refused else []
     said = outcome.error or outcome.refused or f"smallest margin {min(outcome.margins):g}"
     lines.append(f"machine 0 took {seconds:.2f} s: {said}")
     total_s = seconds * sweep.machines / workers
-    lines.append(f"all of them: about {total_s / 60:.1f} min with {workers} workers")
+    lines.append(f"total: about {total_s / 60:.1f} min with {workers} workers")
     return "\n".join(lines)
 
 
@@ -99,7 +100,8 @@ def compare(a: Table, b: Table) -> str:
         f"{len(mine)} machines, the same in both",
         f"pass in both {both}, only in A {only_a}, only in B {only_b},"
         f" in neither {len(mine) - both - only_a - only_b}",
-        f"by chance so uneven with probability {paired_p(only_a, only_b):.3g} (McNemar, exact)",
+        f"probability of such a difference by chance: {paired_p(only_a, only_b):.3g} (McNemar,"
+        " exact)",
     ]
     for name in a.margins:
         if name not in b.margins:
@@ -110,8 +112,8 @@ def compare(a: Table, b: Table) -> str:
             continue
         median, low, high = median_interval(change)
         lines.append(
-            f"{name}: margin in B minus A {median:.4g} in the median ({low:.4g} .. {high:.4g}),"
-            f" larger on {(change > 0).mean():.1%}"
+            f"{name}: margin in B minus A, median {median:.4g} ({low:.4g} .. {high:.4g}),"
+            f" larger on {(change > 0).mean():.1%} of the machines"
         )
     return "\n".join(lines)
 

@@ -56,7 +56,7 @@ def test_a_sweep_from_the_plan_to_the_worst_machine(capsys):
     assert f"pass in both {passed}, only in A 0" in capsys.readouterr().out
     assert main([*command[:4], "--resume"]) == 0  # nothing is left to do
     assert main(command) == 1
-    assert "continue it with --resume" in capsys.readouterr().err
+    assert "continue with --resume" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,7 @@ def test_a_sweep_from_the_plan_to_the_worst_machine(capsys):
         (["sweep.yaml", "-o", "course.yaml"], 1, "is a file"),
         (["none.yaml", "-o", "out"], 78, "no such file"),
         (["sweep.yaml", "-o", "out", "--only", "20"], 1, "machines are 0 .. 19"),
-        (["--compare", "out", "out"], 2, "holds no finished sweep"),
+        (["--compare", "out", "out"], 2, "contains no finished sweep"),
     ],
 )
 def test_what_cannot_be_is_one_sentence(capsys, arguments, code, says):

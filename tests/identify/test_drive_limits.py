@@ -50,7 +50,7 @@ def test_controllers_are_ordered_and_only_different_ones_told_apart():
 
 
 def test_rows_too_far_apart_to_see_the_controller_are_refused():
-    with pytest.raises(LogError, match="faster than the rows"):
+    with pytest.raises(LogError, match="faster than the row rate"):
         identify_update_rate(incremental(1, row_ms=20))
 
 

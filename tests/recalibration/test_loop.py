@@ -271,7 +271,7 @@ def test_a_restart_restores_what_waits_and_what_was_rejected():
 def test_only_the_newest_can_be_decided_on_and_once(step):
     robot = Robot()
     number = robot.proposed().number
-    with pytest.raises(ControlRefused, match=r"7 is not the newest proposal: it is 1"):
+    with pytest.raises(ControlRefused, match=r"7 is not the latest proposal: that is 1"):
         robot.loop.decided(step, 7)
     robot.decide(step)
     with pytest.raises(ControlRefused, match=r"proposal 1 is"):

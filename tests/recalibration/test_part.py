@@ -114,7 +114,7 @@ async def test_a_proposal_is_shown_accepted_and_measured(tmp_path, answers):
         await exported(daemon, 'looks_total{verdict="named"} 1.0')
         assert broken(lines(tmp_path)) is None
         said = [e.message for e in daemon.events.recent if e.kind == "recalibration"]
-        assert said[0] == f"proposal 1 waits for a decision: {NAMED.sentence}"
+        assert said[0] == f"proposal 1 needs a decision: {NAMED.sentence}"
         why = "was refused: proposal 1 is accepted, not open"
         assert f"AcceptProposal by anonymous engineer {why}" in said
         await exported(daemon, 'decisions_total{outcome="accepted"} 1.0')
@@ -185,7 +185,7 @@ async def test_only_an_engineer_decides(tmp_path, answers, role):
 async def test_a_flood_of_refusals_drives_no_other_event_out(tmp_path, answers):
     async with daemon_in(tmp_path) as (daemon, part):
         for k in range(1000):
-            part.refused(f"AcceptProposal by eve was refused: {k} is not the newest proposal")
+            part.refused(f"AcceptProposal by eve was refused: {k} is not the latest proposal")
         said = [e for e in daemon.events.recent if e.kind == "recalibration"]
         assert 0 < len(said) < 50
         await exported(daemon, 'decisions_total{outcome="refused"} 1000.0')
@@ -341,7 +341,7 @@ async def test_a_look_that_a_kill_cut_short_is_named_by_the_next_run(tmp_path, a
     async with daemon_in(tmp_path) as (daemon, part):
         said = [e.message for e in daemon.events.recent if e.kind == "recalibration"]
         assert said == [
-            "window 9 was not judged: the daemon was killed during its look; nothing of it was"
+            "window 9 was not judged: the daemon was killed during its look; nothing from it was"
             " applied"
         ]
         assert daemon.core.parameters.differing == {}
@@ -380,7 +380,7 @@ async def test_a_number_that_is_none_is_an_event(tmp_path, answers):
     async with daemon_in(tmp_path) as (daemon, part):
         await windows(part, answers, Result(look=NAMED), Result(confirm=endless))
         said = [e.message for e in daemon.events.recent if e.kind == "recalibration"]
-        assert any("a number of a proposal is not finite" in text for text in said)
+        assert any("a proposal contains a number that is not finite" in text for text in said)
         with pytest.raises(FailedError, match="not finite"):
             await part.accept(1, "eve")
         assert daemon.core.parameters.differing == {}
@@ -413,7 +413,7 @@ async def test_a_recorder_that_ends_is_an_event(tmp_path, answers, monkeypatch):
     async with daemon_in(tmp_path) as (daemon, part):
         await wait_until(lambda: part.figures.failures > 0)
         said = [e.message for e in daemon.events.recent if e.kind == "recalibration"]
-        assert said == ["no windows are recorded: no space is left"]
+        assert said == ["windows are not being recorded: no space is left"]
 
 
 async def test_without_recalibration_the_methods_say_so(tmp_path):

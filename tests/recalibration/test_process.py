@@ -36,9 +36,12 @@ def worker(monkeypatch):
     [
         ("kill -9 $$", "its process was ended by SIGKILL"),
         ("echo first >&2; echo boom >&2; exit 3", "its process ended with exit code 3: boom"),
-        ("echo nonsense", "its process ended with exit code 0: it said nothing"),
-        ('echo "{\\"measure\\": 3}"', "its process ended with exit code 0: it said nothing"),
-        ("exit 1", "its process ended with exit code 1: it said nothing"),
+        ("echo nonsense", "its process ended with exit code 0: no error message"),
+        (
+            'echo "{\\"measure\\": 3}"',
+            "its process ended with exit code 0: no error message",
+        ),
+        ("exit 1", "its process ended with exit code 1: no error message"),
     ],
 )
 async def test_however_it_ends_there_is_a_sentence(tmp_path, worker, script, error):
@@ -49,7 +52,7 @@ async def test_however_it_ends_there_is_a_sentence(tmp_path, worker, script, err
 async def test_one_that_takes_too_long_is_ended(tmp_path, worker):
     worker("sh", "-c", f"echo $$ > {tmp_path}/pid; exec sleep 1000")
     result = await process.looked(order(tmp_path), tmp_path, 1.0)
-    assert result.error == "it took longer than 1 s and was ended"
+    assert result.error == "it took longer than 1 s and was stopped"
     pid = (tmp_path / "pid").read_text().strip()
     with pytest.raises(ProcessLookupError):
         os.kill(int(pid), 0)

@@ -78,7 +78,7 @@ def test_a_recording_from_the_middle_carries_the_state_to_begin_with(recorded, t
     strip_outputs(recorded.middle, tmp_path / "stripped.csv")
     text = replay(tmp_path / "stripped.csv", "-o", tmp_path / "again.csv", cwd=tmp_path)
     again = read_log(tmp_path / "again.csv")
-    assert "have no state before them and are left out" in text
+    assert "have no preceding state and are left out" in text
     assert len(again) > 1000
     first = log.states[0].tick
     assert outputs_from(again) == outputs_from(log, tick=first)

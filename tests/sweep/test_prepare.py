@@ -84,7 +84,7 @@ def test_one_machine_as_its_diagnosis_left_it(made, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"config_sha256": "0" * 64}, "is about another robot"),
+        ({"config_sha256": "0" * 64}, "is from another robot"),
         ({"joint": None}, "has no joint"),
         ({"joint": JOINT | {"covariance": [[1.0, 2, 0], [2, 1.0, 0], [0, 0, 1]]}}, "positive"),
         ({"joint": {"parameters": ["clock_offset"], "value": [1], "covariance": [[1]]}}, "no par"),
@@ -133,7 +133,10 @@ POPULATION = BASIC["from"]["population"]
         ({"controller": {"python": "my.py:Controller"}}, "python needs every_ms"),
         ({"controller": {"block": "limit.py:limit"}}, "block needs drives"),
         ({"controller": {"block": "my.py:Controller", "drives": {"a": "b"}}}, "not declared|free"),
-        ({"controller": {"python": "a:b", "block": "c:d", "every_ms": 5}}, "write one of block"),
+        (
+            {"controller": {"python": "a:b", "block": "c:d", "every_ms": 5}},
+            "write exactly one of block",
+        ),
         ({"faults": [{"share": 2, "fault": {"fault": "stuck", "signal": "pose.x_m"}}]}, "share"),
     ],
 )

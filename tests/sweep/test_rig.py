@@ -124,11 +124,11 @@ def test_a_hostile_controller_fails_its_machine(outcome, name, says):
 @pytest.mark.parametrize(
     ("answer", "says"),
     [
-        (3.0, "a mapping of input signals to values is needed"),
+        (3.0, "it must return a mapping of input signals to values"),
         ({"wheels.setpoints_rpm": ["a", "b", "c", "d"]}, "type mismatch"),
         ({"twist.linear_m_s": 1e9}, "out of range"),
-        ({"pose.x_m": 1.0}, "no input of the robot"),
-        ({3: 1.0}, "no input of the robot"),
+        ({"pose.x_m": 1.0}, "not an input of the robot"),
+        ({3: 1.0}, "not an input of the robot"),
         ({"twist.linear_m_s": float("nan")}, "not finite"),
     ],
 )

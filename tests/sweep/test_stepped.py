@@ -75,28 +75,28 @@ def test_a_client_of_others_gives_the_same_bits(driven, monkeypatch):
 
 def test_one_that_raises_fails_its_machine(driven):
     _, found = driven(action='raise RuntimeError("no idea")')
-    said = "the controller ended with exit code 1: RuntimeError: no idea; the drive has come to"
+    said = "the controller ended with exit code 1: RuntimeError: no idea; the drive reached"
     assert found.error == f"{said} 0.15 s of 0.4 s"
 
 
 def test_one_that_never_connects_fails_its_machine(driven):
     _, found = driven("sleep", "1000", time_s=0.5)
-    assert "took longer than 0.5 s: the drive has come to 0 s of 0.4 s" in found.error
+    assert "took longer than 0.5 s: the drive reached 0 s of 0.4 s" in found.error
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("action", "says"),
     [
-        ("return", "ended with exit code 0; the drive has come to 0.15 s of 0.4 s"),
+        ("return", "ended with exit code 0; the drive reached 0.15 s of 0.4 s"),
         ("sys.exit(3)", "ended with exit code 3"),
         ("import os; os.kill(os.getpid(), 9)", "was ended by SIGKILL"),
-        ("await asyncio.sleep(1e6)", "took longer than 15 s: the drive has come to 0.15 s of"),
+        ("await asyncio.sleep(1e6)", "took longer than 15 s: the drive reached 0.15 s of"),
         ("while True: print('x' * 9999, file=sys.stderr)", "took longer than 15 s"),
         ("a = [bytearray(10**8) for _ in range(99)]", "ended with exit code 1: MemoryError"),
         (
             "await methods.call_method(f'{ns}:Start'); await asyncio.sleep(1e6)",
-            "the controller let the robot run by itself (running)",
+            "the controller let the robot run freely (running)",
         ),
         (
             "await client.get_node(f'ns={ns};s=twist.linear_m_s').write_value(float('nan'))",
@@ -135,7 +135,7 @@ def test_a_program_that_does_not_exist(driven):
         ),
         (
             {"controller": {"command": ["a"], "lockstep": "opcua"}},
-            "the controller is a program and alone commands",
+            "the controller is a program, and only it may command",
         ),
     ],
 )

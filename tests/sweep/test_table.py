@@ -53,7 +53,7 @@ def test_without_pyarrow_it_is_csv(made, tmp_path, monkeypatch):
 
 
 def test_a_folder_without_a_sweep(tmp_path):
-    with pytest.raises(LogError, match="holds no finished sweep"):
+    with pytest.raises(LogError, match="contains no finished sweep"):
         read_table(tmp_path)
 
 
@@ -69,9 +69,9 @@ def test_a_journal_is_continued_after_a_torn_line(made, tmp_path):
 
 def test_another_sweep_is_not_continued(made, tmp_path):
     swept(made(), tmp_path / "out", machines=1)
-    with pytest.raises(FailedError, match="is about another sweep"):
+    with pytest.raises(FailedError, match="belongs to another sweep"):
         swept(made(seed=8), tmp_path / "out")
-    with pytest.raises(FailedError, match="continue it with --resume"):
+    with pytest.raises(FailedError, match="continue with --resume"):
         Journal(tmp_path / "out", made().job.key, resume=False)
 
 
@@ -111,7 +111,7 @@ def test_the_report_of_failures_alone(made, tmp_path):
     )
     page = write_report(tmp_path / "out", broken).read_text()
     assert "Where the controller failed" in page
-    assert "Draws that are no machines" in page
+    assert "Draws outside the range of a parameter" in page
 
 
 def _said(table):

@@ -45,8 +45,8 @@ def distribution(name: str, margins: Array, unit: str) -> Figure | None:
             plot.bar(float(a), float(b), count, role, f"{count} machines: {a:.4g} .. {b:.4g}")
     plot.upright(0.0)
     failing = int((margins < 0.0).sum())
-    beside = f" {endless} of them without a number: too short, or not a number." if endless else ""
-    caption = f"{failing} of {int((~np.isnan(margins)).sum())} machines do not meet it.{beside}"
+    beside = f" {endless} have none: drive too short, or value not a number." if endless else ""
+    caption = f"{failing} of {int((~np.isnan(margins)).sum())} machines fail.{beside}"
     return Figure(picture([plot], f"margins of {name}"), name, caption)
 
 
@@ -76,8 +76,8 @@ def failing_region(
         titles = [f"machine {table.index[r]}: margin {margins[r]:.4g}" for r in rows]
         plot.dots(x[rows], y[rows], f"small {role}", titles)
     caption = (
-        "Each dot is a machine; orange ones fail. Behind them: the share that fails there, the"
-        " darker the more."
+        "Each dot is a machine; orange ones fail. Background: share of failures there, the"
+        " darker the larger."
     )
     return Figure(picture([plot], f"where {name} fails"), f"Where '{name}' fails", caption)
 
