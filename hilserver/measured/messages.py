@@ -64,8 +64,8 @@ class Decoder:
         store, name = self._store(), full_type(topic.type)
         if name not in store.fielddefs:
             raise TopicError(
-                f"{self._where}: the bag does not contain the definition of its type"
-                f" '{topic.type}'; record it with ROS 2 Iron or newer, or convert the topic to CSV"
+                f"{self._where}: the definition of its type '{topic.type}' is not in the bag;"
+                " record it with ROS 2 Iron or newer, or convert the topic to CSV"
             )
         decode = store.deserialize_ros1 if topic.serialization == "ros1" else store.deserialize_cdr
         return lambda data: decode(data, name)

@@ -97,6 +97,6 @@ def _note(spans: tuple[Span, ...], edges: list[Pieces]) -> str:
     longest_s, at_s = max(pauses)
     times = "once, for" if len(pauses) == 1 else f"{len(pauses)} times, the longest for"
     return (
-        f"the recording pauses {times} {longest_s:.4g} s, after t_s = {at_s:.10g}: it was cut into"
+        f"the recording pauses {times} {longest_s:.4g} s after t_s = {at_s:.10g}: it was cut into"
         f" {len(spans) + len(pauses)} segments, each with a start pose of its own"
     )

@@ -219,7 +219,7 @@ def _mode(log: Log, notices: list[str]) -> int:
     if idle:
         shown = " or ".join(f"{mode:g}" for mode in sorted(in_force))
         notices.append(
-            f"{log.path}: {', '.join(idle)} have no effect: {MODE} is {shown} throughout;"
+            f"{log.path}: {', '.join(idle)} without effect: {MODE} is {shown} throughout;"
             " record or map it, or leave the others out"
         )
     is_off = ENABLE in used and not np.nan_to_num(log.columns[ENABLE]).any()

@@ -78,7 +78,7 @@ def document(folder):
 def test_a_straight_drive_cannot_show_rotation():
     outlook = seen(STRAIGHT)
     assert set(outlook.not_judged) >= ROTATION
-    assert "hardly excites" in outlook.not_judged["rotation_gain"]
+    assert "hardly excited" in outlook.not_judged["rotation_gain"]
     assert {"wheel_radius_difference", "nav_latency", "process_gain"} <= set(outlook.shown)
 
 

@@ -235,8 +235,8 @@ def test_what_no_sensor_measured_is_marked_in_the_imu(tmp_path):
         (["none.csv", "x.mcap"], "no such file", 2),
         (["in.csv", "x.xlsx"], "end the name in", 1),
         (["in.csv", "in.csv"], "exists already", 1),
-        (["folder", "x.csv"], "without a bag", 2),
-        (["in.csv", "x.csv", "--mapping", "nothing"], "built in are", 2),
+        (["folder", "x.csv"], "contains no bag", 2),
+        (["in.csv", "x.csv", "--mapping", "nothing"], "built-in mappings are", 2),
         (["empty.mcap", "x.csv"], "has no rows; there is nothing to convert", 2),
     ],
 )

@@ -106,7 +106,7 @@ def test_others_may_leave_out_samples_and_the_last_line_end(tmp_path):
         (b"t_s,wheel.fl.setpoint\n0,1\n", "row 1, column 2 'wheel.fl.setpoint': there is no such"),
         (b"t_s,wheel.fl.setpoint\n0,1\n", "did you mean 'wheel.fl.setpoint_rpm'?"),
         (b"t_s,a,a\n0,1,2\n", "row 1, column 3 'a': the column appears twice"),
-        (b"t_s,a\n0,1\n0.1,x\n0.2,1\n", "row 3, column 2 'a': 'x' is no number; write one"),
+        (b"t_s,a\n0,1\n0.1,x\n0.2,1\n", "row 3, column 2 'a': 'x' is not a number; write one"),
         (b"t_s,a\n0,1\n0.1\n0.2,1\n", "row 3 has 1 columns, the header has 2; remove or complete"),
         (b"t_s,a\n0,1\n0.2,1\n0.1,1\n", "row 4, column 1 't_s': 0.1 is not later than 0.2; sort"),
         (b"t_s,a\n0,1\n0.1,1\n0,1\n", "0.0 is not later than 0.1; number the runs in a column"),
@@ -115,8 +115,8 @@ def test_others_may_leave_out_samples_and_the_last_line_end(tmp_path):
         (b"t_s,segment\n0,0.5\n", "row 2, column 2 'segment': 0.5 is not a whole number"),
         (b"t_s,a\n0,1\n0.1,\xe4\n", "row 3: byte 14 is not UTF-8; save the file as UTF-8"),
         ("t_s,a\n0,1\n".encode("utf-16"), "is not UTF-8; save the file as UTF-8"),
-        (b't_s,a\n0,"1\n', "is not CSV"),
-        (b"t_s,a\n0," + b"1" * 20_000 + b"\n", "is not CSV"),
+        (b't_s,a\n0,"1\n', "not a CSV file"),
+        (b"t_s,a\n0," + b"1" * 20_000 + b"\n", "not a CSV file"),
     ],
 )
 def test_what_cannot_be_read_is_one_sentence(tmp_path, text, complaint):
@@ -158,5 +158,5 @@ def test_a_log_that_is_not_there_is_said(tmp_path):
         with pytest.raises(LogError, match=r"no such file|name too long"):
             read_log(tmp_path / name)
     (tmp_path / "a.bag").write_text("x")
-    with pytest.raises(LogError, match=r"known are \.csv, \.mcap and bags"):
+    with pytest.raises(LogError, match=r"supported are \.csv, \.mcap, bags"):
         read_log(tmp_path / "a.bag")

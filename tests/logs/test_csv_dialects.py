@@ -102,7 +102,7 @@ def test_a_number_reads_as_with_a_point_or_is_named(tmp_path, number):
     try:
         expected = float(number.replace(",", "."))
     except ValueError:
-        with pytest.raises(LogError, match=r"row 2, column 2 'a': .* is no number"):
+        with pytest.raises(LogError, match=r"row 2, column 2 'a': .* is not a number"):
             read_log(path)
     else:
         assert read_log(path).columns["a"].tolist() == [expected]

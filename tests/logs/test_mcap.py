@@ -69,7 +69,7 @@ def test_a_cut_anywhere_leaves_the_whole_chunks_before_it(tmp_path_factory, shar
     cut = round(share * len(whole))
     path.write_bytes(whole[:cut])
     if cut < whole.index(CONFIG) - ATTACHMENT_HEAD:
-        with pytest.raises(LogError, match=r"(not an MCAP file|holds no recording)"):
+        with pytest.raises(LogError, match=r"(not an MCAP file|contains no hilserver recording)"):
             read_log(path)
         return
     log = read_log(path)

@@ -118,14 +118,14 @@ KINDS = {
     ),
     "empty": (raw(""), None, "log.csv: is empty; the first row must be the header"),
     "only header": (raw(f"t_s,{SPEED}\n"), None, "contains no samples of any signal; record"),
-    "one row": (csv(rows=1), None, "holds only 0 s; a diagnosis needs at least 1 s"),
-    "too short": (csv(rows=30), None, "holds only 0.58 s; a diagnosis needs at least 1 s"),
+    "one row": (csv(rows=1), None, "contains only 0 s; a diagnosis needs at least 1 s"),
+    "too short": (csv(rows=30), None, "contains only 0.58 s; a diagnosis needs at least 1 s"),
     "no header": (
         raw("0.0,1.0\n0.1,2.0\n"),
         None,
         "row 1 contains numbers instead of a header; put 't_s",
     ),
-    "no time column": (csv(header=f"time,{SPEED}"), None, "row 1: there is no column 't_s'; name"),
+    "no time column": (csv(header=f"time,{SPEED}"), None, "row 1: there is no column 't_s'; give"),
     "unknown column": (
         csv(header="t_s,wheel.fl.speed"),
         None,
@@ -134,12 +134,12 @@ KINDS = {
     "column twice": (
         csv(header=f"t_s,{SPEED},{SPEED}", row="{t},{i},{i}"),
         None,
-        "column 3 .* stands there twice; remove",
+        "column 3 .* appears twice; remove",
     ),
     "semicolons of others": (
         csv(header="Zeit;links;rechts;theta", row="0,1;0,2;0,3;0,4"),
         None,
-        "row 1: none of the columns 'Zeit', 'links', 'rechts', 'theta' is a signal",
+        "row 1: none of the columns 'Zeit', 'links', 'rechts', 'theta' is a hilserver",
     ),
     "points and decimal commas": (
         csv(header=f"t_s;{SPEED}", row="{t};{i},5"),
@@ -186,15 +186,27 @@ KINDS = {
         r"its times are about 5.95e\+31 s, impossible for a recording; write seconds, or",
     ),
     "years": (csv(row="{i}e6,1"), None, "lasts 1.19e[+]08 s; a diagnosis accepts 28800 s at most"),
-    "text": (row_of("0.06,fast"), None, f"row 5, column 2 '{SPEED}': 'fast' is no number; write"),
-    "infinite": (row_of("0.06,inf"), None, f"row 5, column .*'{SPEED}': inf is no value"),
+    "text": (
+        row_of("0.06,fast"),
+        None,
+        f"row 5, column 2 '{SPEED}': 'fast' is not a number; write",
+    ),
+    "infinite": (
+        row_of("0.06,inf"),
+        None,
+        f"row 5, column .*'{SPEED}': inf is not a possible value",
+    ),
     "absurd": (
         row_of("0.06,1e300"),
         None,
         "row 5, .* 1e[+]300 is not a possible value for a robot; write",
     ),
     "too few fields": (row_of("0.06"), None, "row 5 has 1 columns, the header has 2; remove"),
-    "time falls": (row_of("0.01,3"), None, "row 5, column 1 't_s': 0.01 does not rise .*; sort"),
+    "time falls": (
+        row_of("0.01,3"),
+        None,
+        "row 5, column 1 't_s': 0.01 is not later than .*; sort",
+    ),
     "time begins anew": (
         raw(f"t_s,{SPEED}\n" + "".join(f"{0.02 * (i % 60)},{i}\n" for i in range(120))),
         None,
@@ -211,9 +223,13 @@ KINDS = {
     "not UTF-8": (raw(b"t_s,a\n0,1\n0.1,\xe4\n"), None, "byte 14 is not UTF-8; save the file"),
     "UTF-16": (raw("t_s,a\n0,1\n".encode("utf-16")), None, "is not UTF-8; save the file"),
     "binary": (raw(bytes(range(256)) * 20), None, "is not UTF-8; save the file"),
-    "zeros": (raw(b"\0" * 400), None, "log.csv: .*(is not CSV|no column 't_s')"),
-    "quote not closed": (row_of('0.06,"3'), None, "is not CSV: .*; write UTF-8 text"),
-    "gzip": (raw(gzip.compress(b"t_s\n"), "log.csv.gz"), None, "log.csv.gz: is no log .* known"),
+    "zeros": (raw(b"\0" * 400), None, "log.csv: .*(not a CSV file|no column 't_s')"),
+    "quote not closed": (row_of('0.06,"3'), None, "not a CSV file: .*; write UTF-8 text"),
+    "gzip": (
+        raw(gzip.compress(b"t_s\n"), "log.csv.gz"),
+        None,
+        "log.csv.gz: not a readable log; supported",
+    ),
     "gzip named CSV": (raw(gzip.compress(b"t_s,a\n0,1\n" * 99)), None, "is not UTF-8"),
     "kind": (raw("x", "log.xlsx"), None, "not a readable log; supported are"),
     "kind, mapped": (raw("x", "log.xlsx"), COLUMNS, "not a readable table; supported are"),
@@ -268,7 +284,11 @@ KINDS = {
         "segment: {column: run}\n" + COLUMNS,
         "row 1: there is no column 'run', which the mapping names for segment",
     ),
-    "mapping missing": (csv(), "none", "such mapping file; built in are iotbot, iotbot_5_6"),
+    "mapping missing": (
+        csv(),
+        "none",
+        "such mapping file; built-in mappings are iotbot, iotbot_5_6",
+    ),
     "mapping no YAML": (csv(), "channels: [\n", r"map.yaml:\d+: not YAML"),
     "mapping key": (
         csv(),
@@ -286,7 +306,7 @@ KINDS = {
         "map.yaml:2: .*unit 'm' does not fit a signal in rpm; write one of rad/s, deg/s, rpm",
     ),
     "mapping sign": (csv(), COLUMNS.replace("left", "left, sign: 2"), "map.yaml:2: .*sign"),
-    "mapping scale": (csv(), COLUMNS.replace("left", "left, scale: 0"), "scale 0 leaves nothing"),
+    "mapping scale": (csv(), COLUMNS.replace("left", "left, scale: 0"), "scale must not be 0"),
     "mapped far": (
         csv(header="time,left", row="{t},1{i}"),
         "time: {column: time}\n" + COLUMNS.replace("left", "left, scale: 1.0e+300"),
@@ -297,7 +317,7 @@ KINDS = {
     "mapping column and rate": (
         csv(),
         "time: {rate_hz: 50, column: t}\n" + COLUMNS,
-        "column and rate_hz exclude each other; keep one",
+        "column and rate_hz exclude each other; remove one",
     ),
     "mapping plant": (
         csv(),
@@ -314,8 +334,8 @@ KINDS = {
         "channels:\n  nav.x_m: {topic: /a}\n",
         "map.yaml:2: .*topic and field belong together; write both",
     ),
-    "bag mapping for a table": (csv(), TOPICS, "names topics of a bag, this is a table"),
-    "column mapping for a bag": (bag(), COLUMNS, "names columns, this is a bag"),
+    "bag mapping for a table": (csv(), TOPICS, "names topics of a bag, but this is a table"),
+    "column mapping for a bag": (bag(), COLUMNS, "names columns, but this is a bag"),
     "bag without mapping": (
         bag(),
         None,
@@ -334,7 +354,7 @@ KINDS = {
     "field no number": (
         bag(),
         "channels:\n  nav.x_m: {topic: /poseStamped, field: pose.position}\n",
-        "topic '/poseStamped': field 'pose.position' is no number; name one",
+        "topic '/poseStamped': field 'pose.position' is not a number; choose one",
     ),
     "no header in messages": (
         bag(),
@@ -349,11 +369,15 @@ KINDS = {
     "foreign MCAP unmapped": (
         lambda folder: bag_file(write_bag(folder / "bag", storage=MCAP)),
         None,
-        "a bag needs a mapping of its topics; name",
+        "a bag needs a mapping of its topics; give",
     ),
     "Parquet that is none": (raw("hello", "log.parquet"), None, "not a readable Parquet file"),
-    "Parquet with text": (parquet({"t_s": T, SPEED: ["x"] * 120}), None, "holds no numbers; leave"),
-    "Parquet without time": (parquet({SPEED: T}), None, "there is no column 't_s'; name"),
+    "Parquet with text": (
+        parquet({"t_s": T, SPEED: ["x"] * 120}),
+        None,
+        "contains no numbers; leave",
+    ),
+    "Parquet without time": (parquet({SPEED: T}), None, "there is no column 't_s'; give"),
     "Parquet unknown": (parquet({"t_s": T, "speed": T}), None, "column 'speed': there is no such"),
 }
 

@@ -151,7 +151,7 @@ def test_without_a_topic_of_ours_nothing_is_proposed(tmp_path):
 
 
 def test_the_built_in_mapping_that_fits_is_named(tmp_path):
-    with pytest.raises(ForeignLog, match="name iotbot with --mapping, which fits") as refusal:
+    with pytest.raises(ForeignLog, match="give iotbot with --mapping, which fits") as refusal:
         read_measured([write_bag(tmp_path / "bag")])
     assert refusal.value.proposal == ""
 

@@ -130,7 +130,7 @@ def test_the_proposal_has_a_plant_and_warns_of_what_it_cannot_know():
     assert yaml.safe_load(text)["plant"] == {}
     assert "plant: {wheel_radius_m: 0.1, track_m: 0.4, wheelbase_m: 0.3}" in text
     said = {line.split(":")[0].strip(): line.partition("#")[2] for line in text.splitlines()}
-    assert "2 pi / counts per turn" in said["wheel.fl.angle_rad"]
+    assert "2 pi / counts per revolution" in said["wheel.fl.angle_rad"]
     assert "rpm?" in said["wheel.fr.speed_rpm"]
     assert "computed from the wheel speeds?" in said["nav.x_m"]
     assert not said["nav.yaw_rad"]

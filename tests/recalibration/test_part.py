@@ -160,7 +160,7 @@ async def test_one_that_was_reset_before_its_effect_is_measured_is_closed(tmp_pa
         closed = next(line for line in lines(tmp_path) if line.get("window") == 3)
         assert (closed["kind"], closed["proposal"]["stage"]) == ("decision", "replaced")
         said = [e.message for e in daemon.events.recent if e.kind == "recalibration"]
-        assert "proposal 1 no longer runs: its effect is not measured" in said
+        assert "proposal 1 is no longer active: its effect is not measured" in said
 
 
 @pytest.mark.parametrize("role", ["observer", "operator"])

@@ -13,8 +13,8 @@ from hilserver.replay import assembly_of
 @pytest.mark.parametrize(
     ("run", "says"),
     [
-        ({}, "carries no configuration"),
-        ({"configuration": None}, "carries no configuration"),
+        ({}, "contains no configuration"),
+        ({"configuration": None}, "contains no configuration"),
         ({"configuration": "plant: !!float ''\n"}, "does not match this version"),
         ({"configuration": "plant: {max_rpm: !!bool maybe}\n"}, "does not match this version"),
         ({"configuration": "- 1\n"}, "does not match this version"),

@@ -81,7 +81,7 @@ def test_a_twist_alone_switches_to_twist_mode_and_what_is_too_fast_is_limited(
         ("t_s,pose.x\n0,1\n", "row 1, column 2 'pose.x': there is no such signal; did you mean"),
         ("t_s,twist.linear_m_s\n0,1\n1e9,1\n", "lasts more than 1000000000 ticks"),
         ("t_s,twist.linear_m_s\n", "contains no rows"),
-        ("t_s,twist.linear_m_s\n0,0.1\nx,0.1\n", "row 3, column 1 't_s': 'x' is no number"),
+        ("t_s,twist.linear_m_s\n0,0.1\nx,0.1\n", "row 3, column 1 't_s': 'x' is not a number"),
     ],
 )
 def test_what_cannot_be_replayed_is_one_sentence(replay_here, tmp_path, text, complaint):
@@ -113,13 +113,13 @@ def test_duties_of_a_foreign_table_drive_through_a_mapping(replay_here, tmp_path
 @pytest.mark.parametrize(
     ("header", "row", "complaint"),
     [
-        (f"{DUTY},wheel.fl.setpoint_rpm", "1,1,1,1,5", "rr.duty_command_pct take no effect"),
+        (f"{DUTY},wheel.fl.setpoint_rpm", "1,1,1,1,5", "rr.duty_command_pct without effect"),
         (f"{DUTY},control.mode", "1,1,1,1,0", "none of its columns moves the robot: no set-point"),
-        (f"{DUTY},drive.enable", "1,1,1,1,0", "drives the robot: drive.enable is 0 throughout"),
+        (f"{DUTY},drive.enable", "1,1,1,1,0", "moves the robot: drive.enable is 0 throughout"),
         (
             "t_s,twist.linear_m_s,control.mode",
             "1,0",
-            "take no effect: control.mode is 0 throughout",
+            "without effect: control.mode is 0 throughout",
         ),
         ("t_s,twist.linear_m_s", "", "none of its columns moves the robot: no set-point"),
     ],

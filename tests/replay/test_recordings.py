@@ -148,7 +148,7 @@ def test_a_snapshot_of_another_time_is_named(replay_here, recorded, tmp_path):
     words = ("short.csv", "--from", recorded.snapshot, "-o", "again.csv")
     text = replay_here(*words, code=2)
     assert "has no frame of tick" in text
-    assert f"from tick {log.ticks(PERIOD_NS)[0]} to" in text
+    assert f"covers ticks {log.ticks(PERIOD_NS)[0]} to" in text
 
 
 def test_what_cannot_be_replayed_is_one_sentence(replay_here, recorded, tmp_path):

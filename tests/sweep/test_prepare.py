@@ -88,7 +88,7 @@ def test_one_machine_as_its_diagnosis_left_it(made, tmp_path):
         ({"joint": None}, "has no joint"),
         ({"joint": JOINT | {"covariance": [[1.0, 2, 0], [2, 1.0, 0], [0, 0, 1]]}}, "positive"),
         ({"joint": {"parameters": ["clock_offset"], "value": [1], "covariance": [[1]]}}, "no par"),
-        ({"verdict": 3}, "is no findings.json"),
+        ({"verdict": 3}, "is not a findings.json"),
     ],
 )
 def test_findings_that_do_not_fit(made, tmp_path, changes, says):
@@ -122,7 +122,7 @@ POPULATION = BASIC["from"]["population"]
         ({"from": {"population": {"setpoint_rate_limit": {"sd": 1}}}}, "write a mean"),
         ({"from": {"population": POPULATION | {"terms.rotation_gain": {"sd": 1}}}}, "drawn twice"),
         ({"from": {}}, "name findings, a population or both"),
-        ({"drive": {}}, "write duration_s"),
+        ({"drive": {}}, "duration_s is needed"),
         ({"drive": {"scenario": "none.yaml"}}, "no such file"),
         ({"require": []}, "require"),
         ({"require": [{"name": "a", "signal": "pose.z", "below": 1}]}, "no scalar signal 'pose.z'"),

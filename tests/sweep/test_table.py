@@ -139,7 +139,7 @@ def test_two_controllers_on_the_same_machines(made, limit, tmp_path):
     assert "60 machines, the same in both" in text
     only_a = a.count("passed") - b.count("passed")
     assert f"only in A {only_a}, only in B 0" in text
-    assert "margin in B minus A -0.5 in the median (-0.5 .. -0.5)" in text
+    assert "margin in B minus A, median -0.5 (-0.5 .. -0.5)" in text
     with pytest.raises(LogError, match="different machines"):
         compare(a, swept(made(machines=60, seed=8, **limit), tmp_path / "c"))
 

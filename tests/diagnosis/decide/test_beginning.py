@@ -34,7 +34,7 @@ def test_what_runs_is_estimated_as_a_total_and_what_is_new_beside_it():
     assert sorted(found.point.model.causes) == ["a", "b"]
     assert found.point.model.terms == pytest.approx({"a": 0.6, "b": 0.4}, abs=0.05)
     assert found.rows[0].cause == "a"
-    assert "runs already" in found.rows[0].reason
+    assert "already active" in found.rows[0].reason
     assert found.p["a"] < 1e-6
 
 

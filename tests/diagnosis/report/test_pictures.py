@@ -148,7 +148,7 @@ def test_every_stretch_of_a_long_log_is_drawn(given):
         assert line.points[-1][0] == pytest.approx(506.0, abs=3.0)
     assert MAX_MARKS < 300
     assert "where the lines break" in drawn.caption
-    assert "One piece" not in drawn.caption
+    assert "Only one run" not in drawn.caption
 
 
 def test_what_is_left_out_of_a_line_is_said(given):

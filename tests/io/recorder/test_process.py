@@ -95,7 +95,7 @@ def test_a_bag_is_complete_when_it_is_asked_to_stop(daemon, tmp_path):
     assert (tmp_path / "bag" / "metadata.yaml").is_file()
     code, text = finish(start_recorder(daemon, tmp_path / "bag", "--format", "bag"))
     assert code == 1
-    assert "exists already" in text
+    assert "already exists" in text
 
 
 def test_a_choice_of_signals_cannot_be_replayed_and_says_so(daemon, tmp_path):
