@@ -206,7 +206,7 @@ def _plausible(
 
 
 def _detour(selected: Selected) -> frozenset[str]:
-    """Return the first choice where others may only make up for it.
+    """Return the first choice where others may only make up for it, and what it could be taken for.
 
     Where wheels stick and break loose no slope leads back from several causes to fewer. Two need no
     second search: a rival that stands for both is found in the place of one.
@@ -214,7 +214,8 @@ def _detour(selected: Selected) -> frozenset[str]:
     causes = selected.point.model.causes
     if len(causes) < 3 or not any(traits_of(cause).abrupt for cause in causes):
         return frozenset()
-    return frozenset({next(cause for cause in selected.p if cause in causes)})
+    first = next(cause for cause in selected.p if cause in causes)
+    return frozenset({first, *(t.candidate.cause for t in selected.near.get(first, ()))})
 
 
 def _simpler(problem: Problem, point: Point, other: Point) -> bool:
