@@ -89,6 +89,6 @@ def _write(out: Path, spans: list[Observed], picture: str) -> None:
         columns=dict(zip(names, shown.T, strict=True)),
     )
     drawing = out.with_suffix(".svg")
-    with writing(out) as table, writing(drawing) as drawn:
+    with writing(out, out.suffix) as table, writing(drawing) as drawn:
         write_log(log, table)
         drawn.write_text(picture, encoding="utf-8")

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from hilserver.errors import FailedError, reason
 
+PARTIAL = ".part"
 _OPEN_FILES = ("/dev/std", "/dev/fd/", "/proc/")
 """How names of open files begin: ``/dev/stdout`` may be a plain file that others have open."""
 _STAYS = {errno.EACCES, errno.EPERM, errno.EROFS, errno.EBUSY}
@@ -16,18 +17,24 @@ _STAYS = {errno.EACCES, errno.EPERM, errno.EROFS, errno.EBUSY}
 
 
 @contextlib.contextmanager
-def whole(path: Path) -> Iterator[Path]:
+def whole(path: Path, suffix: str = PARTIAL) -> Iterator[Path]:
     """Give the path to write to; the file gets its name at the end, and is discarded on an error.
 
     A device or a pipe is written to directly, and a link stays one. Owner and mode are kept; what
     replaces a file is readable by nobody else until then. Only a file that cannot be replaced is
     written in place.
+
+    Parameters
+    ----------
+    suffix : str
+        Of the unfinished file, for writers that choose the format by it; by default no folder's
+        listing takes it for a finished one.
     """
     if str(path.absolute()).startswith(_OPEN_FILES) or (path.exists() and not path.is_file()):
         yield path
         return
     path = path.resolve()
-    partial = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    partial = path.with_name(f".{path.name}.{os.getpid()}{suffix}")
     if not _begun(partial, 0o600 if path.exists() else 0o666):
         yield path
         return
@@ -64,10 +71,10 @@ def _replace(path: Path, partial: Path) -> None:
 
 
 @contextlib.contextmanager
-def writing(path: Path) -> Iterator[Path]:
+def writing(path: Path, suffix: str = PARTIAL) -> Iterator[Path]:
     """Give the path to write a whole file to; FailedError if it cannot be written."""
     try:
-        with whole(path) as partial:
+        with whole(path, suffix) as partial:
             yield partial
     except OSError as error:
         raise FailedError(f"cannot write {path}: {reason(error)}") from None

@@ -16,6 +16,7 @@ def test_a_file_has_its_name_only_when_it_is_complete(tmp_path: Path) -> None:
     with whole(path) as partial:
         partial.write_text("half")
         assert not path.exists()
+        assert not list(tmp_path.glob("*.html")), "nobody takes it for a report"
         partial.write_text("all of it")
     assert path.read_text() == "all of it"
     assert list(tmp_path.iterdir()) == [path]
