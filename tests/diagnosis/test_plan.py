@@ -261,7 +261,7 @@ def test_a_log_without_set_points_is_one_sentence(tmp_path, capsys):
     path = tmp_path / "bad.csv"
     path.write_text("t_s,nav.x_m\n0,1\n1,2\n2,3\n")
     assert main(["plan", str(path), "-o", str(tmp_path / "out")]) == 2
-    assert "has no set-points" in capsys.readouterr().err
+    assert "contains no set-points" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("option", [["--room", "5"], ["--room", "0x9"], ["--channels", "smell"]])
