@@ -233,11 +233,10 @@ def _delay(t_rate: Array, s_rate: Array, t: Array, s: Array, begin: float, end: 
         return float("nan")
     way = s[first:last] - np.interp(times - BASELINE_S, t, s)
     tries = np.arange(-LARGEST_S, LARGEST_S + GRID_S / 2, GRID_S)
-    left = np.empty(len(tries))
-    for index, delay in enumerate(tries):
-        at = times - delay
-        other = np.interp(at, t_rate, s_rate) - np.interp(at - BASELINE_S, t_rate, s_rate)
-        left[index] = _unexplained(way, other)
+    at = times - tries[:, None]
+    left = _unexplained(
+        way, np.interp(at, t_rate, s_rate) - np.interp(at - BASELINE_S, t_rate, s_rate)
+    )
     best = int(np.argmin(left))
     if not 0 < best < len(tries) - 1 or left[best] > 0.5:
         return float("nan")
@@ -245,10 +244,9 @@ def _delay(t_rate: Array, s_rate: Array, t: Array, s: Array, begin: float, end: 
     return float(tries[best] + GRID_S * 0.5 * (a - c) / max(a - 2 * b + c, 1e-12))
 
 
-def _unexplained(y: Array, x: Array) -> float:
-    """Return the share of the variance of y that no line in x explains."""
-    y, x = y - y.mean(), x - x.mean()
-    total = float((y**2).sum())
-    if total <= 0 or not (x**2).sum():
-        return 1.0
-    return 1.0 - float((x * y).sum()) ** 2 / (total * float((x**2).sum()))
+def _unexplained(y: Array, x: Array) -> Array:
+    """Return the share of the variance of y, shape (n,), that no line in each row of x explains."""
+    y, x = y - y.mean(), x - x.mean(axis=1, keepdims=True)
+    total = (y**2).sum() * (x**2).sum(axis=1)
+    share = np.divide((x * y).sum(axis=1) ** 2, total, out=np.zeros(len(x)), where=total > 0.0)
+    return np.asarray(1.0 - share)

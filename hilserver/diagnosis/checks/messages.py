@@ -10,7 +10,7 @@ from itertools import groupby
 
 import numpy as np
 
-from hilserver.arrays import Mask
+from hilserver.arrays import Array, Mask
 from hilserver.diagnosis.checks.repetitions import changes_s, held
 from hilserver.diagnosis.checks.runs import (
     Fault,
@@ -82,9 +82,13 @@ def repetitions(channels: list[Channel], stands: Mask) -> tuple[Mask, float] | N
         Samples at which the robot stands.
     """
     t_s, span = channels[0].t_s, channels[0].span
-    columns = np.unique(np.stack([channel.values for channel in channels]), axis=0)
-    if len(columns) < 2 or len(t_s) < FEWEST_SAMPLES:
+    distinct: list[Array] = []
+    for channel in channels:
+        if not any(np.array_equal(channel.values, other) for other in distinct):
+            distinct.append(channel.values)
+    if len(distinct) < 2 or len(t_s) < FEWEST_SAMPLES:
         return None
+    columns = np.stack(distinct)
     stays = np.zeros(columns.shape, dtype=bool)
     stays[:, 1:] = (np.diff(columns) == 0.0) & (np.diff(span) == 0)
     top = np.abs(columns).max(axis=1, keepdims=True)

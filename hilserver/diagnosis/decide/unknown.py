@@ -155,7 +155,7 @@ def _of_the_drive(stage: DriveStage, problem: Problem, point: Point) -> Iterator
     """Yield the families on which a disturbance of speed and duty could depend."""
     stack = problem.stack
     _, seen, duty = stage.simulate(point.model.terms)
-    rate = 1.0 / stage.segments.period_s
+    rate, tick = 1.0 / stage.segments.period_s, np.rint(stack.at).astype(np.int64)
     slope = np.gradient(seen, axis=0) * rate
     angle = np.cumsum(seen, axis=0) * (RAD_S_PER_RPM / rate)
     t = np.concatenate([stage.segments.times(i) for i in range(len(stage.segments))])
@@ -166,32 +166,36 @@ def _of_the_drive(stage: DriveStage, problem: Problem, point: Point) -> Iterator
         for name, dense in ((SPEEDS[w], speed), (DUTIES[w], work)):
             if dense is not None and name in stack.edges:
                 edge = stack.edges[name]
-                column[edge] = dense[np.rint(stack.at[edge]).astype(np.int64)]
+                column[edge] = dense[tick[edge]]
         return column
 
-    def loaded(wheels: Sequence[int], shape: Array) -> Array:
-        """Column of a load that needs `shape` more duty."""
-        return np.asarray(np.sum([of_wheel(w, None, shape) for w in wheels], axis=0))
-
-    def disturbed(w: int, shape: Array) -> list[Array]:
-        """Columns of such a load of one wheel: the loop responds, the speed dips."""
-        return [loaded((w,), shape), of_wheel(w, -np.gradient(shape) * rate * 0.005, None)]
+    def disturbed(w: int, shape: Array, change: Array) -> list[Array]:
+        """Columns of a load of one wheel that needs `shape` more duty: the speed dips."""
+        return [of_wheel(w, None, shape), -of_wheel(w, change, None) * rate * 0.005]
 
     for source, name in enumerate(WHEELS):
         own, columns = seen[:, source], []
+        loads = [(shape, np.gradient(shape)) for shape in (own, slope[:, source] / 100.0)]
         for w in (w for w in range(4) if w != source):
             columns.append(of_wheel(w, own, duty[:, source]))
-            columns += [*disturbed(w, own), *disturbed(w, slope[:, source] / 100.0)]
+            columns += [column for load in loads for column in disturbed(w, *load)]
         signals = ("setpoint_rpm", "speed_rpm", "duty_pct")
         yield f"wheel {name}", tuple(f"wheel.{name}.{signal}" for signal in signals), columns
     for w, name in enumerate(WHEELS):
         waves = [wave(k * angle[:, w]) for k in (1, 2) for wave in (np.cos, np.sin)]
-        columns = [column for wave in waves for column in disturbed(w, wave)]
+        columns = [column for wave in waves for column in disturbed(w, wave, np.gradient(wave))]
         yield f"angle {name}", (f"wheel.{name}.angle_rad",), columns
     duties = [n for n in DUTIES if n in stack.edges]
     found = peaks(problem, point, duties or [n for n in SPEEDS if n in stack.edges])
-    yield "time", ("t_s",), [loaded(range(4), wave) for wave in _waves(t, found)]
+    is_duty = np.zeros(len(stack), dtype=np.bool_)
+    for name in duties:
+        is_duty[stack.edges[name]] = True
+    waves = _waves(t[tick[is_duty]], found)
+    columns = [np.zeros(len(stack)) for _ in waves]
+    for column, wave in zip(columns, waves, strict=True):
+        column[is_duty] = wave
+    yield "time", ("t_s",), columns
     yield "speed", SPEEDS, [
-        loaded((w,), shape) for w, n in enumerate(seen.T)
+        of_wheel(w, None, shape) for w, n in enumerate(seen.T)
         for shape in (n * np.abs(n) / 60.0, n**3 / 3600.0, np.abs(n))
     ]  # fmt: skip

@@ -36,7 +36,8 @@ def fit(
         return point
     used = np.ones(problem.stack.n_blocks, dtype=bool) if rows is None else rows
     raw = _columns_near(problem, point, start)
-    fresh = np.array_equal(point.predicted, start.predicted)
+    taken = any(f in start.model.fitted for f in model.fitted)
+    fresh = not taken or np.array_equal(point.predicted, start.predicted)  # none is of elsewhere
     for more in reversed(range(iterations)):
         best, expected = _step(problem, point, raw, used)
         if expected < LEAST_EXPECTED or (best is None and fresh):

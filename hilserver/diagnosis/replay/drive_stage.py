@@ -1,7 +1,6 @@
 """Replay from the set-points: wheel speeds and duties of the whole chain (cut points A and B)."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import ClassVar, Final
 
 import numpy as np
@@ -69,7 +68,7 @@ class DriveStage(Stage):
     quantities: ClassVar = {"speed_rpm": SPEEDS, "duty_pct": DUTIES}
 
     def __init__(self, log: MeasuredLog, robot: RobotParameters, *, block_s: float) -> None:
-        self.log, self.robot = log, robot
+        self.log, self.robot, self._rest = log, robot, initial_state(robot)
         self.segments = cut(log, robot.period_s, None)
         names = [n for n in (*SPEEDS, *DUTIES) if n in log]
         skips_s = self._unknown_s()
@@ -105,7 +104,7 @@ class DriveStage(Stage):
         p, phase = pack(robot), terms.get("shift.control_phase", 0.0)
         run_drive(
             p,
-            initial_state(replace(robot, seed=0)),
+            self._rest,
             State.zeros(),
             self.segments.first,
             self._inputs,
@@ -198,7 +197,7 @@ class DriveStage(Stage):
         seen = np.empty((self.segments.ticks, 4))
         run_process(
             pack(self.robot),
-            initial_state(replace(self.robot, seed=0)),
+            self._rest,
             State.zeros(),
             self.segments.first,
             duty,
@@ -317,7 +316,7 @@ class DriveStage(Stage):
         dense = self._inputs[self._row]
         place_inputs(
             pack(self.robot),
-            initial_state(replace(self.robot, seed=0)),
+            self._rest,
             State.zeros(),
             State.zeros(),
             self.segments.first,
