@@ -2,8 +2,8 @@
 
 numba's file cache checks the modification time of the file that contains a function, not the
 functions it calls. A changed callee would silently run in its old form. The cache directory is
-therefore keyed by a hash of what computes in all kernel rooms (and the version of numba). Kernels
-of other rooms call those and their own room's: they have a subdirectory, keyed by those sources.
+therefore keyed by a hash of the sources of all kernel rooms (and the version of numba). Kernels of
+other rooms call those and their own room's: they have a subdirectory, keyed by those sources.
 """
 
 import hashlib
@@ -20,7 +20,6 @@ from numba.core import config
 from numba.np import linalg
 
 from hilserver.cache import cache_folder
-from hilserver.compiled.computing import computing
 
 
 def _without_linear_algebra() -> None:
@@ -48,12 +47,12 @@ def kernel_sources() -> list[Path]:
 
 
 def hash_of(sources: Iterable[Path], *extra: str) -> str:
-    """Return a 16-digit hex hash over what computes in `sources`, and the strings `extra`."""
+    """Return a 16-digit hex hash over the contents of `sources` and the strings `extra`."""
     digest = hashlib.sha256()
     for text in (numba.__version__, llvmlite.__version__, np.__version__, *extra):
         digest.update(text.encode() + b"\0")
     for source in sources:
-        digest.update(source.name.encode() + b"\0" + computing(source.read_bytes()))
+        digest.update(source.name.encode() + b"\0" + source.read_bytes())
     return digest.hexdigest()[:16]
 
 

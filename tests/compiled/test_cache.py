@@ -52,3 +52,12 @@ def test_nobody_else_may_write_to_the_cache(tmp_path, monkeypatch):
     folder = cache.cache_dir.__wrapped__()
     folder.chmod(0o777)
     assert cache.cache_dir.__wrapped__().stat().st_mode & 0o777 == 0o755
+
+
+def test_every_byte_of_a_source_counts(tmp_path):
+    """Only Python itself knows which text computes: a guess would run old kernels."""
+    source = tmp_path / "step.py"
+    source.write_text("LIMIT = 3\n")
+    before = cache.hash_of([source])
+    source.write_text("LIMIT = 3  # V\n")
+    assert cache.hash_of([source]) != before
