@@ -159,7 +159,7 @@ def test_a_cold_start_compiles_in_a_child_that_ends_with_it(tmp_path, number):
             time.sleep(0.01)
         assert time.monotonic() - start_s < END_WITHIN_S
         said = process.stderr.read()
-    assert (b"ended while it was starting" in said) == (number != signal.SIGKILL)
+    assert (b"has stopped while it was starting" in said) == (number != signal.SIGKILL)
     assert not path_of(image).exists()
 
 

@@ -106,7 +106,7 @@ def test_what_could_not_be_judged_is_not_nothing_found():
 def test_where_nothing_could_be_judged_the_simulation_is_not_said_to_fit(verdict):
     found = nothing_found().model_copy(update={"verdict": verdict, "smallest_detectable": ()})
     assert found.not_judged
-    assert summary(found).startswith("Nothing could be judged: channels are missing")
+    assert summary(found).startswith("Nothing could be judged because channels are missing")
 
 
 def test_a_term_of_several_parts_keeps_them_all():

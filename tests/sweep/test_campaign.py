@@ -60,7 +60,7 @@ def test_a_machine_that_kills_its_worker_fails_alone(sweep, monkeypatch):
     victim = sweep().machine(2).seed
     prepared = sweep(seed=victim, machines=12)
     found = driven(prepared, LocalWorkers(1, 1000.0))
-    assert "ended its worker 2 times" in found[2].error
+    assert "stopped its worker 2 times" in found[2].error
     expected = here(sweep(machines=12))
     assert [o.margins for o in found if o.index != 2] == [
         o.margins for o in expected if o.index != 2
@@ -167,7 +167,7 @@ def test_a_computer_with_other_bits_is_refused(sweep, monkeypatch):
 
     prepared = sweep(machines=2)
     machines = list(map(prepared.machine, range(2)))
-    with pytest.raises(FailedError, match="computes with other bits"):
+    with pytest.raises(FailedError, match="are not bit-identical"):
         list(outcomes(prepared.job, machines, Elsewhere()))
     ((where, batch),) = outcomes(prepared.job, machines, Elsewhere(), mixed=True)
     assert where == "other"

@@ -222,7 +222,7 @@ async def test_refused_and_impossible_writes_are_named(peer):
         await wait_until(lambda: harness.status.writes > 3)
         faults = " ".join(harness.status.faults.values())
         assert "refuses wheel.rr.speed_rpm" in faults
-        assert "s=label is no number" in faults
+        assert "s=label is not numeric" in faults
         assert "s=absent does not exist" in faults
         assert (await peer.read("rpm_act_FL")).Value.Value == 7.0
 
