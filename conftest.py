@@ -1,6 +1,5 @@
 """Load test kit and injector from this tree, whatever the installed package brings along."""
 
-import gc
 import os
 import sys
 from importlib.metadata import entry_points
@@ -27,12 +26,7 @@ pytest_plugins = ["pytester"] if _INSTALLED else ["pytester", "hilserver.testing
 
 
 @pytest.fixture(autouse=True)
-def _no_traces_of_a_command():
-    """Revert what a command that ran in the process of the tests left behind.
-
-    That is its logging, and a garbage collector that is off: `hilserver run` turns it on again only
-    once the daemon runs. Without it no ended daemon gives its memory back, 30 MB each.
-    """
+def _own_logging():
+    """Forget the logging that a command set up in the process of the tests."""
     yield
     structlog.reset_defaults()
-    gc.enable()

@@ -6,6 +6,7 @@ import gc
 import os
 import signal
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import yaml
@@ -69,14 +70,14 @@ def run(args: argparse.Namespace) -> int:
     is off until the daemon runs: almost everything made so far stays, and scanning it repeatedly
     takes a third of the start.
     """
-    gc.disable()
     if args.scenario_schema is not None:
         return _write_schema(args.scenario_schema)
     image, line_format = _peek(config_path(args))
     # At a terminal a hang-up is the end; elsewhere it asks for a reload.
     is_terminal = sys.stderr.isatty()
     ending = (*ENDING, signal.SIGHUP) if is_terminal else ENDING
-    with contextlib.nullcontext() if is_terminal else hang_ups_wait(), guarded(ending) as guard:
+    waiting = contextlib.nullcontext() if is_terminal else hang_ups_wait()
+    with _collector_off(), waiting, guarded(ending) as guard:
         writer = Writer(sys.stderr)
         announcer = Announcer(writer, line_format)
         guard.say = announcer.last_words
@@ -97,6 +98,18 @@ def run(args: argparse.Namespace) -> int:
             return code
         finally:
             writer.drain()
+
+
+@contextlib.contextmanager
+def _collector_off() -> Iterator[None]:
+    """Turn the garbage collector off, until something turns it on or this ends."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
 
 
 def _check_free(image: str, path: Path | None) -> None:

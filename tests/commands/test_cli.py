@@ -2,6 +2,7 @@
 
 import argparse
 import errno
+import gc
 import json
 import os
 import re
@@ -194,6 +195,12 @@ def test_signals_end_a_start_cleanly(tmp_path, number, after_s):
     assert not events or events[-1] == ended, "without a line: it came before the first"
 
 
+@pytest.mark.parametrize("words", [["-c", "none.yaml"], ["--scenario-schema", "schema.json"]])
+def test_a_run_that_ends_early_leaves_the_garbage_collector_on(words, here):
+    here("run", *words)
+    assert gc.isenabled()
+
+
 def test_a_signal_while_the_step_is_compiled_ends_it_at_once(monkeypatch):
     """numba turns an interrupt within its callbacks into an error of its own."""
 
@@ -249,8 +256,8 @@ def test_an_interrupt_within_python_run_from_c_is_no_end_by_signal(tmp_path):
         (("latency-test", "--duration", "0.1", "--json", "."), ".: is a directory; name a file"),
         (("check", "--schema", "/dev/full"), "/dev/full: no space left; free some"),
         (("signals", "-o", "/dev/full"), "/dev/full: no space left; free some"),
-        (("model", "--format", "urdf", "-o", "/dev/full"), "/dev/full: no space is left"),
-        (("run", "--scenario-schema", "/dev/full"), "/dev/full: no space is left"),
+        (("model", "--format", "urdf", "-o", "/dev/full"), "/dev/full: no space left; free some"),
+        (("run", "--scenario-schema", "/dev/full"), "/dev/full: no space left; free some"),
     ],
 )
 def test_a_file_that_cannot_be_written_is_one_sentence(here, words, complaint):
