@@ -29,5 +29,5 @@ def test_what_is_no_file_is_refused_at_once(tmp_path, what):
         path.mkdir()
     else:
         path.symlink_to("/dev/zero" if what == "device" else path)
-    with pytest.raises(OSError, match=r"no regular file|directory|symbolic links"):
+    with pytest.raises(OSError, match=r"not a regular file|directory|symbolic links"):
         read_small(path)

@@ -124,7 +124,7 @@ def _make(
     if args.action == "make":
         for path in (certificate_path, key_path):
             if path.exists():
-                raise FailedError(f"{path} exists already; use 'hilserver certs renew'")
+                raise FailedError(f"{path} already exists; use 'hilserver certs renew'")
         key = make_key()
         hosts = hosts or _hosts_of(config)
     else:

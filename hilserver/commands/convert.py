@@ -39,11 +39,11 @@ def run(args: argparse.Namespace) -> int:
             f"{args.out}: end the name in {', '.join(SUFFIXES)}, or in no suffix for a bag"
         )
     if args.out.exists():
-        raise FailedError(f"{args.out}: exists already; choose another name")
+        raise FailedError(f"{args.out}: already exists; choose another name")
     log = read_any(args.log, args.mapping)
     warn(*log.notices)
     if not len(log):
-        raise LogError(f"{args.log}: has no rows; there is nothing to convert")
+        raise LogError(f"{args.log}: contains no rows; there is nothing to convert")
     try:
         _write(log, args.out, args.storage if is_bag else None)
     except BaseException as error:  # a signal, too, leaves no half of a file

@@ -24,7 +24,7 @@ BAG_VERSION: Final = 9
 
 
 class BagWriter:
-    """Writes one bag, a folder; see `LogWriter`; FailedError if it exists already."""
+    """Writes one bag, a folder; see `LogWriter`; FailedError if it already exists."""
 
     def __init__(
         self,

@@ -234,10 +234,10 @@ def test_what_no_sensor_measured_is_marked_in_the_imu(tmp_path):
     [
         (["none.csv", "x.mcap"], "no such file", 2),
         (["in.csv", "x.xlsx"], "end the name in", 1),
-        (["in.csv", "in.csv"], "exists already", 1),
+        (["in.csv", "in.csv"], "already exists", 1),
         (["folder", "x.csv"], "contains no bag", 2),
         (["in.csv", "x.csv", "--mapping", "nothing"], "built-in mappings are", 2),
-        (["empty.mcap", "x.csv"], "has no rows; there is nothing to convert", 2),
+        (["empty.mcap", "x.csv"], "contains no rows; there is nothing to convert", 2),
     ],
 )
 def test_what_cannot_be_converted_is_a_sentence(tmp_path, monkeypatch, capsys, words, said, code):

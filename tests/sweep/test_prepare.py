@@ -98,7 +98,7 @@ def test_findings_that_do_not_fit(made, tmp_path, changes, says):
 
 def test_findings_that_never_end(made, tmp_path):
     (tmp_path / "findings.json").symlink_to("/dev/zero")
-    with pytest.raises(ConfigError, match="it is no regular file"):
+    with pytest.raises(ConfigError, match="it is not a regular file"):
         made(**{"from": {"findings": "findings.json"}})
 
 

@@ -58,7 +58,7 @@ class Uploads:
                     await asyncio.to_thread(_complete, part, target)
             except FileExistsError:
                 raise RefusedError(
-                    f"a log '{name}' exists already; give this one another name"
+                    f"a log '{name}' already exists; give this one another name"
                 ) from None
             except OSError as error:
                 raise RefusedError(f"{name} cannot be stored: {error.strerror}") from None
