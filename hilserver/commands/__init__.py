@@ -44,7 +44,7 @@ COMMANDS = {
 }
 
 STARTING = "stopped while starting; nothing was done"
-STOPPED = "stopped before it was finished; nothing half-written is left"
+STOPPED = "stopped before it was finished"
 """What a signal leaves of any command but `run`, whose own words have the form of its log."""
 
 

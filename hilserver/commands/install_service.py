@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hilserver.errors import EXIT_DONE, FailedError
+from hilserver.program.whole_file import write_whole
 
 EXAMPLE = "hilserver install-service --dry-run"
 
@@ -160,7 +161,7 @@ def _write(file: File) -> None:
         return
     try:
         file.path.parent.mkdir(parents=True, exist_ok=True)
-        file.path.write_text(file.text, encoding="utf-8")
+        write_whole(file.path, file.text.encode())
         file.path.chmod(file.mode)
     except OSError as error:
         what = (error.strerror or "not writable").lower()

@@ -1,11 +1,12 @@
 """The unit that install-service writes, and where it refuses to."""
 
 import re
+import resource
 from pathlib import Path
 
 import pytest
 
-from hilserver.commands.install_service import check_reachable, plan
+from hilserver.commands.install_service import File, _write, check_reachable, plan
 from hilserver.errors import FailedError
 from tests.commands.test_cli import hilserver
 
@@ -34,6 +35,20 @@ def test_the_shipped_unit_is_what_a_default_installation_gets() -> None:
 def test_an_existing_configuration_is_kept() -> None:
     [config] = [file for file in plan(PYTHON, CONFIG, "hilserver") if file.path == CONFIG]
     assert config.keep
+
+
+def test_a_full_disk_leaves_the_unit_of_before(tmp_path: Path) -> None:
+    """A limit for the size of files, in place of a full disk."""
+    unit = tmp_path / "hilserver.service"
+    unit.write_text("before\n")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+    try:
+        with pytest.raises(FailedError, match="cannot write"):
+            _write(File(unit, "x" * 100_000))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert {path: path.read_text() for path in tmp_path.iterdir()} == {unit: "before\n"}
 
 
 def test_places_that_a_service_cannot_see_are_refused(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from hilserver.commands import main
 from tests.fakes import image_name
 
-SENTENCE = "hilserver: stopped before it was finished; nothing half-written is left"
+SENTENCE = "hilserver: stopped before it was finished"
 WHEELS = [f"wheel.{wheel}.speed_rpm" for wheel in ("fl", "rl", "fr", "rr")]
 CONFIG = """opcua: {enabled: false}
 page: {enabled: false}
