@@ -64,19 +64,24 @@ class Door:
         if len(self._open) >= CONNECTIONS:
             writer.transport.abort()
             return
-        task = asyncio.create_task(self._guarded(reader, writer), name="foxglove viewer")
+        address, *_ = writer.get_extra_info("peername") or ("unknown",)  # none once it has left
+        task = asyncio.create_task(self._guarded(reader, writer, address), name="foxglove viewer")
         self._open.add(task)
         task.add_done_callback(self._open.discard)
 
-    async def _guarded(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _guarded(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str
+    ) -> None:
         try:
-            await self._serve(reader, writer)
+            await self._serve(reader, writer, address)
         except (OSError, EOFError, ValueError, TimeoutError, asyncio.LimitOverrunError):
             pass  # it has left, or is not a viewer
         finally:
             writer.transport.abort()
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _serve(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str
+    ) -> None:
         async with asyncio.timeout(HEAD_S):
             head = await reader.readuntil(b"\r\n\r\n")
         if not self._may_enter(head):
@@ -86,7 +91,7 @@ class Door:
         inner, outer = await asyncio.open_connection(*self._behind, limit=PIECE_BYTES)
         try:
             outer.write(head)
-            ways = [_sent(reader, outer), _shown(inner, writer)]
+            ways = [_sent(reader, outer), _shown(inner, writer, address)]
             await _first_to_end(ways)
         finally:
             outer.transport.abort()
@@ -108,7 +113,7 @@ async def _first_to_end(ways: Sequence[Awaitable[None]]) -> None:
         await event_loop.end(*tasks)
 
 
-async def _shown(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+async def _shown(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str) -> None:
     """Forward data to the viewer, as long as it takes them; the SDK drops frames meanwhile."""
     event_loop.hold_little(writer.transport)
     while data := await reader.read(PIECE_BYTES):
@@ -117,7 +122,6 @@ async def _shown(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> 
             async with asyncio.timeout(UNREAD_S):
                 await writer.drain()
         except TimeoutError:
-            address = writer.get_extra_info("peername")[0]
             _log.warning("foxglove viewer does not take what it is shown: closed", address=address)
             return
 
