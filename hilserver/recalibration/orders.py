@@ -8,7 +8,7 @@ from typing import Any, Final
 from pydantic import TypeAdapter
 
 from hilserver.recalibration.flips import Answer
-from hilserver.recalibration.proposals import Quantity, Term
+from hilserver.recalibration.proposals import STRICT, Quantity, Term
 
 Values = Mapping[str, float]  # terms of the plant by name; absent: off
 
@@ -39,6 +39,8 @@ class Share:
 @dataclass(frozen=True)
 class Order:
     """A `Todo` with everything the process needs."""
+
+    __pydantic_config__ = STRICT
 
     todo: Todo
     path: str
@@ -87,6 +89,8 @@ class Looked:
 class Result:
     """The result of an order; parts that were not ordered are None."""
 
+    __pydantic_config__ = STRICT
+
     measure: Compared | None = None
     confirm: Compared | None = None
     look: Looked | None = None
@@ -99,7 +103,10 @@ class Result:
     @classmethod
     def of(cls, text: str) -> "Result":
         """Parse a result; ValueError if the text is not one."""
-        return _RESULT.validate_json(text)
+        result = _RESULT.validate_json(text)
+        if missing := asdict(result).keys() - json.loads(text).keys():
+            raise ValueError(f"missing: {', '.join(sorted(missing))}")
+        return result
 
 
 _ORDER: Final = TypeAdapter(Order)

@@ -1,5 +1,6 @@
 """A proposal, and a table of its stages from open to measured."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
@@ -10,6 +11,8 @@ from pydantic import ConfigDict, TypeAdapter
 from hilserver.errors import ControlRefused
 
 Interval = tuple[float, float]
+STRICT: Final = ConfigDict(strict=True, extra="forbid")
+"""How proposals, orders and results are read: what another version has written is none of them."""
 
 
 class Stage(StrEnum):
@@ -78,7 +81,7 @@ class Quantity:
 class Proposal:
     """What an engineer decides on."""
 
-    __pydantic_config__ = ConfigDict(extra="forbid")  # a line of another version is no proposal
+    __pydantic_config__ = STRICT
 
     number: int
     causes: tuple[str, ...]
@@ -142,7 +145,7 @@ class Proposal:
         ValueError
             If the data are not a proposal.
         """
-        return _PROPOSAL.validate_python(data)
+        return _PROPOSAL.validate_json(json.dumps(data))  # strict about types of JSON, not Python
 
 
 _PROPOSAL: Final = TypeAdapter(Proposal)
