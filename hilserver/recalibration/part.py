@@ -21,7 +21,7 @@ from hilserver.recalibration import patches, process
 from hilserver.recalibration.gap import ChangeWatch
 from hilserver.recalibration.history import History, broken, is_sound
 from hilserver.recalibration.loop import Loop, Note, present
-from hilserver.recalibration.orders import Order, Share, Todo
+from hilserver.recalibration.orders import Order, Share, Todo, Values
 from hilserver.recalibration.proposals import Proposal, Stage, Step
 from hilserver.recalibration.spending import Spending
 from hilserver.recalibration.windows import News, Window
@@ -148,7 +148,7 @@ class Recalibration(Part):
                 self._note(note, window=window.number, sha256=sha256)
             made = self.loop.proposal
             if made is not None and made is not before and made.stage is Stage.OPEN:
-                self._offer(made, order.report)
+                await self._offer(made, order.report)
         if made is not None and made.stage is Stage.OPEN and self._config.accept == "automatic":
             await self._accept_by_itself(made)
 
@@ -167,14 +167,26 @@ class Recalibration(Part):
             Share(config.nice, cores, memory, os.getpid()),
         )
 
-    def _offer(self, proposal: Proposal, report: str) -> None:
+    async def _offer(self, proposal: Proposal, report: str) -> None:
         """Write the files of a proposal, without which it cannot be accepted."""
         _, others = patches.split(self._differing)
         self.loop.proposal = replace(proposal, report=report)
         try:
-            patches.write(self._patches, proposal, others, self._world.files.patches.config_sha256)
+            await self._write(proposal, others)
         except FailedError as error:
             self._failed(str(error))
+
+    async def _write(self, proposal: Proposal, others: Values) -> None:
+        """Write the files of a proposal in a thread: the event loop does not wait for the disk."""
+        sha256 = self._world.files.patches.config_sha256
+        work = asyncio.to_thread(patches.write, self._patches, proposal, others, sha256)
+        writing = asyncio.ensure_future(work)
+        try:
+            await asyncio.shield(writing)
+        finally:
+            await asyncio.wait(
+                [writing]
+            )  # nobody else writes them meanwhile, even if we are cancelled
 
     async def _accept_by_itself(self, proposal: Proposal) -> None:
         if proposal.within(self._config.ranges):
@@ -195,14 +207,20 @@ class Recalibration(Part):
         """
         async with self._turn:
             decided = self.loop.decided(Step.ACCEPT, number)
-            loaded, others = patches.split(self._differing)
+            differing = self._differing
+            loaded, others = patches.split(differing)
             if loaded != present(decided):
                 raise ControlRefused(
                     f"the parameters have changed since proposal {number} was made; accepting it"
                     " would undo that: reject it, and the next look starts from the present model"
                 )
             # Written again: what was shown is accepted, whatever has become of the file since.
-            patches.write(self._patches, decided, others, self._world.files.patches.config_sha256)
+            await self._write(decided, others)
+            if self._differing != differing:
+                raise ControlRefused(
+                    f"the parameters have changed while the patch of proposal {number} was written;"
+                    " accepting it would undo that: try again"
+                )
             self._history.append("decision", who=who, proposal=decided.as_json())
             try:
                 await self._world.files.patches.load(decided.patch)

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import threading
 from contextlib import asynccontextmanager
 from dataclasses import replace
 
@@ -13,7 +14,8 @@ from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.connections import LINKS
 from hilserver.daemon.daemon import Daemon
 from hilserver.errors import ControlRefused, FailedError
-from hilserver.recalibration import link, process
+from hilserver.program.whole_file import write_whole
+from hilserver.recalibration import link, patches, process
 from hilserver.recalibration.history import FILE, broken
 from hilserver.recalibration.orders import Compared, Looked, Order, Result, Todo
 from hilserver.recalibration.proposals import Quantity, Stage, Step, Term
@@ -362,6 +364,74 @@ async def test_a_disk_that_takes_no_patch_leaves_nothing_to_accept(tmp_path, ans
         assert daemon.core.parameters.differing == {}
         assert part.loop.proposal.stage is Stage.OPEN
         assert lines(tmp_path)[-1]["kind"] == "proposal"
+
+
+@asynccontextmanager
+async def slow_disk(monkeypatch):
+    """Patches get to the disk only when the block ends; each one that waits sets the event."""
+    waits, may_go, loop = asyncio.Event(), threading.Event(), asyncio.get_running_loop()
+
+    def written(path, content):
+        loop.call_soon_threadsafe(waits.set)
+        assert may_go.wait(60.0), "the event loop waits for the disk"
+        write_whole(path, content)
+
+    monkeypatch.setattr(patches, "write_whole", written)
+    try:
+        yield waits
+    finally:
+        may_go.set()
+        monkeypatch.setattr(patches, "write_whole", write_whole)
+
+
+async def test_a_proposal_does_not_wait_for_the_disk_on_the_event_loop(
+    tmp_path, answers, monkeypatch
+):
+    async with daemon_in(tmp_path) as (daemon, part):
+        async with slow_disk(monkeypatch) as waits:
+            proposing = asyncio.create_task(proposed(part, answers))
+            await waits.wait()
+        await proposing
+        async with slow_disk(monkeypatch) as waits:
+            accepting = asyncio.create_task(part.accept(1, "eve"))
+            await waits.wait()
+        await accepting
+        assert daemon.core.parameters.differing == {"terms.rotation_gain": 0.03}
+
+
+async def test_what_is_tuned_while_the_patch_is_written_stays(tmp_path, answers, monkeypatch):
+    async with daemon_in(tmp_path) as (daemon, part):
+        daemon.core.parameters.apply({"plant.controller.k_p": 12.0})
+        await proposed(part, answers)
+        async with slow_disk(monkeypatch) as waits:
+            accepting = asyncio.create_task(part.accept(1, "eve"))
+            await waits.wait()
+            daemon.core.parameters.apply({"plant.controller.k_p": 14.0})
+        with pytest.raises(ControlRefused, match="changed while the patch of proposal 1"):
+            await accepting
+        assert daemon.core.parameters.differing == {"plant.controller.k_p": 14.0}
+        await part.accept(1, "eve")
+        wanted = {"terms.rotation_gain": 0.03, "plant.controller.k_p": 14.0}
+        assert daemon.core.parameters.differing == wanted
+
+
+async def test_who_leaves_while_the_patch_is_written_has_not_accepted(
+    tmp_path, answers, monkeypatch
+):
+    """Nobody else has the turn until the thread has ended."""
+    async with daemon_in(tmp_path) as (_, part):
+        await proposed(part, answers)
+        async with slow_disk(monkeypatch) as waits:
+            accepting = asyncio.create_task(part.accept(1, "eve"))
+            await waits.wait()
+            accepting.cancel()
+            await asyncio.sleep(0.05)
+            assert part._turn.locked()
+        with pytest.raises(asyncio.CancelledError):
+            await accepting
+        assert part.loop.proposal.stage is Stage.OPEN
+        await part.accept(1, "eve")
+        assert part.loop.proposal.stage is Stage.ACCEPTED
 
 
 async def test_who_starts_with_what_was_accepted_has_it_measured(tmp_path, answers):
