@@ -2,10 +2,14 @@
 
 Requests are numbered. The plant takes the last answer and posts the next request in the same run:
 outputs are one slice old, and it never waits, even when it catches up itself and leaves the child
-no time; such slices are counted separately. Nor does a standstill of the whole computer count as
-silence: a run adds the time since the run before, a slice at most. Until an answer arrives the
-outputs hold, and the slices that pass are owed: the next request covers all of them. The number of
-late slices is the block's last output and an input of a replay, in which the same slices are late.
+no time; such slices are counted separately. Until an answer arrives the outputs hold, and the
+slices that pass are owed: the next request covers all of them. The number of late slices is the
+block's last output and an input of a replay, in which the same slices are late.
+
+Its silence is wall time: a late run adds the time since the run before, but at most the length of a
+slice at speed 1, since a standstill of the whole computer is none. At speed 0.01 a limit of 0.1 s
+is therefore reached after 10 s of wall time, at speed 100 after 10 s of simulated time.
+
 The child stores its state after every request, in two places alternately: the state before the
 current request is complete when a snapshot is taken.
 """
@@ -125,6 +129,7 @@ def adopt_beside(u: Any, y: Any, x: Any, p: Any, a: Any) -> None:
     """Let the child continue from `x`, which was just restored."""
     s = _shared(a)
     if a[at.A_CAPACITY] == 0:
+        a[at.A_SILENT] = 0
         x[at.X_STEPS], x[at.X_PENDING] = s[at.S_STEPS], s[at.S_PENDING]
         x[at.X_FAILED] = 1.0 if a[at.A_STATUS] else 0.0
         return

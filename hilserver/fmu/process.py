@@ -26,7 +26,7 @@ from hilserver.program import children
 
 CHILD_START_S: Final = 60.0
 SILENCE_S, LEAST_SLICES = 0.1, 10
-"""Without an answer for this long, and for the time of so many slices, it counts as dead."""
+"""With this much silence, as `exchange` counts it, and so many slices of it, it counts as dead."""
 _NO_ANSWER: Final = "no longer answers and was ended"
 _STOP_S: Final = 0.2
 
@@ -177,7 +177,7 @@ class Child:
 
 
 def longest_silence_s(period_s: float) -> float:
-    """Return the time without an answer [s] after which an FMU counts as dead."""
+    """Return the silence [s], as `exchange` counts it, after which an FMU counts as dead."""
     return max(SILENCE_S, LEAST_SLICES * period_s)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hilserver.fmu.layout as at
-from hilserver.fmu.exchange import run_beside
+from hilserver.fmu.exchange import adopt_beside, run_beside
 
 BOTH = pytest.mark.parametrize("version", [2, 3])
 PLACES = pytest.mark.parametrize("process", [False, True], ids=["here", "beside"])
@@ -184,12 +184,16 @@ def test_a_silent_one_is_given_up_once_it_has_had_the_time():
     assert [silent.run(tick, 1) for tick in range(10)] == [0] * 9 + [at.SILENT]
 
 
-def test_slices_that_follow_each_other_at_once_are_no_silence():
-    """The plant catches up a minute."""
+def test_a_standstill_of_the_whole_computer_and_the_slices_caught_up_are_no_silence():
+    """Of an hour that stood still one slice counts, and next to nothing of a minute caught up."""
     silent = Silent(1.0)
-    assert not any(silent.run(tick, 0) for tick in range(60))
+    assert not any(silent.run(tick, 0 if tick else 3600) for tick in range(60))
 
 
-def test_a_standstill_of_the_whole_computer_is_no_silence():
+def test_a_reset_ends_the_silence_of_one_that_cannot_store_its_state():
     silent = Silent(1.0)
-    assert not any(silent.run(tick, 3600) for tick in range(9))
+    for tick in range(9):
+        silent.run(tick, 1)
+    nothing = np.zeros(0)
+    adopt_beside(nothing, silent.y, silent.x, nothing, silent.a)
+    assert [silent.run(tick, 1) for tick in range(10)] == [0] * 9 + [at.SILENT]
