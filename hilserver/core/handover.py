@@ -127,19 +127,26 @@ class HandOver:
         ControlRefused
             If `kind` is unknown, or the queue of inputs is full.
         """
-        if kind not in (*self.priority, NOBODY):
-            known = ", ".join(self.priority)
-            raise ControlRefused(f"'{kind}' cannot take control; sources are {known}")
+        self.expect_take(kind, holder)
         if (kind, holder) == (self.owner, self._holder):
             return
-        if not self._image.push([self.leases.hand_over(kind)]):
-            raise ControlRefused("the input queue is full: try again")
+        self._image.push([self.leases.hand_over(kind)])
         before, self.owner, self._holder, self._speaker = self.owner, kind, holder, ""
         self.commander = None
         if kind != before:
             self._before, self.may_fall_back = before, True
             text = f"control passes from '{before}' to '{kind}'"
             self._events.publish(Event(EventKind.STATE, 300, kind, text))
+
+    def expect_take(self, kind: str, holder: object = None) -> None:
+        """Raise ControlRefused if `take` would; nothing changes."""
+        if kind not in (*self.priority, NOBODY):
+            known = ", ".join(self.priority)
+            raise ControlRefused(f"'{kind}' cannot take control; sources are {known}")
+        words = self._image.control
+        is_full = words.now_head - words.now_tail >= words.now_capacity
+        if is_full and (kind, holder) != (self.owner, self._holder):
+            raise ControlRefused("the input queue is full: try again")
 
     def request(self, requester: str, kind: str, holder: object = None) -> None:
         """Let `requester` hand control to `kind`, if it may; "nobody" gives it back.

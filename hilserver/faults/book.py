@@ -46,11 +46,13 @@ def _note(fault: Fault, entries: Sequence[Entry], mail: int = 0) -> _Note:
     return _Note(fault, len(entries), rings, mail)
 
 
-def _expect_places(notes: Collection[_Note]) -> None:
+def _expect_places(notes: Collection[_Note], remedy: str) -> None:
     if sum(note.entries for note in notes) > lay.MAX_MODIFIERS:
-        raise ValueError(f"more than {lay.MAX_MODIFIERS} signals cannot be modified at once")
+        raise ValueError(
+            f"more than {lay.MAX_MODIFIERS} signals cannot be modified at once; {remedy}"
+        )
     if sum(note.rings for note in notes) > lay.MAX_RINGS:
-        raise ValueError(f"more than {lay.MAX_RINGS} signals cannot be delayed at once")
+        raise ValueError(f"more than {lay.MAX_RINGS} signals cannot be delayed at once; {remedy}")
 
 
 class Faults:
@@ -113,7 +115,7 @@ class Faults:
 
     def check_all(self, faults: Iterable[Fault]) -> None:
         """ValueError if the plant cannot hold all these faults at once."""
-        _expect_places([_note(fault, self.check(fault)) for fault in faults])
+        _expect_places([_note(fault, self.check(fault)) for fault in faults], "leave some out")
 
     def clear(self, name: str | None = None) -> None:
         """End the fault `name`, or all injected faults; forced signals stay forced.
@@ -263,7 +265,7 @@ class Faults:
         removed = {c.number for c in commands if c.operation == lay.OP_REMOVE}
         self.active()
         kept = {n: note for n, note in self._notes.items() if n not in removed} | dict(notes)
-        _expect_places(kept.values())
+        _expect_places(kept.values(), "clear the other faults first")
         self._mailbox.send(commands)
         self._leave(removed)
         self._notes = kept

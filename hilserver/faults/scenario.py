@@ -14,7 +14,7 @@
 Times count from the start of the simulation; everything acts at the start of its tick.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -114,7 +114,6 @@ class Stage:
         self._faults = faults
         self._parameters = parameters
         self._period_s = base_period_ns * 1e-9
-        self._n_rows = 0  # timed values of the last scenario
         self.drives = False  # True from a scenario that drives until `stop`
 
     def check(self, play: Play) -> None:
@@ -126,7 +125,7 @@ class Stage:
         try:
             self._faults.check_all(scenario.faults)
         except ValueError as error:
-            raise ConfigError(f"{place(path, ('faults',))}{error}; leave some out") from None
+            raise ConfigError(f"{place(path, ('faults',))}{error}") from None
         for index, step in enumerate(scenario.steps):
             for name, value in step.write.items():
                 complaint = self._complaint(name, value)
@@ -148,32 +147,39 @@ class Stage:
     def play(self, scenario: Scenario, start_tick: int = 0) -> None:
         """Hand a checked scenario to the plant; its times count from `start_tick`.
 
-        ConfigError if it is too large for the queue of timed inputs, ControlRefused if other faults
-        leave no room for its own; then nothing has changed.
+        ConfigError if it is too large for the queue of timed inputs, ControlRefused if it cannot
+        take control or something leaves no room for it; then nothing has changed.
         """
         rows = sorted(self._rows(scenario, start_tick), key=lambda row: row.tick)
-        if len(rows) > self._image.timed_room:
-            raise ConfigError(f"{len(rows)} timed values are too many for the input queue")
+        self._expect_room(rows)
         try:
             self._faults.inject(*scenario.seeded_faults, start_tick=start_tick)
         except ValueError as error:
-            raise ControlRefused(f"{error}; clear the other faults first") from None
+            raise ControlRefused(str(error)) from None
         if rows:
             self._gate.take("scenario")
             self.drives = True
         self._image.push_timed(rows)
-        self._n_rows = len(rows)
         self._parameters.schedule(
             sorted(self._sets(scenario, start_tick), key=itemgetter(0)), start_tick
         )
 
     def expect_room_again(self, scenario: Scenario) -> None:
-        """ControlRefused while the plant has no room to begin the scenario that plays anew."""
+        """ControlRefused if `play` would refuse the scenario after `Faults.reset`."""
         self._faults.expect_room(scenario.faults)
-        if self._n_rows > self._image.timed_room:
+        self._expect_room(self._rows(scenario, 0))
+
+    def _expect_room(self, rows: Sequence[Row]) -> None:
+        """Raise what `play` says if the steps cannot be handed over."""
+        if not rows:
+            return
+        self._gate.expect_take("scenario")
+        if len(rows) > self._image.control.timed_capacity:
+            raise ConfigError(f"{len(rows)} timed values are too many for the input queue")
+        if len(rows) > self._image.timed_room:
             raise ControlRefused(
-                "too many steps of the scenario still wait for it to begin anew; call Stop and"
-                " Reset, then Reset again"
+                "too many steps of a scenario still wait; call Stop and Reset to end them, then try"
+                " again"
             )
 
     def stop(self) -> None:

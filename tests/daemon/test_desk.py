@@ -13,6 +13,8 @@ from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.builder import build
 from hilserver.daemon.desk import Recordings, Scenarios
 from hilserver.errors import ControlRefused
+from hilserver.faults import Scenario, load_scenario
+from hilserver.image import Row
 from hilserver.testing.opening import open_hil
 
 CONFIG = Config.model_validate({"scheduler": {"backend": "virtual"}})
@@ -121,7 +123,9 @@ async def test_a_reset_without_room_for_the_scenario_s_steps_changes_nothing(run
     path.write_text(yaml.safe_dump({"steps": steps}))
     async with open_hil(None, "virtual", scenario=path) as hil:
         await hil.run_for(0.1)
-        with pytest.raises(ControlRefused, match="call Stop and Reset, then Reset again"):
+        short = load_scenario(tmp_path / "late.yaml")
+        hil.daemon.stage.play(short, hil.daemon.scheduler.tick + 1)
+        with pytest.raises(ControlRefused, match="call Stop and Reset to end them, then try again"):
             hil.daemon.control.reset()
         await hil.step()
         assert hil.tick > 100
@@ -131,6 +135,62 @@ async def test_a_reset_without_room_for_the_scenario_s_steps_changes_nothing(run
         hil.daemon.control.reset()
         await hil.step()
         assert hil.tick == 1
+
+
+def fill_inputs(core):
+    row = Row(core.table.slot("lights.red"), 0.0)
+    while core.image.push([row]):
+        pass
+
+
+async def test_a_reset_that_cannot_give_control_to_the_scenario_changes_nothing(run, tmp_path):
+    step = {"at_s": 0.05, "write": {"twist.linear_m_s": 0.1}}
+    path = tmp_path / "faulty.yaml"
+    path.write_text(yaml.safe_dump({"steps": [step], "faults": FAULTS}))
+    async with open_hil(None, "virtual", scenario=path) as hil:
+        control, faults, gate = hil.daemon.control, hil.daemon.faults, hil.daemon.gate
+        await hil.run_for(0.1)
+        gate.take("opcua")
+        faults.clear("n1")
+        fill_inputs(hil.daemon.core)
+        before = (faults.names, gate.owner)
+        with pytest.raises(ControlRefused, match="the input queue is full: try again"):
+            control.reset()
+        assert (faults.names, gate.owner) == before
+        await hil.step()
+        assert hil.tick > 100, "it has begun anew"
+        control.reset()
+        await hil.step()
+        assert (hil.tick, gate.owner, faults.names.count("n1;")) == (1, "scenario", 1)
+
+
+def outrank(core):
+    core.gate.priority = ("page", "opcua")
+
+
+def fill_mail(core):
+    for _ in range(58):  # each ends the one before: 115 commands of 128
+        core.faults.force("pose.y_m", 1.0)
+
+
+@pytest.mark.parametrize(
+    ("hinder", "why"),
+    [
+        (outrank, "'scenario' cannot take control; sources are page, opcua"),
+        (fill_inputs, "the input queue is full: try again"),
+        (fill_mail, "20 commands are too many at once; try again"),
+    ],
+)
+async def test_a_scenario_that_cannot_begin_changes_nothing(run, hinder, why):
+    core, _ = run
+    step = {"at_s": 0.05, "write": {"twist.linear_m_s": 0.1}}
+    scenario = Scenario.model_validate({"steps": [step], "faults": FAULTS})
+    hinder(core)
+    owner = core.gate.owner
+    with pytest.raises(ControlRefused) as refused:
+        core.stage().play(scenario)  # at once: while it waits, the plant takes what is queued
+    assert str(refused.value) == why
+    assert (core.faults.names, core.gate.owner) == ("", owner)
 
 
 async def test_a_scenario_without_room_for_its_faults_changes_nothing(run, tmp_path):
