@@ -44,7 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_user_name,
         default="hilserver",
         metavar="NAME",
-        help="user that runs the service; if missing, exists while it runs (default: hilserver)",
+        help="user that runs the service; if there is none, it is created while the service runs"
+        " (default: hilserver)",
     )
     parser.add_argument(
         "-c",

@@ -65,7 +65,13 @@ _NUMBERS = (
     ("--rotate-s", POSITIVE, None, "S", "start a new file after S seconds"),
     ("--keep", _FILES, None, "N", "keep the newest N files of a rotation"),
     ("--max-mb", POSITIVE, 50_000.0, "N", "stop at this total size in MB; default: 50000"),
-    ("--keep-free-mb", float, 500.0, "N", "stop when fewer MB are free on the disk; default: 500"),
+    (
+        "--keep-free-mb",
+        float,
+        500.0,
+        "N",
+        "stop before fewer MB are free on the disk; default: 500",
+    ),
     ("--buffer-mb", POSITIVE, 64.0, "N", "buffer for a slow disk in MB; default: 64"),
 )
 """Option, type, default, unit, help."""

@@ -50,9 +50,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--dry-run", action="store_true", help="check, run one machine, estimate")
     what.add_argument("--resume", action="store_true", help="continue an interrupted sweep")
     what.add_argument(
-        "--compare", nargs=2, type=Path, metavar=("A", "B"), help="compare two finished sweeps"
+        "--compare",
+        nargs=2,
+        type=Path,
+        metavar=("A", "B"),
+        help="compare two finished sweeps of the same machines, pair by pair",
     )
-    parser.add_argument("--mixed", action="store_true", help="let the last bits differ")
+    parser.add_argument(
+        "--mixed",
+        action="store_true",
+        help="accept workers on computers whose results differ in the last bits",
+    )
     parser.add_argument("--junit", type=Path, metavar="FILE", help="also write a test report")
 
 

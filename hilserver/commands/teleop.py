@@ -215,7 +215,7 @@ class Driver:
         self._seen = seen
         if self._said != self._hold.words:
             self._said = self._hold.words
-            sys.stdout.write(f"\r\x1b[Ka held key ends {self._said}\n")
+            sys.stdout.write(f"\r\x1b[Kthe hold ends {self._said}\n")
         width = shutil.get_terminal_size().columns - 1
         sys.stdout.write(f"\r\x1b[K{self._line()[:width]}")
         sys.stdout.flush()

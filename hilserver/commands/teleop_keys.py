@@ -134,7 +134,7 @@ class Hold:
     def words(self) -> str:
         """How a hold ends, in words for the user."""
         if self.has_releases:
-            return "when it is released (kitty keyboard protocol)"
+            return "when the key is released (kitty keyboard protocol)"
         return (
             f"after {REPEAT_S * 1e3:g} ms without a repeat, {FIRST_S * 1e3:g} ms after the first"
             f" press"

@@ -38,7 +38,7 @@ FACTORS = {
     100.0: "0.01 rpm instead of rpm",
     0.01: "rpm divided by 100",
     89.0: "the motor's speed, before the gear",
-    1 / 89: "divided by the gear ratio once too many",
+    1 / 89: "divided by the gear ratio once too often",
 }
 """What a wrong factor of a speed usually means."""
 

@@ -53,4 +53,6 @@ class ShadowConfig(Section):
         default_factory=dict,
         description="largest gap by signal, in its unit, such as pose.x_m: 0.3; empty: no alarm",
     )
-    after_s: float = Field(1.0, ge=0, le=3600, description="a gap this long raises an alarm")
+    after_s: float = Field(
+        1.0, ge=0, le=3600, description="a gap that lasts this long raises an alarm"
+    )

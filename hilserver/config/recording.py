@@ -26,6 +26,6 @@ class RecordingConfig(Section):
         50_000, ge=1, description="A recording ends at this total size of its files [MB]"
     )
     keep_free_mb: float = Field(
-        500, ge=0, description="A recording ends when less than this is free on the disk [MB]"
+        500, ge=0, description="A recording ends before less than this is free on the disk [MB]"
     )
     buffer_mb: float = Field(64.0, ge=1, le=4096, description="Buffer for a slow disk [MB]")

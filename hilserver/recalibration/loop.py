@@ -103,7 +103,7 @@ class Loop:
         notes: list[Note] = []
         if result.error:
             self._candidate = None
-            text = f"window {todo.window} was not judged: {result.error}"
+            text = f"window {todo.window} could not be diagnosed: {result.error}"
             notes.append(Note("failed", {"window": todo.window, "error": result.error}, text, 500))
         if result.measure is not None:
             notes += self._measured(todo, result.measure)

@@ -90,7 +90,7 @@ class Recalibration(Part):
         self._history.lines.clear()
         if (window := process.cut_short(self._folder)) is not None:
             why = "the daemon was killed during its look"
-            text = f"window {window} was not judged: {why}; nothing from it was applied"
+            text = f"window {window} could not be diagnosed: {why}; nothing from it was applied"
             self._note(Note("failed", {"window": window, "error": why}, text, 500))
         self._tasks = [
             asyncio.create_task(self._record(), name="recalibration: windows"),

@@ -152,7 +152,7 @@ def _robot_outputs() -> list[tuple[str, str, float, float, str]]:
         ("velocity.lateral_m_s", "m/s", -10.0, 10.0, "Lateral velocity, body frame, left +"),
         ("velocity.angular_rad_s", "rad/s", -50.0, 50.0, "Yaw rate, counter-clockwise +"),
         ("imu.gyro_z_rad_s", "rad/s", -50.0, 50.0, "Gyroscope, z axis"),
-        ("imu.yaw_rad", "rad", -math.pi, math.pi, "Yaw of the inertial unit"),
+        ("imu.yaw_rad", "rad", -math.pi, math.pi, "Yaw of the IMU"),
         ("imu.accel_x_m_s2", "m/s²", -500.0, 500.0, "Acceleration of the centre of mass, forward"),
         ("imu.accel_y_m_s2", "m/s²", -500.0, 500.0, "Acceleration of the centre of mass, left"),
         ("battery.voltage_v", "V", 0.0, 30.0, "Battery voltage"),

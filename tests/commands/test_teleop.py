@@ -190,7 +190,7 @@ in_terminal = pytest.mark.asyncio(loop_scope="module")
 
 @in_terminal
 async def test_holding_by_repeats_drives_and_letting_go_stops(terminal):
-    assert "a held key ends after 150 ms without a repeat" in terminal.look()
+    assert "the hold ends after 150 ms without a repeat" in terminal.look()
     await terminal.held_by_repeats(lambda: terminal.read(SPEED) > 0.2)
     await terminal.stops()
     assert "age" in terminal.look()
@@ -209,7 +209,7 @@ async def test_with_the_kitty_protocol_a_hold_lasts_until_its_release(terminal):
     assert "\x1b[?u" in terminal.look()
     terminal.type("\x1b[?11u")
     await terminal.until(
-        lambda: "a held key ends when it is released" in terminal.look(), "it says so"
+        lambda: "the hold ends when the key is released" in terminal.look(), "it says so"
     )
     terminal.type("\x1b[119;1:1u")
     await terminal.drives()

@@ -229,7 +229,7 @@ def test_it_says_what_a_channel_would_add(tmp_path, capsys):
     assert main(["plan", str(path), "--channels", "speed,gyro", "--room", "4x3", "-o", out]) == 0
     said = capsys.readouterr().out
     assert "also with yaw: " in said
-    assert "cannot tell apart: gyro_scale, rotation_gain, wheel_radius" in said
+    assert "cannot separate: gyro_scale, rotation_gain, wheel_radius" in said
     missing = {m.channel: m for m in document(tmp_path / "out").missing_channels}
     assert set(missing) == {"duty", "position", "yaw", "voltage"}
     assert {"floor_slope", "nav_lever_arm"} <= set(missing["position"].shows)

@@ -247,7 +247,7 @@ def test_a_look_that_failed_is_said_and_forgotten():
     robot.next(NAMED)
     todo = robot.loop.todo(2, {}, 2 * WINDOW_S)
     notes = robot.loop.take(todo, Result(error="it was killed"), 2 * WINDOW_S)
-    assert notes[0].sentence == "window 2 was not judged: it was killed"
+    assert notes[0].sentence == "window 2 could not be diagnosed: it was killed"
     assert robot.loop.todo(3, {}, 3 * WINDOW_S).confirm is None
 
 

@@ -343,8 +343,8 @@ async def test_a_look_that_a_kill_cut_short_is_named_by_the_next_run(tmp_path, a
     async with daemon_in(tmp_path) as (daemon, part):
         said = [e.message for e in daemon.events.recent if e.kind == "recalibration"]
         assert said == [
-            "window 9 was not judged: the daemon was killed during its look; nothing from it was"
-            " applied"
+            "window 9 could not be diagnosed: the daemon was killed during its look; nothing from"
+            " it was applied"
         ]
         assert daemon.core.parameters.differing == {}
         assert part.loop.proposal.stage is Stage.OPEN

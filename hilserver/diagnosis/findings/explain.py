@@ -75,7 +75,7 @@ def explain(causes: Iterable[str], parameters: Mapping[str, Parameter]) -> str:
     if len(said) == 1:
         return said[0]
     inner = "; or: ".join(_lower(text.rstrip(".")) for text in said)
-    return f"One of these, which the data cannot tell apart: {inner}."
+    return f"One of these, which the data cannot separate: {inner}."
 
 
 def explain_finding(finding: Finding) -> str:

@@ -34,14 +34,14 @@ def _count(prospect: Prospect) -> str:
     grouped = {c for group in prospect.groups for c in group.causes}
     alone = sum(cause not in grouped for cause in shown)
     causes = "1 cause at its" if len(shown) == 1 else f"{len(shown)} causes at their"
-    return f"shows {causes} reference size, {alone} of them by a unique name"
+    return f"shows {causes} reference size, {alone} of them not in a group"
 
 
 def _prospect(prospect: Prospect) -> list[str]:
     out = _wrapped("shows from: ", _sizes(v for v in prospect.causes if v.shows))
     out += _wrapped("only if larger: ", _sizes(v for v in prospect.causes if not v.shows))
     for group in prospect.groups:
-        out += _wrapped("cannot tell apart: ", ", ".join(group.causes))
+        out += _wrapped("cannot separate: ", ", ".join(group.causes))
     reasons: dict[str, list[str]] = {}
     for entry in prospect.not_judged:
         reasons.setdefault(entry.reason.partition(":")[0], []).append(entry.cause)

@@ -123,7 +123,7 @@ def likeness(similarity: Similarity) -> Figure | None:
         _heat_map(names, cosine[np.ix_(kept, kept)], similarity.limit),
         "Causes that look alike in these data",
         "Full colour: the same effect (orange: with opposite sign). Framed: above"
-        f" {similarity.limit:g}, these data cannot tell the two apart. Causes that resemble no"
+        f" {similarity.limit:g}, these data cannot separate the two. Causes that resemble no"
         " other are left out.",
         wide=True,
     )

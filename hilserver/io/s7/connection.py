@@ -21,7 +21,8 @@ JOB_S = 2.0
 ASKED_PDU = 480  # requested bytes of a message; controllers grant 240 to 960
 
 WHY = {
-    Code.NO_BLOCK: "there is no such block, or it has optimized access: switch that off",
+    Code.NO_BLOCK: "there is no such block, or it has optimized access: switch that off in the"
+    " properties of the block",
     Code.BEYOND: "the block is too short",
     Code.DENIED: "access is denied: permit access with PUT/GET in the protection settings of the"
     " controller",

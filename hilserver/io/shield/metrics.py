@@ -32,7 +32,7 @@ METRICS: Final[tuple[Metric[Shields], ...]] = (
     ),
     Metric(
         "hil_shield_lateness_seconds",
-        "Time from the earliest moment that the line permits a response to its write.",
+        "How much later than the line permits a response is written.",
         (),
         _lateness,
         (10 * US, 100 * MS),
