@@ -218,7 +218,10 @@ class Control:
         self._go(self._next(Command.END), reason)
 
     def supervise(self) -> None:
-        """Take over stops and faults that the plant has already acted on."""
+        """Take over what the plant has already done, and end what departed clients commanded."""
         self._take_stop()
         if code := self._image.control.first_fault:
             self.enter_safe(fault_of(code).text, cause=None)
+        if not self._gate.end_departed() and self.state is not State.PAUSED:
+            why = "the input queue is full: the set-points of a client that has left did not end"
+            self.enter_safe(why, cause=None)

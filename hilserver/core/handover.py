@@ -48,6 +48,8 @@ class Standing(StrEnum):
     BELOW = "is below in control.priority"
 
 
+_DEPARTED: Final = object()
+"""In place of a client that has left, until its control is passed on or its set-points end."""
 _SAME, _TAKER, _NAMED, _FALLBACK, _REFUSED = Next
 
 # fmt: off
@@ -182,11 +184,31 @@ class HandOver:
         if client is None:
             return
         if client is self._holder:
-            self._fall_back("is gone")
-        elif client is self.commander and self._image.push([self.leases.hand_over(self.owner)]):
+            self._holder = _DEPARTED
+        if client is self.commander:
+            self.commander = _DEPARTED
+        self.end_departed()
+
+    def end_departed(self) -> bool:
+        """Do what the departure of a client asks for and is not done yet.
+
+        Returns
+        -------
+        bool
+            False if the queue of inputs is full: then it remains to be done.
+        """
+        if self._holder is _DEPARTED:
+            try:
+                self._fall_back("is gone")
+            except ControlRefused:
+                return False
+        elif self.commander is _DEPARTED:
+            if not self._image.push([self.leases.hand_over(self.owner)]):
+                return False
             self.commander = None
             text = f"'{self.owner}' is gone: set-points zero"
             self._events.publish(Event(EventKind.STATE, 500, self.owner, text))
+        return True
 
     def _fall_back(self, why: str) -> None:
         gone, before = self.owner, self._before

@@ -7,10 +7,12 @@ from types import SimpleNamespace
 import pytest
 
 from hilserver.config.root import Config
+from hilserver.core.control import Control
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.builder import build
 from hilserver.daemon.supervision import Supervision
 from hilserver.image import Row
+from hilserver.signals import State
 
 RAMP_TICKS = 100
 LIMIT_TICKS = 300
@@ -223,10 +225,75 @@ async def test_a_restored_state_and_a_reset_drive_by_nothing_of_before(tmp_path)
         assert now(core) == 30.0
 
 
+def fill_queue(core):
+    while core.image.push([Row(core.table.slot("lights.red"), 1.0)]):
+        pass
+
+
+def supervised(core):
+    control = Control(
+        core.table, core.image, core.gate, core.events, core.scheduler, core.snapshots
+    )
+    control.started()
+    return control, Supervision(core, control)
+
+
+def let_command(core, client, *, took_control):
+    if took_control:
+        core.gate.request("opcua", "opcua", client)
+    else:
+        core.gate.commander = client
+
+
+@pytest.mark.parametrize("took_control", [True, False])
+async def test_a_client_that_leaves_while_the_queue_is_full_drives_no_longer(took_control):
+    async with robot(source="opcua") as core:
+        control, supervision = supervised(core)
+        let_command(core, client := object(), took_control=took_control)
+        await drive(core, "opcua", 40.0, 3)
+        fill_queue(core)
+        core.gate.gone(client)
+        await core.scheduler.advance(1)
+        supervision.run()
+        await core.scheduler.advance(2 * RAMP_TICKS)
+        assert now(core) == 0.0
+        assert core.gate.owner == ("nobody" if took_control else "opcua")
+        assert control.state is State.RUNNING
+
+
+@pytest.mark.parametrize("took_control", [True, False])
+async def test_a_queue_that_stays_full_after_a_client_has_left_is_the_safe_state(took_control):
+    async with robot(source="opcua") as core:
+        control, supervision = supervised(core)
+        let_command(core, client := object(), took_control=took_control)
+        fill_queue(core)
+        core.gate.gone(client)
+        control.pause()
+        supervision.run()
+        assert control.state is State.PAUSED, "nothing moves in a pause"
+        control.start()
+        supervision.run()
+        assert control.state is State.SAFE
+        assert control.reason.startswith("the input queue is full")
+
+
+async def test_who_commands_after_a_client_that_left_is_not_ended_with_it():
+    async with robot(source="opcua") as core:
+        _, supervision = supervised(core)
+        let_command(core, client := object(), took_control=False)
+        fill_queue(core)
+        core.gate.gone(client)
+        await core.scheduler.advance(1)
+        core.gate.commander = object()
+        await drive(core, "opcua", 30.0)
+        supervision.run()
+        await core.scheduler.advance(2 * RAMP_TICKS)
+        assert now(core) == 30.0
+
+
 async def test_a_full_queue_refuses_to_hand_control_over():
     async with robot() as core:
-        while core.image.push([Row(core.table.slot("lights.red"), 1.0)]):
-            pass
+        fill_queue(core)
         with pytest.raises(Exception, match="input queue is full"):
             core.gate.take("opcua")
         assert core.gate.owner == "peer"
