@@ -192,8 +192,8 @@ def _plausible(
     if excessive:
         why, better = TOO_LARGE, impossible or theirs <= ours
     else:
-        inexact = own_error(problem, other.point, base.deviance)
-        as_good = theirs <= ours + len(noises) * inexact
+        inexact = sum(_own_error(problem.under(*n), other.point, base) for n in noises)
+        as_good = theirs <= ours + inexact
         why, better = DETOUR, as_good and _simpler(problem, first.point, other.point)
     if better and not any(map(_excessive, other.point.model.fitted)):
         gone = [c for c in first.point.model.causes if c not in other.point.model.causes]
@@ -209,19 +209,30 @@ def _detour(selected: Selected) -> frozenset[str]:
     """Return the first choice where others may only make up for it, and what it could be taken for.
 
     Where wheels stick and break loose no slope leads back from several causes to fewer. Two need no
-    second search: a rival that stands for both is found in the place of one.
+    second search: a rival that stands for both is found in the place of one. What already runs is
+    no choice of the search.
     """
     causes = selected.point.model.causes
-    if len(causes) < 3 or not any(traits_of(cause).abrupt for cause in causes):
+    first = next((cause for cause in selected.near if cause in causes), None)
+    if first is None or len(causes) < 3:
         return frozenset()
-    first = next(cause for cause in selected.p if cause in causes)
-    return frozenset({first, *(t.candidate.cause for t in selected.near.get(first, ()))})
+    alike = frozenset({first, *(t.candidate.cause for t in selected.near[first])})
+    return alike if any(traits_of(cause).abrupt for cause in alike) else frozenset()
 
 
 def _simpler(problem: Problem, point: Point, other: Point) -> bool:
-    """Return whether another model has fewer causes, and predicts held-out blocks as well."""
-    fewer = 0 < len(other.model.fitted) < len(point.model.fitted)
-    return fewer and not Step(problem, point, other).harms
+    """Return whether a model has fewer causes, no more parameters, and predicts as well."""
+    (few, small), (many, large) = (
+        (len(m.fitted), sum(f.candidate.weight for f in m.fitted))
+        for m in (other.model, point.model)
+    )
+    return 0 < few < many and small <= large and not Step(problem, point, other).harms
+
+
+def _own_error(problem: Problem, point: Point, base: Point) -> float:
+    """Return what the causes may leave because their form is inexact, under the problem's noise."""
+    without = problem.point(Model(), base.poses)
+    return own_error(problem, problem.point(point.model, point.poses), without.deviance)
 
 
 Noises = tuple[Mapping[str, NoiseModel], Array]

@@ -8,7 +8,7 @@ import pytest
 from hilserver.diagnosis.decide.delays import beginning_for
 from hilserver.diagnosis.decide.identifiability import Rival
 from hilserver.diagnosis.decide.revision import _weighed, no_name
-from hilserver.diagnosis.decide.selection import Selected, _plausible, select
+from hilserver.diagnosis.decide.selection import Selected, _detour, _plausible, _simpler, select
 from hilserver.diagnosis.decide.trial import not_alone
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.stages import Prepared
@@ -83,6 +83,38 @@ def test_the_few_causes_stand_for_several_that_only_make_up_for_the_first_choice
     found = select(problem, library, base, rng)
     weighed, _ = _weighed(Prepared(problem, library, base), found)
     assert sorted(weighed.model.causes) == causes
+
+
+@pytest.fixture
+def three():
+    """Data of two causes, a third that is not there, and what fits any of them."""
+    rng = np.random.default_rng(4)
+    names = ("coulomb_friction", "time_constant", "viscous_load")
+    columns = {name: 30.0 * toy.smooth(rng, N) for name in names}
+    values = columns["coulomb_friction"] + columns["time_constant"] + rng.normal(size=N)
+    problem = toy.problem(values, columns)
+    _, base = toy.library(problem)
+    return problem, lambda *of: fit(problem, toy.model(*of), base)
+
+
+def test_only_a_choice_of_the_search_is_in_doubt_and_only_where_wheels_stick(three):
+    _, fitted = three
+    point = fitted("coulomb_friction", "time_constant", "viscous_load")
+    p = dict.fromkeys(point.model.causes, 0.01)
+    chosen = Selected(point, p, near={"coulomb_friction": [], "time_constant": []})
+    assert _detour(chosen) == {"coulomb_friction"}
+    running = Selected(point, p, near={"time_constant": [], "viscous_load": []})
+    assert not _detour(running), "the friction runs already; what was chosen acts smoothly"
+    assert not _detour(Selected(point, p)), "the search has chosen nothing"
+    assert not _detour(replace(chosen, point=fitted("coulomb_friction", "time_constant")))
+
+
+def test_fewer_causes_that_predict_held_out_blocks_worse_are_not_simpler(three):
+    problem, fitted = three
+    all_three = fitted("coulomb_friction", "time_constant", "viscous_load")
+    assert _simpler(problem, all_three, fitted("coulomb_friction", "time_constant"))
+    assert not _simpler(problem, all_three, fitted("coulomb_friction", "viscous_load"))
+    assert not _simpler(problem, all_three, all_three)
 
 
 @pytest.mark.parametrize("others_help", [True, False])
