@@ -137,7 +137,7 @@ def test_other_kernels_are_named(replay_here, recorded, tmp_path):
     old = re.sub(r'("kernels": )"\w+"', r'\1"0123456789abcdef"', text)
     meta_path(tmp_path / "old.csv").write_text(old)
     said = replay_here(tmp_path / "old.csv", "-o", "again.csv", code=2)
-    assert "was made with kernels 0123456789abcdef, here it is" in said
+    assert "was made with kernels 0123456789abcdef, but here it is" in said
 
 
 def test_a_snapshot_of_another_time_is_named(replay_here, recorded, tmp_path):
