@@ -45,6 +45,7 @@ COMMANDS = {
 
 STARTING = "stopped while starting; nothing was done"
 STOPPED = "stopped before it was finished"
+SERVICES = (["run"], ["page"])  # their log, JSON perhaps, and the exit code say how they ended
 """What a signal leaves of any command but `run`, whose own words have the form of its log."""
 
 
@@ -61,7 +62,7 @@ def _run(words: Sequence[str]) -> int:
         left = STOPPED
         code: int = args.run(args)
     except (Exception, SystemExit):
-        if words[:1] != ["run"]:
+        if words[:1] not in SERVICES:
             say_stopped(left)
         raise
     return code
