@@ -13,8 +13,8 @@ MEANING: Final[Mapping[Happening, str]] = {
     Happening.RELEASE: "writes `nobody` to `control.source`",
     Happening.COMMAND: "writes set-points, mode or enable; what peer, ROS 2 and shield write"
     " without control is kept as their offer",
-    Happening.GONE: "the client that took control has no session or connection any more; the"
-    " set-points of an OPC UA client that found it become zero",
+    Happening.GONE: "the client that took control has no session or connection any more;"
+    " set-points that an OPC UA client wrote last, without taking it, become zero",
     Happening.LAPSE: "has not renewed its command in time: its policy acts in the plant's tick",
     Happening.STOP: "safe state: a ramp to zero, then the drive is disabled",
     Happening.RESET: "every lease ends: zero until a command comes in anew",

@@ -4,7 +4,7 @@
 ``docs/reference/control.md`` prints it. What the wheels receive meanwhile is up to the step.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
 from typing import Final
 
@@ -94,8 +94,6 @@ class HandOver:
         Set to False by whatever ends a command; True again when control is taken.
     present : set
         Clients of our OPC UA server that have commanded and are still there.
-    commander : object
-        Client that set the newest set-points; they end with it. None: they hold without it.
     """
 
     def __init__(
@@ -110,7 +108,9 @@ class HandOver:
         self.owner, self.leases, self.priority = owner, leases, tuple(priority)
         self.may_fall_back = True
         self.present: set[object] = set()
-        self.commander: object = None
+        # client that wrote each set-point last: the value ends with it; None: it stays
+        self._writers: dict[int, object] = {}
+        self._left: set[int] = set()  # set-points of clients that have left, not yet zero
         leases.begin(owner)
         self._image, self._events = image, events
         self._fallback, self._before, self._speaker = fallback, NOBODY, ""
@@ -134,7 +134,8 @@ class HandOver:
             return
         self._image.push([self.leases.hand_over(kind)])
         before, self.owner, self._holder, self._speaker = self.owner, kind, holder, ""
-        self.commander = None
+        self._writers.clear()
+        self._left.clear()
         if kind != before:
             self._before, self.may_fall_back = before, True
             text = f"control passes from '{before}' to '{kind}'"
@@ -185,9 +186,14 @@ class HandOver:
             return
         if client is self._holder:
             self._holder = _DEPARTED
-        if client is self.commander:
-            self.commander = _DEPARTED
+        self._left |= {slot for slot, writer in self._writers.items() if writer is client}
         self.end_departed()
+
+    def commanded(self, slots: Iterable[int], client: object) -> None:
+        """Note which client of our OPC UA server has set these set-points; None: they stay."""
+        for slot in slots:
+            self._writers[slot] = client
+            self._left.discard(slot)
 
     def end_departed(self) -> bool:
         """Do what the departure of a client asks for and is not done yet.
@@ -202,11 +208,14 @@ class HandOver:
                 self._fall_back("is gone")
             except ControlRefused:
                 return False
-        elif self.commander is _DEPARTED:
-            if not self._image.push([self.leases.hand_over(self.owner)]):
+        elif self._left:
+            rows = [Row(self.leases.place(self.owner, slot), 0.0) for slot in sorted(self._left)]
+            if not self._image.push(rows):
                 return False
-            self.commander = None
-            text = f"'{self.owner}' is gone: set-points zero"
+            for slot in self._left:
+                del self._writers[slot]
+            self._left.clear()
+            text = f"a client of '{self.owner}' is gone: its set-points are zero"
             self._events.publish(Event(EventKind.STATE, 500, self.owner, text))
         return True
 

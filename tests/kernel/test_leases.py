@@ -12,6 +12,7 @@ from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.builder import build
 from hilserver.daemon.supervision import Supervision
 from hilserver.image import Row
+from hilserver.plant.layout import N_SETPOINTS
 from hilserver.signals import State
 
 RAMP_TICKS = 100
@@ -242,7 +243,7 @@ def let_command(core, client, *, took_control):
     if took_control:
         core.gate.request("opcua", "opcua", client)
     else:
-        core.gate.commander = client
+        core.gate.commanded(range(N_SETPOINTS), client)
 
 
 @pytest.mark.parametrize("took_control", [True, False])
@@ -284,7 +285,7 @@ async def test_who_commands_after_a_client_that_left_is_not_ended_with_it():
         fill_queue(core)
         core.gate.gone(client)
         await core.scheduler.advance(1)
-        core.gate.commander = object()
+        core.gate.commanded(range(N_SETPOINTS), object())
         await drive(core, "opcua", 30.0)
         supervision.run()
         await core.scheduler.advance(2 * RAMP_TICKS)

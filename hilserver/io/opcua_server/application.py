@@ -195,9 +195,9 @@ class RobotApplication(Application):
         if accepted:
             if kind_of(source) == SOURCE and session.processor is not None:
                 self._gate.present.add(session)
-                if any(self._table[name].slots[0] < N_SETPOINTS for name in accepted):
-                    holds = not session.visitor.may_hold_control
-                    self._gate.commander = None if holds else session
+                slots = [slot for name in accepted for slot in self._table[name].slots]
+                client = session if session.visitor.may_hold_control else None
+                self._gate.commanded((slot for slot in slots if slot < N_SETPOINTS), client)
             self._variables.show_written(accepted, self._image.pushed_rows)
 
     def _take_control(self, variant: ua.Variant, session: Any) -> Answer:

@@ -10,6 +10,7 @@ from asyncua import ua
 
 from hilserver.core.events import EventKind
 from hilserver.io.opcua_server.model import SHELL
+from hilserver.plant.layout import WHEELS
 from tests.io.opcua_server.rig import Rig, RobotClient, connected
 from tests.loopback.rig import wait_until
 
@@ -161,10 +162,31 @@ async def test_what_a_client_commands_ends_with_it_though_it_took_no_control(
     assert latched(rig, FL) == 20.0, "only who set the set-points ends them"
     killed.uaclient.protocol.transport.abort()
     await wait_until(lambda: latched(rig, FL) == 0.0)
-    assert rig.events.recent[-1].message == "'opcua' is gone: set-points zero"
+    assert rig.events.recent[-1].message == "a client of 'opcua' is gone: its set-points are zero"
     assert rig.gate.owner == "opcua"
     assert await client.write((FL, 5.0, T.Double)) == ["Good"]
     assert latched(rig, FL) == 5.0
+
+
+async def test_of_several_clients_only_what_one_set_last_ends_with_it(
+    rig: Rig, client: RobotClient
+) -> None:
+    killed = RobotClient(rig.server.url)
+    await killed.connect()
+    wheels = [f"wheel.{w}.setpoint_rpm" for w in WHEELS]
+    enable = "drive.enable"
+    assert await killed.write(*((name, 20.0, T.Double) for name in wheels)) == ["Good"] * 4
+    answers = await client.write((wheels[1], 7.0, T.Double), (enable, False, T.Boolean))
+    assert answers == ["Good"] * 2
+    shell = RobotClient(rig.server.url)
+    shell.description = SHELL
+    async with shell:
+        shell.index = client.index
+        assert await shell.write((wheels[2], 9.0, T.Double)) == ["Good"]
+    killed.uaclient.protocol.transport.abort()
+    await wait_until(lambda: latched(rig, wheels[0]) == 0.0)
+    assert [latched(rig, name) for name in wheels] == [0.0, 7.0, 9.0, 0.0]
+    assert latched(rig, enable) == 0.0, "whoever switched the drive off is still there"
 
 
 async def test_what_the_shell_commands_holds_when_its_session_ends(
