@@ -41,7 +41,7 @@ class UdpConfig(LinkSection):
     @property
     def driver(self):
         who = ("udp", "peer:udp", "the UDP sender")
-        return Driver(*who, self.stale_after_ms, self.on_stale, self.enabled)
+        return Driver(*who, self.stale_after_ms, self.on_stale, self.enabled, has_faults=False)
 
 
 class UdpConfiguration(Config):
