@@ -113,9 +113,7 @@ def read_table(
         except UnicodeDecodeError as error:
             raise _undecodable(path, error) from None
         except csv.Error as error:
-            raise LogError(
-                f"{path}: not a CSV file: {error}; write UTF-8 text with commas"
-            ) from None
+            raise LogError(f"{path}: not CSV: {error}; write UTF-8 text with commas") from None
 
 
 def _undecodable(path: Path, error: UnicodeDecodeError) -> LogError:

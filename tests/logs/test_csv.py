@@ -115,8 +115,8 @@ def test_others_may_leave_out_samples_and_the_last_line_end(tmp_path):
         (b"t_s,segment\n0,0.5\n", "row 2, column 2 'segment': 0.5 is not a whole number"),
         (b"t_s,a\n0,1\n0.1,\xe4\n", "row 3: byte 14 is not UTF-8; save the file as UTF-8"),
         ("t_s,a\n0,1\n".encode("utf-16"), "is not UTF-8; save the file as UTF-8"),
-        (b't_s,a\n0,"1\n', "not a CSV file"),
-        (b"t_s,a\n0," + b"1" * 20_000 + b"\n", "not a CSV file"),
+        (b't_s,a\n0,"1\n', "not CSV"),
+        (b"t_s,a\n0," + b"1" * 20_000 + b"\n", "not CSV"),
     ],
 )
 def test_what_cannot_be_read_is_one_sentence(tmp_path, text, complaint):

@@ -223,8 +223,8 @@ KINDS = {
     "not UTF-8": (raw(b"t_s,a\n0,1\n0.1,\xe4\n"), None, "byte 14 is not UTF-8; save the file"),
     "UTF-16": (raw("t_s,a\n0,1\n".encode("utf-16")), None, "is not UTF-8; save the file"),
     "binary": (raw(bytes(range(256)) * 20), None, "is not UTF-8; save the file"),
-    "zeros": (raw(b"\0" * 400), None, "log.csv: .*(not a CSV file|no column 't_s')"),
-    "quote not closed": (row_of('0.06,"3'), None, "not a CSV file: .*; write UTF-8 text"),
+    "zeros": (raw(b"\0" * 400), None, "log.csv: .*(not CSV|no column 't_s')"),
+    "quote not closed": (row_of('0.06,"3'), None, "not CSV: .*; write UTF-8 text"),
     "gzip": (
         raw(gzip.compress(b"t_s\n"), "log.csv.gz"),
         None,

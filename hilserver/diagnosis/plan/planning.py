@@ -103,9 +103,7 @@ def plan(wish: Wish, assembly: Assembly, report: Report) -> tuple[PlanDocument, 
         notices=given.notices if stays else (*given.notices, leaves),
     )
     files = {
-        SCENARIO: as_yaml(
-            as_scenario(spans, f"the best manoeuvre for a diagnosis in {length_s:.0f} s")
-        ),
+        SCENARIO: as_yaml(as_scenario(spans, f"the best manoeuvre in {length_s:.0f} s")),
         PLAN: document.model_dump_json(by_alias=True, indent=1) + "\n",
     }
     return document, files
