@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 from hilserver.lazily import lazily
 
 if TYPE_CHECKING:
-    from hilserver.compiled.cache import cache_dir, kernel, kernel_hash
+    from hilserver.compiled.cache import cache_dir, inlined, kernel, kernel_hash, part, plain
 else:
-    __getattr__ = lazily(__name__, cache=("cache_dir", "kernel", "kernel_hash"))
+    __getattr__ = lazily(
+        __name__, cache=("cache_dir", "inlined", "kernel", "kernel_hash", "part", "plain")
+    )
 
-__all__ = ["cache_dir", "kernel", "kernel_hash"]
+__all__ = ["cache_dir", "inlined", "kernel", "kernel_hash", "part", "plain"]
