@@ -40,13 +40,15 @@ def run(args: argparse.Namespace) -> list[Result]:
     cold = []
     for _ in range(args.cold):
         with tempfile.TemporaryDirectory(prefix="hilserver-cache-") as empty:
-            cold.append(_start(COLD_S, HILSERVER_CACHE_DIR=empty))
+            start = _start(COLD_S, HILSERVER_CACHE_DIR=empty)
+            cold.append(start | {"units": _units(Path(empty))})
     _start(COLD_S)  # fills the cache of this version
     warm = [_start(WARM_S) for _ in range(args.runs)]
     libraries = [_import() for _ in range(args.runs)]
     results = []
     if cold:
         results.append(Result("start_cold_s", _median(cold, "s"), "s", raw=cold))
+        results.append(Result("start_compiled_units", _median(cold, "units"), "units"))
     for name, unit, key in (
         ("start_warm_s", "s", "s"),
         ("start_warm_cpu_s", "s", "cpu_s"),
@@ -67,6 +69,11 @@ def run(args: argparse.Namespace) -> list[Result]:
 
 def _median(starts: Sequence[Mapping[str, float]], key: str) -> float:
     return statistics.median(start[key] for start in starts)
+
+
+def _units(cache: Path) -> int:
+    """Return how many compiled functions a cache holds, whichever signatures they have."""
+    return sum(1 for _ in cache.rglob("*.nbc"))
 
 
 def _start(limit_s: float, **environment: str) -> dict[str, float]:
