@@ -21,11 +21,11 @@ from benchmarks.diagnose_results import OWN, Results, sources
 from benchmarks.observer_drives import Robot, Score, recipes, scored
 from benchmarks.observer_recordings import measure
 from hilserver.bench.report import Result
+from hilserver.compiled import part
 from hilserver.compiled.records import record_at
 from hilserver.config.observer import constants_of
 from hilserver.observer.filter import add_position, add_yaw, close_moment, moment, open_moment
 from hilserver.observer.layout import N_FILTER
-from hilserver.compiled import part
 from hilserver.plant.layout import PARAMETERS
 from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters

@@ -1,4 +1,4 @@
-"""What can be switched on while the daemon runs needs no compiler: it is in the step from the start."""
+"""What can be switched on while the daemon runs needs no compiler."""
 
 import asyncio
 
