@@ -96,7 +96,7 @@ def forget(m: Moment, place: int, variance: float) -> None:
     m.covariance[place, place] = variance
 
 
-@inlined
+@part
 def take_gyro(p: Parameters, c: Any, h: Head, m: Moment, dt: float) -> None:
     """Correct with the turn rate that the gyro shows."""
     figures = record_at(c, 0, FIGURES)
@@ -109,7 +109,7 @@ def take_gyro(p: Parameters, c: Any, h: Head, m: Moment, dt: float) -> None:
     _correct(m, n, h, m.gyro - shown, variance)
 
 
-@inlined
+@part
 def take_yaw(p: Parameters, c: Any, h: Head, m: Moment, is_new: bool) -> None:
     """Correct with a heading unless it is too far off."""
     figures = record_at(c, 0, FIGURES)
@@ -135,7 +135,7 @@ def take_yaw(p: Parameters, c: Any, h: Head, m: Moment, is_new: bool) -> None:
     h.accepted += is_new
 
 
-@inlined
+@part
 def take_position(p: Parameters, c: Any, h: Head, m: Moment, is_new: bool) -> None:
     """Correct with a position unless it is too far off."""
     figures = record_at(c, 0, FIGURES)

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from numba.core import types
 
-from hilserver.compiled import inlined, kernel
+from hilserver.compiled import inlined, kernel, part
 from hilserver.io.shield.protocol import CHECKED_BYTES, crc8
 from hilserver.plant.layout import CORNERS
 from hilserver.plant.units import STANDARD_GRAVITY_M_S2
@@ -40,7 +40,7 @@ def _put(out: Any, at: int, value: float, low: int, high: int) -> None:
     out[at + 1] = whole >> 8 & 0xFF
 
 
-@inlined
+@part
 def _signed(out: Any, at: int, value: float) -> None:
     _put(out, at, value, -32768, 32767)
 

@@ -146,7 +146,7 @@ def _wait(file: int, until_ns: int, now_ns: int, poll: Any, timespec: Any) -> in
     return int(poll[1] >> 16)
 
 
-@inlined
+@part
 def _listen(
     file: int, until_ns: int, now_ns: int, chunk: Any, state: Any, poll: Any, timespec: Any
 ) -> bool:
