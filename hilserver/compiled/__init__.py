@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from hilserver.lazily import lazily
 
 if TYPE_CHECKING:
-    from hilserver.compiled.cache import cache_dir, kernel, kernel_hash
+    from hilserver.compiled.cache import kernel, kernel_hash
 else:
-    __getattr__ = lazily(__name__, cache=("cache_dir", "kernel", "kernel_hash"))
+    __getattr__ = lazily(__name__, cache=("kernel", "kernel_hash"))
 
-__all__ = ["cache_dir", "kernel", "kernel_hash"]
+__all__ = ["kernel", "kernel_hash"]
