@@ -29,6 +29,7 @@ KERNELS: Final = "kernels-"
 _MAGIC: Final = b"hilserver cache 1\n"
 _DIGEST_BYTES: Final = 32
 _ASK_AGAIN_S: Final = 0.02
+_RECENT_S: Final = 86_400.0
 
 
 def _print(sentence: str) -> None:
@@ -202,13 +203,20 @@ class Shelf:
 
 
 def remove_old(prefix: str, keep: int) -> None:
-    """Remove the folders of the cache that begin with `prefix`, but for the last ones used."""
+    """Remove the folders of the cache that begin with `prefix`, but for the last ones used.
+
+    One that was used within a day stays, too: others may work with several versions by turns.
+    """
     for base in (configured_folder(), spare_folder()):
         with contextlib.suppress(OSError):
-            folders = [path for path in base.iterdir() if path.name.startswith(prefix)]
-            folders.sort(key=lambda path: path.stat().st_mtime, reverse=True)
-            for path in folders[keep:]:
-                shutil.rmtree(path, ignore_errors=True)
+            used = [
+                (path.stat().st_mtime, path)
+                for path in base.iterdir()
+                if path.name.startswith(prefix)
+            ]
+            for used_s, path in sorted(used, reverse=True)[keep:]:
+                if used_s < time.time() - _RECENT_S:
+                    shutil.rmtree(path, ignore_errors=True)
 
 
 def _read(path: Path) -> bytes | None:

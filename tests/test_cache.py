@@ -5,6 +5,7 @@ import fcntl
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -33,6 +34,14 @@ print(Shelf('kernels-1').get('newer'))
 
 
 @pytest.fixture
+def tmp_path():
+    """Return a folder that other users can reach; every start of pytest shuts its own to them."""
+    with tempfile.TemporaryDirectory(prefix="test-", ignore_cleanup_errors=True) as name:
+        Path(name).chmod(0o755)
+        yield Path(name)
+
+
+@pytest.fixture
 def own(tmp_path, monkeypatch):
     """Return a configured folder that is not made yet, with a spare one beside it."""
     monkeypatch.setenv("HILSERVER_CACHE_DIR", str(tmp_path / "cache"))
@@ -42,17 +51,9 @@ def own(tmp_path, monkeypatch):
     return tmp_path / "cache"
 
 
-def for_everybody(folder):
-    """Let an unprivileged user reach a folder of the test."""
-    for path in (folder, *folder.parents):
-        if path.stat().st_uid == os.getuid() and len(path.parts) > 2:
-            path.chmod(path.stat().st_mode | 0o055)
-
-
 def as_a_user(tmp_path, *words, **environment):
     """Return what a user without privileges finds, and the lines that this user is told."""
     (tmp_path / "tmp").chmod(0o1777)
-    for_everybody(tmp_path)
     given = {"TMPDIR": str(tmp_path / "tmp"), "PYTHONPATH": os.pathsep.join(sys.path)}
     done = subprocess.run(
         [sys.executable, "-c", AS_A_USER, *words],
@@ -248,3 +249,7 @@ def test_old_folders_are_removed_and_others_are_not(own):
     cache_folder("opcua")
     remove_old("kernels-", 2)
     assert {path.name for path in own.iterdir()} == {"kernels-0", "kernels-1", "opcua"}
+    for number in range(3):
+        cache_folder(f"kernels-new{number}")
+    remove_old("kernels-", 2)
+    assert len(list(own.iterdir())) == 4

@@ -78,7 +78,7 @@ class Announcer:
         if self._footer is not None:
             self._footer.show(self._progress.line)
 
-    def _compiled(self) -> None:
+    def _say_compiled(self) -> None:
         """Say how long compiling took, if anything was compiled."""
         if self._progress is not None:
             self.say(f"hilserver has compiled {self._progress.ended()}")
@@ -94,7 +94,7 @@ class Announcer:
 
     def running(self, daemon: "Daemon") -> None:
         """Say that the robot runs, and where everything is."""
-        self._compiled()
+        self._say_compiled()
         peers = {part.label: part.address for part in daemon.parts if part.section == "peers"}
         others = {part.section: part for part in daemon.parts if part.section != "peers"}
         lines = ["hilserver is running; stop it with Ctrl-C"]

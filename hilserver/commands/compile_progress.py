@@ -6,11 +6,12 @@ import time
 from dataclasses import dataclass
 from typing import Final, Self
 
-from hilserver.cache import KERNELS, Shelf
+from hilserver.cache import Shelf
 
 FUNCTIONS: Final = 200
 """About as many has a robot without extras."""
-SURE_FROM: Final = 10  # functions, before their pace says anything
+FEW: Final = 10
+"""Fewer say nothing of the pace, and nothing of what the cache holds of this robot."""
 _KEPT_AS: Final = "last.json"
 
 
@@ -18,7 +19,7 @@ _KEPT_AS: Final = "last.json"
 class Progress:
     """What has been compiled so far, compared with the last time on this computer."""
 
-    expected: int  # functions
+    expected: int | None  # functions; None: the cache has some of them, nobody knows how many
     # of the last start that compiled all; infinite if there was none
     s_per_function: float
     count: int = 0
@@ -27,18 +28,17 @@ class Progress:
 
     @classmethod
     def begun(cls) -> Self:
-        """Begin; what is in the cache is not compiled again."""
-        from hilserver.compiled.cache import shelf  # noqa: PLC0415 - with the compiler
+        """Begin, before anything is put into the cache."""
+        from hilserver.compiled import cache  # noqa: PLC0415 - with the compiler
 
-        assert shelf().folder.name.startswith(KERNELS)
-        present = sum(1 for _ in shelf().folder.glob("*.nbc"))
+        present = sum(1 for _ in cache.shelf().folder.glob("*.nbc"))
         expected, pace_s = FUNCTIONS, math.inf
         kept = Shelf("compiling").get(_KEPT_AS)
         if kept is not None:
             last = json.loads(kept)
             expected, pace_s = last["functions"], last["s"] / last["functions"]
         now_s = time.monotonic()
-        return cls(max(1, expected - present), pace_s, begin_s=now_s, last_s=now_s)
+        return cls(None if present > FEW else expected, pace_s, begin_s=now_s, last_s=now_s)
 
     def add(self, functions: int) -> None:
         """Count functions that are being compiled."""
@@ -48,6 +48,8 @@ class Progress:
     @property
     def estimate(self) -> str:
         """How much it is, said at the beginning."""
+        if self.expected is None:
+            return "what is not in the cache yet"
         if math.isinf(self.s_per_function):
             return "the first time, that takes a minute or two"
         return f"about {_duration(self.expected * self.s_per_function)}"
@@ -55,9 +57,11 @@ class Progress:
     @property
     def line(self) -> str:
         """How far it is now, for a terminal."""
+        if self.expected is None:
+            return f"compiling: {self.count} functions so far"
         left = max(0, self.expected - self.count)
         pace_s = self.s_per_function
-        if self.count >= SURE_FROM:
+        if self.count >= FEW:
             pace_s = (self.last_s - self.begin_s) / self.count
         text = f"compiling: {self.count} of about {max(self.count, self.expected)} functions"
         if not left:
@@ -65,9 +69,9 @@ class Progress:
         return text if math.isinf(pace_s) else f"{text}, {_duration(left * pace_s)} left"
 
     def ended(self) -> str:
-        """Return how much it was; remember it for the next time, if it was most of a robot."""
+        """Return how much it was; remember it for the next time, if it was all of a robot."""
         took_s = self.last_s - self.begin_s
-        if 2 * self.count > FUNCTIONS:
+        if self.expected is not None and self.count > FEW:
             data = json.dumps({"functions": self.count, "s": took_s})
             Shelf("compiling").put(_KEPT_AS, data.encode())
         return f"{self.count} functions in {_duration(took_s)}"
