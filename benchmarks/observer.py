@@ -25,7 +25,7 @@ from hilserver.compiled.records import record_at
 from hilserver.config.observer import constants_of
 from hilserver.observer.filter import add_position, add_yaw, close_moment, moment, open_moment
 from hilserver.observer.layout import N_FILTER
-from hilserver.plant.kernels import part
+from hilserver.compiled import part
 from hilserver.plant.layout import PARAMETERS
 from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters

@@ -14,9 +14,9 @@ from hilserver.body.layout import (
 )
 from hilserver.body.step import advance, body_axes, place_body, to_body
 from hilserver.body.wheels import vector
+from hilserver.compiled import inlined, part
 from hilserver.compiled.records import record_at
 from hilserver.plant.imu import show_imu
-from hilserver.plant.kernels import part
 from hilserver.plant.layout import COMMAND_SAFE, Inputs, Outputs, Parameters, State, Status
 from hilserver.plant.pose import wrap
 from hilserver.plant.tof import FARTHEST_M, NEAREST_M, seen_by, show_ranges
@@ -27,7 +27,7 @@ from hilserver.status import BAD_OUT_OF_SERVICE, GOOD, UNCERTAIN
 MIRROR = (1.0, 1.0, -1.0, -1.0)
 
 
-@part
+@inlined
 def _show_motion(b: Motion, pose: Any, out: Signals) -> None:
     axes = body_axes(b.orientation)
     for i in range(3):
@@ -47,7 +47,7 @@ def _show_motion(b: Motion, pose: Any, out: Signals) -> None:
     out.bump = b.bump
 
 
-@part
+@inlined
 def _show_wheels(b: Motion, out: Signals) -> None:
     for i in range(4):
         out.speed[i] = MIRROR[i] * b.speed[i] / RAD_S_PER_RPM
@@ -56,7 +56,7 @@ def _show_wheels(b: Motion, out: Signals) -> None:
         out.torque[i] = MIRROR[i] * b.torque[i]
 
 
-@part
+@inlined
 def _show_ranges(
     b: Motion, plant: Parameters, hall: Any, out: Signals, status: SignalStatus
 ) -> None:
@@ -118,7 +118,7 @@ def run_slice(
     return 0
 
 
-@part
+@inlined
 def stand_still(numbers: Any) -> None:
     """Stop a body whose numbers are no longer good; all that is shown stays finite."""
     for i in range(numbers.shape[0]):
@@ -132,7 +132,7 @@ def stand_still(numbers: Any) -> None:
     b.failed = 1.0
 
 
-@part
+@inlined
 def hand_over_wheels(b: Motion, x: State) -> None:
     """Before the plant's tick, set the wheel speeds that the body computed a slice ago."""
     if b.wait > 0.0:
@@ -142,7 +142,7 @@ def hand_over_wheels(b: Motion, x: State) -> None:
                 x.speed[i] = MIRROR[i] * b.speed[i] / RAD_S_PER_RPM
 
 
-@part
+@inlined
 def body_imu(b: Motion, p: Parameters, x: State, y: Outputs, q: Status) -> None:
     """Show what the inertial unit measures in the body, with its noise and errors."""
     ahead, _, _ = body_axes(b.orientation)
@@ -150,7 +150,7 @@ def body_imu(b: Motion, p: Parameters, x: State, y: Outputs, q: Status) -> None:
     show_imu(p, x, b.turning[2], yaw, b.accel[0], b.accel[1], y, q)
 
 
-@part
+@inlined
 def body_ranges(b: Motion, p: Parameters, y: Outputs, q: Status, hall: Any) -> None:
     """Show the ranges from the body's place."""
     if p.tof_enabled == 0.0:

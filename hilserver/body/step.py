@@ -8,9 +8,9 @@ from typing import Any
 
 from hilserver.body.layout import MOTION, MUJOCO, N_WARNINGS, Addresses, Constants, Motion
 from hilserver.body.wheels import Vector, dot, turn_wheels, vector
+from hilserver.compiled import inlined, part
 from hilserver.compiled.foreign import call
 from hilserver.compiled.records import record_at
-from hilserver.plant.kernels import part
 
 POSE_REQUEST = Motion.where("pose_request").start
 TOUCH = Motion.where("touch").start
@@ -30,7 +30,7 @@ def body_axes(q: Any) -> tuple[Vector, Vector, Vector]:
     )
 
 
-@part
+@inlined
 def to_body(axes: tuple[Vector, Vector, Vector], v: Vector) -> Vector:
     """Return a vector of the world in the body's frame."""
     return dot(axes[0], v), dot(axes[1], v), dot(axes[2], v)
@@ -47,7 +47,7 @@ def to_world(axes: tuple[Vector, Vector, Vector], v: Vector) -> Vector:
     )
 
 
-@part
+@inlined
 def _push(p: Constants, b: Motion, push: Any) -> None:
     """Step the wheels and apply their forces, and the drag, to MuJoCo's next step."""
     axes = body_axes(b.orientation)
@@ -64,7 +64,7 @@ def _push(p: Constants, b: Motion, push: Any) -> None:
         push[i], push[3 + i] = force[i], moment[i]
 
 
-@part
+@inlined
 def _read_contacts(b: Motion, place: Vector, axes: tuple[Vector, Vector, Vector]) -> None:
     """Store normal force, point and direction of every wheel's contact, in the body's frame.
 
@@ -83,7 +83,7 @@ def _read_contacts(b: Motion, place: Vector, axes: tuple[Vector, Vector, Vector]
             b.contact[i, k] = where[k]
 
 
-@part
+@inlined
 def _is_finite(numbers: Any) -> bool:
     total = 0.0
     for i in range(END):
@@ -91,7 +91,7 @@ def _is_finite(numbers: Any) -> bool:
     return math.isfinite(total)
 
 
-@part
+@inlined
 def place_body(p: Constants, numbers: Any, x: float, y: float, yaw: float) -> None:
     """Place the body at rest on the floor; its inputs and MuJoCo's time stay."""
     for i in range(POSE_REQUEST):

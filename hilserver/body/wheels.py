@@ -4,31 +4,31 @@ import math
 from typing import Any
 
 from hilserver.body.layout import Constants, Motion
-from hilserver.plant.kernels import part
+from hilserver.compiled import inlined, part
 from hilserver.plant.tyre import traction
 
 Vector = tuple[float, float, float]
 
 
-@part
+@inlined
 def cross(a: Vector, b: Vector) -> Vector:
     """Return the vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@part
+@inlined
 def dot(a: Vector, b: Vector) -> float:
     """Return the scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@part
+@inlined
 def vector(array: Any) -> Vector:
     """Return the three numbers of an array."""
     return array[0], array[1], array[2]
 
 
-@part
+@inlined
 def _drive(
     p: Constants, b: Motion, i: int, asked: float, resistance_nm: float
 ) -> tuple[float, float]:
@@ -47,7 +47,7 @@ def _drive(
     return torque, speed + (torque + resistance_nm) * step / inertia
 
 
-@part
+@inlined
 def _floor(
     p: Constants, b: Motion, i: int, velocity: Vector, turning: Vector
 ) -> tuple[Vector, float]:
@@ -113,7 +113,7 @@ def turn_wheels(
     return (fx, fy, fz), (mx, my, mz)
 
 
-@part
+@inlined
 def _ahead(b: Motion, i: int) -> Vector:
     """Return the direction along the floor in the plane of wheel `i`."""
     up_x, up_z = b.up[i, 0], b.up[i, 2]

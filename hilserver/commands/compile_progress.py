@@ -8,7 +8,7 @@ from typing import Final, Self
 
 from hilserver.cache import Shelf
 
-FUNCTIONS: Final = 200
+FUNCTIONS: Final = 90
 """About as many has a robot without extras."""
 FEW: Final = 10
 """Fewer say nothing of the pace, and nothing of what the cache holds of this robot."""

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from hilserver.lazily import lazily
 
 if TYPE_CHECKING:
-    from hilserver.compiled.cache import kernel, kernel_hash
+    from hilserver.compiled.cache import inlined, kernel, kernel_hash, part, plain
 else:
-    __getattr__ = lazily(__name__, cache=("kernel", "kernel_hash"))
+    __getattr__ = lazily(__name__, cache=("inlined", "kernel", "kernel_hash", "part", "plain"))
 
-__all__ = ["kernel", "kernel_hash"]
+__all__ = ["inlined", "kernel", "kernel_hash", "part", "plain"]

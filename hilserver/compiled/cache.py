@@ -18,6 +18,7 @@ import llvmlite
 import numba
 import numpy as np
 from numba.core import config
+from numba.extending import register_jitable
 from numba.np import linalg
 
 import hilserver.cache
@@ -121,6 +122,23 @@ def kernel(*signature: Any, **options: Any) -> Callable[[Callable[..., Any]], An
         return stored.kernel(function, signatures, settings, _kept(function) if is_kept else None)
 
     return decorate
+
+
+part: Callable[[Callable[..., Any]], Any] = kernel(_nrt=False)
+"""A unit of the paced step: compiled once by itself, whichever configurations call it.
+
+It allocates nothing, so numba's reference counting is off: it would cost a third of a tick.
+"""
+
+inlined: Callable[[Callable[..., Any]], Any] = kernel(_nrt=False, inline="always")
+"""A helper that stands in its callers before their types are inferred.
+
+What costs at a cold start is the number of compiled units, so this is what a function is that one
+caller has, or that is short.
+"""
+
+plain: Callable[[Callable[..., Any]], Any] = register_jitable(error_model="numpy")
+"""Ordinary Python that kernels can call, too."""
 
 
 def c_function(signature: Any) -> Callable[[Callable[..., Any]], Any]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.compiled.cache import kernel
+from hilserver.compiled.cache import inlined
 
 BOUNDS_NS: NDArray[np.int64] = np.array(
     [m * 10**e for e in range(3, 10) for m in (1, 2, 5)] + [10**10], dtype=np.int64
@@ -17,7 +17,7 @@ BOUNDS_NS: NDArray[np.int64] = np.array(
 N_BUCKETS = len(BOUNDS_NS) + 1
 
 
-@kernel()
+@inlined
 def bucket_index(value_ns: int) -> int:
     """Return the bucket, 0 .. ``N_BUCKETS - 1``, of a duration in ns (negative counts as 0)."""
     for index in range(BOUNDS_NS.shape[0]):

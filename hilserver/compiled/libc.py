@@ -8,7 +8,7 @@ from typing import Any
 
 from numba.core.types import ExternalFunction, int32, int64, uint64, voidptr
 
-from hilserver.compiled.cache import kernel
+from hilserver.compiled.cache import inlined
 
 CLOCK_MONOTONIC = 1
 TIMER_ABSTIME = 1
@@ -19,14 +19,14 @@ clock_nanosleep: Any = ExternalFunction("clock_nanosleep", int32(int32, int32, v
 libc_write: Any = ExternalFunction("write", int64(int32, voidptr, uint64))
 
 
-@kernel()
+@inlined
 def monotonic_ns(timespec: Any) -> int:
     """Return CLOCK_MONOTONIC in ns; `timespec` is a scratch int64[2]."""
     clock_gettime(CLOCK_MONOTONIC, timespec.ctypes)
     return int(timespec[0] * 1_000_000_000 + timespec[1])
 
 
-@kernel()
+@inlined
 def sleep_until(deadline_ns: int, timespec: Any) -> None:
     """Sleep until the absolute time `deadline_ns`; `timespec` is a scratch int64[2].
 
@@ -39,7 +39,7 @@ def sleep_until(deadline_ns: int, timespec: Any) -> None:
             return
 
 
-@kernel()
+@inlined
 def ring_doorbell(file_descriptor: int, one: Any) -> int:
     """Add 1 to an eventfd; `one` is an int64[1] holding 1. Return libc's result (8 or -1)."""
     return int(libc_write(file_descriptor, one.ctypes, 8))

@@ -10,7 +10,7 @@ import numpy as np
 from numba import float64, int64, void
 
 import hilserver.fmu.layout as at
-from hilserver.compiled import kernel
+from hilserver.compiled import inlined, kernel, part
 from hilserver.compiled.foreign import ask
 from hilserver.compiled.libc import monotonic_ns
 
@@ -27,7 +27,7 @@ def _place(row: int) -> int:
     return at.ROWS + row * at.CALL_WORDS
 
 
-@kernel()
+@inlined
 def _encode(values: Any, kind: int, size: int, out: Any) -> None:
     """Write numbers in an FMU's own type, one after another."""
     signed = 1 if kind == at.SIGNED else 0
@@ -49,7 +49,7 @@ def _encode(values: Any, kind: int, size: int, out: Any) -> None:
             octets[i * size + k] = (whole >> (8 * k)) & 255
 
 
-@kernel()
+@inlined
 def _decode(raw: Any, kind: int, size: int, values: Any) -> None:
     """Read numbers that an FMU wrote in its own type."""
     singles, octets = raw.view(np.float32), raw.view(np.uint8)
@@ -65,7 +65,7 @@ def _decode(raw: Any, kind: int, size: int, values: Any) -> None:
         values[i] = whole
 
 
-@kernel()
+@part
 def access(first: int, n_rows: int, values: Any, a: Any, gets: bool) -> int:
     """Get or set the variables of some rows, one call per row; return the worst status."""
     worst, begin = 0, 0
@@ -86,7 +86,7 @@ def access(first: int, n_rows: int, values: Any, a: Any, gets: bool) -> int:
     return int(worst)
 
 
-@kernel()
+@inlined
 def _do_step(time_s: float, dt_s: float, a: Any) -> int:
     instance = a[at.A_INSTANCE]
     if a[at.A_VERSION] == 2:
@@ -111,7 +111,7 @@ def _do_step(time_s: float, dt_s: float, a: Any) -> int:
     return int(status)
 
 
-@kernel()
+@inlined
 def _changed(p: Any, a: Any) -> bool:
     """Whether a parameter differs, bit by bit, from what was last set; if so, note it."""
     known, now = a[a[at.A_KNOWN] :], p.view(np.int64)
@@ -123,7 +123,7 @@ def _changed(p: Any, a: Any) -> bool:
     return bool(changed)
 
 
-@kernel()
+@part
 def advance(n: int, dt_s: float, u: Any, y: Any, x: Any, p: Any, a: Any) -> int:
     """Set the inputs, do `n` steps, get the outputs; return the worst status.
 
@@ -144,7 +144,7 @@ def advance(n: int, dt_s: float, u: Any, y: Any, x: Any, p: Any, a: Any) -> int:
     return int(worst)
 
 
-@kernel()
+@part
 def store(x: Any, a: Any) -> int:
     """Let the FMU write its state to `x`; return the worst status."""
     state, size = a[at.A_STATE :].ctypes.data, a[at.A_SIZE :].ctypes.data
@@ -163,7 +163,7 @@ def store(x: Any, a: Any) -> int:
     )
 
 
-@kernel()
+@part
 def restore(x: Any, a: Any) -> int:
     """Let the FMU continue from the state in `x`; return the worst status."""
     size = x[at.X_BYTES]
@@ -181,7 +181,7 @@ def restore(x: Any, a: Any) -> int:
     return int(ask(a[at.A_SET_STATE], instance, a[at.A_STATE], 0, 0, 0, 0, 0.0, 0.0))
 
 
-@kernel()
+@inlined
 def give_up(status: int, y: Any, x: Any, a: Any) -> None:
     """Show no numbers until another state is restored."""
     x[at.X_FAILED] = 1.0

@@ -20,7 +20,7 @@ import numpy as np
 from numba import carray, float64, int64
 
 import hilserver.fmu.layout as at
-from hilserver.compiled import kernel
+from hilserver.compiled import inlined, kernel, part
 from hilserver.compiled.atomics import load_acquire, store_release
 from hilserver.compiled.foreign import words_at
 from hilserver.compiled.libc import monotonic_ns, ring_doorbell, sleep_until
@@ -31,12 +31,12 @@ WAIT_NS, NAP_NS, LOOKS = 10_000_000_000, 20_000, 2000
 """In virtual time: the longest wait, the sleep between two looks, looks before sleeping."""
 
 
-@kernel()
+@inlined
 def _shared(a: Any) -> Any:
     return carray(words_at(a[at.A_SHARED]), (a[at.A_SHARED_LENGTH],))
 
 
-@kernel()
+@part
 def _store(number: int, u: Any, y: Any, x: Any, p: Any, s: Any) -> Any:
     """Return one of the four states in the shared words: number of bytes, bytes."""
     length = x.shape[0] - at.X_BYTES
@@ -44,13 +44,13 @@ def _store(number: int, u: Any, y: Any, x: Any, p: Any, s: Any) -> Any:
     return s[begin : begin + length]
 
 
-@kernel()
+@inlined
 def _copy_numbers(source: Any, target: Any) -> None:
     for i in range(target.shape[0]):
         target[i] = source[i]
 
 
-@kernel()
+@part
 def _post(steps: int, pending: int, loads: bool, u: Any, p: Any, a: Any, s: Any) -> None:
     number = s[at.S_ASKED] + 1
     numbers = s[at.N_SHARED :].view(np.float64)
@@ -64,7 +64,7 @@ def _post(steps: int, pending: int, loads: bool, u: Any, p: Any, a: Any, s: Any)
     ring_doorbell(a[at.A_BELL], a[at.A_ONE :])
 
 
-@kernel()
+@inlined
 def _wait(a: Any, s: Any) -> None:
     """Let simulated time wait for the child."""
     limit_ns = monotonic_ns(a[at.A_TIMESPEC :]) + WAIT_NS

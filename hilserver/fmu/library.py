@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import hilserver.fmu.layout as at
-from hilserver.compiled import kernel
+from hilserver.compiled import part
 from hilserver.compiled.cache import c_function
 from hilserver.fmu import calls
 from hilserver.fmu.description import Fmu, Variable
@@ -44,7 +44,7 @@ _OCTETS = numba.types.CPointer(numba.types.uint8)
 _LAST: Final = 8 * at.MESSAGE_WORDS - 1
 
 
-@kernel()
+@part
 def _take(status: int, text: Any, buffer: Any) -> None:
     """Keep an FMU's error message; the paced thread may call this."""
     if status <= at.WARNING:

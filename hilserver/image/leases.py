@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.compiled import kernel
+from hilserver.compiled import inlined, part
 from hilserver.compiled.records import Record, record_at
 from hilserver.image import word
 from hilserver.status import GOOD
@@ -73,19 +73,19 @@ def words_needed(n_sources: int) -> int:
     return FIRST_LEASE + n_sources * LEASE_WORDS
 
 
-@kernel()
+@inlined
 def driving(words: Any) -> Any:
     """Return the region's record; an image without leases has none."""
     return record_at(words, words[word.LEASES], DRIVING)
 
 
-@kernel()
+@inlined
 def lease_at(number: int, words: Any) -> Any:
     """Return a lease by its number."""
     return record_at(words, words[word.LEASES] + FIRST_LEASE + number * LEASE_WORDS, LEASE)
 
 
-@kernel()
+@inlined
 def _clear(kind: int, words: Any) -> None:
     """Clear the commands of a row and its leases."""
     d = driving(words)
@@ -97,7 +97,7 @@ def _clear(kind: int, words: Any) -> None:
             lease.renewed = lease.since = 0
 
 
-@kernel()
+@inlined
 def _take(kind: int, values: Any, words: Any) -> None:
     """Hand control over: ramp the present set-points to zero, then up to those of the new row."""
     d, frame, n = driving(words), words[word.FRAME_BASE], words[word.SETPOINT_SLOTS]
@@ -118,7 +118,7 @@ def _take(kind: int, values: Any, words: Any) -> None:
     d.up = d.ramp if moving or kind >= FIRST_OFFERING else 0
 
 
-@kernel()
+@inlined
 def end_leases(words: Any) -> None:
     """End every lease: nothing is commanded until a source sends a new command."""
     if words[word.LEASES] == 0:
@@ -130,7 +130,7 @@ def end_leases(words: Any) -> None:
     d.up = d.ramp if d.owner >= FIRST_OFFERING else 0
 
 
-@kernel()
+@inlined
 def adopt_outcome(now_ns: int, values: Any, words: Any) -> None:
     """Give the source in control the commands of a restored state."""
     d, frame = driving(words), words[word.FRAME_BASE]
@@ -146,7 +146,7 @@ def adopt_outcome(now_ns: int, values: Any, words: Any) -> None:
     d.down = d.up = 0
 
 
-@kernel()
+@inlined
 def apply_lease(index: int, value: float, status: int, values: Any, words: Any) -> None:
     """Apply an input row addressed to this region; NaN leaves the value."""
     if index == OWNER:
@@ -159,7 +159,7 @@ def apply_lease(index: int, value: float, status: int, values: Any, words: Any) 
         command((index - VALUES) // ROW, (index - VALUES) % ROW, value, status, words)
 
 
-@kernel()
+@part
 def command(kind: int, column: int, value: float, status: int, words: Any) -> None:
     """Write one command to the row of a kind; NaN leaves the value."""
     d = driving(words)
@@ -170,7 +170,7 @@ def command(kind: int, column: int, value: float, status: int, words: Any) -> No
     d.status[kind, column] = status
 
 
-@kernel()
+@inlined
 def show_outcome(values: Any, words: Any) -> None:
     """Write the commands of the row in control to the frame: set-points, mode, enable."""
     d, frame, status = driving(words), words[word.FRAME_BASE], words[word.STATUS_BASE]

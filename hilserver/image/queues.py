@@ -9,7 +9,7 @@ A row with the value NaN changes only the status; no NaN gets into a frame.
 import math
 from typing import Any
 
-from hilserver.compiled import kernel
+from hilserver.compiled import kernel, part
 from hilserver.compiled.atomics import load_acquire, store_release
 from hilserver.image import word
 from hilserver.image.layout import ROW_WORDS
@@ -42,7 +42,7 @@ def push_rows(
     return int(rows.shape[0])
 
 
-@kernel()
+@part
 def _apply(place: int, values: Any, words: Any) -> None:
     slot, value = int(values[place + 1]), values[place + 2]
     lease, status = words[word.LEASES], int(values[place + 3])
@@ -61,7 +61,7 @@ def _apply(place: int, values: Any, words: Any) -> None:
     words[words[word.STATUS_BASE] + slot] = status
 
 
-@kernel()
+@part
 def latch_rows(tick: int, values: Any, words: Any) -> None:
     """Apply the rows due at `tick`: first the timed ones, then those for now, in their order."""
     base, mask = words[word.TIMED_BASE], words[word.TIMED_CAPACITY] - 1

@@ -7,7 +7,7 @@ in one piece, so a request costs one copy of some ten kilobytes.
 
 from typing import Any
 
-from hilserver.compiled import kernel
+from hilserver.compiled import inlined, kernel
 from hilserver.compiled.atomics import load_acquire, store_release
 from hilserver.image import word
 from hilserver.image.layout import REQUEST_LOAD, REQUEST_RESTART
@@ -29,7 +29,7 @@ def is_done(number: int, words: Any) -> bool:
     return bool(load_acquire(words, word.REQUEST_DONE) >= number)
 
 
-@kernel()
+@inlined
 def serve(number: int, tick: int, words: Any) -> int:
     """Serve request `number` if it is pending; return the tick to continue with."""
     if number == words[word.REQUEST_DONE]:

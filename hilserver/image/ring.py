@@ -8,19 +8,19 @@ readers here are for kernels; all other readers are in `reader`.
 
 from typing import Any
 
-from hilserver.compiled import kernel
+from hilserver.compiled import inlined
 from hilserver.compiled.atomics import fence, load_acquire, store_release
 from hilserver.image import word
 from hilserver.image.layout import FRAME_HEADER_WORDS, READ_TRIES
 
 
-@kernel()
+@inlined
 def _place(number: int, words: Any) -> int:
     row = number & (words[word.RING_LENGTH] - 1)
     return int(words[word.RING_BASE] + row * words[word.RING_STRIDE])
 
 
-@kernel()
+@inlined
 def publish_frame(tick: int, planned_ns: int, values: Any, words: Any) -> None:
     """Copy the working frame into the ring and announce it."""
     number = words[word.RING_HEAD]
@@ -41,7 +41,7 @@ def publish_frame(tick: int, planned_ns: int, values: Any, words: Any) -> None:
     store_release(words, word.RING_HEAD, number + 1)
 
 
-@kernel()
+@inlined
 def copy_frame(number: int, values: Any, words: Any, out_values: Any, out_words: Any) -> int:
     """Copy frame `number`; return 0, or -1 if the writer has overwritten it.
 
@@ -67,7 +67,7 @@ def copy_frame(number: int, values: Any, words: Any, out_values: Any, out_words:
     return 0 if load_acquire(words, base) == 2 * number + 2 else -1
 
 
-@kernel()
+@inlined
 def copy_latest(values: Any, words: Any, out_values: Any, out_words: Any) -> int:
     """Copy the newest complete frame; return its number, -1 before the first, -2 if overrun.
 

@@ -4,9 +4,9 @@ from typing import Any
 
 from hilserver.body.layout import ADDRESSES, CONSTANTS, MOTION, SIGNALS, Signals
 from hilserver.body.slice import body_imu, body_ranges, hand_over_wheels, run_slice
+from hilserver.compiled import inlined
 from hilserver.compiled.records import record_at
 from hilserver.kernel.places import BodyPlaces, Places, p, q, u, x, y
-from hilserver.plant.kernels import inlined
 
 N_SIGNALS = Signals.n_words
 

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from hilserver.compiled import kernel
+from hilserver.compiled import inlined, part
 from hilserver.compiled.atomics import load_acquire, store_release
 from hilserver.compiled.records import record_at
 from hilserver.image import changes, word
@@ -11,7 +11,7 @@ from hilserver.plant.carry_over import carry_over
 from hilserver.plant.layout import PARAMETERS
 
 
-@kernel()
+@inlined
 def _take(row: int, at: Places, values: Any, words: Any) -> None:
     carry_over(p(at, values), record_at(values, row, PARAMETERS), x(at, values))
     first = words[word.PARAMETERS_BASE]
@@ -19,7 +19,7 @@ def _take(row: int, at: Places, values: Any, words: Any) -> None:
         words[first + i] = words[row + i]
 
 
-@kernel()
+@inlined
 def drop_changes(tick: int, words: Any) -> None:
     """Skip pending changes: the state that was loaded brings its own parameters."""
     head, tail = load_acquire(words, word.CHANGES_HEAD), words[word.CHANGES_TAIL]
@@ -31,7 +31,7 @@ def drop_changes(tick: int, words: Any) -> None:
     store_release(words, word.CHANGES_TAIL, tail)
 
 
-@kernel()
+@part
 def take_changes(tick: int, at: Places, values: Any, words: Any) -> None:
     """Apply the changes that are due, in the order in which they were posted."""
     head, tail = load_acquire(words, word.CHANGES_HEAD), words[word.CHANGES_TAIL]

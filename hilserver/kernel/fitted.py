@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.compiled import kernel
+from hilserver.compiled import inlined, part
 from hilserver.compiled.records import record_at
 from hilserver.config.patch import Interval, ModelPatch
 from hilserver.image import word
@@ -74,7 +74,7 @@ def _widened(interval: Interval | None) -> Interval:
     return low - margin, high + margin
 
 
-@kernel()
+@inlined
 def _is_outside(row: int, outputs: int, values: Any) -> bool:
     y = record_at(values, outputs, OUTPUTS)
     if not values[row] <= y.linear <= values[row + 1]:
@@ -87,7 +87,7 @@ def _is_outside(row: int, outputs: int, values: Any) -> bool:
     return outside
 
 
-@kernel()
+@part
 def flag_unfitted(limits: int, values: Any, words: Any) -> None:
     """Set the outputs to Uncertain for which the patch was not fitted at this tick's motion.
 

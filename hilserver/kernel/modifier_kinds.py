@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from hilserver.compiled import kernel
+from hilserver.compiled import inlined, part
 from hilserver.image import word
 from hilserver.kernel.modifier_layout import RING_TICKS, Entry, Kind, Modifiers
 from hilserver.plant.noise import normal, uniform
@@ -18,7 +18,7 @@ UART_STEPS_PER_RPM = 100.0
 UART_RANGE = 65536.0
 
 
-@kernel()
+@inlined
 def _past(tick: int, entry: Entry, raw: float, m: Modifiers) -> Any:
     """Store `raw` in the entry's ring and fill the ticks that were skipped; return the ring."""
     ring = m.rings[entry.ring]
@@ -30,7 +30,7 @@ def _past(tick: int, entry: Entry, raw: float, m: Modifiers) -> Any:
     return ring
 
 
-@kernel()
+@inlined
 def _begin(tick: int, entry: Entry, raw: float) -> None:
     """Set `previous` to the entry's state at the end of the last tick."""
     start = entry.start
@@ -44,7 +44,7 @@ def _begin(tick: int, entry: Entry, raw: float) -> None:
         entry.previous = entry.state
 
 
-@kernel()
+@inlined
 def _from_ring(tick: int, entry: Entry, raw: float, m: Modifiers) -> float:
     kind, start, seed = entry.kind, entry.start, entry.seed
     channel, sample = entry.channel, tick // entry.every
@@ -62,7 +62,7 @@ def _from_ring(tick: int, entry: Entry, raw: float, m: Modifiers) -> float:
     return float(ring[wanted & (RING_TICKS - 1)])
 
 
-@kernel()
+@inlined
 def _from_state(tick: int, entry: Entry, raw: float) -> float:
     kind, start = entry.kind, entry.start
     every, a = entry.every, entry.a
@@ -79,7 +79,7 @@ def _from_state(tick: int, entry: Entry, raw: float) -> float:
     return float(held)
 
 
-@kernel()
+@inlined
 def _from_value(tick: int, entry: Entry, raw: float) -> float:
     kind, a = entry.kind, entry.a
     seed, sample = entry.seed, tick // entry.every
@@ -102,7 +102,7 @@ def _from_value(tick: int, entry: Entry, raw: float) -> float:
     return float(a)  # FORCE
 
 
-@kernel()
+@part
 def modify(tick: int, entry: Entry, m: Modifiers, values: Any, words: Any) -> None:
     """Apply a modifier of one signal to its value and status."""
     slot, kind = entry.slot, entry.kind
@@ -128,7 +128,7 @@ def modify(tick: int, entry: Entry, m: Modifiers, values: Any, words: Any) -> No
         words[words[word.STATUS_BASE] + slot] = UNCERTAIN_NO_COMMUNICATION
 
 
-@kernel()
+@inlined
 def swap(entry: Entry, values: Any, words: Any) -> None:
     """Exchange two signals, values and status."""
     a, b = entry.slot, entry.other
@@ -137,7 +137,7 @@ def swap(entry: Entry, values: Any, words: Any) -> None:
     words[status + a], words[status + b] = words[status + b], words[status + a]
 
 
-@kernel()
+@inlined
 def scale_by_last_wheel(entry: Entry, values: Any, words: Any) -> None:
     """Limit the twist like a driver that keeps only the factor of the last wheel that is too fast.
 

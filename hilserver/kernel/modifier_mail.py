@@ -3,7 +3,7 @@
 from typing import Any
 
 import hilserver.kernel.modifier_layout as at
-from hilserver.compiled import kernel
+from hilserver.compiled import inlined, kernel
 from hilserver.compiled.atomics import load_acquire, store_release
 from hilserver.compiled.records import assign, record_at
 from hilserver.image import word
@@ -19,7 +19,7 @@ def show_mail(head: int, words: Any) -> None:
     store_release(words, word.MAIL_HEAD, head)
 
 
-@kernel()
+@inlined
 def _take_ring(m: Modifiers) -> int:
     for ring in range(at.MAX_RINGS):
         if m.rings_in_use & (1 << ring) == 0:
@@ -28,7 +28,7 @@ def _take_ring(m: Modifiers) -> int:
     return -1
 
 
-@kernel()
+@inlined
 def _add(tick: int, order: Entry, m: Modifiers) -> None:
     needs_ring = order.kind in (DELAY, JITTER, REORDER)
     if m.count >= at.MAX_MODIFIERS:
@@ -49,7 +49,7 @@ def _add(tick: int, order: Entry, m: Modifiers) -> None:
     m.count += 1
 
 
-@kernel()
+@inlined
 def _keep(keeps: bool, i: int, kept: int, m: Modifiers) -> int:
     """Move an entry to place `kept`, or free its ring if it goes; return the next place."""
     entry = m.entries[i]
@@ -62,7 +62,7 @@ def _keep(keeps: bool, i: int, kept: int, m: Modifiers) -> int:
     return kept + 1
 
 
-@kernel()
+@inlined
 def _remove(operation: int, number: int, m: Modifiers) -> None:
     kept = 0
     for i in range(m.count):
@@ -75,7 +75,7 @@ def _remove(operation: int, number: int, m: Modifiers) -> None:
     m.count = kept
 
 
-@kernel()
+@inlined
 def drain_mail(tick: int, m: Modifiers, words: Any) -> None:
     """Take the visible commands; a modifier that begins now begins with `tick`."""
     head, tail = load_acquire(words, word.MAIL_HEAD), words[word.MAIL_TAIL]
@@ -92,7 +92,7 @@ def drain_mail(tick: int, m: Modifiers, words: Any) -> None:
     store_release(words, word.MAIL_TAIL, tail)
 
 
-@kernel()
+@inlined
 def expire(tick: int, m: Modifiers) -> None:
     """Drop modifiers whose time is over; note whether one disables the command time-out."""
     kept = 0

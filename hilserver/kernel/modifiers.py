@@ -11,7 +11,7 @@ tick, as the latch of a paused run does: the bits are the same in every pacing b
 from typing import Any
 
 import hilserver.kernel.modifier_layout as at
-from hilserver.compiled import kernel
+from hilserver.compiled import inlined, part
 from hilserver.compiled.atomics import load_acquire
 from hilserver.compiled.records import record_at
 from hilserver.image import word
@@ -22,7 +22,7 @@ from hilserver.kernel.modifier_mail import drain_mail, expire
 FORCE, SWAP, LAST_WHEEL = int(at.Kind.FORCE), int(at.Kind.SWAP), int(at.Kind.LAST_WHEEL)
 
 
-@kernel()
+@inlined
 def modifiers(words: Any) -> Any:
     """Return the region of the modifiers; an image without modifiers has none."""
     return record_at(words, words[word.MODIFIERS], at.MODIFIERS)
@@ -31,7 +31,7 @@ def modifiers(words: Any) -> Any:
 # --- true values ----------------------------------------------------------------------------------
 
 
-@kernel()
+@inlined
 def _restore(m: Modifiers, values: Any, words: Any) -> None:
     frame, status = words[word.FRAME_BASE], words[word.STATUS_BASE]
     for i in range(m.touched):
@@ -41,7 +41,7 @@ def _restore(m: Modifiers, values: Any, words: Any) -> None:
     m.touched = 0
 
 
-@kernel()
+@part
 def _touch(slot: int, m: Modifiers, values: Any, words: Any) -> None:
     """Save the true value of a slot before the first modifier acts on it."""
     n = m.touched
@@ -54,7 +54,7 @@ def _touch(slot: int, m: Modifiers, values: Any, words: Any) -> None:
     m.touched = n + 1
 
 
-@kernel()
+@part
 def _act(tick: int, side: int, m: Modifiers, values: Any, words: Any) -> None:
     """Apply all modifiers of one side in the order in which they came; forces last."""
     for forced in range(2):
@@ -78,7 +78,7 @@ def _act(tick: int, side: int, m: Modifiers, values: Any, words: Any) -> None:
 # --- the seams of the step ------------------------------------------------------------------------
 
 
-@kernel()
+@part
 def restore_true_values(tick: int, values: Any, words: Any) -> None:
     """Undo the modifiers of the last tick, take new ones, drop those whose time is over."""
     if words[word.MODIFIERS] == 0:
@@ -94,7 +94,7 @@ def restore_true_values(tick: int, values: Any, words: Any) -> None:
         m.timeout_dead = 0
 
 
-@kernel()
+@inlined
 def watch_commands(tick: int, values: Any, words: Any) -> None:
     """Set the set-points to zero when none has come for `word.COMMAND_LIMIT` ticks."""
     m = modifiers(words)
@@ -112,7 +112,7 @@ def watch_commands(tick: int, values: Any, words: Any) -> None:
         values[words[word.FRAME_BASE] + slot] = 0.0
 
 
-@kernel()
+@inlined
 def modify_inputs(tick: int, values: Any, words: Any) -> None:
     """Apply the modifiers of inputs to the latched values."""
     if words[word.COMMAND_LIMIT] > 0:
@@ -122,7 +122,7 @@ def modify_inputs(tick: int, values: Any, words: Any) -> None:
         _act(tick, at.INPUT, m, values, words)
 
 
-@kernel()
+@inlined
 def modify_outputs(tick: int, values: Any, words: Any) -> None:
     """Apply the modifiers of outputs to the values about to be published."""
     m = modifiers(words)

@@ -2,13 +2,13 @@
 
 from typing import Any, NamedTuple
 
+from hilserver.compiled import inlined
 from hilserver.compiled.records import record_at
 from hilserver.image import word
 from hilserver.image.layout import Layout
 from hilserver.kernel.places import Places, p, q, x, y
 from hilserver.observer.layout import SHOWN, Shown
 from hilserver.observer.slice import begin_run, end_run, new_gyro, new_pose, when
-from hilserver.plant.kernels import inlined
 from hilserver.plant.layout import N_WHEELS
 from hilserver.signals import MEASURED, SignalTable
 from hilserver.status import GOOD

@@ -6,12 +6,11 @@ The generated step calls these in the order of the configuration.
 import math
 from typing import Any
 
-from hilserver.compiled import kernel
+from hilserver.compiled import inlined
 from hilserver.image import leases, word
 from hilserver.kernel.places import Places, p, q, u, x, y
 from hilserver.plant.battery import battery_step
 from hilserver.plant.imu import imu_step
-from hilserver.plant.kernels import inlined
 from hilserver.plant.nav import nav_step
 from hilserver.plant.robot import robot_step
 from hilserver.plant.shield import shield_step
@@ -70,21 +69,21 @@ def nav(at: Places, values: Any, words: Any) -> None:
 # --- a user's block -------------------------------------------------------------------------------
 
 
-@kernel()
+@inlined
 def read_inputs(slots: Any, u: Any, values: Any, words: Any) -> None:
     """Copy the signals in `slots` to a block's inputs."""
     for i in range(slots.shape[0]):
         u[i] = values[words[word.FRAME_BASE] + slots[i]]
 
 
-@kernel()
+@inlined
 def give_up(y: Any) -> None:
     """Invalidate the outputs of a block that raised."""
     for i in range(y.shape[0]):
         y[i] = math.nan
 
 
-@kernel()
+@inlined
 def write_outputs(slots: Any, y: Any, values: Any, words: Any) -> None:
     """Copy a block's outputs to the signals in `slots`; one that is not finite is Bad."""
     for i in range(slots.shape[0]):
@@ -93,7 +92,7 @@ def write_outputs(slots: Any, y: Any, values: Any, words: Any) -> None:
         words[words[word.STATUS_BASE] + slots[i]] = status
 
 
-@kernel()
+@inlined
 def drive(slots: Any, outputs: Any, ranges: Any, y: Any, values: Any, words: Any) -> None:
     """Let a block's outputs command the signals they are wired to, as the source `scenario`.
 

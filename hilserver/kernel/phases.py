@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from hilserver.compiled import kernel
+from hilserver.compiled import inlined, part
 from hilserver.compiled.atomics import load_acquire
 from hilserver.image import leases, word
 from hilserver.image.layout import REQUEST_LOAD, REQUEST_RESTART
@@ -24,7 +24,7 @@ END_OF_OUTPUTS = FIRST_OUTPUT + Outputs.n_words
 NOTHING, SAVES, RESTORES = range(3)
 
 
-@kernel()
+@inlined
 def enter_safe(code: int, at: Places, values: Any, words: Any) -> int:
     """Enter the safe state from the plant's side; the first fault number is kept."""
     if words[word.FIRST_FAULT] == 0:
@@ -33,7 +33,7 @@ def enter_safe(code: int, at: Places, values: Any, words: Any) -> int:
     return 0
 
 
-@kernel()
+@inlined
 def _lapse(lease: Lease, at: Places, values: Any, words: Any) -> None:
     """End a lease that was not renewed in time, according to its policy."""
     lease.lapsed = 1
@@ -53,7 +53,7 @@ def _lapse(lease: Lease, at: Places, values: Any, words: Any) -> None:
     lease.lapses += 1 if has_effect else 0
 
 
-@kernel()
+@part
 def drive(now_ns: int, at: Places, values: Any, words: Any) -> None:
     """Renew leases, let overdue ones of the owner lapse, and write the resulting commands."""
     d = driving(words)
@@ -71,7 +71,7 @@ def drive(now_ns: int, at: Places, values: Any, words: Any) -> None:
     show_outcome(values, words)
 
 
-@kernel()
+@inlined
 def _take_state(at: Places, values: Any, words: Any) -> None:
     """Show the daemon's state; ramp to zero in the safe state, after a fault and after Stop.
 
@@ -87,7 +87,7 @@ def _take_state(at: Places, values: Any, words: Any) -> None:
     words[word.SAFE_TICKS] = words[word.SAFE_TICKS] + 1 if is_safe else 0
 
 
-@kernel()
+@part
 def _drive_on(now_ns: int, values: Any, words: Any) -> None:
     """Continue from a restored state, with its commands or at zero."""
     kind = words[word.REQUEST_KIND]
@@ -98,7 +98,7 @@ def _drive_on(now_ns: int, values: Any, words: Any) -> None:
         end_leases(words)
 
 
-@kernel()
+@inlined
 def _watch_heartbeat(at: Places, values: Any, words: Any) -> None:
     beat = load_acquire(words, word.HEARTBEAT)
     if beat != words[word.HEARTBEAT_SEEN]:
@@ -110,13 +110,13 @@ def _watch_heartbeat(at: Places, values: Any, words: Any) -> None:
         enter_safe(faults.COMMUNICATION, at, values, words)
 
 
-@kernel()
+@inlined
 def requested(words: Any) -> int:
     """Return the number of the newest snapshot request; later ones wait for the next tick."""
     return int(load_acquire(words, word.REQUEST))
 
 
-@kernel()
+@inlined
 def task(request: int, words: Any) -> int:
     """Return what `latch` will do with a request: save the state, restore one, or nothing."""
     if request == words[word.REQUEST_DONE]:
@@ -124,7 +124,7 @@ def task(request: int, words: Any) -> int:
     return RESTORES if words[word.REQUEST_KIND] in (REQUEST_LOAD, REQUEST_RESTART) else SAVES
 
 
-@kernel()
+@part
 def latch(request: int, tick: int, planned_ns: int, at: Places, values: Any, words: Any) -> int:
     """Apply parameters, serve a snapshot request, latch the inputs; return the tick to execute.
 
@@ -149,7 +149,7 @@ def latch(request: int, tick: int, planned_ns: int, at: Places, values: Any, wor
     return int(tick)
 
 
-@kernel()
+@part
 def publish(tick: int, planned_ns: int, at: Places, values: Any, words: Any) -> int:
     """Stamp the working frame and publish it; in the safe state its outputs are Uncertain."""
     frame, status = words[word.FRAME_BASE], words[word.STATUS_BASE]

@@ -2,9 +2,9 @@
 
 from typing import Any, NamedTuple
 
+from hilserver.compiled import inlined
 from hilserver.compiled.records import record_at
 from hilserver.image.layout import Layout
-from hilserver.plant.kernels import inlined
 from hilserver.plant.layout import INPUTS, OUTPUTS, PARAMETERS, STATE, STATUS, Inputs
 from hilserver.signals import SignalTable
 

@@ -7,6 +7,7 @@ their variance stays and keeps what depends on them uncertain.
 import math
 from typing import Any
 
+from hilserver.compiled import inlined, part
 from hilserver.compiled.records import record_at
 from hilserver.observer.layout import (
     BIAS,
@@ -36,7 +37,6 @@ from hilserver.observer.sensors import (
     yaw_row,
     yaw_shared,
 )
-from hilserver.plant.kernels import part
 from hilserver.plant.layout import Parameters
 from hilserver.plant.pose import wrap
 
@@ -62,7 +62,7 @@ def _weigh(m: Moment, n: int, row: int, h: Head) -> None:
         h.weight_shared[j] = total
 
 
-@part
+@inlined
 def _spread(n: int, row: int, h: Head) -> float:
     """Return the covariance of the weighed reading with that of `row`, without noise."""
     total = 0.0
@@ -86,7 +86,7 @@ def _correct(m: Moment, n: int, h: Head, innovation: float, variance: float) -> 
             m.cross[i, j] -= gain * h.weight_shared[j]
 
 
-@part
+@inlined
 def forget(m: Moment, place: int, variance: float) -> None:
     """Make a state unknown, uncorrelated with all others."""
     for i in range(N_ESTIMATED):
@@ -96,7 +96,7 @@ def forget(m: Moment, place: int, variance: float) -> None:
     m.covariance[place, place] = variance
 
 
-@part
+@inlined
 def take_gyro(p: Parameters, c: Any, h: Head, m: Moment, dt: float) -> None:
     """Correct with the turn rate that the gyro shows."""
     figures = record_at(c, 0, FIGURES)
@@ -109,7 +109,7 @@ def take_gyro(p: Parameters, c: Any, h: Head, m: Moment, dt: float) -> None:
     _correct(m, n, h, m.gyro - shown, variance)
 
 
-@part
+@inlined
 def take_yaw(p: Parameters, c: Any, h: Head, m: Moment, is_new: bool) -> None:
     """Correct with a heading unless it is too far off."""
     figures = record_at(c, 0, FIGURES)
@@ -135,7 +135,7 @@ def take_yaw(p: Parameters, c: Any, h: Head, m: Moment, is_new: bool) -> None:
     h.accepted += is_new
 
 
-@part
+@inlined
 def take_position(p: Parameters, c: Any, h: Head, m: Moment, is_new: bool) -> None:
     """Correct with a position unless it is too far off."""
     figures = record_at(c, 0, FIGURES)
@@ -169,7 +169,7 @@ def take_position(p: Parameters, c: Any, h: Head, m: Moment, is_new: bool) -> No
     h.accepted += is_new
 
 
-@part
+@inlined
 def begin(c: Figures, m: Moment) -> None:
     """Begin with an unknown pose and, for the rest, the variances of the figures."""
     for i in range(N_ESTIMATED):

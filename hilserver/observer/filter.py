@@ -6,6 +6,7 @@ computed again, so that the estimate is that of a filter without latency.
 
 from typing import Any
 
+from hilserver.compiled import inlined, part
 from hilserver.compiled.records import record_at
 from hilserver.observer.correction import begin, take_gyro, take_position, take_yaw
 from hilserver.observer.layout import (
@@ -19,20 +20,19 @@ from hilserver.observer.layout import (
     Moment,
 )
 from hilserver.observer.motion import bend, predict
-from hilserver.plant.kernels import part
 from hilserver.plant.layout import Parameters
 
 _SAME_S = 1e-9
 
 
-@part
+@inlined
 def moment(f: Any, age: int) -> Any:
     """Return the moment `age` steps before the newest."""
     row = (int(record_at(f, 0, HEAD).newest) - age) % MOMENTS
     return record_at(f, N_HEAD + row * N_MOMENT, MOMENT)
 
 
-@part
+@inlined
 def read(m: Moment, time: float, wheels: Any) -> None:
     """Write the time of a moment [s] and its wheel readings, as in `open_moment`."""
     m.time, m.left, m.right, m.angle_left = time, wheels[0], wheels[1], wheels[2]
@@ -85,7 +85,7 @@ def age_of(f: Any, time: float) -> int:
     return age
 
 
-@part
+@inlined
 def add_gyro(f: Any, time: float, rate: float) -> None:
     """Add a gyro reading [rad/s] of a time [s]."""
     age = age_of(f, time)
@@ -94,7 +94,7 @@ def add_gyro(f: Any, time: float, rate: float) -> None:
         m.has_gyro, m.gyro_back, m.gyro = 1.0, m.time - time, rate
 
 
-@part
+@inlined
 def add_position(f: Any, time: float, x: float, y: float) -> None:
     """Add a position of the tag [m] of a time [s]."""
     age = age_of(f, time)
@@ -104,7 +104,7 @@ def add_position(f: Any, time: float, x: float, y: float) -> None:
         m.position[0], m.position[1] = x, y
 
 
-@part
+@inlined
 def add_yaw(f: Any, time: float, yaw: float) -> None:
     """Add a heading of the tag [rad] of a time [s]."""
     age = age_of(f, time)

@@ -7,6 +7,7 @@ Speed and turn rate are those of a moment; the pose moves with the means of two 
 import math
 from typing import Any
 
+from hilserver.compiled import inlined, part
 from hilserver.compiled.records import record_at
 from hilserver.observer.layout import (
     BIAS,
@@ -28,7 +29,6 @@ from hilserver.observer.layout import (
     X,
     Y,
 )
-from hilserver.plant.kernels import part
 from hilserver.plant.kinematics import across, in_region, velocity_terms
 from hilserver.plant.layout import PARAMETERS, Parameters
 from hilserver.plant.pose import shift as of_arc
@@ -46,7 +46,7 @@ in two bends, J and -J.
 CLEAR = 3.0  # standard deviations of noise up to which a bend is ignored
 
 
-@part
+@inlined
 def _dsinc(half: float) -> float:
     if abs(half) < _FLAT_RAD:
         return -half / 3.0
@@ -72,7 +72,7 @@ def wheel_velocity(p: Parameters, before: Moment, now: Moment) -> tuple[float, f
     return v, om
 
 
-@part
+@inlined
 def _turned(p: Parameters, front: int, mean: float, apart: float) -> tuple[float, float]:
     """Return mean and difference of a side's wheel speeds [rad/s] from those of its encoders."""
     ahead = (mean + 0.5 * apart) / p.encoder_gain[front]
@@ -80,13 +80,13 @@ def _turned(p: Parameters, front: int, mean: float, apart: float) -> tuple[float
     return 0.5 * (ahead + behind), ahead - behind
 
 
-@part
+@inlined
 def _sides(p: Parameters, m: Moment) -> tuple[float, float]:
     """Return the mean speeds of the wheels of both sides [rad/s]."""
     return _turned(p, 0, m.left, m.apart_left)[0], _turned(p, 2, m.right, m.apart_right)[0]
 
 
-@part
+@inlined
 def rolled(p: Parameters, m: Moment) -> float:
     """Return the speed to the left [m/s] from mecanum wheels; 0 for other wheels."""
     left = p.radius_left * _turned(p, 0, m.left, m.apart_left)[1]
@@ -94,13 +94,13 @@ def rolled(p: Parameters, m: Moment) -> float:
     return float(-0.25 * p.mecanum * p.roller_keep * (left + right))
 
 
-@part
+@inlined
 def share_closed(p: Parameters, dt: float) -> float:
     """Return the share by which the body catches up with its wheels in `dt` [s]; 1 without lag."""
     return 1.0 if p.body_lag == 0.0 else -math.expm1(-dt / p.body_lag)
 
 
-@part
+@inlined
 def shift(
     p: Parameters, yaw: float, v: float, om: float, aside: float, dt: float
 ) -> tuple[float, float]:
@@ -153,7 +153,7 @@ def move_on(p: Parameters, c: Figures, before: Moment, now: Moment, out: Any) ->
     out[SLIP], out[GAIN] = x[SLIP], x[GAIN]
 
 
-@part
+@inlined
 def _kept(dt: float, tau: float) -> float:
     return math.exp(-dt / tau) if tau > 0.0 else 0.0
 
@@ -205,7 +205,7 @@ def transition(p: Parameters, c: Figures, before: Moment, now: Moment) -> Any:
     )  # fmt: skip
 
 
-@part
+@inlined
 def _wheel_noise(p: Parameters, c: Figures, before: Moment, now: Moment, f: Any, h: Head) -> None:
     """Write the effect of one standard deviation of the wheels' noise on the step.
 
@@ -242,7 +242,7 @@ def _noise_row(row: Any, f: Any, dt: float, dv: float, dom: float) -> None:
     row[YAW], row[V], row[OM] = 0.5 * dt * dom, 0.0, 0.0
 
 
-@part
+@inlined
 def _pushes(c: Any, before: Moment, now: Moment, h: Head) -> None:
     """Write the effect on the step of one deviation of each direction of uncertain parameters."""
     figures = record_at(c, 0, FIGURES)
@@ -255,7 +255,7 @@ def _pushes(c: Any, before: Moment, now: Moment, h: Head) -> None:
         _push_instant(figures, before, now, h)
 
 
-@part
+@inlined
 def _push_instant(c: Figures, before: Moment, now: Moment, h: Head) -> None:
     """Write the effect of one deviation of the wheels' instant: the pose of a little later."""
     j, late = int(c.directions), c.instant_sd * (now.time - before.time)
@@ -266,7 +266,7 @@ def _push_instant(c: Figures, before: Moment, now: Moment, h: Head) -> None:
     h.push[YAW, j] = late * (now.estimate[OM] - before.estimate[OM])
 
 
-@part
+@inlined
 def _add_noise(c: Figures, dt: float, h: Head, m: Any) -> None:
     """Add the covariance of a step's noise to `m`, shape (N_ESTIMATED, N_ESTIMATED)."""
     for k in range(h.noise.shape[0]):

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.compiled import part
 from hilserver.compiled.records import record_at
 from hilserver.observer.filter import (
     add_gyro,
@@ -18,7 +19,6 @@ from hilserver.observer.filter import (
 )
 from hilserver.observer.layout import N_ESTIMATED, N_FILTER, SHOWN, Head, Shown
 from hilserver.observer.outputs import show
-from hilserver.plant.kernels import part
 from hilserver.plant.layout import PARAMETERS, Parameters
 
 Array = NDArray[np.float64]

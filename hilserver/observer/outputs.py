@@ -3,6 +3,7 @@
 import math
 from typing import Any
 
+from hilserver.compiled import inlined, part
 from hilserver.compiled.records import record_at
 from hilserver.observer.filter import moment
 from hilserver.observer.layout import (
@@ -23,14 +24,13 @@ from hilserver.observer.layout import (
     X,
     Y,
 )
-from hilserver.plant.kernels import part
 from hilserver.plant.pose import wrap
 
 BETTER = 0.9
 """Share of a sample's variance below which the pose counts as known better than by the sample."""
 
 
-@part
+@inlined
 def _state(c: Figures, m: Moment) -> int:
     """Return whether a pose is known, and from what.
 

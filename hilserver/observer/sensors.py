@@ -6,6 +6,7 @@ A sample may be older, by less than a step, than the moment it is assigned to: `
 import math
 from typing import Any
 
+from hilserver.compiled import inlined, part
 from hilserver.compiled.records import record_at
 from hilserver.observer.layout import (
     BIAS,
@@ -25,7 +26,6 @@ from hilserver.observer.layout import (
     Y,
 )
 from hilserver.observer.motion import rolled, shift, shift_by
-from hilserver.plant.kernels import part
 from hilserver.plant.layout import PARAMETERS, Parameters
 
 
@@ -44,7 +44,7 @@ def show_position(p: Parameters, x: Any, aside: float, back: float) -> tuple[flo
     )
 
 
-@part
+@inlined
 def position_rows(p: Parameters, x: Any, aside: float, back: float, rows: Any) -> None:
     """Write the derivatives of `show_position` by the state to `rows`, shape (2, N_ESTIMATED)."""
     dx, dy = shift(p, x[YAW], x[V], x[OM], aside, -back)
@@ -78,7 +78,7 @@ def show_yaw(p: Parameters, x: Any, back: float) -> float:
     return float(yaw + once + twice + p.nav_frame_yaw + x[OU_YAW])
 
 
-@part
+@inlined
 def yaw_row(p: Parameters, x: Any, back: float, row: Any) -> None:
     """Write the derivative of `show_yaw` by the state to `row`, shape (N_ESTIMATED,)."""
     yaw = x[YAW] - x[OM] * back
@@ -91,13 +91,13 @@ def yaw_row(p: Parameters, x: Any, back: float, row: Any) -> None:
     row[OU_YAW] = 1.0
 
 
-@part
+@inlined
 def show_gyro(p: Parameters, x: Any, back: float, turning: float) -> float:
     """Return the turn rate [rad/s] that the gyro shows, if it changes by `turning` [rad/s2]."""
     return float(p.gyro_gain * (x[OM] - back * turning) + p.gyro_bias + x[BIAS])
 
 
-@part
+@inlined
 def gyro_row(p: Parameters, row: Any) -> None:
     """Write the derivative of `show_gyro` by the state to `row`, shape (N_ESTIMATED,)."""
     for j in range(N_ESTIMATED):
@@ -105,7 +105,7 @@ def gyro_row(p: Parameters, row: Any) -> None:
     row[OM], row[BIAS] = p.gyro_gain, 1.0
 
 
-@part
+@inlined
 def position_shared(p: Parameters, c: Any, m: Moment, h: Head) -> None:
     """Write the effect of one deviation of each direction on a position to `h.shared`."""
     figures = record_at(c, 0, FIGURES)
@@ -119,7 +119,7 @@ def position_shared(p: Parameters, c: Any, m: Moment, h: Head) -> None:
         h.shared[0, j], h.shared[1, j] = qx - px, qy - py
 
 
-@part
+@inlined
 def yaw_shared(p: Parameters, c: Any, x: Any, back: float, h: Head) -> None:
     """Write the effect of one deviation of each direction on a heading to `h.shared`."""
     figures = record_at(c, 0, FIGURES)
@@ -131,7 +131,7 @@ def yaw_shared(p: Parameters, c: Any, x: Any, back: float, h: Head) -> None:
         h.shared[0, j] = show_yaw(other, x, back + older) - shown
 
 
-@part
+@inlined
 def gyro_shared(p: Parameters, c: Any, m: Moment, h: Head) -> None:
     """Write the effect of one deviation of each direction on a gyro reading to `h.shared`."""
     figures, back = record_at(c, 0, FIGURES), m.gyro_back

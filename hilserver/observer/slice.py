@@ -3,6 +3,7 @@
 import math
 from typing import Any
 
+from hilserver.compiled import inlined, part
 from hilserver.compiled.records import record_at
 from hilserver.observer.filter import (
     add_gyro,
@@ -21,7 +22,6 @@ from hilserver.observer.layout import (
     Shown,
 )
 from hilserver.observer.outputs import show
-from hilserver.plant.kernels import part
 from hilserver.plant.layout import Parameters
 from hilserver.plant.units import RAD_S_PER_RPM
 from hilserver.status import BAD_OUT_OF_SERVICE, GOOD, UNCERTAIN
@@ -37,7 +37,7 @@ def begin_run(c: Any, f: Any, time: float, speed: Any, angle_left: float) -> Non
     open_moment(c, f, time, (left, right, angle_left, apart_left, apart_right))
 
 
-@part
+@inlined
 def new_gyro(p: Parameters, c: Any, f: Any, count: float, time: float, rate: float) -> None:
     """Add the gyro's reading [rad/s], which came at `time` [s], if its counter has changed."""
     h = record_at(f, 0, HEAD)
@@ -58,13 +58,13 @@ def new_pose(
         add_position(f, time - p.nav_delay * period, x, y)
 
 
-@part
+@inlined
 def when(stamp: float, now: float) -> float:
     """Return the time of a sample [s]: its stamp, or now if the stamp is implausible."""
     return stamp if now - OLDEST_S <= stamp <= now else now
 
 
-@part
+@inlined
 def _is_sound(f: Any) -> bool:
     m = moment(f, 0)
     for i in range(N_ESTIMATED):

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hilserver.compiled import part
 from hilserver.compiled.records import record_at
 from hilserver.observer.filter import read
 from hilserver.observer.layout import (
@@ -31,7 +32,6 @@ from hilserver.observer.layout import (
 )
 from hilserver.observer.motion import bend, predict, transition
 from hilserver.observer.offline import Array, Course, Series
-from hilserver.plant.kernels import part
 from hilserver.plant.layout import PARAMETERS, Parameters
 
 _REGULAR = 1e-14

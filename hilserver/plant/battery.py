@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.plant.kernels import part
+from hilserver.compiled import inlined, part
 from hilserver.plant.layout import N_WHEELS, Inputs, Outputs, Parameters, State, Status
 from hilserver.status import BAD_OUT_OF_SERVICE, GOOD
 
@@ -20,7 +20,7 @@ _CHARGE: Final = np.array([0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 1.0])
 _EMF_V: Final = np.array([17.5, 18.6, 19.4, 20.2, 21.0, 22.2, 23.5])
 
 
-@part
+@inlined
 def open_circuit_voltage(charge: float) -> float:
     """Return the voltage [V] without load at a charge of 0 .. 1, linear between the points."""
     for k in range(1, _CHARGE.shape[0]):
@@ -30,7 +30,7 @@ def open_circuit_voltage(charge: float) -> float:
     return HIGHEST_V
 
 
-@part
+@inlined
 def drawn_current(p: Parameters, y: Outputs) -> float:
     """Return the current [A] of electronics and wheels under the duties of this tick."""
     current = p.idle_current

@@ -7,14 +7,14 @@ parameter. Equal parameters change no bit.
 
 import math
 
+from hilserver.compiled import inlined, part
 from hilserver.plant.drive import REST_RPM
-from hilserver.plant.kernels import part
 from hilserver.plant.kinematics import in_region, velocity_terms
 from hilserver.plant.layout import N_WHEELS, RING, Parameters, State
 from hilserver.plant.robot import SIDE
 
 
-@part
+@inlined
 def _filtered(p: Parameters, x: State, i: int) -> float:
     """Return what the encoder filter of wheel `i` would show now [rpm], before gain and steps."""
     if p.encoder_share == 1.0:
@@ -22,7 +22,7 @@ def _filtered(p: Parameters, x: State, i: int) -> float:
     return float(x.encoder[i] + p.encoder_share * x.speed[i])
 
 
-@part
+@inlined
 def _carry_wheel(old: Parameters, new: Parameters, x: State, i: int) -> None:
     """Carry derivative, encoder filter and play of one wheel over."""
     filtered = _filtered(old, x, i)
@@ -45,7 +45,7 @@ def _carry_wheel(old: Parameters, new: Parameters, x: State, i: int) -> None:
         x.gap[i] = gap
 
 
-@part
+@inlined
 def _fill_ring(x: State) -> None:
     """Fill the ring of set-points with the present ones; earlier ones are not known."""
     for row in range(RING):
@@ -53,7 +53,7 @@ def _fill_ring(x: State) -> None:
             x.setpoint_ring[row, i] = x.setpoint[i]
 
 
-@part
+@inlined
 def _catch_up(p: Parameters, x: State) -> None:
     """Give a body that starts to lag the speed and turn rate that its wheels make now."""
     left, right = x.speed[0] + x.speed[1], x.speed[2] + x.speed[3]

@@ -1,6 +1,6 @@
 """Step 1 of the tick: from latched inputs to the set-points that the wheel loops follow."""
 
-from hilserver.plant.kernels import inlined, part
+from hilserver.compiled import inlined
 from hilserver.plant.layout import (
     COMMAND_NORMAL,
     COMMAND_SAFE,
@@ -14,7 +14,7 @@ from hilserver.plant.layout import (
 )
 
 
-@part
+@inlined
 def safe_ramp(p: Parameters, x: State) -> None:
     """Ramp the set-points linearly to zero from the last command."""
     if x.last_command != COMMAND_SAFE:
@@ -27,7 +27,7 @@ def safe_ramp(p: Parameters, x: State) -> None:
         x.commanded[i] = x.ramp_start[i] * left
 
 
-@part
+@inlined
 def inverse_kinematics(
     p: Parameters, x: State, linear_m_s: float, lateral_m_s: float, angular_rad_s: float
 ) -> None:
@@ -56,7 +56,7 @@ def inverse_kinematics(
         x.commanded[3] += sideways
 
 
-@part
+@inlined
 def direct_duty(x: State, u: Inputs) -> None:
     """Drive with commanded duties; the speed loop tracks them, so it can take over at any tick."""
     x.direct = 1.0
@@ -78,7 +78,7 @@ def limit_speed(p: Parameters, x: State) -> None:
             x.commanded[i] *= factor
 
 
-@part
+@inlined
 def delay_and_rate(p: Parameters, x: State) -> None:
     """Replace the set-points by those valid at t - tau, then limit their rate."""
     head = (int(x.setpoint_head) + 1) % RING

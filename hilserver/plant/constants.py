@@ -7,9 +7,9 @@ robot's FMU, which has it as C.
 import math
 from typing import Any
 
+from hilserver.compiled import plain
 from hilserver.plant.battery import DUTY_FULL_PCT
 from hilserver.plant.drive import process_matrices
-from hilserver.plant.kernels import plain
 from hilserver.plant.kinematics import nominal_gain
 from hilserver.plant.layout import N_WHEELS, RING, Parameters
 from hilserver.plant.physical import (

@@ -7,7 +7,7 @@ acceleration at t_k.
 
 import math
 
-from hilserver.plant.kernels import inlined, part, plain
+from hilserver.compiled import inlined, part, plain
 from hilserver.plant.layout import N_WHEELS, Outputs, Parameters, State
 from hilserver.plant.units import NOMINAL_V, RAD_S_PER_RPM
 
@@ -67,7 +67,7 @@ def encoder(p: Parameters, x: State, i: int) -> float:
     return float(seen)
 
 
-@part
+@inlined
 def controller(p: Parameters, x: State, i: int, seen_rpm: float) -> None:
     """Run the PI(D) loop of wheel `i` once (step 3), with back-calculation; set the held duty."""
     kp, ki_step = p.k_p, p.k_i_step
@@ -86,7 +86,7 @@ def controller(p: Parameters, x: State, i: int, seen_rpm: float) -> None:
     x.duty[i] = duty
 
 
-@part
+@inlined
 def pass_duty(p: Parameters, x: State, i: int) -> None:
     """Apply the commanded duty of wheel `i`; the state of the controller tracks it."""
     limit = p.limit
@@ -166,7 +166,7 @@ def process_of_tick(p: Parameters, voltage_v: float) -> Matrices:
     )
 
 
-@part
+@inlined
 def through_backlash(
     p: Parameters, x: State, i: int, speed_rpm: float, mean_rpm: float
 ) -> tuple[float, float]:

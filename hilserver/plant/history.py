@@ -2,7 +2,7 @@
 
 import math
 
-from hilserver.plant.kernels import part
+from hilserver.compiled import inlined, part
 from hilserver.plant.layout import RING
 from hilserver.plant.pose import wrap
 
@@ -21,7 +21,7 @@ def weights(head: int, count: float, delay_runs: float) -> tuple[int, int, float
     return newer, older, share
 
 
-@part
+@inlined
 def between(newer: float, older: float, share: float) -> float:
     """Interpolate linearly between two samples; with a share of 0, return the newer itself."""
     if share == 0.0:
@@ -29,7 +29,7 @@ def between(newer: float, older: float, share: float) -> float:
     return newer + share * (older - newer)
 
 
-@part
+@inlined
 def between_angles(newer: float, older: float, share: float) -> float:
     """Interpolate between two angles along the shorter way, in (-pi, pi]."""
     if share == 0.0:
@@ -37,7 +37,7 @@ def between_angles(newer: float, older: float, share: float) -> float:
     return float(wrap(newer + share * wrap(older - newer)))
 
 
-@part
+@inlined
 def push(head: float, count: float) -> tuple[int, float]:
     """Return the row for the next sample of a ring, and how many samples the ring then holds."""
     return (int(head) + 1) % RING, min(count + 1.0, RING)

@@ -4,8 +4,8 @@ The acceleration is the exact derivative of the velocity, without gravity. The h
 unit's fused one, which bias and scale of the gyro do not make drift.
 """
 
+from hilserver.compiled import inlined, part
 from hilserver.plant.history import between, between_angles, push, weights
-from hilserver.plant.kernels import part
 from hilserver.plant.layout import Inputs, Outputs, Parameters, State, Status
 from hilserver.plant.noise import normal
 from hilserver.status import BAD_OUT_OF_SERVICE, GOOD
@@ -15,7 +15,7 @@ CHANNEL_ACCEL_X = 1
 CHANNEL_ACCEL_Y = 2
 
 
-@part
+@inlined
 def _remember(x: State, rate: float, yaw: float, accel_x: float, accel_y: float) -> None:
     row, x.imu_count = push(x.imu_head, x.imu_count)
     x.imu_head = row

@@ -8,7 +8,7 @@ derivatives, v, vy, om and dv, dvy, dom, in m/s, rad/s and their rates.
 import math
 from collections import namedtuple
 
-from hilserver.plant.kernels import inlined, part, plain
+from hilserver.compiled import inlined, part, plain
 from hilserver.plant.layout import Parameters, State, Wheels
 from hilserver.plant.units import RAD_S_PER_RPM
 
@@ -59,20 +59,20 @@ def _apart(p: Parameters, speed: Wheels) -> float:
     return float(-0.25 * RAD_S_PER_RPM * p.roller_keep * (left + right))
 
 
-@part
+@inlined
 def sideways(p: Parameters, x: State) -> tuple[float, float]:
     """Return lateral speed [m/s] and its rate [m/s2] of mecanum wheels that turn as in `x`."""
     speed = _apart(p, x.speed)
     return speed, (_apart(p, x.motor) - speed) * p.inverse_t2
 
 
-@part
+@inlined
 def in_region(p: Parameters, px: float, py: float) -> bool:
     """Return whether a centre of mass at this point is on the patch of `surface_change`."""
     return bool(p.region_x_min <= px <= p.region_x_max and p.region_y_min <= py <= p.region_y_max)
 
 
-@part
+@inlined
 def turning_gain(
     p: Parameters, v0: float, dv0: float, w_l: float, w_r: float, dw_l: float, dw_r: float
 ) -> tuple[float, float]:
@@ -134,7 +134,7 @@ def across(p: Parameters, v: float, om: float, dv: float, dom: float) -> tuple[f
     return vy, dvy
 
 
-@part
+@inlined
 def speeds_suffice(p: Parameters) -> bool:
     """Return whether the velocity now depends on place and wheel speeds alone."""
     return p.gain_radius == 0.0 and p.runout == 0.0 and p.body_lag == 0.0 and p.mecanum == 0.0

@@ -7,8 +7,8 @@ outliers; on the yaw: distortion, frame, noise. The last sample holds until the 
 
 import math
 
+from hilserver.compiled import inlined, part
 from hilserver.plant.history import between, between_angles, push, weights
-from hilserver.plant.kernels import part
 from hilserver.plant.layout import Inputs, Outputs, Parameters, State, Status
 from hilserver.plant.noise import normal, uniform
 from hilserver.plant.pose import wrap
@@ -17,18 +17,6 @@ from hilserver.status import BAD_OUT_OF_SERVICE, GOOD
 CHANNEL_OU = 8  # 3 channels: x, y, yaw
 CHANNEL_WHITE = 11  # 2 channels
 CHANNEL_OUTLIER = 40  # 2 uniform channels: whether it is one, and its direction
-
-
-@part
-def _correlated(p: Parameters, x: State, part: int, keep: float, deviation: float) -> float:
-    """Advance an Ornstein-Uhlenbeck state by one sample; stationary from the first sample."""
-    sample = x.nav_samples
-    fresh = deviation * normal(p.seed, sample, CHANNEL_OU + part)
-    if sample == 0.0:
-        x.nav_ou[part] = fresh
-    else:
-        x.nav_ou[part] = keep * x.nav_ou[part] + math.sqrt(1.0 - keep * keep) * fresh
-    return float(x.nav_ou[part])
 
 
 @part
@@ -63,26 +51,36 @@ def shown_yaw(p: Parameters, x: State) -> float:
     return float(shown)
 
 
-@part
+@inlined
 def _sample(p: Parameters, x: State) -> None:
     """Take a sample, which the tag shows until the next."""
-    seed, sample = p.seed, x.nav_samples
-    px, py = shown_position(p, x)
-    yaw = shown_yaw(p, x)
-    if p.nav_ou != 0.0:
-        px += _correlated(p, x, 0, p.nav_ou_keep, p.nav_ou)
-        py += _correlated(p, x, 1, p.nav_ou_keep, p.nav_ou)
-    if p.nav_yaw_ou != 0.0:
-        yaw += _correlated(p, x, 2, p.nav_yaw_ou_keep, p.nav_yaw_ou)
+    seed, sample, shown = p.seed, x.nav_samples, x.nav_shown
+    shown[0], shown[1] = shown_position(p, x)
+    shown[2] = shown_yaw(p, x)
+
+    # Ornstein-Uhlenbeck noise of x, y and yaw, stationary from the first sample
+    for axis in range(3):
+        deviation = p.nav_ou if axis < 2 else p.nav_yaw_ou
+        keep = p.nav_ou_keep if axis < 2 else p.nav_yaw_ou_keep
+        if deviation == 0.0:
+            continue
+        fresh = deviation * normal(seed, sample, CHANNEL_OU + axis)
+        if sample == 0.0:
+            x.nav_ou[axis] = fresh
+        else:
+            x.nav_ou[axis] = keep * x.nav_ou[axis] + math.sqrt(1.0 - keep * keep) * fresh
+        shown[axis] += x.nav_ou[axis]
+
     if p.nav_white != 0.0:
-        px += p.nav_white * normal(seed, sample, CHANNEL_WHITE)
-        py += p.nav_white * normal(seed, sample, CHANNEL_WHITE + 1)
+        shown[0] += p.nav_white * normal(seed, sample, CHANNEL_WHITE)
+        shown[1] += p.nav_white * normal(seed, sample, CHANNEL_WHITE + 1)
     if p.outlier_share > 0.0 and uniform(seed, sample, CHANNEL_OUTLIER) < p.outlier_share:
         direction = 2.0 * math.pi * uniform(seed, sample, CHANNEL_OUTLIER + 1)
-        px += p.outlier_size * math.cos(direction)
-        py += p.outlier_size * math.sin(direction)
+        shown[0] += p.outlier_size * math.cos(direction)
+        shown[1] += p.outlier_size * math.sin(direction)
+
     x.nav_samples = sample + 1.0
-    x.nav_shown[0], x.nav_shown[1], x.nav_shown[2] = px, py, wrap(yaw)
+    shown[2] = wrap(shown[2])
 
 
 @part

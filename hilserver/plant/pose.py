@@ -4,14 +4,14 @@ import math
 
 import numpy as np
 
-from hilserver.plant.kernels import inlined, part
+from hilserver.compiled import inlined
 from hilserver.plant.layout import Inputs, State
 
 TURN = 2.0 * math.pi
 SERIES_LIMIT_RAD = 0.05  # below this, the series' next term is under half a unit in the last place
 
 
-@part
+@inlined
 def wrap(angle_rad: float) -> float:
     """Return the angle in (-pi, pi]; one already there keeps every bit.
 

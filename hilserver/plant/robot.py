@@ -6,9 +6,9 @@ latched and every output of t_k is written; then the state moves to t_(k+1).
 
 import math
 
+from hilserver.compiled import inlined, part
 from hilserver.plant.command import command
 from hilserver.plant.drive import drive_base, drive_terms
-from hilserver.plant.kernels import inlined, part
 from hilserver.plant.kinematics import across, in_region, sideways, velocity_base, velocity_terms
 from hilserver.plant.layout import N_WHEELS, Inputs, Outputs, Parameters, State, Status
 from hilserver.plant.pose import move, set_pose
@@ -26,7 +26,7 @@ def publish(x: State, y: Outputs, v: float, vy: float, om: float, dv: float, dvy
     x.accel_x, x.accel_y = dv - om * vy, dvy + om * v
 
 
-@part
+@inlined
 def follow_wheels(
     p: Parameters, x: State, y: Outputs, w_l: float, w_r: float, dw_l: float, dw_r: float
 ) -> None:
@@ -36,7 +36,7 @@ def follow_wheels(
     x.body_v, x.body_om = v, om
 
 
-@part
+@inlined
 def lag_behind(x: State, v: float, om: float, lag_s: float, dt_s: float) -> tuple[float, float]:
     """Move the body's v and om towards the wheels' over a tick; return their means.
 

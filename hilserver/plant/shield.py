@@ -7,8 +7,8 @@ fast its lamps blink are not published: the figures here are assumptions.
 import math
 from typing import Final
 
+from hilserver.compiled import inlined, part
 from hilserver.plant.battery import drawn_current
-from hilserver.plant.kernels import part
 from hilserver.plant.layout import Inputs, Outputs, Parameters, State, Status
 from hilserver.status import GOOD
 
@@ -22,7 +22,7 @@ WAVE_S: Final = 1.9
 DIM, HIGH_BEAM, FLASH_ALL, FLASH_LEFT, FLASH_RIGHT, PULSATION, ROTATION, RUNNING = range(1, 9)
 
 
-@part
+@inlined
 def brightness(pattern: float, lamp: int, time_s: float) -> float:
     """Return the brightness 0 .. 1 of a lamp (fl, fr, rl, rr) at a time since the pattern began."""
     blink = 1.0 if time_s % BLINK_S < 0.5 * BLINK_S else 0.0

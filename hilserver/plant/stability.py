@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
+from hilserver.compiled import plain
 from hilserver.plant.drive import Matrices, process_matrices
-from hilserver.plant.kernels import plain
 
 
 @plain

@@ -7,7 +7,7 @@ segment is clipped to the cone and its nearest point taken, so no thin wall is m
 import math
 from typing import Any, Final
 
-from hilserver.plant.kernels import part
+from hilserver.compiled import inlined, part
 from hilserver.plant.layout import Inputs, Outputs, Parameters, State, Status
 from hilserver.status import BAD_OUT_OF_SERVICE, GOOD, UNCERTAIN
 
@@ -15,7 +15,7 @@ NEAREST_M: Final = 0.01
 FARTHEST_M: Final = 5.0
 
 
-@part
+@inlined
 def _nearest_in_cone(ax: float, ay: float, bx: float, by: float, sin: float, cos: float) -> float:
     """Return the distance from the origin to the part of a segment inside the cone along +x.
 
@@ -40,7 +40,7 @@ def _nearest_in_cone(ax: float, ay: float, bx: float, by: float, sin: float, cos
     return math.hypot(ax + share * dx, ay + share * dy)
 
 
-@part
+@inlined
 def _range(p: Parameters, hall: Any, px: float, py: float, cos: float, sin: float) -> float:
     """Return the distance [m] seen from a point along the unit vector (cos, sin)."""
     found = math.inf

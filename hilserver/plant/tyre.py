@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from hilserver.plant.kernels import inlined
+from hilserver.compiled import inlined
 
 
 @inlined

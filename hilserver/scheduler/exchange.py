@@ -19,7 +19,7 @@ import numpy as np
 from numba.core import types
 from numpy.typing import NDArray
 
-from hilserver.compiled import kernel
+from hilserver.compiled import inlined, kernel
 from hilserver.compiled.atomics import fence, load_acquire, store_release
 
 # Written by the event loop
@@ -60,7 +60,7 @@ class OverrunRecord:
     code: int  # code in `faults` passed to the step; -1: the scheduler stopped; 0: none
 
 
-@kernel()
+@inlined
 def announce(comm: NDArray[np.int64], row: int, tick: int, planned_ns: int) -> None:
     """Tell the event loop that communication slice `row` is due."""
     base = row * N_COMM
@@ -100,7 +100,7 @@ def announced(comm: NDArray[np.int64], row: int, out: NDArray[np.int64]) -> int:
     return -1
 
 
-@kernel()
+@inlined
 def next_record(control: NDArray[np.int64], ring: NDArray[np.int64]) -> int:
     """Return the ring's row for a new record, or -1 (counted as lost) if it is full."""
     made = control[RECORDS_MADE]

@@ -20,7 +20,7 @@ import numpy as np
 from numba.core import types
 from numpy.typing import NDArray
 
-from hilserver.compiled import kernel
+from hilserver.compiled import inlined, kernel
 from hilserver.scheduler import faults
 from hilserver.scheduler.policies import FAIL, STRETCH, OverrunLimits, OverrunPolicy, shift_ns
 
@@ -76,7 +76,7 @@ def advance(law: NDArray[np.int64], now_ns: int) -> int:
     return RUN
 
 
-@kernel()
+@inlined
 def overrun_kind(law: NDArray[np.int64]) -> int:
     """Return which kind of overrun the tick that just ended is, if any."""
     if law[BACKLOG] == 1:
@@ -134,7 +134,7 @@ def hold(law: NDArray[np.int64], now_ns: int) -> None:
     law[LAST_START] = 0
 
 
-@kernel()
+@inlined
 def is_due(tick: int, period_ticks: int) -> bool:
     """Return whether a slice runs in `tick`: by count, never by measured time."""
     return bool(tick % period_ticks == 0)

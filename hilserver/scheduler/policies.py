@@ -12,13 +12,13 @@ takes too long, ``x`` a planned start given up (a missed tick).
 
 from dataclasses import dataclass
 
-from hilserver.compiled import kernel
+from hilserver.compiled import inlined
 
 CATCH_UP, SKIP, STRETCH, FAIL = range(4)
 POLICY_NAMES = ("catch_up", "skip", "stretch", "fail")
 
 
-@kernel()
+@inlined
 def catch_up_shift_ns(late_ns: int, period_ns: int, limit_ticks: int) -> int:
     """Run late ticks back to back until the grid is reached; give up what exceeds the limit.
 
@@ -32,7 +32,7 @@ def catch_up_shift_ns(late_ns: int, period_ns: int, limit_ticks: int) -> int:
     return max(0, late_ns // period_ns - limit_ticks) * period_ns
 
 
-@kernel()
+@inlined
 def skip_shift_ns(late_ns: int, period_ns: int, limit_ticks: int) -> int:  # noqa: ARG001
     """Give up every planned start that has passed; continue on the same grid.
 
@@ -45,7 +45,7 @@ def skip_shift_ns(late_ns: int, period_ns: int, limit_ticks: int) -> int:  # noq
     return late_ns // period_ns * period_ns
 
 
-@kernel()
+@inlined
 def stretch_shift_ns(late_ns: int, period_ns: int, limit_ticks: int) -> int:  # noqa: ARG001
     """Move the grid by the delay: nothing is missed, all later ticks are delayed.
 
@@ -57,7 +57,7 @@ def stretch_shift_ns(late_ns: int, period_ns: int, limit_ticks: int) -> int:  # 
     return late_ns
 
 
-@kernel()
+@inlined
 def fail_shift_ns(late_ns: int, period_ns: int, limit_ticks: int) -> int:  # noqa: ARG001
     """Leave the grid alone: the scheduler stops after the first overrun.
 
@@ -69,7 +69,7 @@ def fail_shift_ns(late_ns: int, period_ns: int, limit_ticks: int) -> int:  # noq
     return 0
 
 
-@kernel()
+@inlined
 def shift_ns(policy: int, late_ns: int, period_ns: int, limit_ticks: int) -> int:
     """Return by how much `policy` moves the grid [ns]; 0 if less than one period late."""
     if late_ns < period_ns:

@@ -15,7 +15,7 @@ import numpy as np
 from numba.core import types
 from numpy.typing import NDArray
 
-from hilserver.compiled import kernel
+from hilserver.compiled import inlined, kernel
 from hilserver.compiled.atomics import fence, load_acquire, store_release
 from hilserver.compiled.histogram import N_BUCKETS, bucket_index
 from hilserver.compiled.records import Record, assign, record_at
@@ -101,14 +101,14 @@ _WORDS = types.int64[::1]
 _READ_ONLY_WORDS = types.Array(types.int64, 1, "C", readonly=True)
 
 
-@kernel()
+@inlined
 def begin_write(stats: NDArray[np.int64], row: int) -> None:
     """Make the sequence number of the row at offset `row` odd."""
     store_release(stats, row, stats[row] + 1)
     fence()
 
 
-@kernel()
+@inlined
 def end_write(stats: NDArray[np.int64], row: int) -> None:
     """Make the sequence number even again."""
     store_release(stats, row, stats[row] + 1)
@@ -145,7 +145,7 @@ def clear_row(stats: NDArray[np.int64], row: int) -> None:
     slice_row.margin_min_ns = slice_row.window.low = NEVER
 
 
-@kernel()
+@inlined
 def clear_header(stats: NDArray[np.int64]) -> None:
     """Clear missed ticks, the real-time factor and the linear histogram."""
     for index in range(CLEARED, N_HEAD):
@@ -156,7 +156,7 @@ def clear_header(stats: NDArray[np.int64]) -> None:
         stats[index] = 0
 
 
-@kernel()
+@inlined
 def record_tick(stats: NDArray[np.int64], latency_ns: int, since_last_ns: int, missed: int) -> None:
     """Count one tick in the header.
 
@@ -192,7 +192,7 @@ def record_tick(stats: NDArray[np.int64], latency_ns: int, since_last_ns: int, m
     end_write(stats, 0)
 
 
-@kernel()
+@inlined
 def record_window(window: Window, last: Window, latency_ns: int, now_ns: int) -> None:
     """Add a latency to a window; a full window becomes the last one."""
     clipped = min(latency_ns, SQUARE_LIMIT_NS)

@@ -11,7 +11,7 @@ from numba.core import types
 from numba.core.types import ExternalFunction, int32, voidptr
 from numpy.typing import NDArray
 
-from hilserver.compiled import kernel
+from hilserver.compiled import inlined, kernel, part
 from hilserver.compiled.atomics import load_acquire, store_release
 from hilserver.compiled.libc import monotonic_ns
 from hilserver.compiled.records import record_at
@@ -41,7 +41,7 @@ _P_CPU, _P_MINOR, _P_MAJOR, _P_INVOLUNTARY = range(4)
 getrusage: Any = ExternalFunction("getrusage", int32(int32, voidptr))
 
 
-@kernel(_nrt=False)
+@part
 def may_run(law: NDArray[np.int64], command: int) -> bool:
     """Return whether `command` allows a tick now."""
     if command == ex.FREE_RUN:
@@ -52,7 +52,7 @@ def may_run(law: NDArray[np.int64], command: int) -> bool:
     return bool(law[lw.STEPS_DONE] < (command & ex.MAX_STEPS))
 
 
-@kernel(_nrt=False)
+@inlined
 def usage_since_last(scratch: NDArray[np.int64]) -> None:
     """Read the thread's rusage as differences to the previous call."""
     usage = scratch[RUSAGE:PREVIOUS]
@@ -66,7 +66,7 @@ def usage_since_last(scratch: NDArray[np.int64]) -> None:
         before[index] = now[index]
 
 
-@kernel(_nrt=False)
+@inlined
 def write_record(at: Loop, blamed: int, code: int) -> None:
     """Put the tick that just ended into the ring, as an `exchange.OverrunRecord`."""
     law, ring, usage = at.law, at.ring, at.scratch[RUSAGE:PREVIOUS]
@@ -92,7 +92,7 @@ def write_record(at: Loop, blamed: int, code: int) -> None:
     store_release(at.control, ex.RECORDS_MADE, at.control[ex.RECORDS_MADE] + 1)
 
 
-@kernel(_nrt=False)
+@inlined
 def run_phases(step: Any, at: Loop, now_ns: int) -> int:
     """Run LATCH, the due slices and PUBLISH; return the first fault number, 0 if none.
 
@@ -121,7 +121,7 @@ def run_phases(step: Any, at: Loop, now_ns: int) -> int:
     return fault
 
 
-@kernel(_nrt=False)
+@inlined
 def blame(kind: int, slices: NDArray[np.int64]) -> int:
     """Return the due slice to which an overrun counts: the first, or the longest of a long run."""
     blamed, longest = 0, -1
@@ -133,7 +133,7 @@ def blame(kind: int, slices: NDArray[np.int64]) -> int:
     return blamed
 
 
-@kernel(_nrt=False)
+@inlined
 def count(at: Loop, now_ns: int, blamed: int) -> None:
     """Count the tick that began at the real time `now_ns` in the statistics."""
     law, slices, stats = at.law, at.slices, at.stats
@@ -163,7 +163,7 @@ def count(at: Loop, now_ns: int, blamed: int) -> None:
         )
 
 
-@kernel(_nrt=False)
+@inlined
 def stand_still(step: Any, at: Loop, command: int, now_ns: int) -> int:
     """Run no tick, but publish a state that was restored meanwhile at once."""
     law, control = at.law, at.control
@@ -178,7 +178,7 @@ def stand_still(step: Any, at: Loop, command: int, now_ns: int) -> int:
     return STANDING | (RING if news else 0)
 
 
-@kernel(_nrt=False)
+@inlined
 def report_fault(step: Any, at: Loop, fault: int, verdict: int, blamed: int) -> None:
     """Enter the safe state if a slice or the law requests it; record overruns and new faults."""
     law, code = at.law, verdict
@@ -191,7 +191,7 @@ def report_fault(step: Any, at: Loop, fault: int, verdict: int, blamed: int) -> 
     law[lw.LAST_FAULT] = code if code >= faults.SLICE else 0
 
 
-@kernel(_nrt=False)
+@inlined
 def announce_due(comm: NDArray[np.int64], tick: int, planned_ns: int) -> int:
     """Announce the communication slices that are due; return ``RING`` if any is."""
     flags = 0

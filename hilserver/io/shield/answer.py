@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from numba.core import types
 
-from hilserver.compiled import kernel
+from hilserver.compiled import inlined, kernel
 from hilserver.io.shield.protocol import CHECKED_BYTES, crc8
 from hilserver.plant.layout import CORNERS
 from hilserver.plant.units import STANDARD_GRAVITY_M_S2
@@ -31,7 +31,7 @@ def places(table: SignalTable, wheels: tuple[str, ...], *, body: bool) -> list[i
     return [table.slot(name) if name in table else ABSENT for name in names]
 
 
-@kernel()
+@inlined
 def _put(out: Any, at: int, value: float, low: int, high: int) -> None:
     """Write `value` rounded and limited as two bytes; one that is not finite becomes 0."""
     whole = math.floor(value + 0.5) if math.isfinite(value) else 0
@@ -40,17 +40,17 @@ def _put(out: Any, at: int, value: float, low: int, high: int) -> None:
     out[at + 1] = whole >> 8 & 0xFF
 
 
-@kernel()
+@inlined
 def _signed(out: Any, at: int, value: float) -> None:
     _put(out, at, value, -32768, 32767)
 
 
-@kernel()
+@inlined
 def _read(values: Any, slots: Any, place: int, otherwise: float) -> float:
     return otherwise if slots[place] < 0 else float(values[slots[place]])
 
 
-@kernel()
+@inlined
 def _raw_imu(out: Any, values: Any, slots: Any) -> None:
     g, degree = STANDARD_GRAVITY_M_S2, math.pi / 180.0
     _signed(out, 9, _read(values, slots, ACCEL + 2, g) / g * 1e4)
@@ -61,7 +61,7 @@ def _raw_imu(out: Any, values: Any, slots: Any) -> None:
     _signed(out, 19, _read(values, slots, GYRO + 1, 0.0) / degree * 100.0)
 
 
-@kernel()
+@inlined
 def _fused_imu(out: Any, values: Any, slots: Any) -> None:
     half_roll = 0.5 * _read(values, slots, ANGLES, 0.0)
     half_pitch = 0.5 * _read(values, slots, ANGLES + 1, 0.0)

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hilserver.compiled import kernel
+from hilserver.compiled import inlined, part
 from hilserver.io.shield import words as w
 from hilserver.io.shield.protocol import CHECKED_BYTES, END, KNOWN, REQUEST_BYTES, START, crc8
 
@@ -24,7 +24,7 @@ XON, XOFF = 0x11, 0x13  # a terminal may send them: noise between requests
 _KNOWN = np.array([number in KNOWN for number in range(256)])
 
 
-@kernel()
+@part
 def _shift(buffer: Any, state: Any) -> None:
     """Drop the first byte, and following ones that cannot begin a request."""
     fill = state[w.FILL]
@@ -41,13 +41,13 @@ def _shift(buffer: Any, state: Any) -> None:
     state[w.IN_STEP] = state[w.CLEAN] = 0
 
 
-@kernel()
+@inlined
 def stands_alone(state: Any) -> bool:
     """Whether a whole request without its end waits for the pause that makes it one."""
     return bool(state[w.FILL] == REQUEST_BYTES)
 
 
-@kernel()
+@inlined
 def feed(byte: int, after_pause: bool, buffer: Any, state: Any) -> int:
     """Take one byte; return `COMPLETE` when `buffer` holds a request.
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
-from hilserver.compiled import kernel
+from hilserver.compiled import inlined
 from hilserver.config.shield import Variant
 
 START: Final = 0xFF
@@ -112,7 +112,7 @@ class Request:
         return struct.unpack_from("<4b", self.payload)
 
 
-@kernel()
+@inlined
 def crc8(data: bytes, first: int, length: int) -> int:
     """Return the CRC-8 (polynomial 0x07, initial value 0) of `length` bytes from `first` on."""
     crc = 0

@@ -15,7 +15,7 @@ from numba.core.types import ExternalFunction, int32, int64, uint64, voidptr
 from numba.core.types.containers import NamedTuple as RecordType
 from numpy.typing import NDArray
 
-from hilserver.compiled import kernel
+from hilserver.compiled import inlined, kernel, part
 from hilserver.compiled.atomics import load_acquire, store_release
 from hilserver.compiled.histogram import bucket_index
 from hilserver.compiled.libc import libc_write, monotonic_ns, ring_doorbell, sleep_until
@@ -53,7 +53,7 @@ class Memory(NamedTuple):
     poll: NDArray[np.int32]  # shape (2,), scratch for ppoll
 
 
-@kernel()
+@part
 def _give(buffer: Any, flags: int, received_ns: int, state: Any, doorbell: int, one: Any) -> None:
     """Hand a request to the event loop and queue its response."""
     state[w.REQUESTS] += 1
@@ -81,7 +81,7 @@ def _give(buffer: Any, flags: int, received_ns: int, state: Any, doorbell: int, 
     state[w.PENDING_HEAD] += 1
 
 
-@kernel()
+@inlined
 def _receive(chunk: Any, frame: Any, state: Any, doorbell: int, one: Any) -> None:
     """Take the bytes that have come in so far."""
     count, byte_ns = state[w.RX_COUNT], state[w.BYTE]
@@ -96,7 +96,7 @@ def _receive(chunk: Any, frame: Any, state: Any, doorbell: int, one: Any) -> Non
     state[w.RX_COUNT] = 0
 
 
-@kernel()
+@inlined
 def _accept_alone(frame: Any, state: Any, doorbell: int, one: Any) -> None:
     """Take a request without its end, after the pause that shows that it stood alone."""
     state[w.FILL] = 0
@@ -104,7 +104,7 @@ def _accept_alone(frame: Any, state: Any, doorbell: int, one: Any) -> None:
     _give(frame, w.ALONE, state[w.RX_LAST], state, doorbell, one)
 
 
-@kernel()
+@inlined
 def _prepare(
     out: Any, state: Any, slots: Any, values: Any, words: Any, frame: Any, info: Any
 ) -> None:
@@ -118,7 +118,7 @@ def _prepare(
     state[w.PENDING_TAIL] += 1
 
 
-@kernel()
+@inlined
 def _transmit(file: int, out: Any, now_ns: int, state: Any, timespec: Any) -> None:
     """Send a response whose time has come."""
     count = state[w.TX_COUNT]
@@ -135,7 +135,7 @@ def _transmit(file: int, out: Any, now_ns: int, state: Any, timespec: Any) -> No
     store_release(state, w.RESPONSES, state[w.RESPONSES] + 1)
 
 
-@kernel()
+@part
 def _wait(file: int, until_ns: int, now_ns: int, poll: Any, timespec: Any) -> int:
     """Wait for bytes or until a time; return what poll saw."""
     poll[0], poll[1] = file, POLL_IN
@@ -146,7 +146,7 @@ def _wait(file: int, until_ns: int, now_ns: int, poll: Any, timespec: Any) -> in
     return int(poll[1] >> 16)
 
 
-@kernel()
+@inlined
 def _listen(
     file: int, until_ns: int, now_ns: int, chunk: Any, state: Any, poll: Any, timespec: Any
 ) -> bool:
