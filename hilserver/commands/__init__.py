@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from hilserver import __version__
-from hilserver.errors import FailedError, meant
+from hilserver.errors import meant
 from hilserver.program import harness
 from hilserver.program.ending import say_stopped
 
@@ -39,6 +39,7 @@ COMMANDS = {
     "identify": "identify K_om, step response, update rate, dead zone or noise",
     "latency-test": "measure the timing of this computer, without the model",
     "install-service": "install the daemon as a systemd service",
+    "cache": "show or clear the compiled code that is kept on this computer",
     "scenarios": "make logs of the drives that the thesis says its simulation gets wrong",
     "bench": "measure the figures that the README quotes",
 }
@@ -106,11 +107,4 @@ def _parse(words: Sequence[str]) -> argparse.Namespace:
 
 
 def _module(command: str) -> ModuleType:
-    try:
-        return importlib.import_module(f"hilserver.commands.{command.replace('-', '_')}")
-    except OSError as error:
-        reason = (error.strerror or "refused").lower()
-        raise FailedError(
-            f"{error.filename}: {reason}; compiled code is cached there: set HILSERVER_CACHE_DIR to"
-            " a writable folder"
-        ) from None
+    return importlib.import_module(f"{__name__}.{command.replace('-', '_')}")

@@ -8,19 +8,18 @@ import asyncio
 import contextlib
 import json
 import math
-import time
 from collections.abc import AsyncIterator, Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Self
 
 from hilserver import __version__
+from hilserver.commands.compile_progress import Progress
 from hilserver.program.writer import Footer, Writer
 
 if TYPE_CHECKING:  # importing it takes seconds, and the first line must not wait for that
     from hilserver.daemon.daemon import Daemon
 
 STATUS_EVERY_S = 2.0
-COMPILING_EVERY_S = 4.5
 _NOWHERE: dict[str, object] = dict.fromkeys(("opcua", "metrics", "shield", "foxglove", "ros2"))
 
 
@@ -37,8 +36,7 @@ class Announcer:
         self._is_readable = line_format == "console" or (line_format != "json" and writer.isatty())
         writer.lost_line = lambda lost: self._line(f"{lost} lines were lost: nothing read them", {})
         self.page_url = ""
-        self._compiled: list[str] = []
-        self._next_s = 0.0
+        self._progress: Progress | None = None
 
     def say(self, text: str, event: str = "", **details: object) -> None:
         """Say `text` to people, or `event` (by default the text) and `details` to programs."""
@@ -54,7 +52,7 @@ class Announcer:
         if self._is_readable:
             return f"hilserver: {event}"
         stamp = datetime.now(UTC).isoformat().replace("+00:00", "Z")
-        return json.dumps({**details, "event": event, "level": "info", "timestamp": stamp})
+        return json.dumps({"level": "info", **details, "event": event, "timestamp": stamp})
 
     def __enter__(self) -> Self:
         return self
@@ -69,20 +67,25 @@ class Announcer:
             self.say(f"hilserver is starting, version {__version__}; stop it with Ctrl-C")
 
     def compiling(self, functions: Sequence[str]) -> None:
-        """Say now and then what is being compiled; no functions: still the last ones."""
-        now_s = time.monotonic()
-        self._compiled += functions
-        if not self._writer.is_watched or now_s < self._next_s:
+        """Say that these functions are being compiled; none: still the last ones."""
+        if not self._writer.is_watched:
             return
-        if not self._next_s:
-            self.say(
-                "hilserver is compiling the model for this computer; the first start of a new"
-                " version or robot type takes a minute or two"
-            )
-        elif self._compiled:
-            count, newest = len(self._compiled), self._compiled[-1]
-            self.say(f"hilserver is compiling: {count} functions, now '{newest}'")
-        self._next_s = now_s + COMPILING_EVERY_S
+        if self._progress is None:
+            self._progress = Progress.begun()
+            text = f"hilserver is compiling the model for this computer: {self._progress.estimate}"
+            self.say(f"{text}; the next start finds it compiled")
+        self._progress.add(len(functions))
+        if self._footer is not None:
+            self._footer.show(self._progress.line)
+
+    def _say_compiled(self) -> None:
+        """Say how long compiling took, if anything was compiled."""
+        if self._progress is not None:
+            self.say(f"hilserver has compiled {self._progress.ended()}")
+
+    def warn(self, text: str) -> None:
+        """Say what is not as it should be."""
+        self.say(f"hilserver: {text}", text, level="warning")
 
     def page(self, url: str) -> None:
         """Say where the operator page is."""
@@ -91,6 +94,7 @@ class Announcer:
 
     def running(self, daemon: "Daemon") -> None:
         """Say that the robot runs, and where everything is."""
+        self._say_compiled()
         peers = {part.label: part.address for part in daemon.parts if part.section == "peers"}
         others = {part.section: part for part in daemon.parts if part.section != "peers"}
         lines = ["hilserver is running; stop it with Ctrl-C"]

@@ -1,6 +1,7 @@
-"""The start of `hilserver run` up to the compiled step, in a child: it fills the cache.
+"""The start of `hilserver run` up to the compiled step, in children: they fill the cache.
 
-``python -m hilserver.commands.compiled_start [-c FILE] [--patch FILE] [--group NAME] PARENT``
+``python -m hilserver.commands.compiled_start [-c FILE] [--patch FILE] [--group NAME] [--helper]
+PARENT``
 """
 
 import argparse
@@ -10,32 +11,41 @@ from hilserver.commands.options import add_config, add_patch
 from hilserver.program import children, compiling
 
 
-def command(args: argparse.Namespace) -> list[str]:
-    """Return the command line of the child for the arguments of `run`, without its parent."""
+def commands(args: argparse.Namespace) -> list[list[str]]:
+    """Return the command lines of the children for the arguments of `run`, without their parent.
+
+    The first one compiles all, the others help.
+    """
     given = {"--config": args.config, "--patch": args.patch, "--group": args.group}
     words = [f"{name}={value}" for name, value in given.items() if value is not None]
-    return children.python("-m", __name__, *words)
+    command = children.python("-m", __name__, *words)
+    return [command, *[[*command, "--helper"]] * (compiling.processes() - 1)]
 
 
 def _main() -> None:
     parser = argparse.ArgumentParser()
     add_config(parser)
     add_patch(parser)
+    parser.add_argument("--helper", action="store_true")
     parser.add_argument("parent", type=int)
     args = parser.parse_args()
     compiling.as_child(lambda: _build(args), args.parent)
 
 
 def _build(args: argparse.Namespace) -> None:
-    import hilserver.commands.running  # noqa: PLC0415 - compiles
-    from hilserver.commands.patching import assembled  # noqa: PLC0415
-    from hilserver.daemon.builder import UNDEMANDING, Pace, build  # noqa: PLC0415
+    from hilserver.compiled import sharing  # noqa: PLC0415 - with the compiler
+    from hilserver.compiled.cache import shelf  # noqa: PLC0415
 
-    assembly = assembled(args)
-    pace = dataclasses.replace(Pace.configured(assembly), image="", realtime=UNDEMANDING)
-    build(assembly, pace).close()
-    if assembly.config.shield.enabled:
-        import hilserver.io.shield.wire  # noqa: F401, PLC0415 - compiles, too
+    with sharing.shared(shelf, is_helper=args.helper):
+        import hilserver.commands.running  # noqa: PLC0415 - compiles
+        from hilserver.commands.patching import assembled  # noqa: PLC0415
+        from hilserver.daemon.builder import UNDEMANDING, Pace, build  # noqa: PLC0415
+
+        assembly = assembled(args)
+        if assembly.config.shield.enabled:
+            import hilserver.io.shield.wire  # noqa: F401, PLC0415 - compiles, too
+        pace = dataclasses.replace(Pace.configured(assembly), image="", realtime=UNDEMANDING)
+        build(assembly, pace).close()
 
 
 if __name__ == "__main__":

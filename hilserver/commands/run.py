@@ -11,6 +11,7 @@ from pathlib import Path
 
 import yaml
 
+from hilserver.cache import reported_by
 from hilserver.commands.announcing import Announcer
 from hilserver.commands.options import add_config, add_patch, config_path, number, write_text
 from hilserver.errors import EXIT_DONE, FailedError
@@ -87,8 +88,9 @@ def run(args: argparse.Namespace) -> int:
             from hilserver.commands import compiled_start  # noqa: PLC0415
             from hilserver.program import compiling  # noqa: PLC0415
 
-            child = compiling.in_child(compiled_start.command(args), announcer.compiling)
-            with child, compiling.telling(lambda name: announcer.compiling([name])):
+            children = compiling.in_children(compiled_start.commands(args), announcer.compiling)
+            telling = compiling.telling(lambda name: announcer.compiling([name]))
+            with reported_by(announcer.warn), children, telling:
                 from hilserver.commands.running import serve  # noqa: PLC0415
 
                 code = serve(args, guard, announcer)

@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING
 from hilserver.lazily import lazily
 
 if TYPE_CHECKING:
-    from hilserver.compiled.cache import cache_dir, inlined, kernel, kernel_hash, part, plain
+    from hilserver.compiled.cache import inlined, kernel, kernel_hash, part, plain
 else:
-    __getattr__ = lazily(
-        __name__, cache=("cache_dir", "inlined", "kernel", "kernel_hash", "part", "plain")
-    )
+    __getattr__ = lazily(__name__, cache=("inlined", "kernel", "kernel_hash", "part", "plain"))
 
-__all__ = ["cache_dir", "inlined", "kernel", "kernel_hash", "part", "plain"]
+__all__ = ["inlined", "kernel", "kernel_hash", "part", "plain"]

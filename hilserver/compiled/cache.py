@@ -1,13 +1,14 @@
 """Cache of compiled kernels, and the one decorator that all kernels use.
 
-numba's file cache checks the modification time of the file that contains a function, not the
-functions it calls. A changed callee would silently run in its old form. The cache directory is
-therefore keyed by a hash of the sources of all kernel rooms (and the version of numba). Kernels of
-other rooms call those and their own room's: they have a subdirectory, keyed by those sources.
+numba's file cache checks the file that contains a function, not the functions it calls. A changed
+callee would silently run in its old form. The folder is therefore named by a hash of the sources of
+all kernel rooms (and the version of numba). Kernels of other rooms call those and their own room's:
+the names of their files have a hash of these sources, too.
 """
 
+import contextlib
 import hashlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -20,7 +21,8 @@ from numba.core import config
 from numba.extending import register_jitable
 from numba.np import linalg
 
-from hilserver.cache import cache_folder
+import hilserver.cache
+from hilserver.cache import KERNELS, Shelf, cache_folder, remove_old
 
 
 def _without_linear_algebra() -> None:
@@ -34,7 +36,18 @@ def _without_linear_algebra() -> None:
 
 
 _without_linear_algebra()
+stored: Any = None  # our own cache, where this version of numba has what it is made of
+try:
+    from hilserver.compiled import stored
+except (ImportError, AttributeError) as _moved:
+    hilserver.cache.tell(
+        f"numba {numba.__version__} has changed inside ({_moved}): it keeps compiled code itself,"
+        " by the place of the sources; install a version that hilserver was tested with"
+    )
 _PACKAGE = Path(__file__).resolve().parent.parent
+KERNELS_KEPT = 8
+"""Folders of compiled code: this version's, and those of others that run on this computer."""
+
 _KERNEL_ROOMS = ("status", "compiled", "plant", "body", "observer", "scheduler", "image", "kernel")
 
 
@@ -64,17 +77,32 @@ def kernel_hash() -> str:
 
 
 @cache
-def cache_dir() -> Path:
-    """Return (and make) the folder of this kernel hash."""
-    return cache_folder(f"kernels-{kernel_hash()}")
+def shelf() -> Shelf:
+    """Return what is kept of this kernel hash."""
+    kept = Shelf(f"{KERNELS}{kernel_hash()}")
+    remove_old(KERNELS, KERNELS_KEPT)
+    return kept
 
 
 @cache
-def room_dir(room: Path) -> Path:
-    """Return the directory for the kernels of one folder."""
-    if not room.is_relative_to(_PACKAGE) or room.relative_to(_PACKAGE).parts[0] in _KERNEL_ROOMS:
-        return cache_dir()
-    return cache_dir() / hash_of(sorted(room.glob("*.py")))
+def source_stamp(source: Path) -> str:
+    """Return what changes with every source that a function of the file `source` may call.
+
+    The kernel hash, and with it the folder, changes with the sources of all kernel rooms. A file
+    outside the package calls kernels, and what is in the file itself.
+    """
+    if not source.is_relative_to(_PACKAGE):
+        with contextlib.suppress(OSError):
+            return hash_of([source])
+        return ""  # generated: the name of its module has the hash of its text
+    if source.relative_to(_PACKAGE).parts[0] in _KERNEL_ROOMS:
+        return ""
+    return _room_stamp(source.parent)
+
+
+@cache
+def _room_stamp(room: Path) -> str:
+    return hash_of(sorted(room.glob("*.py")))
 
 
 def kernel(*signature: Any, **options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -83,11 +111,15 @@ def kernel(*signature: Any, **options: Any) -> Callable[[Callable[..., Any]], An
     Without fast-math the same inputs give the same bits in every pacing back end. Division follows
     IEEE 754 (``error_model="numpy"``): a kernel never raises.
     """
-    settings = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": False} | options
+    settings = {"nogil": True, "error_model": "numpy", "fastmath": False} | options
+    is_kept = settings.pop("cache", True)
+    signatures = signature[0] if signature and isinstance(signature[0], list) else signature
 
     def decorate(function: Callable[..., Any]) -> Any:
-        config.CACHE_DIR = str(room_dir(Path(function.__code__.co_filename).parent))
-        return numba.njit(*signature, **settings)(function)
+        if stored is None:
+            with _numbas_own_cache():
+                return numba.njit(*signature, cache=is_kept, **settings)(function)
+        return stored.kernel(function, signatures, settings, _kept(function) if is_kept else None)
 
     return decorate
 
@@ -113,7 +145,26 @@ def c_function(signature: Any) -> Callable[[Callable[..., Any]], Any]:
     """Compile a function that C code calls by its address; cached like a kernel."""
 
     def decorate(function: Callable[..., Any]) -> Any:
-        config.CACHE_DIR = str(room_dir(Path(function.__code__.co_filename).parent))
-        return numba.cfunc(signature, nopython=True, cache=True)(function)
+        if stored is None:
+            with _numbas_own_cache():
+                return numba.cfunc(signature, nopython=True, cache=True)(function)
+        return stored.c_function(function, signature, _kept(function))
 
     return decorate
+
+
+def _kept(function: Callable[..., Any]) -> Any:
+    stamp = source_stamp(Path(function.__code__.co_filename))
+    return stored.Stored(function, shelf(), stamp)
+
+
+@contextlib.contextmanager
+def _numbas_own_cache() -> Iterator[None]:
+    """Let functions decorated in the block be kept by numba, in a folder of all these sources."""
+    before = config.CACHE_DIR
+    everything = hash_of(sorted(_PACKAGE.rglob("*.py")))
+    config.CACHE_DIR = str(cache_folder(f"{KERNELS}{kernel_hash()}") / everything)
+    try:
+        yield
+    finally:
+        config.CACHE_DIR = before

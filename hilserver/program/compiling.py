@@ -1,24 +1,27 @@
-"""Compiles in a child and reports progress: a start that compiles takes a minute or two.
+"""Compiles in children and reports progress: a start that compiles takes a minute or two.
 
-A compiler cannot be interrupted; a process can be killed. The child goes through the same start, so
-that everything is then in the cache on disk.
+A compiler cannot be interrupted; a process can be killed. The children go through the same start
+and share the work (`hilserver.compiled.sharing`), so that everything is then in the cache on disk.
 """
 
 import contextlib
 import os
-import select
+import selectors
 import signal
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 
 from numba.core import event
-from numba.core.caching import FunctionCache
 
+from hilserver.compiled.cache import stored
 from hilserver.program import children
 from hilserver.program.ending import ENDING
 from hilserver.program.workers import end_with_parent
 
 TELL_EVERY_S = 1.0
+KB_PER_PROCESS = 700_000
+"""A process that compiles the step took 580 MB."""
 
 
 class _Compiling(event.Listener):  # type: ignore[misc]
@@ -43,42 +46,57 @@ def telling(tell: Callable[[str], None]) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def in_child(command: Sequence[str], tell: Callable[[Sequence[str]], None]) -> Iterator[None]:
-    """Run `command` before anything is compiled in the block; what it caches is not compiled here.
+def in_children(
+    commands: Sequence[Sequence[str]], tell: Callable[[Sequence[str]], None]
+) -> Iterator[None]:
+    """Run `commands` before anything is compiled in the block; what they keep is not compiled here.
 
     Parameters
     ----------
-    command : sequence of str
-        Its child's `main` is `as_child`. It runs once, and only if something is not in the cache.
+    commands : sequence of sequence of str
+        The `main` of each is `as_child`. They run once, and only if something is not in the cache.
+        The first one compiles all, the others help.
     tell : callable
         Called every second, and at each report, with the functions whose compilation begins.
     """
-    load, waiting = FunctionCache.load_overload, [command]
-
-    def load_or_fill(self: FunctionCache, *what: object) -> object:
-        found = load(self, *what)
-        if found is None and waiting:
-            _run(waiting.pop(), tell)
-            found = load(self, *what)
-        return found
-
-    FunctionCache.load_overload = load_or_fill
+    if stored is not None:
+        stored.on_miss.append(lambda: _run(commands, tell))
     try:
         yield
     finally:
-        FunctionCache.load_overload = load
+        if stored is not None:
+            stored.on_miss.clear()
 
 
-def _run(command: Sequence[str], tell: Callable[[Sequence[str]], None]) -> None:
-    """Run a child to its end; if it fails, we do its work and meet its errors ourselves."""
+def _run(commands: Sequence[Sequence[str]], tell: Callable[[Sequence[str]], None]) -> None:
+    """Run children until the first has ended; if it fails, we do its work and meet its errors."""
     quiet = {"stdin": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "start_new_session": True}
-    with children.piped([*command, str(os.getpid())], name="compiler", **quiet) as child:
-        assert child.stdout is not None
-        data = b" "
-        while data:
-            tell(data.decode(errors="replace").split())
-            is_news = select.select([child.stdout], [], [], TELL_EVERY_S)[0]
-            data = os.read(child.stdout.fileno(), 1 << 12) if is_news else b" "
+    with contextlib.ExitStack() as begun, selectors.DefaultSelector() as reports:
+        for command in commands:
+            child = begun.enter_context(
+                children.piped([*command, str(os.getpid())], name="compiler", **quiet)
+            )
+            assert child.stdout is not None
+            reports.register(child.stdout, selectors.EVENT_READ, command is commands[0])
+        is_first_done = False
+        while not is_first_done:
+            tell([])
+            for key, _ in reports.select(TELL_EVERY_S):
+                data = os.read(key.fd, 1 << 12)
+                tell(data.decode(errors="replace").split())
+                if not data:
+                    reports.unregister(key.fileobj)
+                    is_first_done |= key.data
+
+
+def processes() -> int:
+    """Return how many processes this computer has the cores and the memory for."""
+    cores = len(os.sched_getaffinity(0))
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        text = Path("/proc/meminfo").read_text(encoding="ascii")
+        available_kb = int(text.partition("MemAvailable:")[2].split()[0])
+        return max(1, min(cores, available_kb // KB_PER_PROCESS))
+    return 1
 
 
 def as_child(main: Callable[[], object], parent: int) -> None:

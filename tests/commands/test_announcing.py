@@ -1,6 +1,7 @@
 """What `hilserver run` shows: lines for people on a terminal, nothing but JSON elsewhere."""
 
 import json
+import math
 import os
 import pty
 import re
@@ -9,6 +10,12 @@ import subprocess
 import sys
 import time
 
+from hilserver.cache import Shelf
+from hilserver.commands import compile_progress
+from hilserver.commands.announcing import Announcer
+from hilserver.commands.compile_progress import Progress
+from hilserver.compiled import cache
+from hilserver.program.writer import Writer
 from tests.commands.test_cli import write_config
 
 LIMIT_S = 120.0
@@ -74,3 +81,36 @@ def test_elsewhere_every_line_is_json(tmp_path):
     for line in degraded:
         assert line["missing"].split(", ") == list(line["details"])
         assert all(item["wanted"] for item in line["details"].values())
+
+
+def test_compiling_is_one_line_at_its_begin_and_one_at_its_end(tmp_path, monkeypatch):
+    monkeypatch.setenv("HILSERVER_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setattr(cache, "shelf", lambda: Shelf("kernels-1"))
+    now = [0.0]
+    monkeypatch.setattr(compile_progress.time, "monotonic", lambda: now[0])
+    for estimate in ("the first time, that takes a minute or two", "about 1 min 15 s"):
+        with (tmp_path / "log").open("w+") as log:
+            writer = Writer(log)
+            announcer = Announcer(writer, "console")
+            for _ in range(150):
+                now[0] += 0.5
+                announcer.compiling(["function"])
+            announcer._say_compiled()
+            writer.drain(10.0)
+            first, last = (tmp_path / "log").read_text().splitlines()
+        assert first.startswith("hilserver is compiling the model for this computer: " + estimate)
+        assert last == "hilserver has compiled 150 functions in 1 min 15 s"
+
+
+def test_a_terminal_shows_how_long_compiling_still_takes():
+    progress = Progress(expected=200, s_per_function=math.inf)
+    progress.add(5)
+    assert progress.line == "compiling: 5 of about 200 functions"
+    progress = Progress(expected=200, s_per_function=0.5)
+    assert progress.line == "compiling: 0 of about 200 functions, 1 min 40 s left"
+    progress.count, progress.last_s = 150, 30.0
+    assert progress.line == "compiling: 150 of about 200 functions, 10 s left"
+    progress.expected = None
+    assert progress.line == "compiling: 150 functions so far"
+    progress.count, progress.expected = 210, 200
+    assert progress.line == "compiling: 210 of about 210 functions, almost done"

@@ -284,23 +284,6 @@ def test_a_figure_file_is_tried_before_the_measurement(here, monkeypatch):
     assert out == ""
 
 
-def test_a_cache_that_cannot_be_made_is_one_sentence(tmp_path):
-    (tmp_path / "file").touch()
-    environment = {**os.environ, "HILSERVER_CACHE_DIR": str(tmp_path / "file")}
-    run = subprocess.run(
-        [sys.executable, "-m", "hilserver", "check"],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        env=environment,
-        check=False,
-    )
-    assert run.returncode == 1
-    assert run.stderr.startswith(f"hilserver: {tmp_path}/file/kernels-")
-    assert "HILSERVER_CACHE_DIR" in run.stderr
-    assert len(run.stderr.splitlines()) == 1
-
-
 @pytest.mark.parametrize(("where", "code"), [(">/dev/full", 1), (">&-", 0)])
 def test_output_that_nobody_takes_is_no_traceback(tmp_path, where, code):
     command = f"{sys.executable} -m hilserver signals {where}"

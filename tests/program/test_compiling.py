@@ -1,4 +1,4 @@
-"""A child compiles what is not in the cache, once; the rest of the program finds it there."""
+"""Children compile what is not in the cache, once; the rest of the program finds it there."""
 
 import json
 import os
@@ -19,27 +19,28 @@ if len(sys.argv) > 2:
 else:
     of_child, own = [], []
     child = [sys.executable, *([__file__, 'child'] if sys.argv[1] == 'works' else ['absent.py'])]
-    with compiling.telling(own.append), compiling.in_child(child, of_child.extend):
+    with compiling.telling(own.append), compiling.in_children([child, child], of_child.extend):
         main()
     print(json.dumps([of_child, own]))
 """
 
 
 def compiled(folder, child="works"):
-    """Return what the child has compiled, and what the program itself, the outermost first."""
+    """Return what the children have compiled, and what the program itself."""
     program = folder / "program.py"
     program.write_text(PROGRAM)
     cold = os.environ | {"HILSERVER_CACHE_DIR": str(folder / "cache")}
     done = subprocess.run(
         python(str(program), child), capture_output=True, text=True, env=cold, check=True
     )
-    return [names[:1] for names in json.loads(done.stdout)]
+    # numba's own parts of it, such as `impl`, are not kept by themselves.
+    return [[name for name in names if name != "impl"] for names in json.loads(done.stdout)]
 
 
-def test_a_child_compiles_once_what_is_not_in_the_cache(tmp_path):
+def test_two_children_compile_once_what_is_not_in_the_cache(tmp_path):
     assert compiled(tmp_path) == [["bucket_index"], []]
     assert compiled(tmp_path) == [[], []]
 
 
-def test_where_the_child_fails_the_program_compiles_itself(tmp_path):
+def test_where_the_children_fail_the_program_compiles_itself(tmp_path):
     assert compiled(tmp_path, "fails") == [[], ["bucket_index"]]

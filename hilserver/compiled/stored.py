@@ -1,0 +1,178 @@
+"""Compiled functions in our own cache, by the text they are made from and not by its place.
+
+numba's cache has the absolute path of the source in its key, executes a damaged file, and has one
+folder for the whole process, a user's own functions included. Here a function's cache is its own.
+What this uses of numba has no public name; `cache.kernel` falls back to numba's own cache where a
+version has moved it.
+"""
+
+import hashlib
+import pickle
+import re
+import sys
+from collections.abc import Callable
+from typing import Any, Final
+
+import numba
+from numba.core import sigutils, typeinfer
+from numba.core.caching import CompileResultCacheImpl, _Cache
+from numba.core.ccallback import CFunc
+from numba.core.compiler import CompileResult
+from numba.core.dispatcher import Dispatcher
+from numba.core.serialize import dumps
+
+from hilserver.cache import Shelf
+from hilserver.compiled import sharing
+
+WAIT_S: Final = 300.0
+"""Longest wait for another process that compiles the same function."""
+
+on_miss: list[Callable[[], None]] = []
+"""Each is called once, at the next function that is not in the cache."""
+
+_ADDRESS: Final = re.compile(r"0x[0-9a-f]+")
+
+for _owner, _names in (
+    (_Cache, ("load_overload", "save_overload")),
+    (Dispatcher, ("compile", "disable_compile", "enable_caching")),
+    (CompileResult, ("_reduce", "_rebuild")),
+    (CompileResultCacheImpl, ("check_cachable",)),
+    (CFunc, ("compile", "enable_caching")),
+    (typeinfer, ("register_dispatcher",)),
+):
+    for _name in _names:
+        getattr(_owner, _name)  # AttributeError: this version of numba is not the one we know
+
+
+class Stored(_Cache):  # type: ignore[misc]
+    """The cache of one function.
+
+    Parameters
+    ----------
+    stamp : str
+        Changes with every source that the compiled code depends on.
+    """
+
+    def __init__(self, function: Callable[..., Any], shelf: Shelf, stamp: str) -> None:
+        self._shelf = shelf
+        code, cells = function.__code__, function.__closure__ or ()
+        self._made_from = (
+            f"{function.__module__}.{function.__qualname__}:{code.co_firstlineno}",
+            stamp,
+            sys.implementation.cache_tag,
+            hashlib.sha256(code.co_code).hexdigest(),
+            hashlib.sha256(dumps([cell.cell_contents for cell in cells])).hexdigest(),
+        )
+        self._readable = f"{function.__module__.rpartition('.')[2]}.{function.__name__}"
+        # What must not be kept is known to numba alone; this needs the names of its messages only.
+        self._asks = object.__new__(CompileResultCacheImpl)
+        self._asks._locator = _Place(code.co_filename)
+        self._asks._lineno = code.co_firstlineno
+
+    @property
+    def cache_path(self) -> str:
+        """The folder."""
+        return str(self._shelf.folder)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the compiled function for a signature; None: compile it, then save it."""
+        target_context.refresh()
+        key = (sig, target_context.codegen().magic_tuple(), self._made_from)
+        name = self._name(key)
+        found = self._load(name, key, target_context)
+        if found is None:
+            while on_miss:
+                on_miss.pop()()
+            self._shelf.wait_for(name, WAIT_S)
+            found = self._load(name, key, target_context)
+            if found is not None:
+                self._shelf.let_go(name)
+        return found
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep a compiled function."""
+        key = (sig, data.codegen.magic_tuple(), self._made_from)
+        name = self._name(key)
+        if self._asks.check_cachable(data):
+            self._shelf.put(name, dumps((key, data._reduce())))
+        self._shelf.let_go(name)
+
+    def enable(self) -> None:
+        """Nothing to do: it is always enabled."""
+
+    def disable(self) -> None:
+        """Not supported."""
+
+    def flush(self) -> None:
+        """Nothing to do: what is written is on disk."""
+
+    def _name(self, key: Any) -> str:
+        # Without addresses, which differ between processes; the key in the file decides.
+        text = _ADDRESS.sub("", repr(key))
+        return f"{self._readable}-{hashlib.sha256(text.encode()).hexdigest()[:16]}.nbc"
+
+    def _load(self, name: str, key: Any, target_context: Any) -> Any:
+        data = self._shelf.get(name)
+        if data is None:
+            return None
+        try:
+            kept, reduced = pickle.loads(data)  # noqa: S301 - our own file in our own folder
+            if kept != key:
+                return None
+            return CompileResult._rebuild(target_context, *reduced)
+        except Exception:  # noqa: BLE001 - names another version's classes, perhaps; compile anew
+            return None
+
+
+class _Place:
+    """The part of numba's locator that its warnings need."""
+
+    def __init__(self, py_file: str) -> None:
+        self._py_file = py_file
+
+
+def kernel(
+    function: Callable[..., Any], signatures: Any, settings: dict[str, Any], cache: Stored | None
+) -> Any:
+    """Do what `numba.njit` does, with a cache of ours; what is being shared is compiled later."""
+    compiled: Any = numba.njit(**settings)(function)
+    if compiled is function:  # NUMBA_DISABLE_JIT
+        return compiled
+    if cache is not None:
+        compiled._cache = cache
+
+    def settle() -> None:
+        for name in ("get_call_template", "_compile_for_args"):
+            vars(compiled).pop(name, None)
+        # It is known by its name only when its decorator has returned, and may call itself.
+        with typeinfer.register_dispatcher(compiled):
+            for signature in signatures:
+                compiled.compile(signature)
+            compiled.disable_compile()
+
+    share = sharing.current()
+    if signatures and share is not None:
+        # Its first caller must find the signatures that it has, and make no other.
+        def typed(*args: Any, **named: Any) -> Any:
+            share.take(settle)
+            return compiled.get_call_template(*args, **named)
+
+        def called(*_: Any, **__: Any) -> Any:
+            share.take(settle)
+            return compiled
+
+        compiled.get_call_template, compiled._compile_for_args = typed, called
+        share.put_off(f"{function.__module__}.{function.__qualname__}", settle)
+    elif signatures:
+        settle()
+    return compiled
+
+
+def c_function(function: Callable[..., Any], signature: Any, cache: Stored) -> Any:
+    """Do what `numba.cfunc` does, with a cache of ours."""
+    callback: Any = CFunc(
+        function, sigutils.normalize_signature(signature), locals={}, options={"nopython": True}
+    )
+    callback._cache = cache
+    callback.compile()
+    return callback
