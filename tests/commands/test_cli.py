@@ -146,7 +146,10 @@ def test_run_ends_after_its_duration_with_0(tmp_path):
     assert "Traceback" not in run.stderr
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+# SIGTERM also ends every daemon of `tests.helpers.daemons`, whose exit code is looked at.
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)]
+)
 def test_signals_end_the_daemon_cleanly(tmp_path, number):
     command = [sys.executable, "-m", "hilserver", "run", "-c", str(write_config(tmp_path))]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
@@ -171,7 +174,14 @@ def handles(process, number):
 
 @pytest.mark.parametrize(
     ("number", "after_s"),
-    [(signal.SIGTERM, 0.0), (signal.SIGTERM, 0.4), (signal.SIGTERM, 1.0), (signal.SIGINT, 3.0)],
+    [
+        (signal.SIGTERM, 0.0),
+        (signal.SIGTERM, 0.4),
+        (signal.SIGINT, 1.0),
+        # test_ending sends each signal while kernels are being compiled.
+        pytest.param(signal.SIGTERM, 1.0, marks=pytest.mark.long),
+        pytest.param(signal.SIGINT, 3.0, marks=pytest.mark.long),
+    ],
 )
 def test_signals_end_a_start_cleanly(tmp_path, number, after_s):
     """Cold: modules are imported, then kernels are being compiled when the signal comes."""

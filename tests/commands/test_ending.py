@@ -108,7 +108,7 @@ def campaign(folder, n, workers, seed, within_s=END_WITHIN_S):
 
 
 def test_a_signal_ends_it_at_any_moment(tmp_path):
-    assert not campaign(tmp_path, 8, 4, seed=1)
+    assert not campaign(tmp_path, len(FEATURES), 4, seed=1)
 
 
 @pytest.mark.long
