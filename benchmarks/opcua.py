@@ -195,10 +195,10 @@ def figures(ours: Subject, stock: Subject, block_s: float) -> list[Result]:
 
     A reference that does not keep up has none. FailedError if our own server does not.
     """
-    shares = [subject.delivered_share(block_s) for subject in (ours, stock)]
-    if shares[0] < _LEAST_SHARE:
+    share, stock_share = ours.delivered_share(block_s), stock.delivered_share(block_s)
+    if share < _LEAST_SHARE:
         raise FailedError(
-            f"{shares[0]:.0%} of the values were delivered to {ours.n_clients} clients: a figure"
+            f"{share:.0%} of the values were delivered to {ours.n_clients} clients: a figure"
             f" needs {_LEAST_SHARE:.0%}; run the bench on a computer with nothing else to do"
         )
     name = f"stock asyncua, {stock.n_clients} of {ours.n_clients} clients"
@@ -211,14 +211,15 @@ def figures(ours: Subject, stock: Subject, block_s: float) -> list[Result]:
         }
         for subject in (ours, stock)
     }
-    pairs = [
+    load, stock_load = (statistics.median(one.cpu_s) / block_s for one in (ours, stock))
+    pairs: list[tuple[str, str, float, float]] = [
         ("cpu_per_value_us", "us", ours.cpu_per_value_us, stock.cpu_per_value_us),
-        ("delivered_share", "1", *shares),
-        ("load_when_watched", "1", *(statistics.median(s.cpu_s) / block_s for s in (ours, stock))),
+        ("delivered_share", "1", share, stock_share),
+        ("load_when_watched", "1", load, stock_load),
         ("load_when_idle", "1", ours.idle_load, stock.idle_load),
     ]
-    if shares[1] < _LEAST_SHARE:
-        name = f"stock asyncua delivers {shares[1]:.0%} to a single client: no figure"
+    if stock_share < _LEAST_SHARE:
+        name = f"stock asyncua delivers {stock_share:.0%} to a single client: no figure"
         found = [Result(what, value, unit, None, name) for what, unit, value, _ in pairs]
     else:
         found = [
