@@ -103,7 +103,7 @@ async def test_a_snapshot_continues_bit_exactly_in_a_new_process(tmp_path):
         [sys.executable, "-c", code],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
         cwd=Path(__file__).parent.parent,
         check=False,
     )

@@ -19,14 +19,12 @@ class GcPauses:
         self._frozen = False
 
     def start(self, *, freeze: bool) -> None:
-        """Start measuring; `freeze` first hides all living objects from the collector.
+        """Start measuring; `freeze` first hides all objects from the collector until `stop`.
 
-        If the collector was off (`hilserver run` starts so), there is hardly any garbage, and the
-        collection before is left out: it would take as long as a quarter of the start.
+        Nothing is collected before: that would take a quarter of the start, and what is garbage by
+        then is little and goes after `stop`.
         """
         if freeze:
-            if gc.isenabled():
-                gc.collect()
             gc.freeze()
             self._frozen = True
         if self._collected not in gc.callbacks:

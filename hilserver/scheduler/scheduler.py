@@ -72,7 +72,7 @@ class Scheduler:
     paused
         True: stand still until `resume` or `step`.
     freeze_gc
-        Collect once at the start and freeze what is alive.
+        Hide from the garbage collector what is there at the start.
     statistics_array, linear_bins
         See `Statistics`; an array in shared memory can be read by other processes.
     """

@@ -101,6 +101,7 @@ def test_figures_are_mean_and_worst_beside_the_better_nine_terms():
     ]
 
 
+@pytest.mark.long  # 12 s for a rival; above, its sibling is fitted to the same problem
 def test_end_errors_find_gain_and_delay_and_gain_on_held_out_blocks():
     """Nine values of few free runs would say nothing of the others."""
     made = prepared_for(240.0)

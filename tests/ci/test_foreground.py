@@ -67,7 +67,7 @@ def test_ctrl_c_in_a_terminal_leaves_make_alive_and_reaches_the_program_once(
     read_until(master, b"ready")
     os.write(master, b"\x03")
     rest = read_until(master, b"")
-    assert make.wait(120) == 0, rest
+    assert make.wait(600) == 0, rest
     assert b"gone on" in rest
     os.close(master)
 
@@ -83,7 +83,7 @@ def test_a_signal_to_the_whole_group_reaches_the_program_once(makefile: Path) ->
         assert wrapper.stdout is not None
         assert wrapper.stdout.readline() == b"ready\n"
         os.killpg(wrapper.pid, signal.SIGINT)
-        assert wrapper.wait(120) == 0
+        assert wrapper.wait(600) == 0
 
 
 @pytest.mark.parametrize(

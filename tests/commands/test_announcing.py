@@ -18,7 +18,7 @@ from hilserver.compiled import cache
 from hilserver.program.writer import Writer
 from tests.commands.test_cli import write_config
 
-LIMIT_S = 120.0
+LIMIT_S = 600.0
 STATUS = re.compile(
     r"running \| x -?\d+\.\d\d m, y -?\d+\.\d\d m, yaw -?\d+° \| peer drives"
     r" \| \d+\.\d\d x real time \| worst margin -?\d+\.\d\d ms"
@@ -47,7 +47,7 @@ def run_on_a_terminal(folder, *options, until):
                     shown += os.read(master, 65536).decode()
                 except OSError:  # the other side of the pty is closed
                     break
-            assert process.wait(120) == 0
+            assert process.wait(600) == 0
             os.close(master)
     return re.sub(r"\x1b\[[0-9;]*m", "", shown)
 

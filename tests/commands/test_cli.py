@@ -20,7 +20,7 @@ from hilserver.commands import COMMANDS, main
 from tests.helpers.daemons import free_port
 
 
-def hilserver(*words, cwd, timeout=120):
+def hilserver(*words, cwd, timeout=600):
     return subprocess.run(
         [sys.executable, "-m", "hilserver", *words],
         capture_output=True,
@@ -146,7 +146,10 @@ def test_run_ends_after_its_duration_with_0(tmp_path):
     assert "Traceback" not in run.stderr
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+# SIGTERM also ends every daemon of `tests.helpers.daemons`, whose exit code is looked at.
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)]
+)
 def test_signals_end_the_daemon_cleanly(tmp_path, number):
     command = [sys.executable, "-m", "hilserver", "run", "-c", str(write_config(tmp_path))]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
@@ -158,7 +161,7 @@ def test_signals_end_the_daemon_cleanly(tmp_path, number):
         time.sleep(0.2)
         os.kill(process.pid, number)
         rest = process.stderr.read()
-        assert process.wait(120) == 0, rest
+        assert process.wait(600) == 0, rest
     assert "Traceback" not in "".join(lines) + rest
 
 
@@ -171,7 +174,14 @@ def handles(process, number):
 
 @pytest.mark.parametrize(
     ("number", "after_s"),
-    [(signal.SIGTERM, 0.0), (signal.SIGTERM, 0.4), (signal.SIGTERM, 1.0), (signal.SIGINT, 3.0)],
+    [
+        (signal.SIGTERM, 0.0),
+        (signal.SIGTERM, 0.4),
+        (signal.SIGINT, 1.0),
+        # test_ending sends each signal while kernels are being compiled.
+        pytest.param(signal.SIGTERM, 1.0, marks=pytest.mark.long),
+        pytest.param(signal.SIGINT, 3.0, marks=pytest.mark.long),
+    ],
 )
 def test_signals_end_a_start_cleanly(tmp_path, number, after_s):
     """Cold: modules are imported, then kernels are being compiled when the signal comes."""
@@ -188,7 +198,7 @@ def test_signals_end_a_start_cleanly(tmp_path, number, after_s):
         time.sleep(after_s)
         os.kill(process.pid, number)
         told = process.stderr.read()
-        assert process.wait(120) == 0, told
+        assert process.wait(600) == 0, told
     events = [json.loads(line)["event"] for line in told.splitlines()]
     assert all(event.startswith("hilserver ") for event in events)
     ended = "hilserver has stopped while it was starting, exit code 0"
@@ -330,7 +340,7 @@ def test_two_daemons_with_one_image_name(tmp_path):
         mistaken = hilserver("run", "-c", str(typo), cwd=tmp_path)
         first.send_signal(signal.SIGTERM)
         first.stderr.read()
-        assert first.wait(120) == 0
+        assert first.wait(600) == 0
     assert second.returncode == 1
     assert f"another hilserver uses the process image '{name}'" in second.stderr
     assert "unknown key 'plant.wheel_radius'" in mistaken.stderr  # before, the other one was blamed

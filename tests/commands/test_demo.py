@@ -16,8 +16,8 @@ from tests.commands.test_cli import write_config
 from tests.helpers.daemons import announced
 
 CLIENT = Path(__file__).parents[1] / "foreign_client"
-WATCH_S = 90.0
-"""A lap takes 26 s; longer where the computer is busy."""
+WATCH_S = 400.0
+"""A lap takes 26 s, and the client ends with it."""
 
 pytestmark = pytest.mark.node_red
 
@@ -50,7 +50,7 @@ def test_a_foreign_client_sees_an_eight_takes_control_and_drives(demo):
         cwd=CLIENT,
         capture_output=True,
         text=True,
-        timeout=WATCH_S + 30,
+        timeout=WATCH_S + 200,
         check=False,
     )
     assert watch.returncode == 0, watch.stderr
@@ -70,5 +70,5 @@ def test_a_foreign_client_sees_an_eight_takes_control_and_drives(demo):
     assert seen["speeds"] == pytest.approx(seen["setpoints"], abs=0.5)
     process.send_signal(signal.SIGINT)
     rest = process.stderr.read()
-    assert process.wait(120) == 0
+    assert process.wait(600) == 0
     assert "Traceback" not in rest

@@ -107,7 +107,7 @@ def campaign(folder, n, workers, seed, within_s=END_WITHIN_S):
 
 
 def test_a_signal_ends_it_at_any_moment(tmp_path):
-    assert not campaign(tmp_path, 8, 4, seed=1)
+    assert not campaign(tmp_path, len(FEATURES), 4, seed=1)
 
 
 @pytest.mark.long
@@ -153,7 +153,7 @@ def test_a_cold_start_compiles_in_a_child_that_ends_with_it(tmp_path, number):
         assert len(born) == processes()
         process.send_signal(number)
         start_s = time.monotonic()
-        assert process.wait(60) == (-number if number == signal.SIGKILL else 0)
+        assert process.wait(600) == (-number if number == signal.SIGKILL else 0)
         while any(map(is_alive, born)) and time.monotonic() - start_s < END_WITHIN_S:
             time.sleep(0.01)
         assert time.monotonic() - start_s < END_WITHIN_S
@@ -177,7 +177,7 @@ def test_what_the_child_has_compiled_nobody_compiles_again(tmp_path, text):
     text += "page: {enabled: false}\nopcua: {endpoint: 'opc.tcp://127.0.0.1:0/h'}\n"
     with starting(tmp_path, text, "--duration", "1") as (process, _):
         lines = list(process.stderr)
-        assert process.wait(60) == 0
+        assert process.wait(600) == 0
     made = {path: path.stat().st_mtime_ns for path in (tmp_path / "cache").rglob("*.nb?")}
     assert sum(b"hilserver is compiling" in line for line in lines) == 1
     assert sum(b"hilserver has compiled" in line for line in lines) == 1
@@ -185,7 +185,7 @@ def test_what_the_child_has_compiled_nobody_compiles_again(tmp_path, text):
         while b"hilserver is running" not in (line := process.stderr.readline()):
             assert b"compiling" not in line
             assert not children(process.pid)
-        assert process.wait(60) == 0
+        assert process.wait(600) == 0
     again = {path: path.stat().st_mtime_ns for path in (tmp_path / "cache").rglob("*.nb?")}
     assert again == made
 
@@ -229,7 +229,7 @@ def test_a_blocked_event_loop_does_not_hold_up_the_end(tmp_path):
         born = children(process.pid)
         process.terminate()
         start_s = time.monotonic()
-        assert process.wait(60) == 1
+        assert process.wait(600) == 1
         assert time.monotonic() - start_s < END_WITHIN_S
         lines = [json.loads(line) for line in process.stderr]
     assert "its event loop is blocked" in lines[-1]["event"]

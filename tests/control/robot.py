@@ -22,7 +22,7 @@ from tests.io.ros2.rig import claimed_domain
 
 RPM_PER_M_S = 60 / (2 * np.pi * 0.085)
 RING_FRAMES = 1 << 14
-START_WITHIN_S = 120
+START_WITHIN_S = 600
 SAFE_RAMP_S = 0.1
 COMMANDING = 0.0
 SAFE = 3
@@ -149,7 +149,7 @@ class Robot:
 
     def stop(self, number=signal.SIGTERM):
         self.process.send_signal(number)
-        self.process.wait(60)
+        self.process.wait(600)
         self.process.stdin.close()
 
     def events(self):
@@ -172,7 +172,7 @@ def running_robot(folder, kind=Robot, **sections):
         finally:
             if (process := getattr(robot, "process", None)) is not None:
                 process.kill()
-                process.wait(60)
+                process.wait(600)
                 process.stdin.close()
             path_of(robot.config["image"]["name"]).unlink(missing_ok=True)
 

@@ -30,7 +30,7 @@ def test_a_recording_begins_at_tick_0_and_holds_every_tick_of_the_duration(tmp_p
         env=os.environ | {"NO_COLOR": "1"},
         capture_output=True,
         text=True,
-        timeout=240,
+        timeout=600,
         check=False,
     )
     assert done.returncode == 0, done.stderr

@@ -79,7 +79,7 @@ def test_workers_end_with_the_process_that_started_them(tmp_path, how):
     run = "if __name__ == '__main__': list(in_processes(wait_forever, tasks, 2))"
     parent, pids = campaign(tmp_path, [run])
     parent.send_signal(how)
-    parent.wait(120)
+    parent.wait(600)
     until(lambda: [pid for pid in pids if alive(pid)], lambda left: not left)
 
 
@@ -92,7 +92,7 @@ def test_a_campaign_that_is_stopped_ends_at_once(tmp_path):
     ]
     parent, pids = campaign(tmp_path, run)
     parent.send_signal(signal.SIGTERM)
-    assert parent.wait(120) == 0
+    assert parent.wait(600) == 0
     until(lambda: [pid for pid in pids if alive(pid)], lambda left: not left)
 
 

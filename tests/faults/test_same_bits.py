@@ -84,7 +84,7 @@ async def test_a_snapshot_carries_active_and_waiting_faults(tmp_path, first_tick
         [sys.executable, "-c", code],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
         cwd=Path(__file__).parent.parent.parent,
         check=False,
     )

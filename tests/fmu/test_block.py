@@ -38,8 +38,16 @@ async def test_it_computes_to_the_bit_what_the_model_says(robot, version, proces
         assert (r.table["motor.y"].low, r.table["motor.y"].high) == (-1000.0, 1000.0)
 
 
-@BOTH
-@PLACES
+@pytest.mark.parametrize(
+    ("version", "process"),
+    [
+        pytest.param(2, False, id="here-2"),
+        pytest.param(3, True, id="beside-3"),
+        # Each pair is a step to compile; what differs by version or by place, the two show.
+        pytest.param(2, True, id="beside-2", marks=pytest.mark.long),
+        pytest.param(3, False, id="here-3", marks=pytest.mark.long),
+    ],
+)
 async def test_parameters_of_one_type_are_set_in_one_call(robot, version, process):
     start = {"Gain": 3, "mischief": 0, "lag": 0.2}
     async with robot(f"together{version}", process=process, start=start) as r:

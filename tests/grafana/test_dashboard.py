@@ -53,7 +53,7 @@ def complaints(dashboard: dict, folder: Path) -> str:
         ["node", str(modules / "typescript/bin/tsc"), *options.split(), str(source)],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
         cwd=folder,
         check=False,
     )

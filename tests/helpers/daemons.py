@@ -13,7 +13,7 @@ from pathlib import Path
 from hilserver.image.shared_file import path_of
 from tests.fakes import image_name
 
-START_LIMIT_S = 300
+START_LIMIT_S = 600
 RUNNING = '"hilserver is running"'
 
 
@@ -35,11 +35,11 @@ class RunningDaemon:
     def stop(self):
         """End it as systemd would; return its exit code."""
         self.process.send_signal(signal.SIGTERM)
-        return self.process.wait(120)
+        return self.process.wait(600)
 
     def kill(self):
         self.process.kill()
-        self.process.wait(120)
+        self.process.wait(600)
 
 
 NO_LIMITS = """
@@ -86,7 +86,7 @@ def running_daemon(
             yield RunningDaemon(process, image, *_addresses(process, folder / "daemon.log"), folder)
         finally:
             process.kill()
-            process.wait(120)
+            process.wait(600)
             path_of(image).unlink(missing_ok=True)  # what a killed daemon leaves in /dev/shm
 
 
@@ -135,7 +135,7 @@ def wait_for_start(process):
     assert line.startswith("recording to"), process.stderr.read()
 
 
-def finish(process, timeout_s=120.0):
+def finish(process, timeout_s=600.0):
     """Wait for a process; return exit code and what it said on stderr."""
     _, text = process.communicate(timeout=timeout_s)
     return process.returncode, text

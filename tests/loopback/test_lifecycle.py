@@ -48,7 +48,7 @@ def daemon_process(folder, text):
             yield process, lines
         finally:
             process.terminate()
-            process.wait(120)
+            process.wait(600)
             reader.join(120)
 
 
@@ -77,7 +77,7 @@ blocks:
   - {{name: busy, function: '{HERE / "blocks.py"}:always_busy', inputs: {{busy: lights.blue}}}}
 """
     with daemon_process(tmp_path, text) as (process, lines):
-        assert process.wait(120) == 3
+        assert process.wait(600) == 3
     assert "stopped by policy 'fail'" in "".join(lines)
     assert "Traceback" not in "".join(lines)
 

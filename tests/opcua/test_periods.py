@@ -60,7 +60,7 @@ async def watch_with(rig: Rig, program: str, file: str) -> dict[str, list[float]
         cwd=FOLDER,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
         check=False,
     )
     assert done.returncode == 0, done.stderr

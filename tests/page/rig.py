@@ -159,7 +159,7 @@ class Browser:
     def close(self):
         with contextlib.suppress(OSError, subprocess.TimeoutExpired):
             self.process.stdin.close()
-            self.process.wait(120)
+            self.process.wait(600)
         self.process.kill()
         self.process.wait()
         self._reader.join(60)

@@ -239,6 +239,21 @@ def test_gc_pauses_are_measured():
     assert pauses.pauses.count == count
 
 
+def test_the_collector_is_spared_what_is_there_and_no_start_waits_for_it():
+    gc.collect()
+    pauses, phases = GcPauses(), []
+    heard = lambda phase, info: phases.append(phase)  # noqa: E731
+    gc.callbacks.append(heard)
+    try:
+        pauses.start(freeze=True)
+        assert gc.get_freeze_count() > 1000
+        assert not phases, "a collection takes as long as a quarter of the start"
+    finally:
+        gc.callbacks.remove(heard)
+        pauses.stop()
+    assert gc.get_freeze_count() == 0
+
+
 def test_a_full_ring_counts_what_it_loses():
     exchange = Exchange(1000, [])
     rows = []

@@ -143,7 +143,7 @@ def test_ten_machines_again_have_the_margins_of_the_table(made, tmp_path):
         assert drive_again(prepared, index, folder) == table[index]
         words = "run -c config.yaml --scenario scenario.yaml --record run.mcap --duration 2"
         command = [sys.executable, "-m", "hilserver", *words.split()]
-        subprocess.run(command, cwd=folder, check=True, timeout=300)
+        subprocess.run(command, cwd=folder, check=True, timeout=600)
         again, once = (read_log(folder / name) for name in ("run.mcap", "recording.mcap"))
         ticks = again.ticks(1_000_000)
         ticks = ticks[ticks < len(once)]  # a busy computer may lose some

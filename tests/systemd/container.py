@@ -186,10 +186,10 @@ class Container:
         """Halt; kill what does not."""
         self._nspawn.terminate()
         try:
-            self._nspawn.wait(120)
+            self._nspawn.wait(600)
         except subprocess.TimeoutExpired:
             self._nspawn.kill()
-            self._nspawn.wait(120)
+            self._nspawn.wait(600)
 
 
 def wait_until(condition: Callable[[], object], limit_s: float, what: str) -> float:

@@ -127,6 +127,6 @@ class Service:
                 assert process.stdout is not None
                 assert process.stdout.readline() == "frozen\n"
                 yield
-                assert process.wait(120) == 0
+                assert process.wait(600) == 0
             finally:
                 process.kill()

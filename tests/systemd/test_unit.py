@@ -18,7 +18,7 @@ def exposure(path: Path) -> float:
         ["systemd-analyze", "security", "--offline=true", "--no-pager", str(path)],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
         check=True,
     )
     found = re.search(r"Overall exposure level for \S+: ([\d.]+)", done.stdout)
