@@ -29,6 +29,7 @@ from hilserver.io.page.hand import Hand, RefusedError
 from hilserver.io.page.setup import OpcUaAccess
 from hilserver.program import event_loop
 from hilserver.signals import LIGHTS, Ranges, State, robot_table
+from hilserver.time_limit import time_limit
 
 EXAMPLE = "hilserver teleop --endpoint opc.tcp://127.0.0.1:4840/hilserver"
 
@@ -236,7 +237,7 @@ class Driver:
         if end_s is not None:
             rest_s = min(rest_s, max(end_s - now_s, 0.001))
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(rest_s):
+            async with time_limit(rest_s):
                 await self._news.wait()
         self._news.clear()
 

@@ -21,6 +21,7 @@ from hilserver.errors import address_refused
 from hilserver.monitoring.health_request import RefusedRequestError, Request, parse_request
 from hilserver.program import event_loop
 from hilserver.signals import State
+from hilserver.time_limit import time_limit
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +185,7 @@ class HttpServer:
         writer.transport.set_write_buffer_limits(high=0)  # so that drain waits for the last byte
         try:
             answer = await self._answer(reader)
-            async with asyncio.timeout(self._timeout_s):
+            async with time_limit(self._timeout_s):
                 writer.write(answer)
                 await writer.drain()
                 await _linger(reader, writer)
@@ -193,7 +194,7 @@ class HttpServer:
 
     async def _answer(self, reader: asyncio.StreamReader) -> bytes:
         try:
-            async with asyncio.timeout(self._timeout_s):
+            async with time_limit(self._timeout_s):
                 head = await reader.readuntil(b"\r\n\r\n")
             request = parse_request(head, self._names)
             return self._respond(request).encode(is_head=request.is_head)
@@ -244,7 +245,7 @@ async def _linger(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) ->
     """Keep reading for a moment: closing with unread bytes would reset the connection."""
     writer.write_eof()
     try:
-        async with asyncio.timeout(LINGER_S):
+        async with time_limit(LINGER_S):
             for _ in range(16):
                 if not await reader.read(REQUEST_BYTES_MAX):
                     return

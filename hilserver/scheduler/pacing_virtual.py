@@ -13,6 +13,7 @@ from hilserver.scheduler.pacing import Ended, Rung, StopReason
 from hilserver.scheduler.pacing_loop import run_batch
 from hilserver.scheduler.realtime import Grant
 from hilserver.scheduler.turn import ENDED, RING, STANDING
+from hilserver.time_limit import time_limit
 
 BATCH_TICKS = 1000
 _PAUSED_POLL_S = 0.01  # while paused, inputs are latched at least this often
@@ -79,7 +80,7 @@ class VirtualPacing:
 
     async def _wait_for_command(self) -> None:
         try:
-            async with asyncio.timeout(_PAUSED_POLL_S):
+            async with time_limit(_PAUSED_POLL_S):
                 await self._wake.wait()
         except TimeoutError:
             return

@@ -37,6 +37,7 @@ from hilserver.scheduler.realtime import Grant, RealtimeSettings
 from hilserver.scheduler.slices import Slice
 from hilserver.scheduler.statistics import Statistics
 from hilserver.scheduler.step import StepFunction
+from hilserver.time_limit import time_limit
 
 BACKENDS = ("thread", "timerfd", "virtual")
 SPEED_LOW, SPEED_HIGH = 0.01, 100.0
@@ -273,7 +274,7 @@ class Scheduler:
             await self.advance(n_ticks)
             tick = self.tick
             try:
-                async with asyncio.timeout(timeout_s):
+                async with time_limit(timeout_s):
                     goes_on = await exchange(tick)
             except TimeoutError:
                 raise PeerSilentError(

@@ -32,6 +32,7 @@ from hilserver.signals import Signal, State, ValueType
 from hilserver.sweep.configuration import machine_config
 from hilserver.sweep.prepare import Job, Machine
 from hilserver.sweep.rig import Outcome, judge_of, margins_of, scenario_of
+from hilserver.time_limit import time_limit
 
 ENDPOINT, SEED = "{endpoint}", "{seed}"
 """Placeholders in a command for the robot's address and the machine's seed."""
@@ -123,7 +124,7 @@ class Stepped:
             # It closes its error output a moment before its exit code is there.
             if reading.done() and not over.done():
                 with contextlib.suppress(TimeoutError):
-                    async with asyncio.timeout(1.0):
+                    async with time_limit(1.0):
                         await process.wait()
         finally:
             over.cancel()

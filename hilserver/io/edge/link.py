@@ -22,6 +22,7 @@ from hilserver.io.edge.payload import Collection
 from hilserver.io.link_status import LinkState, PeerStatus
 from hilserver.io.source import Source, keep_watch
 from hilserver.io.world import Part, World
+from hilserver.time_limit import time_limit
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 10.0
 ANSWER_S: Final = 5.0
@@ -119,7 +120,7 @@ class EdgeLink(Part):
             begun_s = time.monotonic()
             try:
                 self._client = self._new_client(password, context)
-                async with self._client as client:
+                async with time_limit(None), self._client as client:
                     await self._serve(client)
             except* (aiomqtt.MqttError, OSError, TimeoutError) as group:
                 error = group.exceptions[0]
@@ -186,7 +187,7 @@ class EdgeLink(Part):
                 group.create_task(_until_lost(client))
         except asyncio.CancelledError:
             try:
-                async with asyncio.timeout(LEAVE_S):
+                async with time_limit(LEAVE_S):
                     await self._say(client, available=False)
             except (aiomqtt.MqttError, TimeoutError, asyncio.CancelledError):
                 self._drop()

@@ -13,6 +13,7 @@ from typing import Final
 import structlog
 
 from hilserver.program import event_loop
+from hilserver.time_limit import time_limit
 
 CONNECTIONS: Final = 32
 HEAD_BYTES: Final = 8192
@@ -82,7 +83,7 @@ class Door:
     async def _serve(
         self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str
     ) -> None:
-        async with asyncio.timeout(HEAD_S):
+        async with time_limit(HEAD_S):
             head = await reader.readuntil(b"\r\n\r\n")
         if not self._may_enter(head):
             writer.write(_REFUSED)
@@ -119,7 +120,7 @@ async def _shown(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, add
     while data := await reader.read(PIECE_BYTES):
         writer.write(data)
         try:
-            async with asyncio.timeout(UNREAD_S):
+            async with time_limit(UNREAD_S):
                 await writer.drain()
         except TimeoutError:
             _log.warning("foxglove viewer does not take what it is shown: closed", address=address)

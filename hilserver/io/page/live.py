@@ -22,6 +22,7 @@ from hilserver.io.page.hand import RefusedError
 from hilserver.io.page.jobs import Jobs
 from hilserver.io.page.stopping import Stopping
 from hilserver.program import event_loop
+from hilserver.time_limit import time_limit
 
 MESSAGE_BYTES = 65_536
 MESSAGES_PER_S = 200
@@ -160,7 +161,7 @@ class Live:
 
     async def _greeted(self, client: Client) -> bool:
         try:
-            async with asyncio.timeout(GREET_S):
+            async with time_limit(GREET_S):
                 data = await client.socket.receive_json()
         except (TypeError, ValueError, TimeoutError):
             return False
@@ -255,7 +256,7 @@ class Live:
 
 async def _close(client: Client, code: int, why: str) -> None:
     try:
-        async with asyncio.timeout(1.0):
+        async with time_limit(1.0):
             await client.socket.close(code=code, message=why.encode())
     except (TimeoutError, ConnectionError, RuntimeError):
         return

@@ -27,6 +27,7 @@ from hilserver.io.page.live import Live
 from hilserver.io.page.setup import Setup
 from hilserver.io.page.stopping import Stopping
 from hilserver.io.page.uploads import Uploads
+from hilserver.time_limit import time_limit
 
 TOKEN_HEADER = "X-Hilserver-Token"  # noqa: S105 - the header's name
 BODY_BYTES = 65_536
@@ -271,7 +272,7 @@ class PageServer:
         if request.content_type != "application/json":
             raise web.HTTPUnsupportedMediaType(text="a call is JSON")
         try:
-            async with asyncio.timeout(BODY_S):
+            async with time_limit(BODY_S):
                 data = await request.json()
             name, arguments = data["method"], data.get("arguments", [])
         except TimeoutError:

@@ -22,6 +22,7 @@ from hilserver.io.source import Source, keep_watch
 from hilserver.io.world import Part
 from hilserver.program import event_loop
 from hilserver.signals import MEASURED
+from hilserver.time_limit import time_limit
 
 SETTLED_S = 2.0  # a session of this length resets the back-off
 
@@ -146,7 +147,8 @@ class Peer(Part):
             shortest_s = 0.02
             try:
                 self._intake.begin_session()
-                await self.converse()
+                async with time_limit(None):  # what a library cancels itself must not end this task
+                    await self.converse()
             except Exception as error:  # noqa: BLE001 - a broken peer can make a library raise anything
                 refused = refusal_in(error)
                 if refused is None:

@@ -13,6 +13,7 @@ from hilserver.io.peer_link.samples import FaultKind
 from hilserver.io.s7 import wire
 from hilserver.io.s7.blocks import DataBlock, RefusedItemError
 from hilserver.io.s7.wire import Code, Function, Job, WireError
+from hilserver.time_limit import time_limit
 
 _READ_LIST: Final = b"\x44\x01"
 """Group of CPU functions, and the function that reads a system status list."""
@@ -209,13 +210,13 @@ class Server:
         writer: asyncio.StreamWriter,
     ) -> None:
         answers = self._answers()
-        async with asyncio.timeout(HANDSHAKE_S):
+        async with time_limit(HANDSHAKE_S):
             writer.write(wire.confirmed(await wire.receive(reader)))
         while True:
             message = wire.taken_apart(await wire.receive(reader, MESSAGE_S))
             self.clients[task] = time.monotonic()
             writer.write(answers.to(message))
-            async with asyncio.timeout(MESSAGE_S):
+            async with time_limit(MESSAGE_S):
                 await writer.drain()
             await asyncio.sleep(0)  # a client that never waits must not block the others
 
