@@ -30,6 +30,7 @@ from hilserver.controller.nodes import SEQUENCE, demo_peer, node_id
 from hilserver.controller.server import ControllerServer
 from hilserver.errors import FailedError
 from hilserver.program import children, event_loop
+from hilserver.tasks import Supervisor
 from hilserver.time_limit import time_limit
 
 DUTY = "duty_FL"
@@ -153,15 +154,13 @@ async def measure(mode: str, changes: int, seed: int) -> list[float]:
     async with ControllerServer(endpoint, more_sensors=[DUTY]) as server:
         loop = Loop(server)
         server.watch(DUTY, loop.on_duty)
-        cycle = asyncio.create_task(loop.cycle())
-        try:
+        async with Supervisor() as tasks:
+            tasks.keep("cycle", loop.cycle)
             async with daemon(peer(server.endpoint, mode)) as ended:
                 await loop.ready(ended)
                 for _ in range(changes):
                     await asyncio.sleep(moments.uniform(*SETTLE_S))
                     await loop.change()
-        finally:
-            cycle.cancel()
     return loop.latencies_ms
 
 

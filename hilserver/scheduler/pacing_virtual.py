@@ -13,6 +13,7 @@ from hilserver.scheduler.pacing import Ended, Rung, StopReason
 from hilserver.scheduler.pacing_loop import run_batch
 from hilserver.scheduler.realtime import Grant
 from hilserver.scheduler.turn import ENDED, RING, STANDING
+from hilserver.tasks import Supervisor
 from hilserver.time_limit import time_limit
 
 BATCH_TICKS = 1000
@@ -31,7 +32,9 @@ class VirtualPacing:
         rung: Rung,
         ended: Ended,
         after_batch: Sequence[Callable[[], None]] = (),
+        tasks: Supervisor | None = None,
     ) -> None:
+        self._tasks = Supervisor() if tasks is None else tasks
         self._after_batch = after_batch
         self._machine = machine
         self._rung = rung
@@ -44,15 +47,15 @@ class VirtualPacing:
         """Start the task that runs the batches."""
         self._machine.prefault()
         begin(self._machine.law, time.monotonic_ns())
-        self._task = asyncio.create_task(self._run(), name="virtual pacing")
+        self._job = self._tasks.spawn(self._run, "virtual pacing")
         return []
 
     async def stop(self) -> None:
         """End the task."""
         self._stopping = True
         self._wake.set()
-        if self._task is not asyncio.current_task():
-            await self._task
+        if self._job.task is not asyncio.current_task():
+            await asyncio.wait({self._job.task})
 
     def wake(self) -> None:
         """Look at the control words at once, because a command has been given."""

@@ -37,6 +37,7 @@ from hilserver.scheduler.realtime import Grant, RealtimeSettings
 from hilserver.scheduler.slices import Slice
 from hilserver.scheduler.statistics import Statistics
 from hilserver.scheduler.step import StepFunction
+from hilserver.tasks import Supervisor
 from hilserver.time_limit import time_limit
 
 BACKENDS = ("thread", "timerfd", "virtual")
@@ -76,6 +77,8 @@ class Scheduler:
         Collect once at the start and freeze what is alive.
     statistics_array, linear_bins
         See `Statistics`; an array in shared memory can be read by other processes.
+    tasks
+        Keeps the task of virtual time.
     """
 
     def __init__(
@@ -96,6 +99,7 @@ class Scheduler:
         freeze_gc: bool = True,
         statistics_array: NDArray[np.int64] | None = None,
         linear_bins: int = 0,
+        tasks: Supervisor | None = None,
     ) -> None:
         if backend not in BACKENDS:
             raise ValueError(f"pacing {backend!r} is unknown; use one of {', '.join(BACKENDS)}")
@@ -126,15 +130,15 @@ class Scheduler:
         )
         # called after every batch of ticks in virtual time, which waits for them
         self.after_batch: list[Callable[[], None]] = []
-        self._pacing = self._make_pacing(realtime or RealtimeSettings())
+        self._pacing = self._make_pacing(realtime or RealtimeSettings(), tasks)
         self._waiters: list[asyncio.Future[None]] = []
 
-    def _make_pacing(self, realtime: RealtimeSettings) -> Pacing:
+    def _make_pacing(self, realtime: RealtimeSettings, tasks: Supervisor | None) -> Pacing:
         if self.backend == "thread":
             return ThreadPacing(self._machine, realtime, self._rung, self._ended)
         if self.backend == "timerfd":
             return TimerfdPacing(self._machine, realtime, self._rung, self._ended)
-        return VirtualPacing(self._machine, self._rung, self._ended, self.after_batch)
+        return VirtualPacing(self._machine, self._rung, self._ended, self.after_batch, tasks)
 
     @property
     def statistics(self) -> Statistics:

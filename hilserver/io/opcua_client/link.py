@@ -14,6 +14,7 @@ from hilserver.io.opcua_client.session import Session, utc_ns_of
 from hilserver.io.opcua_client.writer import Writer
 from hilserver.io.peer_link.link import Peer, describe
 from hilserver.io.peer_link.samples import FaultKind
+from hilserver.tasks import together
 
 HEARTBEAT_S = 1.0
 HUNT_EVERY_S = 30.0
@@ -67,14 +68,18 @@ class PeerLink(Peer):
             self._clock.utc,
             Lane(self._line, "out"),
         )
-        async with asyncio.TaskGroup() as group:
-            group.create_task(session.wait_lost())
-            group.create_task(session.watch_trust())
-            group.create_task(self.wait_cut())
-            group.create_task(intake.run())
-            group.create_task(self._heartbeat(session))
-            group.create_task(writer.run())
-            group.create_task(acquisition.run())
+        ways = [
+            session.wait_lost(),
+            session.watch_trust(),
+            self.wait_cut(),
+            intake.run(),
+            self._heartbeat(session),
+        ]
+        if self.config.write:
+            ways.append(writer.run())
+        if acquisition.nodes:
+            ways.append(acquisition.run())
+        await together(*ways)
 
     def _report_slow(self, sentence: str) -> None:
         now_ns = time.monotonic_ns()
