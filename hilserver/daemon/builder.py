@@ -202,6 +202,7 @@ def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
         owner=config.first_source,
         priority=config.sources,
         fallback=config.control.fallback,
+        named=_named_sources(config),
     )
     folder = assembly.folder / config.snapshots.folder
     snapshots = SnapshotStore(image, folder, dict(assembly.identity))
@@ -227,6 +228,12 @@ def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
         faults,
         tasks,
     )
+
+
+def _named_sources(config: Config) -> list[str]:
+    """Return the sources that metrics name: the configuration's, none that a client makes."""
+    own = [source for source in config.sources if source != "peer"]
+    return sorted({*own, *(o.source for o in config.drivers if o.is_enabled)})
 
 
 def faults_of(

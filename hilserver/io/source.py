@@ -31,7 +31,8 @@ class Outcome(NamedTuple):
 class Source:
     """Hands over the values of one link; reports once when something is wrong and when it ends.
 
-    `is_exact`: the time given with a write is known to be that of its arrival.
+    `is_exact`: the time given with a write is known to be that of its arrival. `kinds`: faults that
+    the link can have besides.
     """
 
     def __init__(
@@ -45,9 +46,10 @@ class Source:
         fresh: Callable[[], str],
         commanding: Collection[str] = (),
         is_exact: bool = False,
+        kinds: Iterable[StrEnum] = (),
     ) -> None:
         self.name, self.status = driver.source, status
-        self.faults = FaultBook(status, publish)
+        self.faults = FaultBook(status, publish, (*kinds, *WrongValue))
         self.staleness = Staleness(round(driver.limit_ms * 1e6), commanding)
         self._label, self._gate, self._publish = label, gate, publish
         self._on_stale, self._fresh = driver.on_stale, fresh

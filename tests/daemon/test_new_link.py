@@ -125,7 +125,7 @@ async def test_a_link_of_its_own_drives_is_shown_and_lapses():
                 return daemon.image.frame_values[speed] > 20.0 and link.status.connected
 
             await wait_until(drives)
-        assert link.status.fault_counts == {"refused_value": link.status.fault_counts.total()}
+        assert +link.status.fault_counts == {"refused_value": link.status.fault_counts.total()}
         text = await scrape(daemon)
         assert 'hil_peer_faults_total{kind="refused_value",peer="udp"}' in text
         assert 'hil_input_age_seconds{source="peer:udp"}' in text

@@ -107,5 +107,10 @@ async def test_no_task_ends_without_a_word(tmp_path, monkeypatch):
         await asyncio.wait({jobs[0].task})
         judged = await readiness(daemon)
         assert (judged["ok"], jobs[0].name in judged["reason"]) == (False, True)
-        assert f'hil_task_up{{task="{jobs[0].name}"}} 0.0' in await scrape(daemon)
+        down = f'hil_task_up{{task="{jobs[0].name}"}} 0.0'
+
+        async def is_exported():  # an answer serves all scrapes of a moment
+            return down in await scrape(daemon)
+
+        await wait_until(is_exported)
     assert not kept.jobs, "the end of the daemon is the end of all its tasks"

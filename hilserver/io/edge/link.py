@@ -60,6 +60,7 @@ class EdgeLink(Part):
             world.gate,
             world.events.publish,
             fresh=lambda: "databus: values are coming in",
+            kinds=EdgeFault,
         )
         with world.at("edge"):
             self._collections = payload.collections_of(config, world.table)

@@ -13,7 +13,7 @@ from hilserver.io.opcua_client.security import LinkSecurity
 from hilserver.io.opcua_client.session import Session, utc_ns_of
 from hilserver.io.opcua_client.writer import Writer
 from hilserver.io.peer_link.link import Peer, describe
-from hilserver.io.peer_link.samples import FaultKind
+from hilserver.io.peer_link.samples import OF_OPCUA, FaultKind
 from hilserver.tasks import together
 
 HEARTBEAT_S = 1.0
@@ -36,6 +36,8 @@ class PeerLink(Peer):
     ) -> None:
         if security is None and (config.security.is_secure or config.security.user is not None):
             raise ValueError(f"peer '{config.name}' asks for a protected link")
+        # Without security nothing is asked of certificates and users.
+        self.kinds = OF_OPCUA if security else OF_OPCUA - {FaultKind.CERTIFICATE, FaultKind.LOG_IN}
         super().__init__(config, **around)
         self._security = security
 

@@ -6,7 +6,7 @@ connection ends. Silence, faults, back-off and figures are the same for all.
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import structlog
 
@@ -18,7 +18,7 @@ from hilserver.faults.links import Line
 from hilserver.io.arrival import WATCH_S
 from hilserver.io.link_status import LinkState, PeerStatus
 from hilserver.io.peer_link.intake import FaultyIntake, Intake
-from hilserver.io.peer_link.samples import LinkLostError, RefusedError, refusal_in
+from hilserver.io.peer_link.samples import FaultKind, LinkLostError, RefusedError, refusal_in
 from hilserver.io.source import Source
 from hilserver.io.world import Part
 from hilserver.signals import MEASURED
@@ -70,6 +70,7 @@ class Peer(Part):
     """
 
     section = "peers"
+    kinds: Iterable[FaultKind] = FaultKind  # of faults that the transport can have
     status: PeerStatus  # always up to date
 
     def __init__(
@@ -96,6 +97,7 @@ class Peer(Part):
             events.publish,
             fresh=lambda: f"peer {config.name} delivers fresh values",
             commanding=commanding,
+            kinds=self.kinds,
         )
         self._faults = self._source.faults
         self._intake = Intake(config, self._source, clock.utc_ns)

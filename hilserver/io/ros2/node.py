@@ -71,6 +71,7 @@ class Ros2Node(Part):
             world.gate,
             world.events.publish,
             fresh=lambda: "ROS 2: the host sends fresh commands",
+            kinds=Ros2Fault,
         )
         self._line = line
         self._arriving: Lane[list[tuple[Subscribed, Arrival]]] = Lane(line, "in")

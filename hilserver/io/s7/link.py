@@ -42,6 +42,7 @@ class S7Link(Part):
             world.gate,
             world.events.publish,
             fresh=lambda: "S7: a client writes",
+            kinds=(FaultKind.NO_ROOM, FaultKind.NO_S7),
         )
         self._server = Server(config, self._answers, self._report, world.tasks)
         self._watching: SupervisedTask | None = None

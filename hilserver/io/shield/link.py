@@ -79,6 +79,7 @@ class ShieldLink(Part):
             world.gate,
             world.events.publish,
             fresh=lambda: f"shield: a host is sending on {self.address}",
+            kinds=ShieldFault,
             is_exact=True,  # the thread of the line stamps arrivals
         )
         max_rpm, gains = world.table["wheel.fl.setpoint_rpm"].high, Gains(world)
