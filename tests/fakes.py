@@ -9,7 +9,7 @@ from hilserver.core.leases import Leases
 from hilserver.image import ProcessImage, changes, leases
 from hilserver.image.leases import show_outcome
 from hilserver.image.queues import latch_rows
-from hilserver.signals import Ranges, robot_table
+from hilserver.signals import SOURCES, Ranges, robot_table
 
 RANGES = Ranges(max_rpm=90.0, max_linear_m_s=0.8, max_angular_rad_s=3.0)
 _numbers = itertools.count()
@@ -32,6 +32,7 @@ def make_image(table=None, **options):
 
 def make_gate(table, image, events, ramp_ticks=0, monotonic_ns=time.monotonic_ns, **options):
     leases = Leases(image, ramp_ticks, monotonic_ns)
+    options = {"named": (*SOURCES, "peer:a")} | options
     return InputGate(table, image, events, leases, monotonic_ns=monotonic_ns, **options)
 
 

@@ -30,6 +30,8 @@ from hilserver.controller.nodes import SEQUENCE, demo_peer, node_id
 from hilserver.controller.server import ControllerServer
 from hilserver.errors import FailedError
 from hilserver.program import children, event_loop
+from hilserver.tasks import Supervisor
+from hilserver.time_limit import time_limit
 
 DUTY = "duty_FL"
 PERIOD_S = 0.02
@@ -85,7 +87,7 @@ class Loop:
     async def ready(self, ended: Callable[[], str | None]) -> None:
         """Wait until the wheels turn as commanded; FailedError if the daemon does not start."""
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(DAEMON_WITHIN_S):
+            async with time_limit(DAEMON_WITHIN_S):
                 while not self.duty_pct * self.target_rpm > 0:
                     if (words := ended()) is not None:
                         raise FailedError(f"the daemon under test ended: {words}")
@@ -103,7 +105,7 @@ class Loop:
         self._changed_ns = time.monotonic_ns()
         await self.offer()
         try:
-            async with asyncio.timeout(ANSWER_LIMIT_S):
+            async with time_limit(ANSWER_LIMIT_S):
                 await self._answered.wait()
         except TimeoutError:
             raise FailedError("a set-point change did not come back within 2 s") from None
@@ -152,15 +154,13 @@ async def measure(mode: str, changes: int, seed: int) -> list[float]:
     async with ControllerServer(endpoint, more_sensors=[DUTY]) as server:
         loop = Loop(server)
         server.watch(DUTY, loop.on_duty)
-        cycle = asyncio.create_task(loop.cycle())
-        try:
+        async with Supervisor() as tasks:
+            tasks.keep("cycle", loop.cycle)
             async with daemon(peer(server.endpoint, mode)) as ended:
                 await loop.ready(ended)
                 for _ in range(changes):
                     await asyncio.sleep(moments.uniform(*SETTLE_S))
                     await loop.change()
-        finally:
-            cycle.cancel()
     return loop.latencies_ms
 
 

@@ -10,6 +10,8 @@ import sys
 
 from asyncua import Client, Node, ua
 
+from hilserver.tasks import first_of
+
 _DEPTH = 6
 
 
@@ -66,15 +68,12 @@ async def _variables(start: Node, n_nodes: int) -> list[Node]:
 async def main(url: str, n_clients: int, n_nodes: int, rate_hz: float) -> None:
     """Run the clients until standard input ends."""
     load = Load(url, n_nodes, rate_hz)
-    tasks = [asyncio.create_task(load.client(i / n_clients)) for i in range(n_clients)]
-    asked = asyncio.create_task(asyncio.to_thread(sys.stdin.read))
-    done, _ = await asyncio.wait([*tasks, asked], return_when=asyncio.FIRST_COMPLETED)
-    for task in tasks:
-        task.cancel()
-    await asyncio.gather(*tasks, return_exceptions=True)
-    print(load.reads, load.late, flush=True)
-    for task in done - {asked}:
-        task.result()  # a failed client is reported, not hidden
+    clients = [load.client(i / n_clients) for i in range(n_clients)]
+    try:
+        # a failed client is reported, not hidden
+        await first_of(asyncio.to_thread(sys.stdin.read), *clients)
+    finally:
+        print(load.reads, load.late, flush=True)
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from hilserver.scheduler import (
     words_needed,
 )
 from hilserver.scheduler.empty_step import empty_step
+from hilserver.tasks import Supervisor
 
 HISTOGRAM_BINS = 10_000
 SLICES = (
@@ -45,13 +46,13 @@ async def pace(backend: str, path: Path, period_us: int, priority: int) -> None:
         linear_bins=HISTOGRAM_BINS,
     )
     await scheduler.start()
-    work = [asyncio.create_task(_work()) for _ in range(3)]
-    try:
-        await asyncio.to_thread(sys.stdin.read)
-    finally:
-        for task in work:
-            task.cancel()
-        await scheduler.stop()
+    async with Supervisor() as tasks:
+        for _ in range(3):
+            tasks.keep("work", _work)
+        try:
+            await asyncio.to_thread(sys.stdin.read)
+        finally:
+            await scheduler.stop()
 
 
 async def _work() -> None:

@@ -4,7 +4,6 @@ People get lines of text and, on a terminal, a status line that stays below the 
 JSON, each announcement is one JSON line, so that every line can be parsed.
 """
 
-import asyncio
 import contextlib
 import json
 import math
@@ -109,16 +108,16 @@ class Announcer:
         if self._footer is None:
             yield
             return
-        task = asyncio.create_task(self._show_status(daemon, self._footer), name="status line")
+        footer = self._footer
+
+        def show() -> None:
+            footer.show(status_line(daemon, self.page_url))
+
+        job = daemon.core.tasks.every("status line", STATUS_EVERY_S, show)
         try:
             yield
         finally:
-            task.cancel()
-
-    async def _show_status(self, daemon: "Daemon", footer: Footer) -> None:
-        while True:
-            footer.show(status_line(daemon, self.page_url))
-            await asyncio.sleep(STATUS_EVERY_S)
+            job.cancel()
 
 
 def status_line(daemon: "Daemon", page_url: str) -> str:

@@ -18,6 +18,7 @@ from hilserver.io.page.server import PageServer
 from hilserver.io.page.setup import Setup
 from hilserver.program import event_loop
 from hilserver.program.giving_back import give_back_code
+from hilserver.tasks import first_of
 
 EXAMPLE = "hilserver page -c config.yaml"
 NICENESS = 5
@@ -61,16 +62,11 @@ def _by_hand(args: argparse.Namespace) -> Setup:
 
 
 async def _serve(server: PageServer, listener: socket.socket, *, until_stdin_ends: bool) -> int:
-    serving = asyncio.create_task(server.run(listener))
     asked = event_loop.end_event()
-    waiting = {serving, asyncio.create_task(asked.wait())}
+    waiting = [server.run(listener), asked.wait()]
     if until_stdin_ends:
-        waiting.add(asyncio.create_task(_stdin_ends()))
-    await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
-    if serving.done():
-        serving.result()
-    serving.cancel()
-    await asyncio.wait({serving})
+        waiting.append(_stdin_ends())
+    await first_of(*waiting)
     return EXIT_DONE
 
 

@@ -1,7 +1,6 @@
 """One request to a running daemon over OPC UA, for ``call``, ``set`` and ``inject``."""
 
 import argparse
-import asyncio
 import getpass
 import json
 from collections.abc import Awaitable, Callable, Iterable
@@ -14,6 +13,7 @@ from hilserver.io.page.hand import Hand, RefusedError
 from hilserver.io.page.setup import OpcUaAccess
 from hilserver.program import event_loop
 from hilserver.signals import Ranges, ValueType, robot_table
+from hilserver.time_limit import time_limit
 
 _WITHIN_S = 20.0
 PARAMETERS = "parameters."  # prefix of parameter names over OPC UA
@@ -60,7 +60,7 @@ async def _ask(
     types |= dict.fromkeys(parameters, ValueType.DOUBLE.value)
     hand = Hand(OpcUaAccess(endpoint, SHELL), types)
     try:
-        async with asyncio.timeout(_WITHIN_S):
+        async with time_limit(_WITHIN_S):
             await hand.connect(user, password)
             await request(hand)
     except RefusedError as error:

@@ -154,7 +154,7 @@ class Run:
             endpoint, secret = ("", "") if server is None else (server.url, server.page_secret)
             return page_setup(daemon.assembly, daemon.image.name, endpoint, secret)
 
-        return PageBeside(setup, listener, self._announcer.page_url)
+        return PageBeside(setup, listener, self._announcer.page_url, daemon.core.tasks)
 
     @contextlib.asynccontextmanager
     async def _reloading(self, daemon: Daemon, watchdog: Watchdog) -> AsyncIterator[None]:
@@ -172,11 +172,11 @@ class Run:
                     await reloader.reload()
 
         with event_loop.hang_ups() as asked:
-            task = asyncio.create_task(answer(asked), name="reload")
+            job = daemon.core.tasks.keep("reload", lambda: answer(asked))
             try:
                 yield
             finally:
-                task.cancel()
+                job.cancel()
 
 
 def _make_watchdog(daemon: Daemon) -> Watchdog:
@@ -185,4 +185,5 @@ def _make_watchdog(daemon: Daemon) -> Watchdog:
         heartbeat_ns=lambda: daemon.scheduler.heartbeat_ns,
         ready=lambda: daemon.supervision.first_ticks_met,
         status=lambda: f"{control.state.word}: {control.reason}",
+        tasks=daemon.core.tasks,
     )

@@ -29,6 +29,8 @@ from hilserver.io.page.hand import Hand, RefusedError
 from hilserver.io.page.setup import OpcUaAccess
 from hilserver.program import event_loop
 from hilserver.signals import LIGHTS, Ranges, State, robot_table
+from hilserver.tasks import first_of
+from hilserver.time_limit import time_limit
 
 EXAMPLE = "hilserver teleop --endpoint opc.tcp://127.0.0.1:4840/hilserver"
 
@@ -102,10 +104,8 @@ async def _drive(args: argparse.Namespace, endpoint: str, password: str) -> int:
         driver = Driver(hand, args.speed, args.turn)
         try:
             with _keys(driver.take):
-                ends = [asyncio.ensure_future(e.wait()) for e in (asked, hung_up, driver.ended)]
-                work = asyncio.ensure_future(driver.run())
-                await asyncio.wait([*ends, work], return_when=asyncio.FIRST_COMPLETED)
-                await event_loop.end(*ends, work)
+                ends = [event.wait() for event in (asked, hung_up, driver.ended)]
+                await first_of(driver.run(), *ends)
         finally:
             with contextlib.suppress(RefusedError):
                 await hand.write(driver.command(frozenset()))
@@ -236,7 +236,7 @@ class Driver:
         if end_s is not None:
             rest_s = min(rest_s, max(end_s - now_s, 0.001))
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(rest_s):
+            async with time_limit(rest_s):
                 await self._news.wait()
         self._news.clear()
 

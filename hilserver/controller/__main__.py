@@ -1,8 +1,6 @@
 """Run the embedded controller: ``python -m hilserver.controller --endpoint opc.tcp://...``."""
 
 import argparse
-import asyncio
-import contextlib
 import sys
 
 from hilserver.controller.loop import Controller
@@ -10,6 +8,7 @@ from hilserver.controller.path import Eight, Robot
 from hilserver.controller.server import ControllerServer
 from hilserver.errors import EXIT_DONE
 from hilserver.program import event_loop, harness
+from hilserver.tasks import first_of
 
 ENDPOINT = "opc.tcp://127.0.0.1:53880/UA/NodeRedAgv"
 
@@ -44,14 +43,9 @@ async def serve(args: argparse.Namespace) -> int:
         controller = Controller(
             server, Eight(speed_m_s=args.speed_m_s), robot, pattern=args.pattern
         )
-        cycle = asyncio.create_task(controller.run())
-        asked = asyncio.create_task(event_loop.end_event().wait())
+        asked = event_loop.end_event()
         print(f"controller listening on {server.endpoint}", flush=True)
-        await asyncio.wait((cycle, asked), return_when=asyncio.FIRST_COMPLETED)
-        asked.cancel()
-        cycle.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await cycle
+        await first_of(controller.run(), asked.wait())
     return EXIT_DONE
 
 

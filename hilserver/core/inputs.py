@@ -10,6 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from enum import StrEnum
+from typing import Final
 
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.core.handover import HandOver
@@ -37,6 +38,10 @@ class Refusal(StrEnum):
     OUTDATED = "outdated"
 
 
+CHOOSING: Final = frozenset({"opcua", "page"})
+OF_CLIENTS: Final = frozenset({Refusal.UNKNOWN_SIGNAL, Refusal.NOT_WRITABLE})
+"""Only sources that choose their signals at run time can be refused like this."""
+_MOST_DENIED = 64  # sources whose refusal was reported, until they have control
 _GRAIN_NS = 20_000_000  # accuracy of the time at which a command came in
 
 
@@ -72,6 +77,8 @@ class InputGate(HandOver):
     ----------
     owner, priority, fallback
         See `HandOver`.
+    named : collection of str
+        Sources that the configuration names, for metrics; any other counts as its kind.
     monotonic_ns : callable
         Clock that stamps incoming values.
     """
@@ -86,10 +93,16 @@ class InputGate(HandOver):
         owner: str = "opcua",
         priority: Sequence[str] = SOURCES,
         fallback: str = NOBODY,
+        named: Collection[str] = SOURCES,
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         super().__init__(image, events, leases, owner, priority, fallback)
+        self._named = frozenset(named)
+        # Counts exist before the first refusal: the increase of a series begins at its first value.
         self.rejected: Counter[tuple[str, str]] = Counter()
+        for source in named:
+            reasons = set(Refusal) - (set() if source in CHOOSING else OF_CLIENTS)
+            self.rejected.update({(source, reason.value): 0 for reason in reasons})
         self._table, self._now_ns = table, monotonic_ns
         self._ended_ns = 0
         self._last_ns: dict[str, int] = {}
@@ -218,7 +231,7 @@ class InputGate(HandOver):
             before = self._newest.get(row.slot)
             changed |= before is None or before[1] != row.value
             self._newest[row.slot] = source, row.value
-        self._last_ns[source] = now_ns
+        self._last_ns[self.label(source)] = now_ns
         if changed and self._change is None:
             self._change = (now_ns, self._image.pushed_rows)
 
@@ -226,10 +239,12 @@ class InputGate(HandOver):
         is_denied = reason is Refusal.NOT_IN_CONTROL and self._denied.get(source) == self.owner
         if is_denied and kind_of(source) in OFFERING:
             return  # a repeated offer is kept, not lost
-        self.rejected[(source, reason.value)] += 1
+        self.rejected[(self.label(source), reason.value)] += 1
         if is_denied:
             return
         if reason is Refusal.NOT_IN_CONTROL:
+            if len(self._denied) >= _MOST_DENIED:
+                self._denied.pop(next(iter(self._denied)))
             self._denied[source] = self.owner
         text = f"{source}: {name} = {value!r:.60} refused: {self.explain(source, name, reason)}"
         self._events.publish(Event(EventKind.SETPOINT_REFUSED, 400, source, text))
@@ -277,13 +292,17 @@ class InputGate(HandOver):
 
     def age_s(self, source: str) -> float | None:
         """Return the time since the source's last accepted write [s], None before the first."""
-        last = self._last_ns.get(source)
+        last = self._last_ns.get(self.label(source))
         return None if last is None else (self._now_ns() - last) * 1e-9
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """Every source that has written so far."""
+        """Every source that has written so far, as metrics name it."""
         return tuple(self._last_ns)
+
+    def label(self, source: str) -> str:
+        """Return the name of a source in metrics: never one that a client has made."""
+        return source if source in self._named else kind_of(source)
 
     @property
     def measured(self) -> tuple[str, ...]:

@@ -7,8 +7,6 @@ from hilserver.core.inputs import InputGate
 from hilserver.metrics import Metric, Row, by_name, counter
 from hilserver.signals import State
 
-MAX_SOURCES: Final = 16  # whose age is exported: clients choose source names freely
-
 
 class Inputs(NamedTuple):
     """What came in: age of every source's newest accepted write [s], and refusals.
@@ -22,7 +20,7 @@ class Inputs(NamedTuple):
 
 def inputs(gate: InputGate) -> Inputs:
     """Return the present figures of the gate; a source that has sent nothing is left out."""
-    ages = {source: gate.age_s(source) for source in gate.sources[:MAX_SOURCES]}
+    ages = {source: gate.age_s(source) for source in gate.sources}
     known = {source: age_s for source, age_s in ages.items() if age_s is not None}
     return Inputs(known, gate.rejected)
 

@@ -8,6 +8,18 @@ from typing import Any, Final
 from hilserver.errors import ControlRefused
 from hilserver.metrics import Metric, by_name, counter
 
+LOOKS: Final = (
+    "named",
+    "nothing",
+    "as_running",
+    "too_small",
+    "unexplained",
+    "data_fault",
+    "not_judged",
+)
+OUTCOMES: Final = ("accepted", "rejected", "postponed", "refused", "undone")
+"""Labels of the counts, which exist before the first one."""
+
 Table = Mapping[str, Mapping[str, float | str | bool | int | None]]
 
 
@@ -38,8 +50,10 @@ class Decisions:
 class Figures:
     """Figures of the metrics."""
 
-    looks: Counter[str] = field(default_factory=Counter)  # by verdict
-    decisions: Counter[str] = field(default_factory=Counter)  # by outcome
+    # by verdict
+    looks: Counter[str] = field(default_factory=lambda: Counter(dict.fromkeys(LOOKS, 0)))
+    # by outcome
+    decisions: Counter[str] = field(default_factory=lambda: Counter(dict.fromkeys(OUTCOMES, 0)))
     failures: int = 0  # windows that could not be judged, lines that could not be written
     waits: bool = False  # a proposal is open
     changed: bool = False  # the gap has left its usual range since the last look

@@ -42,6 +42,7 @@ from hilserver.scheduler import (
     words_needed,
 )
 from hilserver.signals import SignalTable
+from hilserver.tasks import Supervisor
 
 LINEAR_BINS = 10_000
 VIRTUAL_RING = 2048  # frames that are read between two batches of virtual time
@@ -114,6 +115,7 @@ class Core:
     parameters: LiveParameters
     lines: Mapping[str, Line]  # where faults of peer links act, by name of the peer
     faults: Faults
+    tasks: Supervisor  # keeps every task of the daemon
 
     @property
     def table(self) -> SignalTable:
@@ -189,7 +191,8 @@ def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
     config, table = assembly.config, assembly.table
     step = compose(assembly.composition, image)
     limit_silence(image, pace.command_limit_ticks)
-    scheduler = _scheduler(assembly, pace, image, step)
+    tasks = Supervisor()
+    scheduler = _scheduler(assembly, pace, image, step, tasks)
     events = EventBus()
     gate = InputGate(
         table,
@@ -199,6 +202,7 @@ def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
         owner=config.first_source,
         priority=config.sources,
         fallback=config.control.fallback,
+        named=_named_sources(config),
     )
     folder = assembly.folder / config.snapshots.folder
     snapshots = SnapshotStore(image, folder, dict(assembly.identity))
@@ -212,8 +216,24 @@ def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
         image, table, assembly.base_period_ns, packed, events, lambda: scheduler.tick, lines
     )
     return Core(
-        assembly, image, step, scheduler, events, gate, snapshots, parameters, lines, faults
+        assembly,
+        image,
+        step,
+        scheduler,
+        events,
+        gate,
+        snapshots,
+        parameters,
+        lines,
+        faults,
+        tasks,
     )
+
+
+def _named_sources(config: Config) -> list[str]:
+    """Return the sources that metrics name: the configuration's, none that a client makes."""
+    own = [source for source in config.sources if source != "peer"]
+    return sorted({*own, *(o.source for o in config.drivers if o.is_enabled)})
 
 
 def faults_of(
@@ -243,7 +263,7 @@ def leases_of(config: Config, image: ProcessImage, period_ns: int, pace: Pace) -
 
 
 def _scheduler(
-    assembly: Assembly, pace: Pace, image: ProcessImage, step: StepFunction
+    assembly: Assembly, pace: Pace, image: ProcessImage, step: StepFunction, tasks: Supervisor
 ) -> Scheduler:
     _, statistics = image.region("statistics")
     return Scheduler(
@@ -260,4 +280,5 @@ def _scheduler(
         linear_bins=LINEAR_BINS,
         paused=pace.paused,
         freeze_gc=pace.freeze_gc,
+        tasks=tasks,
     )

@@ -78,6 +78,7 @@ def make_world(of: Surroundings) -> World:
             "recalibration": lambda: desk.recalibration.table(),  # noqa: PLW0108
         },
         files=desk,
+        tasks=core.tasks,
     )
 
 
@@ -87,7 +88,9 @@ def make_desk(core: Core, stage: Stage) -> Desk:
     folders = config.folders
     return Desk(
         Scenarios(assembly.folder / folders.scenarios, stage, core),
-        Recordings(assembly.folder / folders.recordings, config.recording, core.image.name),
+        Recordings(
+            assembly.folder / folders.recordings, config.recording, core.image.name, core.tasks
+        ),
         Patches(assembly.folder / folders.patches, core),
     )
 
@@ -113,6 +116,7 @@ def make_metrics(
         Source(fault_metrics.METRICS, core.faults.counts),
         Source(observer_metrics.METRICS, lambda: _observed(core)),
         Source(AUDIT_METRICS, lambda: {item.name: item.ok for item in of.audit}),
+        Source(metrics.TASK_METRICS, lambda: core.tasks),
         Source(
             metrics.PROGRAM_METRICS,
             lambda: metrics.Program(config().sha256, len(asyncio.all_tasks())),
@@ -146,6 +150,7 @@ def make_http(
         state=lambda: control.state.word,
         heartbeat_ns=lambda: core.scheduler.heartbeat_ns,
         first_ticks_met=lambda: supervision.first_ticks_met,
+        tasks_down=core.tasks.why_down,
     )
     yield MetricsEndpoint(
         host=config.host,
@@ -153,4 +158,5 @@ def make_http(
         render=exported.render,
         health=health,
         host_names=config.host_names,
+        tasks=core.tasks,
     )

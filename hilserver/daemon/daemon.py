@@ -39,12 +39,18 @@ from hilserver.io.recorder.marks import Marks, StateService
 from hilserver.io.world import Part, World
 from hilserver.kernel import watch_communication
 from hilserver.monitoring.audit import audit
-from hilserver.monitoring.logging_setup import RepeatLimiter, log_event, report_repeats
+from hilserver.monitoring.logging_setup import (
+    EXPECTED_ERRORS,
+    RepeatLimiter,
+    log_event,
+    report_repeats,
+)
 from hilserver.program.giving_back import give_back_code
 from hilserver.scheduler import StopReason
 from hilserver.scheduler.pacing_virtual import BATCH_TICKS
 from hilserver.scheduler.realtime import Grant
 from hilserver.signals import State
+from hilserver.tasks import Ended, Supervisor, first_of
 
 _log = structlog.get_logger(__name__)
 IDLE_PERIOD_S, SIMULATED_POLL_S = 0.1, 0.01
@@ -106,7 +112,7 @@ class Daemon:
             self.stage.check(self._play)
         self.supervision = Supervision(core, self.control)
         self.gaps = GapWatch(config.shadow, self.table, self.outputs.model_gap, self.events)
-        self._states = StateService(core.snapshots, self.image.name)
+        self._states = StateService(core.snapshots, self.image.name, core.tasks)
         self.desk = make_desk(core, self.stage)
         self.control.on_acknowledge = self.desk.scenarios.cut_short
         of = Surroundings(
@@ -147,6 +153,8 @@ class Daemon:
     async def _start(self) -> None:
         """Start everything in order; what was started ends in reverse order, the plant first."""
         ending = self._resources
+        self.core.tasks.tell = self._on_task_end
+        ending.push_async_callback(self.core.tasks.end)  # whatever a part has left behind
         ending.callback(self.events.subscribe(log_event))
         ending.callback(self.events.subscribe(self._on_event))
         for why in self.assembly.not_replayable:
@@ -155,7 +163,7 @@ class Daemon:
             _log.warning(remark)
         await self._start_recorder()
         ending.push_async_callback(self.desk.recordings.close)
-        ending.push_async_callback(stop_all, self._begun)
+        ending.push_async_callback(stop_all, self._begun, self.core.tasks)
         ending.push_async_callback(self.scheduler.stop)
         await self._start_parts(early=True)
         self.scheduler.on_slice("publish", self._publish)
@@ -168,8 +176,9 @@ class Daemon:
         await self.scheduler.start()
         self._take_audit()
         await self._start_parts(early=False)
-        idle = asyncio.create_task(self._idle(), name="idle")
-        ending.callback(idle.cancel)
+        timeout_s = self.config.scheduler.communication_timeout_ms * 1e-3
+        period_s = min(IDLE_PERIOD_S, timeout_s / 4 or IDLE_PERIOD_S)
+        ending.callback(self.core.tasks.every("idle", period_s, self._idle).cancel)
         self.control.started()
 
     async def _start_parts(self, *, early: bool) -> None:
@@ -201,7 +210,7 @@ class Daemon:
             look = self._resources.enter_context(recorder_inside(*what))
             self.scheduler.after_batch.append(look)
         else:
-            await self._resources.enter_async_context(running_recorder(*what))
+            await self._resources.enter_async_context(running_recorder(*what, self.core.tasks))
 
     def _take_audit(self) -> None:
         """Check what the system granted, publish it and log what is missing."""
@@ -221,19 +230,10 @@ class Daemon:
 
         In virtual time `duration_s` is simulated time, for a daemon that is paused.
         """
-        until: list[asyncio.Future[Any]] = []
         if self.clock.simulated and duration_s is not None:
-            until.append(asyncio.ensure_future(self._simulate(duration_s)))
-            duration_s = None
-        try:
-            await asyncio.wait(
-                (*until, self.scheduler.finished),
-                timeout=duration_s,
-                return_when=asyncio.FIRST_COMPLETED,
-            )
-        finally:
-            for task in until:
-                task.cancel()
+            await first_of(self._simulate(duration_s), self._ended())
+        else:
+            await asyncio.wait({self.scheduler.finished}, timeout=duration_s)
         if not self.scheduler.finished.done():
             return EXIT_DONE
         reason = self.scheduler.finished.result()
@@ -241,6 +241,9 @@ class Daemon:
             _log.error("stopped by policy 'fail': a tick did not meet its deadline")
             return EXIT_SAFETY_LIMIT
         return EXIT_DONE if reason is StopReason.STOPPED else EXIT_FAILED
+
+    async def _ended(self) -> None:
+        await asyncio.wait({self.scheduler.finished})
 
     async def _simulate(self, duration_s: float) -> None:
         """Run for so much simulated time, however often it is paused meanwhile."""
@@ -260,6 +263,7 @@ class Daemon:
         if (news := self.clock.slew()) is not None:
             self.events.publish(Event(EventKind.STATE, 400, "daemon", news))
         self.supervision.run()
+        self.core.tasks.look()
         self.gaps.run()
         self._states.serve()
         self._notice.show()
@@ -268,15 +272,11 @@ class Daemon:
         if self.limiter is not None:
             report_repeats(self.limiter)
 
-    async def _idle(self) -> None:
+    def _idle(self) -> None:
         """Keep publishing while the plant is paused: no tick makes a slice due then."""
-        timeout_s = self.config.scheduler.communication_timeout_ms * 1e-3
-        period_s = min(IDLE_PERIOD_S, timeout_s / 4 or IDLE_PERIOD_S)
-        while True:
-            await asyncio.sleep(period_s)
-            if self.scheduler.paused:
-                self._publish(self.scheduler.tick, 0)
-                self._supervise(self.scheduler.tick, 0)
+        if self.scheduler.paused:
+            self._publish(self.scheduler.tick, 0)
+            self._supervise(self.scheduler.tick, 0)
 
     def _show_halt(self) -> None:
         """Publish the last tick of a step at once: in virtual time, the caller waits for it."""
@@ -285,6 +285,12 @@ class Daemon:
             self._publish(self.scheduler.tick, 0)
 
     # --- messages between the parts ---------------------------------------------------------------
+
+    def _on_task_end(self, ended: Ended) -> None:
+        """Name a task that ended although nobody asked it to."""
+        is_expected = ended.error is None or isinstance(ended.error, EXPECTED_ERRORS)
+        _log.error(str(ended), exc_info=None if is_expected else ended.error)
+        self.events.publish(Event(EventKind.STATE, 700, ended.name, str(ended)))
 
     def _on_event(self, event: Event) -> None:
         if event.kind in (EventKind.STATE, EventKind.SAFE_STATE) and self.scheduler.paused:
@@ -315,16 +321,17 @@ class Daemon:
             self.outputs.end_to_end.clear()
 
 
-async def stop_all(parts: Sequence[Part]) -> None:
+async def stop_all(parts: Sequence[Part], tasks: Supervisor) -> None:
     """Stop all parts concurrently; one that fails or hangs does not delay the others."""
-    await asyncio.gather(*(_stop(part) for part in parts))
+    await asyncio.gather(*(_stop(part, tasks) for part in parts))
 
 
-async def _stop(part: Part) -> None:
-    task = asyncio.ensure_future(part.stop())
+async def _stop(part: Part, tasks: Supervisor) -> None:
+    stopping = tasks.spawn(part.stop, "stop of a part")
+    task = stopping.task
     await asyncio.wait({task}, timeout=PART_STOP_S)
     if not task.done():
-        task.cancel()  # without waiting: a library may swallow it
+        stopping.cancel()  # without waiting: a library may swallow it
         _log.warning("did not stop in time and was abandoned", part=part.label)
     elif not task.cancelled() and (error := task.exception()) is not None:
         _log.error("failed to stop", part=part.label, error=f"{type(error).__name__}: {error}")

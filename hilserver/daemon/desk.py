@@ -6,6 +6,7 @@ Names are plain, files lie in the configured folders; existing ones are not over
 import asyncio
 import contextlib
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from hilserver.errors import ControlRefused, UserError
 from hilserver.faults import Play, load_scenario
 from hilserver.faults.scenario import Stage
 from hilserver.io.recorder.launch import running_recorder
+from hilserver.tasks import SupervisedTask, Supervisor, first_of
 
 SUFFIXES = (".mcap", ".csv")
 NOT_RECORDED = (".mf4", ".parquet", ".db3")  # log formats that `hilserver convert` makes
@@ -102,9 +104,12 @@ class Scenarios:
 class Recordings:
     """Runs a recorder in addition to the daemon's, on request."""
 
-    def __init__(self, folder: Path, config: RecordingConfig, image: str) -> None:
+    def __init__(
+        self, folder: Path, config: RecordingConfig, image: str, tasks: Supervisor
+    ) -> None:
         self._folder, self._config, self._image = folder, config, image
-        self._task: asyncio.Task[None] | None = None
+        self._tasks = tasks
+        self._running: SupervisedTask | None = None
         self._asked = asyncio.Event()
         self._path = folder
 
@@ -115,22 +120,25 @@ class Recordings:
         """
         has_suffix = name.endswith(SUFFIXES + NOT_RECORDED)
         path = self._folder / (name if has_suffix else name + SUFFIXES[0])
-        if self._task is not None and not self._task.done():
+        if self._is_running:
             raise ControlRefused(f"{self._path.name} is being recorded: call StopRecording first")
         if path.suffix not in SUFFIXES:
             raise ControlRefused(f"'{name}' does not end in {' or '.join(SUFFIXES)}")
         if path.exists():
             raise ControlRefused(f"'{path.name}' exists; choose another name")
         self._path, self._asked = path, asyncio.Event()
-        self._task = asyncio.create_task(self._run(path, self._asked), name="recording")
+        self._running = self._tasks.spawn(partial(self._run, path, self._asked), "recording")
+
+    @property
+    def _is_running(self) -> bool:
+        return self._running is not None and not self._running.done
 
     async def _run(self, path: Path, asked: asyncio.Event) -> None:
         config = self._config.changed(file=path.name, rotate_mb=None)
         try:
             await asyncio.to_thread(self._folder.mkdir, parents=True, exist_ok=True)
-            async with running_recorder(config, self._image, self._folder) as ended:
-                ended.add_done_callback(lambda _: asked.set())  # a full disk ends it, too
-                await asked.wait()
+            async with running_recorder(config, self._image, self._folder, self._tasks) as ended:
+                await first_of(asked.wait(), ended.wait())  # a full disk ends it, too
         except (UserError, OSError) as error:
             _log.error("no recording", file=str(path), reason=str(error))
 
@@ -139,13 +147,13 @@ class Recordings:
 
         ControlRefused if nothing is being recorded.
         """
-        if self._task is None or self._task.done():
+        if not self._is_running:
             raise ControlRefused("nothing is being recorded")
         self._asked.set()
 
     def view(self) -> dict[str, Any] | None:
         """Return name and size of the file that is being written, or None."""
-        if self._task is None or self._task.done():
+        if not self._is_running:
             return None
         size = 0
         with contextlib.suppress(OSError):
@@ -155,8 +163,8 @@ class Recordings:
     async def close(self) -> None:
         """End the recording and wait until its file is complete."""
         self._asked.set()
-        if self._task is not None:
-            await asyncio.gather(self._task, return_exceptions=True)
+        if self._running is not None:
+            await asyncio.wait({self._running.task})
 
 
 @dataclass

@@ -15,10 +15,11 @@ from hilserver.core.recalibration import RECALIBRATION_METRICS
 from hilserver.faults import metrics as faults
 from hilserver.io.peer_link import metrics as peer_metrics
 from hilserver.io.shield import metrics as shield_metrics
-from hilserver.metrics import US, Metric, S, durations, gauges
+from hilserver.metrics import US, Metric, S, by_name, counter, durations, gauges
 from hilserver.monitoring import audit
 from hilserver.observer import metrics as observer
 from hilserver.scheduler import metrics as scheduler
+from hilserver.tasks import Supervisor
 
 
 class Program(NamedTuple):
@@ -50,6 +51,27 @@ ALARM_METRICS: Final = gauges(
 
 OUTPUT_METRICS: Final = gauges(
     "hil_output", "Newest pose, wheel speeds and gap of the body; names end in the unit.", "signal"
+)
+
+TASK_METRICS: Final[tuple[Metric[Supervisor], ...]] = (
+    Metric(
+        "hil_task_up",
+        "1 while a task that should last runs, 0 while it waits to begin again or hangs.",
+        ("task",),
+        lambda tasks: by_name(tasks.up()),
+    ),
+    Metric(
+        "hil_task_restarts_total",
+        "Ends of a task that should last, whatever ended it; it began again each time.",
+        ("task",),
+        lambda tasks: (((n,), counter(c)) for n, c in sorted(tasks.restarts.items())),
+    ),
+    Metric(
+        "hil_task_failures_total",
+        "Tasks that end by themselves and failed instead, such as the answer to one request.",
+        ("task",),
+        lambda tasks: (((n,), counter(c)) for n, c in sorted(tasks.failures.items())),
+    ),
 )
 
 PROGRAM_METRICS: Final[tuple[Metric[Program], ...]] = (
@@ -87,6 +109,7 @@ METRICS: Final[tuple[Metric[Any], ...]] = (
     *faults.METRICS,
     *observer.METRICS,
     *audit.METRICS,
+    *TASK_METRICS,
     *PROGRAM_METRICS,
 )
 """In the order of the reference page."""

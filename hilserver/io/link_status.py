@@ -4,7 +4,7 @@ Filled by the link, read by everything that shows it. A fault is reported at its
 """
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -85,7 +85,11 @@ _log = structlog.get_logger(__name__)
 class FaultBook:
     """Keeps `PeerStatus.faults`; an intermittent fault counts as one."""
 
-    def __init__(self, status: PeerStatus, publish: Callable[[Event], None]) -> None:
+    def __init__(
+        self, status: PeerStatus, publish: Callable[[Event], None], kinds: Iterable[StrEnum] = ()
+    ) -> None:
+        # Counts exist before the first fault: the increase of a series begins at its first value.
+        status.fault_counts.update(dict.fromkeys(map(str, kinds), 0))
         self._status = status
         self._publish = publish
         self._seen_ns: dict[str, int] = {}

@@ -17,6 +17,7 @@ def parts(world: World) -> Iterator[Peer]:
             "read_output": world.read_output,
             "clock": world.clock,
             "line": world.lines[peer.name],
+            "tasks": world.tasks,
         }
         with world.at("peers", index):
             yield _link(peer, world, around)

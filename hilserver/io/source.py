@@ -1,6 +1,5 @@
 """Input side of a link: groups of values to the gate, what is wrong with them, silence."""
 
-import asyncio
 from collections.abc import Callable, Collection, Iterable, Mapping
 from enum import StrEnum
 from typing import Final, NamedTuple
@@ -9,7 +8,7 @@ from hilserver.config.section import Driver
 from hilserver.core.events import Event, EventKind
 from hilserver.core.inputs import InputGate, Refusal
 from hilserver.core.staleness import Staleness, Transition
-from hilserver.io.arrival import WATCH_S, Arrivals
+from hilserver.io.arrival import Arrivals
 from hilserver.io.link_status import FaultBook, PeerStatus
 
 OFFERED_AGAIN: Final = frozenset({Refusal.NOT_IN_CONTROL, Refusal.QUEUE_FULL, Refusal.OUTDATED})
@@ -29,17 +28,11 @@ class Outcome(NamedTuple):
     wrong: Mapping[str, Refusal]
 
 
-async def keep_watch(look: Callable[[], object]) -> None:
-    """Call `look` every `WATCH_S` of real time, whatever the speed of simulated time."""
-    while True:
-        look()
-        await asyncio.sleep(WATCH_S)
-
-
 class Source:
     """Hands over the values of one link; reports once when something is wrong and when it ends.
 
-    `is_exact`: the time given with a write is known to be that of its arrival.
+    `is_exact`: the time given with a write is known to be that of its arrival. `kinds`: faults that
+    the link can have besides.
     """
 
     def __init__(
@@ -53,9 +46,10 @@ class Source:
         fresh: Callable[[], str],
         commanding: Collection[str] = (),
         is_exact: bool = False,
+        kinds: Iterable[StrEnum] = (),
     ) -> None:
         self.name, self.status = driver.source, status
-        self.faults = FaultBook(status, publish)
+        self.faults = FaultBook(status, publish, (*kinds, *WrongValue))
         self.staleness = Staleness(round(driver.limit_ms * 1e6), commanding)
         self._label, self._gate, self._publish = label, gate, publish
         self._on_stale, self._fresh = driver.on_stale, fresh
@@ -99,7 +93,7 @@ class Source:
         self._gate.expect(self.name, names)
 
     def watch(self, now_ns: int) -> Transition | None:
-        """Judge its silence; called every `WATCH_S`, see `keep_watch`. Return what changed."""
+        """Judge its silence and return what changed; called every `WATCH_S` of real time."""
         self._arrivals.look(now_ns)
         self.faults.expire(now_ns)
         transition = self.staleness.check(now_ns)

@@ -19,6 +19,7 @@ from hilserver.metrics import Source
 from hilserver.plant.parameters import RobotParameters
 from hilserver.ros.robot import Shape
 from hilserver.signals import SignalTable
+from hilserver.tasks import Supervisor
 
 
 class Part:
@@ -82,3 +83,4 @@ class World:
     read_output: Callable[[str], tuple[Any, int, int]]
     tables: Mapping[str, Provider]  # figures besides signals: "slices", "peers" and "audit"
     files: Any  # starts and stops what is named by a file
+    tasks: Supervisor  # keeps the tasks of all links

@@ -13,14 +13,16 @@ import socket
 import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from functools import partial
 from http import HTTPStatus
 
 import structlog
 
 from hilserver.errors import address_refused
 from hilserver.monitoring.health_request import RefusedRequestError, Request, parse_request
-from hilserver.program import event_loop
 from hilserver.signals import State
+from hilserver.tasks import SupervisedTask, Supervisor
+from hilserver.time_limit import time_limit
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +42,7 @@ class HealthSources:
     heartbeat_ns: Callable[[], int]
     # True once the first ticks after the warm-up met their deadlines
     first_ticks_met: Callable[[], bool]
+    tasks_down: Callable[[], str] = lambda: ""  # which task does not run although it should
     heartbeat_limit_s: float = 1.0  # a pacing back end silent for longer [s] is dead
 
 
@@ -69,6 +72,8 @@ def ready(sources: HealthSources, now_ns: int) -> Verdict:
         return Verdict(False, f"the state is {state}, not running")
     if not sources.first_ticks_met():
         return Verdict(False, "the first ticks have not met their deadlines yet")
+    if why := sources.tasks_down():
+        return Verdict(False, why)
     return Verdict(True, "running, and the first ticks met their deadlines")
 
 
@@ -122,7 +127,9 @@ class HttpServer:
         host_names: Collection[str] = (),
         timeout_s: float = TIMEOUT_S,
         clock_ns: Callable[[], int] = time.monotonic_ns,
+        tasks: Supervisor | None = None,
     ) -> None:
+        self._tasks = Supervisor() if tasks is None else tasks
         self.host, self.port = host, port
         self._render = render
         self._health = health
@@ -130,7 +137,9 @@ class HttpServer:
         self._clock_ns = clock_ns
         self._server: asyncio.Server | None = None
         self._names = {name.lower() for name in ("localhost", socket.gethostname(), *host_names)}
-        self._tasks: dict[asyncio.Task[None], asyncio.WriteTransport] = {}  # oldest first
+        self._open: dict[
+            SupervisedTask, asyncio.WriteTransport
+        ] = {}  # connections, the oldest first
         self._rendered: dict[bool, tuple[int, Response]] = {}
         self._routes: dict[str, Callable[[Request], Response]] = {
             "/metrics": self._metrics,
@@ -162,29 +171,30 @@ class HttpServer:
         if self._server is None:
             return
         self._server.close()
-        await event_loop.end(*self._tasks)
+        for job in tuple(self._open):
+            await job.end()
         await self._server.wait_closed()
         self._server = None
 
     def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        if len(self._tasks) >= CONNECTIONS_MAX:
-            oldest = next(iter(self._tasks))
-            self._tasks.pop(oldest).abort()
+        if len(self._open) >= CONNECTIONS_MAX:
+            oldest = next(iter(self._open))
+            self._open.pop(oldest).abort()
             oldest.cancel()
-        task = asyncio.get_running_loop().create_task(self._serve(reader, writer))
-        self._tasks[task] = writer.transport
+        job = self._tasks.spawn(partial(self._serve, reader, writer), "metrics request")
+        self._open[job] = writer.transport
 
-        def ended(_: asyncio.Task[None]) -> None:
-            self._tasks.pop(task, None)
+        def ended() -> None:
+            self._open.pop(job, None)
             writer.transport.abort()  # also if it was cancelled before its first step
 
-        task.add_done_callback(ended)
+        job.on_end = ended
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         writer.transport.set_write_buffer_limits(high=0)  # so that drain waits for the last byte
         try:
             answer = await self._answer(reader)
-            async with asyncio.timeout(self._timeout_s):
+            async with time_limit(self._timeout_s):
                 writer.write(answer)
                 await writer.drain()
                 await _linger(reader, writer)
@@ -193,7 +203,7 @@ class HttpServer:
 
     async def _answer(self, reader: asyncio.StreamReader) -> bytes:
         try:
-            async with asyncio.timeout(self._timeout_s):
+            async with time_limit(self._timeout_s):
                 head = await reader.readuntil(b"\r\n\r\n")
             request = parse_request(head, self._names)
             return self._respond(request).encode(is_head=request.is_head)
@@ -244,7 +254,7 @@ async def _linger(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) ->
     """Keep reading for a moment: closing with unread bytes would reset the connection."""
     writer.write_eof()
     try:
-        async with asyncio.timeout(LINGER_S):
+        async with time_limit(LINGER_S):
             for _ in range(16):
                 if not await reader.read(REQUEST_BYTES_MAX):
                     return

@@ -5,12 +5,13 @@ WATCHDOG=1 only if the plant has woken up since the last time. So systemd ends t
 the plant or the event loop freezes.
 """
 
-import asyncio
 import contextlib
 import os
 import socket
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
+
+from hilserver.tasks import Supervisor
 
 FEEDS_PER_PERIOD = 4
 LONGEST_LOOK_S = 0.5  # state and readiness are checked at least this often
@@ -51,7 +52,9 @@ class Watchdog:
         ready: Callable[[], bool],
         status: Callable[[], str],
         send: Callable[..., bool] = notify,
+        tasks: Supervisor | None = None,
     ) -> None:
+        self._tasks = Supervisor() if tasks is None else tasks
         self._heartbeat_ns = heartbeat_ns
         self._ready = ready
         self._status = status
@@ -94,14 +97,9 @@ class Watchdog:
         pause_s = LONGEST_LOOK_S
         if period_s is not None:
             pause_s = min(pause_s, period_s / FEEDS_PER_PERIOD)
-        task = asyncio.create_task(self._look_on(pause_s), name="watchdog")
+        job = self._tasks.every("watchdog", pause_s, self.look)
         try:
             yield
         finally:
-            task.cancel()
+            job.cancel()
             self._send("STOPPING=1", "STATUS=stopping")
-
-    async def _look_on(self, pause_s: float) -> None:
-        while True:
-            self.look()
-            await asyncio.sleep(pause_s)

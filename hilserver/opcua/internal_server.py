@@ -1,6 +1,5 @@
 """asyncua's inner server with our sessions, subscriptions and limits."""
 
-import asyncio
 from typing import Any
 
 from asyncua import ua
@@ -14,6 +13,7 @@ from hilserver.opcua.places import Places
 from hilserver.opcua.reading import Reader
 from hilserver.opcua.sessions import Session
 from hilserver.opcua.settings import OpcUaSettings
+from hilserver.opcua.spawning import Running, Spawn, spawn_plainly
 from hilserver.opcua.standard_nodes import QuickInternalServer
 from hilserver.opcua.subscriptions import Subscriptions
 from hilserver.opcua.trust_list import TrustList
@@ -24,11 +24,14 @@ _LONGEST_SESSION_MS = 120_000.0
 class InnerServer(QuickInternalServer):
     """asyncua's inner server with our sessions, subscriptions and limits."""
 
-    time_task: Any
-
-    def __init__(self, settings: OpcUaSettings, trust: TrustList | None) -> None:
+    def __init__(
+        self, settings: OpcUaSettings, trust: TrustList | None, spawn: Spawn = spawn_plainly
+    ) -> None:
+        self.spawn = spawn
+        self._clock: Running | None = None
         bound_decoder()
         super().__init__(user_manager=None)
+        self.disabled_clock = True  # asyncua's task, which nothing would begin again
         self.settings, self.trust = settings, trust
         self.access = access = Access(settings)
         self.application = Application(self, access)  # may be replaced before the first client
@@ -71,14 +74,17 @@ class InnerServer(QuickInternalServer):
                 log.info("opcua session ended: idle", timeout_s=session.timeout_s)
                 session.close()
 
+    async def start(self) -> None:
+        """Start, with the clock in a task of ours."""
+        await super().start()
+        self._clock = self.spawn(self._set_current_time_loop, "opcua clock", lasting=True)
+
     async def stop(self) -> None:
         """Stop at once: end sessions that outlived their connection, and the clock."""
         for session in tuple(self.sessions.values()):
             session.close()
         for subscription in tuple(self.subscription_service.subscriptions.values()):
             self.subscription_service.remove(subscription)
-        if self.time_task is not None:
-            self.time_task.cancel()
-            await asyncio.gather(self.time_task, return_exceptions=True)
-            self.time_task = None
+        if self._clock is not None:
+            await self._clock.end()
         await super().stop()

@@ -30,6 +30,7 @@ from hilserver.opcua.encoding import FixedDataValue
 from hilserver.opcua.internal_server import InnerServer
 from hilserver.opcua.logs import log
 from hilserver.opcua.settings import OpcUaSettings, Policy, default_application_uri
+from hilserver.opcua.spawning import Spawn, spawn_plainly
 from hilserver.opcua.transport import Listener
 from hilserver.opcua.trust_list import TrustList
 
@@ -53,15 +54,22 @@ class HardenedServer(Server):  # type: ignore[misc]
         By default without security on loopback.
     folder : Path, optional
         Folder that relative paths of the settings start from; the working directory by default.
+    spawn : callable, optional
+        Keeps the server's tasks; see `hilserver.opcua.spawning`. By default nobody does.
     """
 
-    def __init__(self, settings: OpcUaSettings | None = None, folder: Path | None = None) -> None:
+    def __init__(
+        self,
+        settings: OpcUaSettings | None = None,
+        folder: Path | None = None,
+        spawn: Spawn = spawn_plainly,
+    ) -> None:
         self.settings = settings = OpcUaSettings() if settings is None else settings
         self._folder = Path.cwd() if folder is None else folder
         trust = None
         if settings.needs_certificate:
             trust = TrustList(self._folder / settings.certificates)
-        super().__init__(iserver=InnerServer(settings, trust))
+        super().__init__(iserver=InnerServer(settings, trust, spawn))
         self._application_uri = application_uri(settings)
         self.application_type = ua.ApplicationType.Server
         self.set_endpoint(settings.endpoint)

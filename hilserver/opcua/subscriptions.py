@@ -20,11 +20,13 @@ from hilserver.opcua.rotation import Portions, Rotation, advance
 from hilserver.opcua.settings import OpcUaSettings, OpcUaShare
 from hilserver.period import Period
 
-LONGEST_PUBLISHING_MS = 3_600_000.0
+LONGEST_LIFETIME_S = 600.0
+"""Without its client a subscription ends within this time and a third, whatever its cycle."""
+LONGEST_KEEP_ALIVE_S = LONGEST_LIFETIME_S / 3  # OPC 10000-4, 5.14.2: three times as often
+LONGEST_PUBLISHING_MS = LONGEST_KEEP_ALIVE_S * 1e3
 MAX_NOTIFICATIONS = 1000
 _MAX_MESSAGE_BYTES = 48 * 1024
 _MAX_RETAINED, _MAX_RETAINED_BYTES = 100, 128 * 1024
-_MAX_KEEP_ALIVE, _MAX_LIFETIME = 5000, 15_000
 _ANSWER_BYTES = 1024  # upper limit for a Publish response without its notifications
 _MAX_SEQUENCE = 2**32 - 1
 _MAX_EVENTS = 100  # waiting to be filtered
@@ -67,8 +69,10 @@ class Subscription:
         asked_ms = params.RequestedPublishingInterval
         # `not >=` also catches NaN.
         interval_ms = shortest if not asked_ms >= shortest else min(asked_ms, LONGEST_PUBLISHING_MS)
-        keep_alive = _bounded(params.RequestedMaxKeepAliveCount, _MAX_KEEP_ALIVE)
-        lifetime = max(_bounded(params.RequestedLifetimeCount, _MAX_LIFETIME), 3 * keep_alive)
+        # Agreed on as counts of cycles, but a budget is a time.
+        most = int(LONGEST_PUBLISHING_MS // interval_ms)
+        keep_alive = _bounded(params.RequestedMaxKeepAliveCount, most)
+        lifetime = max(_bounded(params.RequestedLifetimeCount, 3 * most), 3 * keep_alive)
         for target in (result, self.revised):
             target.RevisedPublishingInterval = interval_ms
             target.RevisedMaxKeepAliveCount = keep_alive

@@ -10,6 +10,7 @@ import contextlib
 import time
 from collections import Counter, deque
 from collections.abc import Coroutine
+from functools import partial
 from typing import Any
 
 from asyncua import ua
@@ -22,6 +23,7 @@ from hilserver.opcua.logs import log
 from hilserver.opcua.loopback import is_loopback
 from hilserver.opcua.processor import Processor
 from hilserver.opcua.rotation import Portions, advance
+from hilserver.opcua.spawning import Running
 
 READ_DEADLINE_S = 2.0
 LOGIN_DEADLINE_S = 10.0
@@ -47,7 +49,7 @@ class Connection(asyncio.Protocol):
         self._stage = Stage.NEW
         self._stage_since_s = self._parts_since_s = self._unread_since_s = 0.0
         self._work: Portions | None = None
-        self._waiting: asyncio.Task[None] | None = None
+        self._waiting: Running | None = None
         self._refused = TransportError(_Codes.BadTcpMessageTypeInvalid, "")
         self.transport: Any = None
         self.processor: Processor
@@ -138,7 +140,8 @@ class Connection(asyncio.Protocol):
         if wanted is None:
             asyncio.get_running_loop().call_later(_LONG_REST_S, self._rotation.add, self)
             return False
-        self._waiting = asyncio.create_task(self._wait(wanted), name="opcua request")
+        waits = partial(self._wait, wanted)
+        self._waiting = self._server.iserver.spawn(waits, "opcua request")
         return False
 
     async def _wait(self, wanted: Coroutine[Any, Any, Any]) -> None:
@@ -214,7 +217,7 @@ class Listener(BinaryServer):  # type: ignore[misc]
 
     def __init__(self, iserver: Any, host: str, port: int) -> None:
         super().__init__(iserver, host, port, TransportLimits())
-        self._sweeper: asyncio.Task[None] | None = None
+        self._sweeper: Running | None = None
 
     @property
     def policies(self) -> list[Any]:
@@ -249,13 +252,12 @@ class Listener(BinaryServer):  # type: ignore[misc]
     async def start(self) -> None:
         """Listen, and watch the deadlines."""
         await super().start()
-        self._sweeper = asyncio.create_task(self._sweep(), name="opcua deadlines")
+        self._sweeper = self.iserver.spawn(self._sweep, "opcua deadlines", lasting=True)
 
     async def stop(self) -> None:
         """Close the socket and all connections."""
         if self._sweeper is not None:
-            self._sweeper.cancel()
-            await asyncio.gather(self._sweeper, return_exceptions=True)
+            await self._sweeper.end()
         await super().stop()
 
     async def _sweep(self) -> None:

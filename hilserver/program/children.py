@@ -12,6 +12,8 @@ from typing import Any
 
 import structlog
 
+from hilserver.time_limit import time_limit
+
 _log = structlog.get_logger(__name__)
 
 
@@ -55,7 +57,7 @@ async def end(process: asyncio.subprocess.Process, name: str, stop_limit_s: floa
         if stop_limit_s:
             process.terminate()
             try:
-                async with asyncio.timeout(stop_limit_s):
+                async with time_limit(stop_limit_s):
                     await process.wait()
             except TimeoutError:
                 _log.error("did not stop in time and was killed", process=name)
@@ -88,7 +90,7 @@ async def line_of(
     """
     if process.stdout is not None:
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(within_s):
+            async with time_limit(within_s):
                 while line := await process.stdout.readline():
                     if match := pattern.search(line):
                         return match

@@ -50,14 +50,6 @@ def hang_ups() -> Iterator[asyncio.Event]:
         signal.signal(signal.SIGHUP, before)
 
 
-async def end(*tasks: asyncio.Future[Any] | None) -> None:
-    """Cancel tasks and wait until they have ended in any way."""
-    running = [task for task in tasks if task is not None]
-    for task in running:
-        task.cancel()
-    await asyncio.gather(*running, return_exceptions=True)
-
-
 def hold_little(transport: asyncio.BaseTransport | None) -> None:
     """Let the system hold some seconds of data at most for a client that does not read.
 

@@ -5,6 +5,7 @@ import contextlib
 import os
 import time
 from dataclasses import replace
+from functools import partial
 from typing import Any, Final
 
 import structlog
@@ -16,7 +17,6 @@ from hilserver.errors import ControlRefused, FailedError, UserError
 from hilserver.image import Frame
 from hilserver.io.world import Figure, Part, World
 from hilserver.metrics import Source
-from hilserver.program import event_loop
 from hilserver.recalibration import patches, process
 from hilserver.recalibration.gap import ChangeWatch
 from hilserver.recalibration.history import History, broken, is_sound
@@ -25,6 +25,7 @@ from hilserver.recalibration.orders import Order, Share, Todo, Values
 from hilserver.recalibration.proposals import Proposal, Stage, Step
 from hilserver.recalibration.spending import Spending
 from hilserver.recalibration.windows import News, Window
+from hilserver.tasks import SupervisedTask
 
 LOOK_FOR_WINDOWS_S: Final = 1.0
 RECORD_AGAIN_S: Final = 60.0  # after the recorder has ended: a full disk is not freed at once
@@ -51,7 +52,7 @@ class Recalibration(Part):
         self._folder = world.folder / self._config.folder
         self._patches = world.folder / world.config.folders.patches
         self._gap = ChangeWatch(world)
-        self._tasks: list[asyncio.Task[None]] = []
+        self._jobs: list[SupervisedTask] = []
         self._turn = asyncio.Lock()
         self.figures = Figures()
         self.metrics = (Source(RECALIBRATION_METRICS, self._counted),)
@@ -92,14 +93,16 @@ class Recalibration(Part):
             why = "the daemon was killed during its look"
             text = f"window {window} could not be diagnosed: {why}; nothing from it was applied"
             self._note(Note("failed", {"window": window, "error": why}, text, 500))
-        self._tasks = [
-            asyncio.create_task(self._record(), name="recalibration: windows"),
-            asyncio.create_task(self._look(), name="recalibration: looks"),
+        tasks = self._world.tasks
+        self._jobs = [
+            tasks.keep("recalibration: windows", self._record),
+            tasks.keep("recalibration: looks", self._look),
         ]
 
     async def stop(self) -> None:
         """End the recorder and a running look."""
-        await event_loop.end(*self._tasks)
+        for job in self._jobs:
+            await job.end()
 
     # --- windows ----------------------------------------------------------------------------------
 
@@ -179,14 +182,14 @@ class Recalibration(Part):
     async def _write(self, proposal: Proposal, others: Values) -> None:
         """Write the files of a proposal in a thread: the event loop does not wait for the disk."""
         sha256 = self._world.files.patches.config_sha256
-        work = asyncio.to_thread(patches.write, self._patches, proposal, others, sha256)
-        writing = asyncio.ensure_future(work)
+        loop = asyncio.get_running_loop()
+        work = partial(patches.write, self._patches, proposal, others, sha256)
+        writing = loop.run_in_executor(None, work)
         try:
             await asyncio.shield(writing)
         finally:
-            await asyncio.wait(
-                [writing]
-            )  # nobody else writes them meanwhile, even if we are cancelled
+            # Nobody else writes them meanwhile, even if we are cancelled.
+            await asyncio.wait([writing])
 
     async def _accept_by_itself(self, proposal: Proposal) -> None:
         if proposal.within(self._config.ranges):
@@ -288,7 +291,7 @@ class Recalibration(Part):
 
     def supervise(self) -> None:
         """Compare measured with simulated values."""
-        if self._frame is None or not self._tasks:
+        if self._frame is None or not self._jobs:
             return
         channel = self._gap.take(self._frame)
         if channel is not None and self.loop.changed is None:
@@ -323,9 +326,9 @@ class Recalibration(Part):
         self._world.events.publish(event)
 
     def _counted(self) -> Figures:
-        proposal = self.loop.proposal if self._tasks else None
+        proposal = self.loop.proposal if self._jobs else None
         self.figures.waits = proposal is not None and proposal.stage is Stage.OPEN
-        self.figures.changed = bool(self._tasks) and self.loop.changed is not None
+        self.figures.changed = bool(self._jobs) and self.loop.changed is not None
         if proposal is not None and proposal.effect:
             self.figures.effect = {n: q.ratio for n, q in proposal.effect.items()}
         return self.figures
@@ -333,7 +336,7 @@ class Recalibration(Part):
     def table(self) -> Table:
         """Return the figures of the nodes ``recalibration.*``."""
         now = self._counted()
-        p = (self.loop.proposal if self._tasks else None) or Proposal(0, (), "", {})
+        p = (self.loop.proposal if self._jobs else None) or Proposal(0, (), "", {})
         look: dict[str, Figure] = {
             "count": now.looks.total(),
             "is_looking": now.is_looking,
@@ -356,6 +359,6 @@ class Recalibration(Part):
 
     def view(self) -> dict[str, Any]:
         """Return what the page shows."""
-        proposal = self.loop.proposal if self._tasks else None
+        proposal = self.loop.proposal if self._jobs else None
         newest = None if proposal is None else proposal.as_json()
         return {"look": self.table()["look"], "proposal": newest}

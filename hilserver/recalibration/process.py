@@ -11,6 +11,7 @@ from hilserver.errors import FailedError
 from hilserver.program import children
 from hilserver.recalibration.orders import Order, Result
 from hilserver.recalibration.windows import KEPT, SIGNALS, first_file
+from hilserver.time_limit import time_limit
 
 ORDER: Final = "order.json"
 MOST_SAID: Final = 300  # characters of the last line quoted in a message
@@ -47,7 +48,7 @@ async def _run(path: Path, limit_s: float) -> Result:
         stderr=asyncio.subprocess.PIPE,
     ) as process:
         try:
-            async with asyncio.timeout(limit_s):
+            async with time_limit(limit_s):
                 out, said = await process.communicate()
         except TimeoutError:
             return Result(error=f"it took longer than {limit_s:g} s and was stopped")

@@ -30,6 +30,7 @@ from hilserver.plant.layout import WHEELS
 from hilserver.program import event_loop
 from hilserver.program.workers import end_with_parent
 from hilserver.signals import MEASURED
+from hilserver.tasks import first_of
 
 CAUSE: Final[Mapping[str, float]] = {"rotation_gain": 0.08}  # another floor
 APPEARS_S: Final = 60.0
@@ -158,11 +159,9 @@ async def drive(server: ControllerServer, seed: int) -> None:
 async def serve(endpoint: str, seed: int) -> int:
     """Serve and drive until SIGINT or SIGTERM."""
     async with ControllerServer(endpoint, more_sensors=MEASURES) as server:
-        driving = asyncio.create_task(drive(server, seed))
-        asked = asyncio.create_task(event_loop.end_event().wait())
+        asked = event_loop.end_event()
         print(f"robot listening on {server.endpoint}", flush=True)
-        await asyncio.wait((driving, asked), return_when=asyncio.FIRST_COMPLETED)
-        await event_loop.end(driving, asked)
+        await first_of(drive(server, seed), asked.wait())
     return EXIT_DONE
 
 

@@ -22,6 +22,7 @@ from hilserver.scheduler.realtime import (
     RealtimeSettings,
     request_for_this_thread,
 )
+from hilserver.time_limit import time_limit
 
 _END_WITHIN_S = 5.0
 
@@ -59,7 +60,7 @@ class ThreadPacing:
     async def stop(self) -> None:
         """Wait for the thread's end; at most the longest sleep plus one tick."""
         try:
-            async with asyncio.timeout(_END_WITHIN_S):
+            async with time_limit(_END_WITHIN_S):
                 if self._thread.ident is not None:
                     await self._over.wait()  # `join` alone would block the event loop
                     self._thread.join()

@@ -13,6 +13,8 @@ from hilserver.scheduler.pacing import Ended, Rung, StopReason
 from hilserver.scheduler.pacing_loop import run_batch
 from hilserver.scheduler.realtime import Grant
 from hilserver.scheduler.turn import ENDED, RING, STANDING
+from hilserver.tasks import Supervisor
+from hilserver.time_limit import time_limit
 
 BATCH_TICKS = 1000
 _PAUSED_POLL_S = 0.01  # while paused, inputs are latched at least this often
@@ -30,7 +32,9 @@ class VirtualPacing:
         rung: Rung,
         ended: Ended,
         after_batch: Sequence[Callable[[], None]] = (),
+        tasks: Supervisor | None = None,
     ) -> None:
+        self._tasks = Supervisor() if tasks is None else tasks
         self._after_batch = after_batch
         self._machine = machine
         self._rung = rung
@@ -43,15 +47,15 @@ class VirtualPacing:
         """Start the task that runs the batches."""
         self._machine.prefault()
         begin(self._machine.law, time.monotonic_ns())
-        self._task = asyncio.create_task(self._run(), name="virtual pacing")
+        self._job = self._tasks.spawn(self._run, "virtual pacing")
         return []
 
     async def stop(self) -> None:
         """End the task."""
         self._stopping = True
         self._wake.set()
-        if self._task is not asyncio.current_task():
-            await self._task
+        if self._job.task is not asyncio.current_task():
+            await asyncio.wait({self._job.task})
 
     def wake(self) -> None:
         """Look at the control words at once, because a command has been given."""
@@ -79,7 +83,7 @@ class VirtualPacing:
 
     async def _wait_for_command(self) -> None:
         try:
-            async with asyncio.timeout(_PAUSED_POLL_S):
+            async with time_limit(_PAUSED_POLL_S):
                 await self._wake.wait()
         except TimeoutError:
             return

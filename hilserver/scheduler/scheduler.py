@@ -37,6 +37,8 @@ from hilserver.scheduler.realtime import Grant, RealtimeSettings
 from hilserver.scheduler.slices import Slice
 from hilserver.scheduler.statistics import Statistics
 from hilserver.scheduler.step import StepFunction
+from hilserver.tasks import Supervisor
+from hilserver.time_limit import time_limit
 
 BACKENDS = ("thread", "timerfd", "virtual")
 SPEED_LOW, SPEED_HIGH = 0.01, 100.0
@@ -75,6 +77,8 @@ class Scheduler:
         Hide from the garbage collector what is there at the start.
     statistics_array, linear_bins
         See `Statistics`; an array in shared memory can be read by other processes.
+    tasks
+        Keeps the task of virtual time.
     """
 
     def __init__(
@@ -95,6 +99,7 @@ class Scheduler:
         freeze_gc: bool = True,
         statistics_array: NDArray[np.int64] | None = None,
         linear_bins: int = 0,
+        tasks: Supervisor | None = None,
     ) -> None:
         if backend not in BACKENDS:
             raise ValueError(f"pacing {backend!r} is unknown; use one of {', '.join(BACKENDS)}")
@@ -125,15 +130,15 @@ class Scheduler:
         )
         # called after every batch of ticks in virtual time, which waits for them
         self.after_batch: list[Callable[[], None]] = []
-        self._pacing = self._make_pacing(realtime or RealtimeSettings())
+        self._pacing = self._make_pacing(realtime or RealtimeSettings(), tasks)
         self._waiters: list[asyncio.Future[None]] = []
 
-    def _make_pacing(self, realtime: RealtimeSettings) -> Pacing:
+    def _make_pacing(self, realtime: RealtimeSettings, tasks: Supervisor | None) -> Pacing:
         if self.backend == "thread":
             return ThreadPacing(self._machine, realtime, self._rung, self._ended)
         if self.backend == "timerfd":
             return TimerfdPacing(self._machine, realtime, self._rung, self._ended)
-        return VirtualPacing(self._machine, self._rung, self._ended, self.after_batch)
+        return VirtualPacing(self._machine, self._rung, self._ended, self.after_batch, tasks)
 
     @property
     def statistics(self) -> Statistics:
@@ -273,7 +278,7 @@ class Scheduler:
             await self.advance(n_ticks)
             tick = self.tick
             try:
-                async with asyncio.timeout(timeout_s):
+                async with time_limit(timeout_s):
                     goes_on = await exchange(tick)
             except TimeoutError:
                 raise PeerSilentError(

@@ -32,6 +32,8 @@ from hilserver.signals import Signal, State, ValueType
 from hilserver.sweep.configuration import machine_config
 from hilserver.sweep.prepare import Job, Machine
 from hilserver.sweep.rig import Outcome, judge_of, margins_of, scenario_of
+from hilserver.tasks import first_of
+from hilserver.time_limit import time_limit
 
 ENDPOINT, SEED = "{endpoint}", "{seed}"
 """Placeholders in a command for the robot's address and the machine's seed."""
@@ -116,18 +118,12 @@ class Stepped:
         """Wait for the drive's last tick; _Failed if it does not come."""
         lines: deque[str] = deque(maxlen=_LAST_LINES)
         time_s = self.job.sweep.limits.time_s
-        reading = asyncio.create_task(_keep(process, lines))
-        over = asyncio.create_task(watch.over.wait())
-        try:
-            await asyncio.wait((over, reading), timeout=time_s, return_when=asyncio.FIRST_COMPLETED)
-            # It closes its error output a moment before its exit code is there.
-            if reading.done() and not over.done():
-                with contextlib.suppress(TimeoutError):
-                    async with asyncio.timeout(1.0):
-                        await process.wait()
-        finally:
-            over.cancel()
-            reading.cancel()
+        first = await first_of(watch.over.wait(), _keep(process, lines), within_s=time_s)
+        # It closes its error output a moment before its exit code is there.
+        if first == 1:
+            with contextlib.suppress(TimeoutError):
+                async with time_limit(1.0):
+                    await process.wait()
         if watch.problem:
             raise _Failed(watch.problem)
         if watch.is_complete:

@@ -263,15 +263,13 @@ class Hil:
     async def running(self) -> AsyncIterator[Self]:
         """Run the daemon while the context lasts."""
         async with self.daemon:
-            drain = asyncio.create_task(self._drain(), name="tap")
+            job = self.daemon.core.tasks.every("tap", DRAIN_EVERY_S, self._drain)
             try:
                 await self.step(1)
                 yield self
             finally:
-                drain.cancel()
+                job.cancel()
 
-    async def _drain(self) -> None:
-        while True:
-            await asyncio.sleep(DRAIN_EVERY_S)
-            if self.mode == "realtime":
-                self.tap.drain()
+    def _drain(self) -> None:
+        if self.mode == "realtime":
+            self.tap.drain()

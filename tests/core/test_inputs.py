@@ -129,6 +129,30 @@ def test_refused_values_change_nothing_and_are_told(world, name, value, refusal)
     assert name in events.recent[-1].message
 
 
+def test_names_that_clients_make_become_no_series(world):
+    """Each visit to the page has a source of its own; one refused write each is no new series."""
+    gate, *_ = world
+    gate.take("page")
+    before = set(gate.rejected)
+    assert {reason for source, reason in before if source == "page"} == set(Refusal)
+    for visit in range(100):
+        gate.write(f"page:{visit}", {"wheel.fl.setpoint_rpm": math.nan})
+        gate.write(f"page:{visit}", {"wheel.fl.setpoint_rpm": 1.0})
+    assert set(gate.rejected) == before
+    assert gate.rejected["page", "not_finite"] == 100
+    assert gate.sources == ("page",)
+    assert gate.age_s("page:7") == gate.age_s("page")
+
+
+def test_what_is_remembered_of_refused_sources_has_a_limit(world):
+    gate, _, events, _ = world
+    for visit in range(1000):
+        gate.write(f"page:{visit}", {"wheel.fl.setpoint_rpm": 1.0})
+    assert len(gate._denied) <= 64
+    assert gate.rejected["page", "not_in_control"] == 1000
+    assert events.recent[-1].source == "page:999", "each one is told"
+
+
 def test_one_bad_value_of_a_group_does_not_hold_back_the_others(world):
     gate, image, _, _ = world
     refused = gate.write(

@@ -208,7 +208,9 @@ async def test_a_scenario_without_room_for_its_faults_changes_nothing(run, tmp_p
 
 async def test_a_recording_that_has_ended_by_itself_is_over(run, tmp_path):
     core, _ = run
-    recordings = Recordings(tmp_path, RecordingConfig(keep_free_mb=1e9), core.image.name)
+    recordings = Recordings(
+        tmp_path, RecordingConfig(keep_free_mb=1e9), core.image.name, core.tasks
+    )
     try:
         with pytest.raises(ControlRefused, match=r"'hall\.parquet' does not end in"):
             recordings.start("hall.parquet")

@@ -23,8 +23,9 @@ from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.connections import LINKS
 from hilserver.daemon.daemon import Daemon
 from hilserver.errors import FailedError
+from hilserver.io.arrival import WATCH_S
 from hilserver.io.link_status import PeerStatus
-from hilserver.io.source import Source, keep_watch
+from hilserver.io.source import Source
 from hilserver.io.world import Part
 from hilserver.signals import State
 from tests.loopback.rig import configuration, scrape, wait_until
@@ -54,7 +55,8 @@ class UdpLink(Part, asyncio.DatagramProtocol):
     def __init__(self, world):
         config = world.config.udp
         self.status = PeerStatus("udp", f"port {config.port}")
-        self._port, publish, self._task = config.port, world.events.publish, None
+        self._port, publish, self._job = config.port, world.events.publish, None
+        self._tasks = world.tasks
         fresh = lambda: "UDP: datagrams come in"  # noqa: E731
         self._source = Source(config.driver, "UDP", self.status, world.gate, publish, fresh=fresh)
 
@@ -66,11 +68,11 @@ class UdpLink(Part, asyncio.DatagramProtocol):
     async def start(self):
         make = asyncio.get_running_loop().create_datagram_endpoint
         self._transport, _ = await make(lambda: self, local_addr=("127.0.0.1", self._port))
-        self._task = asyncio.create_task(keep_watch(self._look))
+        self._job = self._tasks.every("udp: watch", WATCH_S, self._look)
 
     async def stop(self):
-        if self._task is not None:
-            self._task.cancel()
+        if self._job is not None:
+            self._job.cancel()
             self._transport.close()
 
     def _look(self):
@@ -123,7 +125,7 @@ async def test_a_link_of_its_own_drives_is_shown_and_lapses():
                 return daemon.image.frame_values[speed] > 20.0 and link.status.connected
 
             await wait_until(drives)
-        assert link.status.fault_counts == {"refused_value": link.status.fault_counts.total()}
+        assert +link.status.fault_counts == {"refused_value": link.status.fault_counts.total()}
         text = await scrape(daemon)
         assert 'hil_peer_faults_total{kind="refused_value",peer="udp"}' in text
         assert 'hil_input_age_seconds{source="peer:udp"}' in text

@@ -1,8 +1,5 @@
 """The way in of a link: what is read after a standstill of ours may be as old as that."""
 
-import asyncio
-import time
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -11,7 +8,7 @@ from hilserver.config.section import Driver
 from hilserver.core.events import EventBus
 from hilserver.io.arrival import LEFT_OVER_NS, WATCH_NS
 from hilserver.io.link_status import PeerStatus
-from hilserver.io.source import Source, keep_watch
+from hilserver.io.source import Source
 from tests.fakes import make_gate, make_image, make_table
 
 MS = 1_000_000
@@ -106,14 +103,6 @@ def test_a_time_that_is_exact_stays():
     assert source.came_ns(6000 * MS) == 6000 * MS
     source.watch(7000 * MS)
     assert source.came_ns(7001 * MS) == 7001 * MS
-
-
-async def test_it_is_watched_in_real_time():
-    looks = asyncio.Queue()
-    task = asyncio.create_task(keep_watch(lambda: looks.put_nowait(time.monotonic_ns())))
-    first, second = await looks.get(), await looks.get()
-    task.cancel()
-    assert second - first >= WATCH_NS // 2
 
 
 def test_a_command_is_handed_on_with_when_it_came(monkeypatch):

@@ -26,6 +26,7 @@ from hilserver.observer.layout import N_HEAD
 from hilserver.scheduler import metrics as scheduler
 from hilserver.scheduler.statistics import SliceFigures, Window
 from hilserver.signals import State
+from hilserver.tasks import Supervisor
 
 OF_S7 = {FaultKind.TORN_READ, FaultKind.NO_SLOT, FaultKind.NO_S7, FaultKind.NO_ROOM}
 SLICES = ("plant", "sensors", "publish", "supervise", "own")
@@ -72,6 +73,7 @@ class FakeDaemon:
         self.tasks = 8
         self.observed = [observer.counted(np.zeros(N_HEAD))]
         self.recalibration: Figures | None = Figures()
+        self.kept = Supervisor()
         self.n_reads = 0
 
     def sources(self) -> list[Source[Any]]:
@@ -90,6 +92,7 @@ class FakeDaemon:
             Source(observer.METRICS, lambda: self.observed),
             *self.looks(),
             Source(audit.METRICS, lambda: self.audit),
+            Source(daemon.TASK_METRICS, lambda: self.kept),
             Source(daemon.PROGRAM_METRICS, self.program),
         ]
 

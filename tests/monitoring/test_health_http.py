@@ -31,6 +31,7 @@ class Endpoint:
         self.now_ns = 10**9
         self.heartbeat_ns = 10**9
         self.first_ticks_met = True
+        self.tasks_down = ""
         self.daemon = FakeDaemon()
         self.daemon.state = State.RUNNING
         metrics = Metrics(*self.daemon.sources())
@@ -41,6 +42,7 @@ class Endpoint:
                 state=lambda: self.daemon.state.word,
                 heartbeat_ns=lambda: self.heartbeat_ns,
                 first_ticks_met=lambda: self.first_ticks_met,
+                tasks_down=lambda: self.tasks_down,
             ),
             timeout_s=TIMEOUT_S,
             clock_ns=lambda: self.now_ns,
@@ -183,7 +185,7 @@ async def test_a_client_that_goes_away_leaves_nothing_behind(endpoint: Endpoint)
         writer.write(request)
         writer.transport.abort()
     assert (await endpoint.get("/healthz"))[0] == 200
-    await until(lambda: not endpoint.server._tasks)
+    await until(lambda: not endpoint.server._open)
 
 
 async def test_a_client_that_does_not_read_is_dropped() -> None:
@@ -199,8 +201,8 @@ async def test_a_client_that_does_not_read_is_dropped() -> None:
         _, writer = await asyncio.open_connection("127.0.0.1", server.port, limit=1)
         writer.write(b"GET /metrics HTTP/1.0\r\n\r\n")
         await writer.drain()
-        await until(lambda: len(server._tasks) == 1)
-        await until(lambda: len(server._tasks) == 0)
+        await until(lambda: len(server._open) == 1)
+        await until(lambda: len(server._open) == 0)
         writer.transport.abort()
     finally:
         await server.stop()
@@ -223,7 +225,7 @@ async def test_dripping_clients_do_not_keep_a_probe_out(endpoint: Endpoint) -> N
     endpoint.server._timeout_s = 30
     async with asyncio.TaskGroup() as group:
         drips = [group.create_task(drip(endpoint.server.port)) for _ in range(CONNECTIONS_MAX + 8)]
-        await until(lambda: len(endpoint.server._tasks) == CONNECTIONS_MAX)
+        await until(lambda: len(endpoint.server._open) == CONNECTIONS_MAX)
         statuses = [(await endpoint.get("/healthz"))[0] for _ in range(10)]
         for task in drips:
             task.cancel()
@@ -278,7 +280,7 @@ async def test_stop_ends_open_connections_and_frees_the_port() -> None:
     reader, writer = await asyncio.open_connection("127.0.0.1", endpoint.server.port)
     writer.write(b"GET /hea")
     await writer.drain()
-    await until(lambda: len(endpoint.server._tasks) == 1)
+    await until(lambda: len(endpoint.server._open) == 1)
     await endpoint.server.stop()
     assert await closed_without_answer(reader)
     writer.transport.abort()
@@ -310,3 +312,10 @@ def test_the_same_on_uvloop() -> None:
         await test_stop_ends_open_connections_and_frees_the_port()
 
     uvloop.run(scenario())
+
+
+async def test_not_ready_while_a_task_does_not_run(endpoint: Endpoint) -> None:
+    assert (await endpoint.get("/readyz"))[0] == 200
+    endpoint.tasks_down = "task 'edge' returned"
+    status, _, body = await endpoint.get("/readyz")
+    assert (status, b"task 'edge' returned" in body) == (503, True)

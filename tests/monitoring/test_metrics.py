@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -77,6 +78,7 @@ def late_response(daemon: FakeDaemon, late_ns: int) -> None:
     words[LATE_SUM] += late_ns
 
 
+EDGE = {"name": "edge", "lasting": True, "why_down": ""}
 STIMULI = {
     "hil_wake_latency_seconds_bucket": lambda d: figures(d, latency_counts=counts_of(30_000)),
     "hil_execution_seconds_bucket": lambda d: figures(d, execution_counts=counts_of(2_000)),
@@ -114,6 +116,9 @@ STIMULI = {
     "hil_recalibration_looking": lambda d: setattr(d.recalibration, "is_looking", True),
     "hil_recalibration_effect_ratio": lambda d: d.recalibration.effect.update({"pose.x_m": 3.0}),
     "hil_asyncio_tasks": lambda d: setattr(d, "tasks", 9),
+    "hil_task_up": lambda d: setattr(d.kept, "jobs", [SimpleNamespace(**EDGE)]),
+    "hil_task_restarts_total": lambda d: d.kept.restarts.update(edge=1),
+    "hil_task_failures_total": lambda d: d.kept.failures.update(["opcua request"]),
     "hil_audit_ok": lambda d: d.audit.update(rtprio=True),
 }
 

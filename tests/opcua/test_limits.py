@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from hilserver.config.server import OpcUaConfig
 from hilserver.errors import FailedError
-from hilserver.opcua import transport
+from hilserver.opcua import subscriptions, transport
 from tests.io.opcua_server.rig import Rig, RobotClient, connected
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -38,6 +38,41 @@ async def test_publishing_interval_has_a_lower_bound(client: RobotClient, asked_
     )
     assert granted.RevisedPublishingInterval == 5.0
     await subscription.delete()
+
+
+@pytest.mark.parametrize("asked_ms", [10.0, 100.0, 3.6e6, math.inf])
+@pytest.mark.parametrize("count", [0, 1, 2**31])
+async def test_a_lifetime_is_bounded_in_seconds_whatever_the_interval(
+    client: RobotClient, asked_ms: float, count: int
+) -> None:
+    """Fifteen thousand cycles of an hour were 625 days without a client."""
+    params = ua.CreateSubscriptionParameters()
+    params.RequestedPublishingInterval = asked_ms
+    params.RequestedLifetimeCount = params.RequestedMaxKeepAliveCount = count
+    granted = await client.uaclient.create_subscription(params, lambda *_: None)
+    cycle_s = granted.RevisedPublishingInterval / 1e3
+    assert cycle_s * granted.RevisedMaxKeepAliveCount <= 200.0
+    assert cycle_s * granted.RevisedLifetimeCount <= 600.0
+    assert granted.RevisedLifetimeCount >= 3 * granted.RevisedMaxKeepAliveCount
+    if count == 2**31:
+        assert cycle_s * granted.RevisedLifetimeCount > 599.0, "the client gets what there is"
+    await client.uaclient.delete_subscriptions([granted.SubscriptionId])
+
+
+async def test_a_subscription_does_not_outlive_its_client(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(subscriptions, "LONGEST_PUBLISHING_MS", 20.0)
+    async with connected(rig) as orphaning:
+        params = ua.CreateSubscriptionParameters(RequestedPublishingInterval=3.6e6)
+        params.RequestedLifetimeCount = params.RequestedMaxKeepAliveCount = 2**31
+        granted = await orphaning.uaclient.create_subscription(params, lambda *_: None)
+        left = rig.server._server.iserver.subscription_service.subscriptions
+        assert granted.SubscriptionId in left
+        await orphaning.uaclient.close_session(False)
+        async with asyncio.timeout(60):
+            while granted.SubscriptionId in left:  # noqa: ASYNC110 - nothing announces it
+                await asyncio.sleep(0.005)
 
 
 async def test_queue_size_has_an_upper_bound(client: RobotClient) -> None:

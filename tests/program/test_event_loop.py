@@ -4,6 +4,7 @@ import asyncio
 import socket
 
 from hilserver.program import event_loop
+from hilserver.tasks import end
 
 
 def test_tasks_have_ended_whatever_they_do_when_they_are_cancelled() -> None:
@@ -26,7 +27,7 @@ def test_tasks_have_ended_whatever_they_do_when_they_are_cancelled() -> None:
     async def main() -> None:
         tasks = [asyncio.create_task(tidies_up()), asyncio.create_task(breaks())]
         await asyncio.sleep(0)
-        await event_loop.end(*tasks, None)
+        await end(*tasks, None)
         assert all(task.done() for task in tasks)
 
     event_loop.run(main())

@@ -16,12 +16,15 @@ import structlog
 
 from hilserver.config.edge import EdgeConfig
 from hilserver.image import Frame
+from hilserver.io.arrival import WATCH_S
 from hilserver.io.edge import payload
 from hilserver.io.edge.credentials import credentials
 from hilserver.io.edge.payload import Collection
 from hilserver.io.link_status import LinkState, PeerStatus
-from hilserver.io.source import Source, keep_watch
+from hilserver.io.source import Source
 from hilserver.io.world import Part, World
+from hilserver.tasks import SupervisedTask, together
+from hilserver.time_limit import time_limit
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 10.0
 ANSWER_S: Final = 5.0
@@ -57,6 +60,7 @@ class EdgeLink(Part):
             world.gate,
             world.events.publish,
             fresh=lambda: "databus: values are coming in",
+            kinds=EdgeFault,
         )
         with world.at("edge"):
             self._collections = payload.collections_of(config, world.table)
@@ -66,8 +70,8 @@ class EdgeLink(Part):
         self._news = asyncio.Event()
         self._numbers = [0] * len(self._collections)
         self._status_number = 0
-        self._task: asyncio.Task[None] | None = None
-        self._watching: asyncio.Task[None] | None = None
+        self._job: SupervisedTask | None = None
+        self._watching: SupervisedTask | None = None
         self._client: aiomqtt.Client | None = None
 
     @property
@@ -79,9 +83,10 @@ class EdgeLink(Part):
         """Connect, and again after every loss; ConfigError if a file cannot be used."""
         password, context = credentials(self._config, self._world.folder)
         self.status.state = LinkState.CONNECTING
-        self._task = asyncio.create_task(self._stay_connected(password, context), name="edge")
+        tasks = self._world.tasks
+        self._job = tasks.keep("edge", lambda: self._stay_connected(password, context))
         if self._config.drives:
-            self._watching = asyncio.create_task(keep_watch(self._look), name="edge-watch")
+            self._watching = tasks.every("edge: watch", WATCH_S, self._look)
 
     async def stop(self) -> None:
         """Announce the end and disconnect; if that takes too long, the last will announces it."""
@@ -89,9 +94,9 @@ class EdgeLink(Part):
             self._watching.cancel()
         try:
             for _ in range(2):  # a library may swallow the first cancellation
-                if self._task is not None:
-                    self._task.cancel()
-                    await asyncio.wait({self._task}, timeout=LEAVE_S + DISCONNECT_S)
+                if self._job is not None:
+                    self._job.cancel()
+                    await asyncio.wait({self._job.task}, timeout=LEAVE_S + DISCONNECT_S)
         finally:
             self._drop()
         self.status.connected, self.status.state = False, LinkState.STOPPED
@@ -119,7 +124,7 @@ class EdgeLink(Part):
             begun_s = time.monotonic()
             try:
                 self._client = self._new_client(password, context)
-                async with self._client as client:
+                async with time_limit(None), self._client as client:
                     await self._serve(client)
             except* (aiomqtt.MqttError, OSError, TimeoutError) as group:
                 error = group.exceptions[0]
@@ -181,12 +186,10 @@ class EdgeLink(Part):
     async def _serve(self, client: aiomqtt.Client) -> None:
         try:
             await self._greet(client)
-            async with asyncio.TaskGroup() as group:
-                group.create_task(self._send(client))
-                group.create_task(_until_lost(client))
+            await together(self._send(client), _until_lost(client))
         except asyncio.CancelledError:
             try:
-                async with asyncio.timeout(LEAVE_S):
+                async with time_limit(LEAVE_S):
                     await self._say(client, available=False)
             except (aiomqtt.MqttError, TimeoutError, asyncio.CancelledError):
                 self._drop()

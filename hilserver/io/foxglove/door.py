@@ -7,12 +7,15 @@ handed on.
 
 import asyncio
 import random
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Final
 
 import structlog
 
 from hilserver.program import event_loop
+from hilserver.tasks import SupervisedTask, Supervisor, first_of
+from hilserver.time_limit import time_limit
 
 CONNECTIONS: Final = 32
 HEAD_BYTES: Final = 8192
@@ -38,11 +41,12 @@ def hidden_host() -> str:
 class Door:
     """Listens for viewers and connects those that may enter with the server behind it."""
 
-    def __init__(self, origins: Sequence[str]) -> None:
+    def __init__(self, origins: Sequence[str], tasks: Supervisor | None = None) -> None:
+        self._tasks = Supervisor() if tasks is None else tasks
         self._origins = frozenset(origin.rstrip("/").lower() for origin in origins)
         self._server: asyncio.Server | None = None
         self._behind = ("", 0)
-        self._open: set[asyncio.Task[None]] = set()
+        self._open: set[SupervisedTask] = set()
 
     @property
     def port(self) -> int:
@@ -58,16 +62,18 @@ class Door:
         """Accept no more viewers, and end all connections."""
         if self._server is not None:
             self._server.close()
-        await event_loop.end(*self._open)
+        for job in tuple(self._open):
+            await job.end()
 
     def _enter(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         if len(self._open) >= CONNECTIONS:
             writer.transport.abort()
             return
         address, *_ = writer.get_extra_info("peername") or ("unknown",)  # none once it has left
-        task = asyncio.create_task(self._guarded(reader, writer, address), name="foxglove viewer")
-        self._open.add(task)
-        task.add_done_callback(self._open.discard)
+        serving = partial(self._guarded, reader, writer, address)
+        job = self._tasks.spawn(serving, "foxglove viewer")
+        self._open.add(job)
+        job.on_end = lambda: self._open.discard(job)
 
     async def _guarded(
         self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str
@@ -82,7 +88,7 @@ class Door:
     async def _serve(
         self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str
     ) -> None:
-        async with asyncio.timeout(HEAD_S):
+        async with time_limit(HEAD_S):
             head = await reader.readuntil(b"\r\n\r\n")
         if not self._may_enter(head):
             writer.write(_REFUSED)
@@ -91,8 +97,7 @@ class Door:
         inner, outer = await asyncio.open_connection(*self._behind, limit=PIECE_BYTES)
         try:
             outer.write(head)
-            ways = [_sent(reader, outer), _shown(inner, writer, address)]
-            await _first_to_end(ways)
+            await first_of(_sent(reader, outer), _shown(inner, writer, address))
         finally:
             outer.transport.abort()
 
@@ -105,21 +110,13 @@ class Door:
         return all(origin in self._origins for origin in named)
 
 
-async def _first_to_end(ways: Sequence[Awaitable[None]]) -> None:
-    tasks = [asyncio.ensure_future(way) for way in ways]
-    try:
-        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-    finally:
-        await event_loop.end(*tasks)
-
-
 async def _shown(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str) -> None:
     """Forward data to the viewer, as long as it takes them; the SDK drops frames meanwhile."""
     event_loop.hold_little(writer.transport)
     while data := await reader.read(PIECE_BYTES):
         writer.write(data)
         try:
-            async with asyncio.timeout(UNREAD_S):
+            async with time_limit(UNREAD_S):
                 await writer.drain()
         except TimeoutError:
             _log.warning("foxglove viewer does not take what it is shown: closed", address=address)

@@ -20,16 +20,15 @@ from pydantic import BaseModel, TypeAdapter
 from hilserver.config.foxglove import FoxgloveConfig
 from hilserver.errors import address_refused
 from hilserver.image import Frame
-from hilserver.io.arrival import Arrivals
+from hilserver.io.arrival import WATCH_S, Arrivals
 from hilserver.io.foxglove.door import Door, hidden_host
 from hilserver.io.foxglove.inbox import Inbox
 from hilserver.io.foxglove.scene import scene
-from hilserver.io.source import keep_watch
 from hilserver.io.world import Part, World
 from hilserver.logs.mcap_writer import TOPIC
 from hilserver.logs.message import CDR_LITTLE_ENDIAN, SCHEMA_NAME, make_layout
-from hilserver.program import event_loop
 from hilserver.ros.types import Types
+from hilserver.tasks import SupervisedTask
 
 SOURCE: Final = "page:foxglove"
 TWIST, TWIST_TYPE = "/cmd_vel", "geometry_msgs/msg/Twist"
@@ -74,10 +73,11 @@ class Endpoint(Part):
         )
         self._transforms = FrameTransformChannel("/transforms", context=self._context)
         self._scene = SceneUpdateChannel("/scene", context=self._context)
-        self._door = Door(config.origins)
+        self._door = Door(config.origins, world.tasks)
         self._arrivals = Arrivals(round(world.config.page.deadman_ms * 1e6), HANDED_OVER_NS)
+        self._shown, self._scene_s = -1, 0.0  # the frame shown last, when the hall is due again
         self._server: Any = None
-        self._tasks: list[asyncio.Task[None]] = []
+        self._jobs: list[SupervisedTask] = []
 
     @property
     def url(self) -> str:
@@ -119,35 +119,32 @@ class Endpoint(Part):
             why = error if isinstance(error, OSError) else OSError(str(error))
             where = f"{self._config.host} port {self._config.port}"
             raise address_refused(f"foxglove: cannot listen on {where}", why) from None
-        self._tasks = [
-            asyncio.create_task(self._show_for_ever(), name="foxglove"),
-            asyncio.create_task(keep_watch(self._look), name="foxglove-watch"),
+        tasks = self._world.tasks
+        self._jobs = [
+            tasks.every("foxglove", 1.0 / self._config.rate_hz, self._show_newest),
+            tasks.every("foxglove: watch", WATCH_S, self._look),
         ]
 
     async def stop(self) -> None:
         """Close all connections."""
-        await event_loop.end(*self._tasks)
+        for job in self._jobs:
+            await job.end()
         await self._door.close()
         if self._server is not None:
             await asyncio.to_thread(self._server.stop)
-        self._server, self._tasks = None, []
+        self._server, self._jobs = None, []
 
     def _look(self) -> None:
         self._arrivals.look(time.monotonic_ns())
 
-    async def _show_for_ever(self) -> None:
-        period_s, scene_s = 1.0 / self._config.rate_hz, 0.0
-        number = -1
-        loop = asyncio.get_running_loop()
-        while True:
-            frame = self._world.image.latest()
-            if frame is not None and frame.number != number:
-                number = frame.number
-                self._show(frame)
-            if self._scene.has_sinks() and loop.time() >= scene_s:
-                scene_s = loop.time() + SCENE_EVERY_S
-                self._scene.log(scene(self._world.hall, self._world.shape))
-            await asyncio.sleep(period_s)
+    def _show_newest(self) -> None:
+        frame, now_s = self._world.image.latest(), time.monotonic()
+        if frame is not None and frame.number != self._shown:
+            self._shown = frame.number
+            self._show(frame)
+        if self._scene.has_sinks() and now_s >= self._scene_s:
+            self._scene_s = now_s + SCENE_EVERY_S
+            self._scene.log(scene(self._world.hall, self._world.shape))
 
     def _show(self, frame: Frame) -> None:
         stamp_ns = self._world.clock.utc_ns(frame.planned_ns)

@@ -66,8 +66,6 @@ class Acquisition:
 
     async def run(self) -> None:
         """Bring samples until the session ends."""
-        if not self.nodes:
-            return
         reason = "as configured"
         if self.config.mode != "poll":
             reason = await self._subscribe()

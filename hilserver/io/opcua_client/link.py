@@ -13,7 +13,8 @@ from hilserver.io.opcua_client.security import LinkSecurity
 from hilserver.io.opcua_client.session import Session, utc_ns_of
 from hilserver.io.opcua_client.writer import Writer
 from hilserver.io.peer_link.link import Peer, describe
-from hilserver.io.peer_link.samples import FaultKind
+from hilserver.io.peer_link.samples import OF_OPCUA, FaultKind
+from hilserver.tasks import together
 
 HEARTBEAT_S = 1.0
 HUNT_EVERY_S = 30.0
@@ -35,6 +36,8 @@ class PeerLink(Peer):
     ) -> None:
         if security is None and (config.security.is_secure or config.security.user is not None):
             raise ValueError(f"peer '{config.name}' asks for a protected link")
+        # Without security nothing is asked of certificates and users.
+        self.kinds = OF_OPCUA if security else OF_OPCUA - {FaultKind.CERTIFICATE, FaultKind.LOG_IN}
         super().__init__(config, **around)
         self._security = security
 
@@ -67,14 +70,18 @@ class PeerLink(Peer):
             self._clock.utc,
             Lane(self._line, "out"),
         )
-        async with asyncio.TaskGroup() as group:
-            group.create_task(session.wait_lost())
-            group.create_task(session.watch_trust())
-            group.create_task(self.wait_cut())
-            group.create_task(intake.run())
-            group.create_task(self._heartbeat(session))
-            group.create_task(writer.run())
-            group.create_task(acquisition.run())
+        ways = [
+            session.wait_lost(),
+            session.watch_trust(),
+            self.wait_cut(),
+            intake.run(),
+            self._heartbeat(session),
+        ]
+        if self.config.write:
+            ways.append(writer.run())
+        if acquisition.nodes:
+            ways.append(acquisition.run())
+        await together(*ways)
 
     def _report_slow(self, sentence: str) -> None:
         now_ns = time.monotonic_ns()

@@ -19,6 +19,7 @@ from hilserver.io.opcua_client.refusal import hung_up, refused_by_peer
 from hilserver.io.opcua_client.security import LinkSecurity, PeerClient
 from hilserver.io.peer_link import samples
 from hilserver.io.peer_link.samples import FaultKind, LinkLostError, RefusedError, Verdict
+from hilserver.time_limit import time_limit
 
 CONNECT_TIMEOUT_S = 2.0  # for the TCP connection and for each request
 
@@ -78,7 +79,7 @@ class Session:
 
     async def __aenter__(self) -> "Session":
         try:
-            async with asyncio.timeout(OPEN_TIMEOUT_S):
+            async with time_limit(OPEN_TIMEOUT_S):
                 if self._security is not None:
                     await self._security.prepare(self._client, self._ask_endpoints)
                 await self._client.connect()
@@ -161,7 +162,7 @@ class Session:
             transport.abort()
             await asyncio.sleep(0)  # lets the protocol see that its transport is gone
         with contextlib.suppress(Exception):
-            async with asyncio.timeout(CLOSE_TIMEOUT_S):
+            async with time_limit(CLOSE_TIMEOUT_S):
                 await self._client.disconnect()
         if transport is not None:
             transport.abort()

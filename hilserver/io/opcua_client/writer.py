@@ -51,8 +51,7 @@ class Writer:
 
     async def run(self) -> None:
         """Write every cycle until the session ends."""
-        if self._config.write:
-            await every(self._config.write_every_ms / 1000, self._cycle, self._skipped)
+        await every(self._config.write_every_ms / 1000, self._cycle, self._skipped)
 
     def _skipped(self, count: int) -> None:
         self._status.writes_skipped += count

@@ -85,7 +85,7 @@ class OpcUaServer(Part):
         FailedError if the address cannot be listened on; ConfigError if certificate or key are
         missing or cannot be used.
         """
-        server = HardenedServer(self._config, self._world.folder)
+        server = HardenedServer(self._config, self._world.folder, self._world.tasks.spawn)
         server.set_server_name("hilserver")
         server.product_uri, server.manufacturer_name = PRODUCT_URI, "hilserver"
         await server.init()

@@ -18,10 +18,13 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from enum import IntEnum
+from functools import partial
 from typing import Any
 
 from aiohttp import web
 from aiohttp.typedefs import Handler, Middleware
+
+from hilserver.tasks import SupervisedTask, Supervisor
 
 MOST = 256
 HEAD_S = 5.0
@@ -43,7 +46,7 @@ class Place(asyncio.Protocol):
 
     def __init__(self, door: "Door", behind: Any, address: str) -> None:
         self.behind, self.address = behind, address
-        self.handshake: asyncio.Task[None] | None = None
+        self.handshake: SupervisedTask | None = None
         self._door, self._is_over = door, False
         self._transport: Any = None
         self._timer: asyncio.TimerHandle | None = None
@@ -99,7 +102,13 @@ class Door:
     `behind` makes the protocol that serves one connection.
     """
 
-    def __init__(self, tls: ssl.SSLContext | None = None, most: int = MOST) -> None:
+    def __init__(
+        self,
+        tls: ssl.SSLContext | None = None,
+        most: int = MOST,
+        tasks: Supervisor | None = None,
+    ) -> None:
+        self._tasks = Supervisor() if tasks is None else tasks
         self.tls = tls
         self.behind: Callable[[], Any] = asyncio.Protocol
         self._most = most
@@ -109,18 +118,18 @@ class Door:
         """Accept connections until cancelled."""
         listener.setblocking(False)
         loop = asyncio.get_running_loop()
-        async with asyncio.TaskGroup() as handshakes:
-            while True:
-                try:
-                    connection, address = await loop.sock_accept(listener)
-                except OSError:  # too many open files for now
-                    await asyncio.sleep(ACCEPT_AGAIN_S)
-                    continue
-                place = self.place(address[0])
-                if place is None:
-                    connection.close()
-                else:
-                    place.handshake = handshakes.create_task(self._connect(place, connection))
+        while True:
+            try:
+                connection, address = await loop.sock_accept(listener)
+            except OSError:  # too many open files for now
+                await asyncio.sleep(ACCEPT_AGAIN_S)
+                continue
+            place = self.place(address[0])
+            if place is None:
+                connection.close()
+            else:
+                greeting = partial(self._connect, place, connection)
+                place.handshake = self._tasks.spawn(greeting, "page handshake")
 
     async def _connect(self, place: Place, connection: socket.socket) -> None:
         limit_s = None if self.tls is None else HEAD_S

@@ -1,6 +1,5 @@
 """The hand of one browser: a session at the daemon's OPC UA server with its user's rights."""
 
-import asyncio
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from hilserver.errors import reason
 from hilserver.io.opcua_server.method_table import METHOD_OF, METHODS, STRING, Method
 from hilserver.io.opcua_server.model import CONTROL_SOURCE, NAMESPACE_URI
 from hilserver.io.page.setup import OpcUaAccess
+from hilserver.time_limit import time_limit
 
 logging.getLogger("asyncua").setLevel(logging.CRITICAL)
 
@@ -78,10 +78,11 @@ class Hand:
             if name:
                 client.set_user(name)
                 client.set_password(password)
-            await client.connect()
-            self._client = client
-            self._index = await client.get_namespace_index(NAMESPACE_URI)
-            self.rights = await self._read_rights()
+            async with time_limit(None):  # asyncua limits each request, and cancels some itself
+                await client.connect()
+                self._client = client
+                self._index = await client.get_namespace_index(NAMESPACE_URI)
+                self.rights = await self._read_rights()
         except ua.UaStatusCodeError as error:
             await self.close()
             unknown = {ua.StatusCodes.BadUserAccessDenied, ua.StatusCodes.BadIdentityTokenRejected}
@@ -102,7 +103,7 @@ class Hand:
         self.rights = Rights()
         if client is not None:
             try:
-                async with asyncio.timeout(HAND_ANSWER_S):
+                async with time_limit(HAND_ANSWER_S):
                     await client.disconnect()
             except (OSError, TimeoutError, ua.UaError):
                 return
@@ -136,7 +137,8 @@ class Hand:
         RefusedError if the daemon does not answer.
         """
         try:
-            return await self._read(list(names), ua.AttributeIds.Value)
+            async with time_limit(None):
+                return await self._read(list(names), ua.AttributeIds.Value)
         except (OSError, TimeoutError, ua.UaError) as error:
             raise RefusedError(f"the daemon does not answer: {error or 'time-out'}") from None
 
@@ -145,7 +147,8 @@ class Hand:
             raise RefusedError("not connected to the daemon")
         request.RequestHeader.ReturnDiagnostics = _TEXTS
         try:
-            data = await self._client.uaclient.session._send_request(request)
+            async with time_limit(None):
+                data = await self._client.uaclient.session._send_request(request)
             response = struct_from_binary(kind, data)
             response.ResponseHeader.ServiceResult.check()
         except (OSError, TimeoutError, ua.UaError) as error:

@@ -8,14 +8,15 @@ import sys
 import time
 from collections import deque
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from hilserver.io.page.files import file_in, files_in, is_plain, reports_in
 from hilserver.io.page.hand import RefusedError
 from hilserver.io.page.setup import Setup
-from hilserver.program import event_loop
 from hilserver.program.whole_file import write_whole
+from hilserver.tasks import SupervisedTask, Supervisor
 
 MAX_KEPT = 20
 SHARE_OVER_S = 8.0
@@ -87,10 +88,11 @@ class Job:
 class Jobs:
     """Starts, follows and ends diagnoses; those of earlier runs are known by their reports."""
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: Setup, tasks: Supervisor | None = None) -> None:
+        self._tasks = Supervisor() if tasks is None else tasks
         self._setup = setup
         self._jobs: deque[Job] = deque(maxlen=MAX_KEPT)
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._running: SupervisedTask | None = None
         reports = setup.folder("reports")
         earlier = [row for row in reports_in(reports) if row["title"] is not None][:MAX_KEPT]
         for number, row in enumerate(reversed(earlier), 1):
@@ -122,9 +124,7 @@ class Jobs:
         job = Job(self._next, path.name, folder)
         self._next += 1
         self._jobs.append(job)
-        task = asyncio.create_task(self._run(job, path, mapping), name=f"diagnosis {job.number}")
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        self._running = self._tasks.spawn(partial(self._run, job, path, mapping), "diagnosis")
         return job.number
 
     def map(self, log: object, text: str) -> None:
@@ -172,7 +172,8 @@ class Jobs:
         """End whatever runs."""
         for job in self._jobs:
             _terminate(job)
-        await event_loop.end(*self._tasks)
+        if self._running is not None:
+            await self._running.end()
 
     async def _run(self, job: Job, log: Path, mapping: str) -> None:
         words = [sys.executable, "-m", "hilserver.io.page.quietly", "diagnose", str(log)]

@@ -4,12 +4,14 @@ import asyncio
 import socket
 import sys
 from collections.abc import Callable
+from functools import partial
 
 import structlog
 
 from hilserver.io.page.setup import Setup
 from hilserver.io.world import Part
-from hilserver.program import children, event_loop
+from hilserver.program import children
+from hilserver.tasks import SupervisedTask, Supervisor
 
 PAGE_STOP_S = 0.7
 RESTART_S = 1.0
@@ -27,9 +29,16 @@ class PageBeside(Part):
 
     section = label = "page"
 
-    def __init__(self, setup: Callable[[], Setup], listener: socket.socket, address: str) -> None:
+    def __init__(
+        self,
+        setup: Callable[[], Setup],
+        listener: socket.socket,
+        address: str,
+        tasks: Supervisor,
+    ) -> None:
         self._setup, self._listener, self._address = setup, listener, address
-        self._task: asyncio.Task[None] | None = None
+        self._tasks = tasks
+        self._job: SupervisedTask | None = None
 
     @property
     def address(self) -> str:
@@ -38,12 +47,12 @@ class PageBeside(Part):
 
     async def start(self) -> None:
         """Start it, without waiting for it."""
-        running = _keep_running(self._setup(), self._listener)
-        self._task = asyncio.create_task(running, name="page")
+        self._job = self._tasks.keep("page", partial(_keep_running, self._setup(), self._listener))
 
     async def stop(self) -> None:
         """End it."""
-        await event_loop.end(self._task)
+        if self._job is not None:
+            await self._job.end()
 
 
 async def _keep_running(setup: Setup, listener: socket.socket) -> None:

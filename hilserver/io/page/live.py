@@ -8,6 +8,7 @@ import json
 import logging
 import time
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from aiohttp import WSCloseCode, WSMsgType, web
@@ -22,6 +23,8 @@ from hilserver.io.page.hand import RefusedError
 from hilserver.io.page.jobs import Jobs
 from hilserver.io.page.stopping import Stopping
 from hilserver.program import event_loop
+from hilserver.tasks import Supervisor
+from hilserver.time_limit import time_limit
 
 MESSAGE_BYTES = 65_536
 MESSAGES_PER_S = 200
@@ -39,8 +42,10 @@ _log = logging.getLogger(__name__)
 class Client:
     """One socket of one browser."""
 
-    def __init__(self, number: int, browser: Browser, request: web.Request) -> None:
-        self.number, self.browser = number, browser
+    def __init__(
+        self, number: int, browser: Browser, request: web.Request, tasks: Supervisor
+    ) -> None:
+        self.number, self.browser, self._tasks = number, browser, tasks
         self.selection: Selection | None = None
         self.lost = 0  # frames left out because it did not take earlier ones
         self.socket = web.WebSocketResponse(
@@ -50,7 +55,6 @@ class Client:
         event_loop.hold_little(self._transport)
         if self._transport is not None:
             self._transport.set_write_buffer_limits(WRITABLE_BYTES, UNREAD_BYTES)
-        self._tasks: set[asyncio.Task[None]] = set()
         self._blocked_since_s: float | None = None
 
     @property
@@ -76,9 +80,7 @@ class Client:
             self._later(self.socket.send_str(json.dumps(message)))
 
     def _later(self, sending: Any) -> None:
-        task = asyncio.create_task(_ignoring_loss(sending))
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        self._tasks.spawn(partial(_ignoring_loss, sending), "message to a browser")
 
 
 async def _ignoring_loss(sending: Any) -> None:
@@ -102,7 +104,9 @@ class Live:
         jobs: Jobs,
         stopping: Stopping,
         door: Door,
+        tasks: Supervisor | None = None,
     ) -> None:
+        self._tasks = Supervisor() if tasks is None else tasks
         self._reader, self._slots, self._driving = reader, slots, driving
         self._board = BoardReader(reader)
         self._period_s, self._max_clients, self._jobs = 1.0 / rate_hz, max_clients, jobs
@@ -122,7 +126,7 @@ class Live:
 
     async def serve(self, request: web.Request, browser: Browser) -> web.WebSocketResponse:
         """Serve one socket until it closes."""
-        client = Client(self._next, browser, request)
+        client = Client(self._next, browser, request, self._tasks)
         self._next += 1
         await client.socket.prepare(request)
         if (refusal := await self._refusal(client)) is not None:
@@ -160,7 +164,7 @@ class Live:
 
     async def _greeted(self, client: Client) -> bool:
         try:
-            async with asyncio.timeout(GREET_S):
+            async with time_limit(GREET_S):
                 data = await client.socket.receive_json()
         except (TypeError, ValueError, TimeoutError):
             return False
@@ -255,7 +259,7 @@ class Live:
 
 async def _close(client: Client, code: int, why: str) -> None:
     try:
-        async with asyncio.timeout(1.0):
+        async with time_limit(1.0):
             await client.socket.close(code=code, message=why.encode())
     except (TimeoutError, ConnectionError, RuntimeError):
         return

@@ -27,11 +27,13 @@ from hilserver.io.page.live import Live
 from hilserver.io.page.setup import Setup
 from hilserver.io.page.stopping import Stopping
 from hilserver.io.page.uploads import Uploads
+from hilserver.tasks import Supervisor
+from hilserver.time_limit import time_limit
 
 TOKEN_HEADER = "X-Hilserver-Token"  # noqa: S105 - the header's name
 BODY_BYTES = 65_536
 BODY_S = 5.0
-SWEEP_S = 60.0
+SWEEP_S, LOOK_S = 60.0, 1.0
 
 
 class PageServer:
@@ -48,10 +50,11 @@ class PageServer:
         self._browsers = Browsers(
             lambda: Hand(setup.opcua, types), anonymous_may_stop=setup.opcua.anonymous_may_stop
         )
-        stopping = Stopping(setup.image, self._report_stop)
-        self._door = Door(self._tls())
+        self._tasks = Supervisor()
+        stopping = Stopping(setup.image, self._report_stop, self._tasks)
+        self._door = Door(self._tls(), tasks=self._tasks)
         self._driving = Driving(setup.page.deadman_ms)
-        self._jobs = Jobs(setup)
+        self._jobs = Jobs(setup, self._tasks)
         self._uploads = Uploads(setup.folder("recordings"))
         self._image = ImageReader.attach(setup.image)
         self._slots = {signal["name"]: signal["slot"] for signal in setup.signals}
@@ -64,6 +67,7 @@ class PageServer:
             jobs=self._jobs,
             stopping=stopping,
             door=self._door,
+            tasks=self._tasks,
         )
         self._calls = Calls(setup, self._browsers, self._live, self._driving, self._jobs, stopping)
 
@@ -77,13 +81,17 @@ class PageServer:
         if runner.server is None:
             return
         self._door.behind = runner.server
+        tasks = self._tasks
+        tasks.keep("page: door", lambda: self._door.let_in(listener))
+        tasks.keep("page: frames", self._live.run)
+        tasks.keep("page: commands", self._driving.run)
+        tasks.every("page: sweep", SWEEP_S, self._browsers.sweep)
         try:
-            async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(self._door.let_in(listener), name="door")
-                tasks.create_task(self._live.run(), name="frames")
-                tasks.create_task(self._driving.run(), name="commands")
-                tasks.create_task(self._sweep(), name="sweep")
+            while True:
+                await asyncio.sleep(LOOK_S)
+                tasks.look()
         finally:
+            await tasks.end()
             listener.close()
             await self._live.close()
             await self._jobs.close()
@@ -93,11 +101,6 @@ class PageServer:
     def _tls(self) -> ssl.SSLContext | None:
         page = self._setup.page
         return tls_context(Path(page.certificate), Path(page.key)) if page.certificate else None
-
-    async def _sweep(self) -> None:
-        while True:
-            await asyncio.sleep(SWEEP_S)
-            await self._browsers.sweep()
 
     def _application(self) -> web.Application:
         gatekeeper = Gatekeeper(self._setup.page.host)
@@ -271,7 +274,7 @@ class PageServer:
         if request.content_type != "application/json":
             raise web.HTTPUnsupportedMediaType(text="a call is JSON")
         try:
-            async with asyncio.timeout(BODY_S):
+            async with time_limit(BODY_S):
                 data = await request.json()
             name, arguments = data["method"], data.get("arguments", [])
         except TimeoutError:

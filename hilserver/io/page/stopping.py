@@ -4,14 +4,15 @@ The compiled step obeys the press, so that neither the daemon's event loop nor i
 needed; the daemon is informed afterwards, for its event and its audit.
 """
 
-import asyncio
 import logging
 from collections.abc import Awaitable, Callable
+from functools import partial
 
 from hilserver.errors import FailedError
 from hilserver.image import press_stop
 from hilserver.io.page.browsers import Browser
 from hilserver.io.page.hand import RefusedError
+from hilserver.tasks import SupervisedTask, Supervisor
 
 _log = logging.getLogger(__name__)
 
@@ -22,9 +23,15 @@ class Stopping:
     `report` also calls Stop of the daemon; RefusedError if that fails.
     """
 
-    def __init__(self, image: str, report: Callable[[Browser], Awaitable[None]]) -> None:
+    def __init__(
+        self,
+        image: str,
+        report: Callable[[Browser], Awaitable[None]],
+        tasks: Supervisor | None = None,
+    ) -> None:
         self._image, self._report = image, report
-        self._reporting: dict[Browser, asyncio.Task[None]] = {}
+        self._tasks = Supervisor() if tasks is None else tasks
+        self._reporting: dict[Browser, SupervisedTask] = {}
 
     def press(self, browser: Browser) -> None:
         """Stop the robot; returns once the press is in force.
@@ -38,9 +45,9 @@ class Stopping:
         except FailedError as error:
             raise RefusedError(str(error)) from None
         if browser not in self._reporting:
-            task = asyncio.create_task(self._say(browser), name="report a stop")
-            self._reporting[browser] = task
-            task.add_done_callback(lambda _: self._reporting.pop(browser, None))
+            job = self._tasks.spawn(partial(self._say, browser), "report of a stop")
+            self._reporting[browser] = job
+            job.on_end = lambda: self._reporting.pop(browser, None)
 
     async def _say(self, browser: Browser) -> None:
         user = browser.user or "anonymous"

@@ -11,6 +11,7 @@ from aiohttp import web
 
 from hilserver.io.page.files import LOG_SUFFIXES, file_in, is_plain
 from hilserver.io.page.hand import RefusedError
+from hilserver.time_limit import time_limit
 
 MAX_BYTES = 1 << 30
 KEPT_FREE_BYTES = 1 << 30
@@ -75,7 +76,7 @@ class Uploads:
         size = 0
         while True:
             try:
-                async with asyncio.timeout(PIECE_S):
+                async with time_limit(PIECE_S):
                     piece = await request.content.read(PIECE_BYTES)
             except TimeoutError:
                 raise RefusedError("the log did not arrive completely") from None

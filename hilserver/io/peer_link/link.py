@@ -6,7 +6,7 @@ connection ends. Silence, faults, back-off and figures are the same for all.
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import structlog
 
@@ -15,13 +15,15 @@ from hilserver.core.clock import UtcClock
 from hilserver.core.events import EventBus
 from hilserver.core.inputs import InputGate
 from hilserver.faults.links import Line
+from hilserver.io.arrival import WATCH_S
 from hilserver.io.link_status import LinkState, PeerStatus
 from hilserver.io.peer_link.intake import FaultyIntake, Intake
-from hilserver.io.peer_link.samples import LinkLostError, RefusedError, refusal_in
-from hilserver.io.source import Source, keep_watch
+from hilserver.io.peer_link.samples import FaultKind, LinkLostError, RefusedError, refusal_in
+from hilserver.io.source import Source
 from hilserver.io.world import Part
-from hilserver.program import event_loop
 from hilserver.signals import MEASURED
+from hilserver.tasks import SupervisedTask, Supervisor
+from hilserver.time_limit import time_limit
 
 SETTLED_S = 2.0  # a session of this length resets the back-off
 
@@ -63,9 +65,12 @@ class Peer(Part):
         Turns ticks into SourceTimestamps and arrivals into UTC.
     line : Line or None
         Injected faults of this link.
+    tasks : Supervisor or None
+        Keeps the link's tasks.
     """
 
     section = "peers"
+    kinds: Iterable[FaultKind] = FaultKind  # of faults that the transport can have
     status: PeerStatus  # always up to date
 
     def __init__(
@@ -77,6 +82,7 @@ class Peer(Part):
         read_output: Callable[[str], Output],
         clock: UtcClock,
         line: Line | None = None,
+        tasks: Supervisor | None = None,
     ) -> None:
         self.config, self.label = config, config.name
         self.status = PeerStatus(config.name, config.endpoint)
@@ -91,11 +97,13 @@ class Peer(Part):
             events.publish,
             fresh=lambda: f"peer {config.name} delivers fresh values",
             commanding=commanding,
+            kinds=self.kinds,
         )
         self._faults = self._source.faults
         self._intake = Intake(config, self._source, clock.utc_ns)
         self._line = line or Line(config.name)
-        self._tasks: list[asyncio.Task[None]] = []
+        self._tasks = Supervisor() if tasks is None else tasks
+        self._jobs: list[SupervisedTask] = []
 
     async def converse(self) -> None:
         """Connect, call `enter`, and work until the connection ends; raise the reason."""
@@ -113,19 +121,21 @@ class Peer(Part):
 
     async def start(self) -> None:
         """Start connecting; returns at once, the peer may come later."""
-        if self._tasks:
+        if self._jobs:
             return
         self._source.expect(self.config.inputs)
         self.status.state = LinkState.CONNECTING
-        self._tasks = [
-            asyncio.create_task(self._run(), name=f"peer-{self.config.name}"),
-            asyncio.create_task(keep_watch(self._look), name=f"peer-{self.config.name}-watch"),
+        name = f"peer {self.config.name}"
+        self._jobs = [
+            self._tasks.keep(name, self._run),
+            self._tasks.every(f"{name}: watch", WATCH_S, self._look),
         ]
 
     async def stop(self) -> None:
         """Close the session and end; limited by the session's close time."""
-        tasks, self._tasks = self._tasks, []
-        await event_loop.end(*tasks)
+        jobs, self._jobs = self._jobs, []
+        for job in jobs:
+            await job.end()
         self.status.state = LinkState.STOPPED
 
     def _look(self) -> None:
@@ -146,7 +156,8 @@ class Peer(Part):
             shortest_s = 0.02
             try:
                 self._intake.begin_session()
-                await self.converse()
+                async with time_limit(None):  # what a library cancels itself must not end this task
+                    await self.converse()
             except Exception as error:  # noqa: BLE001 - a broken peer can make a library raise anything
                 refused = refusal_in(error)
                 if refused is None:
@@ -157,7 +168,7 @@ class Peer(Part):
             if self.status.connected and loop.time() - started_s > SETTLED_S:
                 backoff.settled()
             self._leave()
-            if not self._tasks:
+            if not self._jobs:
                 return  # stopped: an error at the same moment has hidden the cancellation
             pause_s = started_s + backoff.next_s() - loop.time()
             await asyncio.sleep(max(shortest_s, pause_s))

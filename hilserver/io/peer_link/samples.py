@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Final
 
 SEQUENCE_MODULUS = 2**32
 SEQUENCE_JUMP = 10_000  # a larger step is a restart of the controller, not that many lost numbers
@@ -31,6 +32,13 @@ class FaultKind(StrEnum):
     NO_SLOT = "no_slot"
     NO_S7 = "no_s7"
     NO_ROOM = "no_room"
+
+
+OF_S7: Final = frozenset(
+    {FaultKind.TORN_READ, FaultKind.NO_SLOT, FaultKind.NO_S7, FaultKind.NO_ROOM}
+)
+"""Only S7 has these."""
+OF_OPCUA: Final = frozenset(FaultKind) - OF_S7
 
 
 @dataclass(frozen=True, slots=True)

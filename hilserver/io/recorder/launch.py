@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import re
 from collections.abc import AsyncIterator, Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import structlog
@@ -14,6 +15,7 @@ from hilserver.io.recorder.recorder import Recorder
 from hilserver.io.recorder.series import Settings
 from hilserver.program import children
 from hilserver.program.guard import allow
+from hilserver.tasks import SupervisedTask, Supervisor
 
 PREFIX = "hilserver: "  # of error messages
 READY = re.compile(rb"^recording ")
@@ -25,14 +27,21 @@ _log = structlog.get_logger(__name__)
 
 @contextlib.asynccontextmanager
 async def running_recorder(
-    config: RecordingConfig, image: str, folder: Path
-) -> AsyncIterator[asyncio.Task[None]]:
+    config: RecordingConfig, image: str, folder: Path, tasks: Supervisor
+) -> AsyncIterator[asyncio.Event]:
     """Record the image `image` while the context lasts; entered once the recorder is attached.
 
-    Gives a task that is done when the recording has ended, by itself or with the context.
-    FailedError if the recorder does not start.
+    Gives an event that is set when the recording ends by itself. FailedError if the recorder does
+    not start.
     """
-    messages: asyncio.Task[None] | None = None
+    messages: SupervisedTask | None = None
+    ended = asyncio.Event()
+
+    async def watch(process: asyncio.subprocess.Process) -> None:
+        code = await process.wait()
+        _log.error("the recording has ended; the daemon keeps running", exit_code=code)
+        ended.set()
+
     try:
         async with children.started(
             _command(config, image, folder),
@@ -41,18 +50,18 @@ async def running_recorder(
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.PIPE,
         ) as process:
-            messages = asyncio.create_task(_log_messages(process), name="recorder's messages")
+            messages = tasks.spawn(partial(_log_messages, process), "recorder's messages")
             if await children.line_of(process, READY, START_LIMIT_S) is None:
                 raise FailedError("the recorder did not start; see its message above")
-            watch = asyncio.create_task(_watch(process), name="watch recorder")
+            watching = tasks.spawn(partial(watch, process), "recorder")
             try:
-                yield watch
+                yield ended
             finally:
-                watch.cancel()
+                watching.cancel()
                 allow(STOP_LIMIT_S)
     finally:
         if messages is not None:
-            await messages  # ends with the process
+            await asyncio.wait({messages.task})  # ends with the process
 
 
 @contextlib.contextmanager
@@ -107,8 +116,3 @@ async def _log_messages(process: asyncio.subprocess.Process) -> None:
         text = line.decode(errors="replace").rstrip()
         log = _log.warning if text.startswith(PREFIX) else _log.info
         log(text.removeprefix(PREFIX))
-
-
-async def _watch(process: asyncio.subprocess.Process) -> None:
-    code = await process.wait()
-    _log.error("the recording has ended; the daemon keeps running", exit_code=code)

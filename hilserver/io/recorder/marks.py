@@ -5,7 +5,6 @@ of the frame that it reads next. The daemon reads these files between two batche
 waits for the slowest, unless it has died or has not advanced for `PATIENCE_S`.
 """
 
-import asyncio
 import contextlib
 import fcntl
 import os
@@ -16,9 +15,11 @@ from pathlib import Path
 import structlog
 
 from hilserver.core.snapshot import SnapshotStore
+from hilserver.errors import UserError
 from hilserver.image import ImageReader
 from hilserver.image.shared_file import SharedFile, path_of
 from hilserver.image.state_request import take_request
+from hilserver.tasks import SupervisedTask, Supervisor
 
 PATIENCE_S = 30.0
 MARGIN_FRAMES = 128
@@ -92,20 +93,20 @@ def _is_left_behind(path: Path, fd: int) -> bool:
 class StateService:
     """Looks for requests and lets the plant copy its state; see `image.state_request`."""
 
-    def __init__(self, snapshots: SnapshotStore, image: str) -> None:
-        self._snapshots, self._image = snapshots, image
-        self._task: asyncio.Task[int] | None = None
+    def __init__(self, snapshots: SnapshotStore, image: str, tasks: Supervisor) -> None:
+        self._snapshots, self._image, self._tasks = snapshots, image, tasks
+        self._capturing: SupervisedTask | None = None
 
     def serve(self) -> None:
         """Begin to serve a request, if there is one; called by the supervise slice."""
-        if self._task is not None and not self._task.done():
+        if self._capturing is not None and not self._capturing.done:
             return
-        self._task = None
+        self._capturing = None
         if take_request(self._image):
-            self._task = asyncio.create_task(self._snapshots.capture(), name="capture state")
-            self._task.add_done_callback(_tell)
+            self._capturing = self._tasks.spawn(self._capture, "capture state")
 
-
-def _tell(task: asyncio.Task[int]) -> None:
-    if not task.cancelled() and (error := task.exception()) is not None:
-        _log.warning("no state was saved for the recorder", error=str(error))
+    async def _capture(self) -> None:
+        try:
+            await self._snapshots.capture()
+        except (UserError, OSError, TimeoutError) as error:
+            _log.warning("no state was saved for the recorder", error=str(error))

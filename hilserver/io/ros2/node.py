@@ -14,17 +14,18 @@ import structlog
 
 from hilserver.config.ros2 import Ros2Config
 from hilserver.faults.links import Lane, Line
+from hilserver.io.arrival import WATCH_S
 from hilserver.io.link_status import LinkState, PeerStatus
 from hilserver.io.ros2.parameters import ParameterServices
 from hilserver.io.ros2.participant import Arrival, In, Out, Participant
 from hilserver.io.ros2.services import Service
 from hilserver.io.ros2.wire import WireTypes
-from hilserver.io.source import Source, keep_watch
+from hilserver.io.source import Source
 from hilserver.io.world import Part, World
-from hilserver.program import event_loop
 from hilserver.ros.flavours import DESCRIPTION, FLAVOURS, Published, Served, Subscribed
 from hilserver.ros.robot import Odometer, Robot
 from hilserver.ros.types import Types
+from hilserver.tasks import SupervisedTask
 
 NAME: Final = "ros2"
 PERIOD_S: Final = 0.02
@@ -70,6 +71,7 @@ class Ros2Node(Part):
             world.gate,
             world.events.publish,
             fresh=lambda: "ROS 2: the host sends fresh commands",
+            kinds=Ros2Fault,
         )
         self._line = line
         self._arriving: Lane[list[tuple[Subscribed, Arrival]]] = Lane(line, "in")
@@ -78,7 +80,7 @@ class Ros2Node(Part):
         self._outs: dict[str, tuple[Published, Out]] = {}
         self._ins: dict[str, tuple[Subscribed, In]] = {}
         self._services: list[Service] = []
-        self._tasks: list[asyncio.Task[None]] = []
+        self._jobs: list[SupervisedTask] = []
         self._cycle = 0
         self._news_ns: int | None = None
         self._watched = 0
@@ -108,9 +110,9 @@ class Ros2Node(Part):
         self._participant = await asyncio.to_thread(self._join)
         self._participant.listen(self._on_data)
         self.status.state = LinkState.CONNECTING
-        self._tasks = [
-            asyncio.create_task(self._publish_for_ever(), name="ros2-publish"),
-            asyncio.create_task(keep_watch(self._watch), name="ros2-watch"),
+        self._jobs = [
+            self._world.tasks.keep("ros2: publish", self._publish_for_ever),
+            self._world.tasks.every("ros2: watch", WATCH_S, self._watch),
         ]
 
     def _join(self) -> Participant:
@@ -151,8 +153,9 @@ class Ros2Node(Part):
 
     async def stop(self) -> None:
         """Leave the domain."""
-        tasks, self._tasks = self._tasks, []
-        await event_loop.end(*tasks)
+        jobs, self._jobs = self._jobs, []
+        for job in jobs:
+            await job.end()
         if self._participant is not None:
             await self._participant.close()
         self._outs, self._ins, self._services, self._participant = {}, {}, [], None

@@ -15,6 +15,7 @@ from hilserver.config.s7 import Endpoint
 from hilserver.io.peer_link.samples import FaultKind, LinkLostError, RefusedError
 from hilserver.io.s7 import wire
 from hilserver.io.s7.wire import Code, Function, Item, Job, WireError
+from hilserver.time_limit import time_limit
 
 CONNECT_S = 3.0
 JOB_S = 2.0
@@ -51,7 +52,7 @@ class Connection:
 
     async def __aenter__(self) -> Self:
         try:
-            async with asyncio.timeout(CONNECT_S):
+            async with time_limit(CONNECT_S):
                 await self._open()
         except WireError as error:
             raise LinkLostError(f"its answer {error}") from None
@@ -113,7 +114,7 @@ class Connection:
 
     async def _asked(self, parameters: bytes, data: bytes = b"") -> Job:
         try:
-            async with self._turn, asyncio.timeout(JOB_S):
+            async with self._turn, time_limit(JOB_S):
                 return await self._exchange(parameters, data)
         except WireError as error:
             raise LinkLostError(f"its answer {error}") from None

@@ -1,6 +1,5 @@
 """The server as a part of the daemon: frames out, groups through the gate."""
 
-import asyncio
 import time
 from collections.abc import Mapping
 from typing import Final
@@ -9,13 +8,15 @@ from hilserver.config.s7 import S7Server
 from hilserver.core.inputs import Refusal
 from hilserver.errors import address_refused
 from hilserver.image import Frame
+from hilserver.io.arrival import WATCH_S
 from hilserver.io.link_status import LinkState, PeerStatus
 from hilserver.io.peer_link.samples import FaultKind
 from hilserver.io.s7.blocks import blocks_of
 from hilserver.io.s7.server import Answers, Server
 from hilserver.io.s7.wire import Code
-from hilserver.io.source import Source, keep_watch
+from hilserver.io.source import Source
 from hilserver.io.world import Part, World
+from hilserver.tasks import SupervisedTask
 
 CODES: Final[Mapping[Refusal, Code]] = {Refusal.TYPE_MISMATCH: Code.UNFIT}
 """Codes for refusals; all others have nothing to do with the address: denied."""
@@ -41,9 +42,10 @@ class S7Link(Part):
             world.gate,
             world.events.publish,
             fresh=lambda: "S7: a client writes",
+            kinds=(FaultKind.NO_ROOM, FaultKind.NO_S7),
         )
-        self._server = Server(config, self._answers, self._report)
-        self._watching: asyncio.Task[None] | None = None
+        self._server = Server(config, self._answers, self._report, world.tasks)
+        self._watching: SupervisedTask | None = None
         self._frame: Frame | None = None
         self._contents: Mapping[int, bytes] = {n: bytes(b.size) for n, b in self._blocks.items()}
 
@@ -60,7 +62,7 @@ class S7Link(Part):
             where = f"{self._config.host} port {self._config.port}"
             raise address_refused(f"s7.server: cannot listen on {where}", error) from None
         self.status.endpoint, self.status.state = self.address, LinkState.CONNECTING
-        self._watching = asyncio.create_task(keep_watch(self._look), name="s7-watch")
+        self._watching = self._world.tasks.every("s7: watch", WATCH_S, self._look)
 
     async def stop(self) -> None:
         """Close all connections and stop listening."""

@@ -18,6 +18,7 @@ from hilserver.io.s7.wire import Item
 from hilserver.period import every
 from hilserver.signals import SignalTable
 from hilserver.status import is_bad
+from hilserver.tasks import together
 
 LOOK_AGAIN_S = 1.0  # pause after the controller has refused a block
 SOONER = 8  # reads come 1/8 period early, and every 1/8 period while the counter stands
@@ -66,18 +67,17 @@ class S7Peer(Peer):
             intake, status = self.enter(), self.status
             status.mode, status.mode_reason = "poll", f"S7, {connection.pdu_bytes} bytes a message"
             self._intake.expect(self.config.read, time.monotonic_ns())
-            async with asyncio.TaskGroup() as group:
-                group.create_task(self.wait_cut())
-                group.create_task(intake.run())
-                group.create_task(self._read_on(connection, intake))
-                group.create_task(self._write_on(connection))
+            ways = [self.wait_cut(), intake.run()]
+            if self._coming is not None:
+                ways.append(self._read_on(self._coming, connection, intake))
+            if self._going is not None:
+                ways.append(self._write_on(self._going, connection))
+            await together(*ways)
 
     # --- in ---------------------------------------------------------------------------------------
 
-    async def _read_on(self, connection: Connection, intake: FaultyIntake) -> None:
-        block, status, period_s = self._coming, self.status, self.config.poll_ms / 1000
-        if block is None:
-            return
+    async def _read_on(self, block: Block, connection: Connection, intake: FaultyIntake) -> None:
+        status, period_s = self.status, self.config.poll_ms / 1000
         pace = Pace(period_s)
 
         async def cycle() -> float | None:
@@ -108,10 +108,8 @@ class S7Peer(Peer):
 
     # --- out --------------------------------------------------------------------------------------
 
-    async def _write_on(self, connection: Connection) -> None:
-        block, status, lane = self._going, self.status, Lane[list[Run]](self._line, "out")
-        if block is None:
-            return
+    async def _write_on(self, block: Block, connection: Connection) -> None:
+        status, lane = self.status, Lane[list[Run]](self._line, "out")
 
         async def cycle() -> None:
             outgoing = self._outgoing(block)

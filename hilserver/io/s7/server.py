@@ -13,6 +13,8 @@ from hilserver.io.peer_link.samples import FaultKind
 from hilserver.io.s7 import wire
 from hilserver.io.s7.blocks import DataBlock, RefusedItemError
 from hilserver.io.s7.wire import Code, Function, Job, WireError
+from hilserver.tasks import SupervisedTask, Supervisor
+from hilserver.time_limit import time_limit
 
 _READ_LIST: Final = b"\x44\x01"
 """Group of CPU functions, and the function that reads a system status list."""
@@ -142,10 +144,17 @@ class Server:
         Takes a fault of a client: its kind, the client's address, a sentence.
     """
 
-    def __init__(self, config: S7Server, answers: Callable[[], Answers], report: Report) -> None:
+    def __init__(
+        self,
+        config: S7Server,
+        answers: Callable[[], Answers],
+        report: Report,
+        tasks: Supervisor | None = None,
+    ) -> None:
         self._config, self._answers, self._report = config, answers, report
+        self._tasks = Supervisor() if tasks is None else tasks
         self._server: asyncio.Server | None = None
-        self.clients: dict[asyncio.Task[None], float] = {}  # connected now -> time of its last job
+        self.clients: dict[SupervisedTask, float] = {}  # connected now -> time of its last job
 
     @property
     def port(self) -> int:
@@ -158,39 +167,51 @@ class Server:
     async def start(self) -> None:
         """Listen; OSError if that is impossible."""
         config = self._config
-        self._server = await asyncio.start_server(self._take, config.host, config.port)
+        self._server = await asyncio.start_server(self._enter, config.host, config.port)
 
     async def stop(self) -> None:
         """Close all connections and stop listening."""
         if self._server is not None:
             self._server.close()
-        for task in self.clients:
-            task.cancel()
-        await asyncio.gather(*self.clients, return_exceptions=True)
+        for job in tuple(self.clients):
+            await job.end()
 
-    async def _take(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        task, most = asyncio.current_task(), self._config.max_clients
+    def _enter(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         host = str((writer.get_extra_info("peername") or ["a client"])[0])
-        if task is None or not self._has_room():
+        if not self._has_room():
+            most = self._config.max_clients
             sentence = f"{host} was turned away: s7.server.max_clients is {most}"
             self._report(FaultKind.NO_ROOM, host, sentence)
             writer.transport.abort()
             return
-        self.clients[task] = time.monotonic()
+
+        def ended() -> None:
+            self.clients.pop(job, None)
+            writer.transport.abort()
+
+        async def serve() -> None:
+            await self._serve(job, host, reader, writer)
+
+        job = self._tasks.spawn(serve, "s7 client")
+        job.on_end = ended
+        self.clients[job] = time.monotonic()
+
+    async def _serve(
+        self,
+        job: SupervisedTask,
+        host: str,
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
+    ) -> None:
         try:
             _stay_alive(writer.get_extra_info("socket"))
-            await self._converse(task, reader, writer)
+            await self._converse(job, reader, writer)
         except WireError as error:
             self._report(FaultKind.NO_S7, host, f"{host}: its message {error}")
         except TimeoutError:
             self._report(FaultKind.NO_S7, host, f"{host}: it neither sends nor reads")
         except (OSError, EOFError):
             pass  # the client is gone
-        except asyncio.CancelledError:
-            pass  # we are stopping
-        finally:
-            self.clients.pop(task, None)
-            writer.transport.abort()
 
     def _has_room(self) -> bool:
         """Whether there is a place, if necessary that of the client idle for longest."""
@@ -200,22 +221,23 @@ class Server:
         if time.monotonic() - asked_s < SPARED_S:
             return False
         del self.clients[idle]
-        return idle.cancel()
+        idle.cancel()
+        return True
 
     async def _converse(
         self,
-        task: asyncio.Task[None],
+        job: SupervisedTask,
         reader: asyncio.StreamReader,
         writer: asyncio.StreamWriter,
     ) -> None:
         answers = self._answers()
-        async with asyncio.timeout(HANDSHAKE_S):
+        async with time_limit(HANDSHAKE_S):
             writer.write(wire.confirmed(await wire.receive(reader)))
         while True:
             message = wire.taken_apart(await wire.receive(reader, MESSAGE_S))
-            self.clients[task] = time.monotonic()
+            self.clients[job] = time.monotonic()
             writer.write(answers.to(message))
-            async with asyncio.timeout(MESSAGE_S):
+            async with time_limit(MESSAGE_S):
                 await writer.drain()
             await asyncio.sleep(0)  # a client that never waits must not block the others
 

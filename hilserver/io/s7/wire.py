@@ -10,6 +10,8 @@ from collections.abc import Iterable, Sequence
 from enum import IntEnum
 from typing import Final, NamedTuple
 
+from hilserver.time_limit import time_limit
+
 LONGEST_MESSAGE: Final = 2048  # bytes of one message with its headers
 READ_OVERHEAD, WRITE_OVERHEAD = 18, 28
 """Bytes of a message without the data of its only item: answer to a read, job of a write."""
@@ -110,7 +112,7 @@ async def receive(reader: asyncio.StreamReader, within_s: float | None = None) -
     """
     first = await reader.readexactly(1)
     try:
-        async with asyncio.timeout(within_s):
+        async with time_limit(within_s):
             return await _rest(first, reader)
     except TimeoutError:
         raise WireError("ends in the middle of a message") from None

@@ -18,13 +18,14 @@ from hilserver.core.events import Event, EventKind
 from hilserver.core.staleness import Transition
 from hilserver.errors import FailedError
 from hilserver.image import Row
+from hilserver.io.arrival import WATCH_S
 from hilserver.io.link_status import LinkState
 from hilserver.io.shield import words as w
 from hilserver.io.shield.device import Device, ShieldFault
 from hilserver.io.shield.line import Line, open_device, open_pseudo_terminal
 from hilserver.io.shield.protocol import BYTE_NS, REQUEST_BYTES, RESPONSE_BYTES, Request
 from hilserver.io.shield.status import NAME, ShieldStatus
-from hilserver.io.source import Source, keep_watch
+from hilserver.io.source import Source
 from hilserver.io.world import Part, World
 from hilserver.scheduler.realtime import Grant, RealtimeSettings, request_for_this_thread
 
@@ -78,6 +79,7 @@ class ShieldLink(Part):
             world.gate,
             world.events.publish,
             fresh=lambda: f"shield: a host is sending on {self.address}",
+            kinds=ShieldFault,
             is_exact=True,  # the thread of the line stamps arrivals
         )
         max_rpm, gains = world.table["wheel.fl.setpoint_rpm"].high, Gains(world)
@@ -118,7 +120,7 @@ class ShieldLink(Part):
         self.status.state = LinkState.CONNECTING
         self._doorbell = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._loop.add_reader(self._doorbell, self._answer_doorbell)
-        self._watching = asyncio.create_task(keep_watch(self._look), name="shield-watch")
+        self._watching = self._world.tasks.every("shield: watch", WATCH_S, self._look)
         self.device.disable()
         self._thread.start()
         atexit.register(self._end_thread)

@@ -75,6 +75,8 @@ class Command(IntEnum):
 
 
 KNOWN: Final = frozenset(Command)
+NAMES: Final = (*(command.name.lower() for command in Command), "unknown")
+"""Names of requests, as metrics count them."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from hilserver.io.link_status import PeerStatus
 from hilserver.io.shield import words as w
+from hilserver.io.shield.protocol import NAMES
 
 NAME = "shield"
 
@@ -21,7 +22,7 @@ class ShieldStatus(PeerStatus):
     enabled: bool = False  # the host has enabled the motors and has not been silent since
     without_effect: int = 0  # requests that are echoed and change nothing in the simulation
     # name of a command -> number of requests
-    requests: Counter[str] = field(default_factory=Counter)
+    requests: Counter[str] = field(default_factory=lambda: Counter(dict.fromkeys(NAMES, 0)))
     # values that the host has set and the robot stores
     parameters: dict[str, float] = field(default_factory=dict)
 

@@ -124,7 +124,7 @@ async def test_what_is_published_obeys_control_and_the_dead_man(caplog):
         twist = json.dumps({"linear": {"x": 0.2}, "angular": {"z": 0.1}}).encode()
         await viewer.publish(1, twist)
         rejected = daemon.gate.rejected
-        await wait_until(lambda: rejected["page:foxglove", "not_in_control"] > 0, PATIENCE_S)
+        await wait_until(lambda: rejected["page", "not_in_control"] > 0, PATIENCE_S)
         assert value(daemon, "twist.linear_m_s") == 0.0
 
         daemon.gate.take("page")
@@ -152,7 +152,7 @@ async def test_what_is_published_obeys_control_and_the_dead_man(caplog):
         for wrong in (b"", b"[]", b'{"linear": []}', b"{", b"\xff", digits, *nested, NOT_A_NUMBER):
             await viewer.publish(2, wrong)
             await viewer.publish(1, wrong)
-        await wait_until(lambda: rejected["page:foxglove", "not_finite"] == 2, PATIENCE_S)
+        await wait_until(lambda: rejected["page", "not_finite"] == 2, PATIENCE_S)
         assert not [record for record in caplog.records if record.levelname == "ERROR"]
         await viewer.publish(2, json.dumps({"lights.command": 2}).encode())
         await wait_until(lambda: value(daemon, "lights.command") == 2.0, PATIENCE_S)

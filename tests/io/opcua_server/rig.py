@@ -29,6 +29,7 @@ from hilserver.io.opcua_server.model import NAMESPACE_URI
 from hilserver.io.opcua_server.server import OpcUaServer
 from hilserver.plant.layout import WHEELS
 from hilserver.signals import Ranges, SignalTable, robot_table
+from hilserver.tasks import Supervisor
 
 TABLE = robot_table(Ranges(max_rpm=90.0, max_linear_m_s=0.8, max_angular_rad_s=3.0))
 
@@ -110,6 +111,7 @@ class Rig:
             faults=None,
             parameters=None,
             files=None,
+            tasks=Supervisor(),
         )
         return OpcUaServer(world)
 

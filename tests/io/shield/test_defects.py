@@ -18,7 +18,7 @@ async def _fresh(robot):
 
 
 def faults(robot):
-    return dict(robot.status.fault_counts)
+    return dict(+robot.status.fault_counts)
 
 
 async def test_6_time_out_a_thousand_times_too_long(robot):

@@ -132,7 +132,7 @@ def test_parameters_are_applied_where_that_is_asked_for():
 
 def test_an_unknown_command_is_named():
     bench = Bench().ask(0x77)
-    assert bench.status.requests == {"unknown": 1}
+    assert +bench.status.requests == {"unknown": 1}
     assert "0x77" in next(iter(bench.status.faults.values()))
 
 
@@ -146,7 +146,7 @@ def test_a_request_without_its_end_never_moves_the_robot(bench):
 def test_refusals_other_than_control_are_faults(bench):
     bench.refused = {"wheel.fl.setpoint_rpm": Refusal.NOT_IN_CONTROL}
     bench.rpm(1, 1, 1, 1)
-    assert not bench.status.fault_counts
+    assert not +bench.status.fault_counts
     bench.refused = {"wheel.fl.setpoint_rpm": Refusal.OUT_OF_RANGE}
     bench.rpm(1, 1, 1, 1)
     assert bench.status.fault_counts["refused_value"] == 1

@@ -1,0 +1,59 @@
+"""The limit of a wait: whose cancellation it was that ended it."""
+
+import asyncio
+
+import pytest
+import wait_for2
+
+from hilserver.time_limit import AbandonedError, time_limit
+
+
+async def answered_as_the_time_ends():
+    """Time-out and answer in one turn of the loop: `wait_for2` raises a subclass."""
+    loop = asyncio.get_running_loop()
+    answer = loop.create_future()
+    async with time_limit(0):
+        loop.call_soon(answer.set_result, 1)
+        await wait_for2.wait_for(answer, 2)
+
+
+async def test_the_time_is_up_also_if_the_answer_comes_in_the_same_turn_of_the_loop():
+    with pytest.raises(TimeoutError):
+        await answered_as_the_time_ends()
+
+
+async def test_a_library_that_cancels_its_own_future_does_not_end_our_task():
+    async with asyncio.timeout(5):
+        answer = asyncio.get_running_loop().create_future()
+        asyncio.get_running_loop().call_soon(answer.cancel)
+        with pytest.raises(AbandonedError):
+            async with time_limit(2):
+                await answer
+
+
+@pytest.mark.parametrize("limit_s", [None, 60])
+async def test_a_cancellation_of_the_task_passes_through(limit_s):
+    async def waits():
+        async with time_limit(limit_s):
+            await asyncio.Event().wait()
+
+    task = asyncio.ensure_future(waits())
+    await asyncio.sleep(0)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert task.cancelled()
+
+
+async def test_the_outer_limit_ends_the_inner_wait():
+    async def waits(limit_s, work):
+        async with time_limit(limit_s):
+            await work
+
+    with pytest.raises(TimeoutError):
+        await waits(0, waits(60, asyncio.Event().wait()))
+
+
+async def test_no_limit_reached_no_error():
+    async with time_limit(60):
+        await asyncio.sleep(0)
