@@ -1,13 +1,17 @@
 """One DDS participant: domain, writers, readers, and a thread that waits for what comes in."""
 
 import asyncio
+import contextlib
 import os
+import socket
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 from xml.sax.saxutils import quoteattr
 
+import structlog
 from cyclonedds.core import (
     DDSException,
     GuardCondition,
@@ -33,7 +37,12 @@ from hilserver.ros.qos import Qos
 
 MOST_AT_ONCE: Final = 32
 PARTICIPANTS: Final = 32  # of one computer that find each other without multicast
+ANNOUNCED_EVERY: Final = "1 s"
+FAST_DDS: Final = "1.15"  # its vendor id
+FIRST_PORT, PORTS_OF_A_DOMAIN = 7400, 250
 _FATAL_AND_ERROR: Final = 3
+
+_log = structlog.get_logger(__name__)
 
 
 def domain_of(config: Ros2Config) -> int:
@@ -62,8 +71,33 @@ def settings(interface: str, peers: tuple[str, ...]) -> str:
         f"<AllowMulticast>{'false' if local else 'default'}</AllowMulticast></General>"
         "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
         f"<MaxAutoParticipantIndex>{PARTICIPANTS}</MaxAutoParticipantIndex>"
-        f"<Peers>{listed}</Peers></Discovery></Domain></CycloneDDS>"
+        # A node may start at any time, and one of ROS 2 by default announces itself by multicast only.
+        f"<SPDPInterval>{ANNOUNCED_EVERY}</SPDPInterval>"
+        "<InitialLocatorPruneDelay>inf</InitialLocatorPruneDelay>"
+        f"<Peers>{listed}</Peers></Discovery>"
+        # Fast DDS 3 describes its types in a way that Cyclone DDS 11 takes for invalid: nothing would
+        # match. Types are told apart by their names, as with every older ROS 2.
+        f"<Compatibility><IgnoreTypeInformation>{FAST_DDS}</IgnoreTypeInformation></Compatibility>"
+        "</Domain></CycloneDDS>"
     )
+
+
+def _keep_on_loopback(domain: int) -> None:
+    """Let the sockets of a domain hear this computer only: DDS binds them to every interface."""
+    first = FIRST_PORT + PORTS_OF_A_DOMAIN * domain
+    for entry in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError), socket.socket(fileno=os.dup(int(entry.name))) as found:
+            is_udp = found.family == socket.AF_INET and found.type == socket.SOCK_DGRAM
+            if not is_udp or not first <= found.getsockname()[1] < first + PORTS_OF_A_DOMAIN:
+                continue
+            try:
+                found.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")
+            except PermissionError:
+                _log.warning(
+                    "this kernel does not let ROS 2 stay on lo: keep its UDP ports closed to others",
+                    ports=f"{first} .. {first + PORTS_OF_A_DOMAIN - 1}",
+                )
+                return
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,6 +177,8 @@ class Participant:
             self._domain = Domain(number, settings(config.interface, config.peers))
             # Otherwise every malformed packet writes a line to standard error and fills the disk.
             DDS._dll_handle.dds_set_log_mask(_FATAL_AND_ERROR)
+            if config.interface in LOOPBACK:
+                _keep_on_loopback(number)
             enclave = DdsQos(Policy.Userdata(b"enclave=/;"))
             self._participant = DomainParticipant(number, enclave)
         except DDSException as error:
