@@ -71,12 +71,12 @@ def settings(interface: str, peers: tuple[str, ...]) -> str:
         f"<AllowMulticast>{'false' if local else 'default'}</AllowMulticast></General>"
         "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
         f"<MaxAutoParticipantIndex>{PARTICIPANTS}</MaxAutoParticipantIndex>"
-        # A node may start at any time, and one of ROS 2 by default announces itself by multicast only.
+        # A node may start at any time, and by default announces itself by multicast only.
         f"<SPDPInterval>{ANNOUNCED_EVERY}</SPDPInterval>"
         "<InitialLocatorPruneDelay>inf</InitialLocatorPruneDelay>"
         f"<Peers>{listed}</Peers></Discovery>"
-        # Fast DDS 3 describes its types in a way that Cyclone DDS 11 takes for invalid: nothing would
-        # match. Types are told apart by their names, as with every older ROS 2.
+        # Fast DDS 3 describes its types in a way that Cyclone DDS 11 takes for invalid: nothing
+        # would match. Types are told apart by their names, as with every older ROS 2.
         f"<Compatibility><IgnoreTypeInformation>{FAST_DDS}</IgnoreTypeInformation></Compatibility>"
         "</Domain></CycloneDDS>"
     )
@@ -94,7 +94,7 @@ def _keep_on_loopback(domain: int) -> None:
                 found.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")
             except PermissionError:
                 _log.warning(
-                    "this kernel does not let ROS 2 stay on lo: keep its UDP ports closed to others",
+                    "this kernel does not let ROS 2 stay on lo: close its UDP ports to others",
                     ports=f"{first} .. {first + PORTS_OF_A_DOMAIN - 1}",
                 )
                 return

@@ -1,7 +1,6 @@
 """Real ROS 2 nodes (`rclpy`, rmw_fastrtps) and the daemon: they find each other and exchange."""
 
 import asyncio
-import subprocess
 import sys
 from contextlib import asynccontextmanager
 
@@ -82,9 +81,8 @@ async def test_on_lo_a_node_that_starts_later_is_found_and_nobody_else_is_heard(
             domain, {"/cmd_vel": TWIST}, {"/echo": TWIST}, discovery=None, prefix=network.prefix
         )
         async with ear(domain, "lo", network.prefix) as ours:
-            listed = (*network.prefix, "ss", "-Hulnp")
-            sockets = subprocess.run(listed, check=True, capture_output=True, text=True).stdout
-            places = [line.split()[3] for line in sockets.splitlines() if f"={ours.pid}," in line]
+            lines = run(*network.prefix, "ss", "-Hulnp").splitlines()
+            places = [line.split()[3] for line in lines if f"={ours.pid}," in line]
             assert len(places) >= 3
             assert all("%lo:" in place or place.startswith("127.0.0.1:") for place in places)
             async with node:
