@@ -12,6 +12,7 @@ from typing import Any, Final
 from xml.sax.saxutils import quoteattr
 
 import structlog
+from cyclonedds.builtin import BuiltinDataReader
 from cyclonedds.core import (
     DDSException,
     GuardCondition,
@@ -39,6 +40,8 @@ MOST_AT_ONCE: Final = 32
 PARTICIPANTS: Final = 32  # of one computer that find each other without multicast
 ANNOUNCED_EVERY: Final = "1 s"
 FAST_DDS: Final = "1.15"  # its vendor id
+HANDLE: Final = 2**64 - 1
+"""Bits of a handle; the library gives them with and without a sign."""
 FIRST_PORT, PORTS_OF_A_DOMAIN = 7400, 250
 _FATAL_AND_ERROR: Final = 3
 
@@ -106,13 +109,34 @@ class Arrival:
 
     cdr: bytes
     source_ns: int
+    writer: int  # handle of the writer
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """What a writer and its readers have to agree on."""
+
+    topic: str  # with the prefix of DDS, ``rt/cmd_vel``
+    type: str  # as in DDS, ``geometry_msgs::msg::dds_::Twist_``
+    type_hash: str
+    qos: Qos
 
 
 class Out:
     """A writer of one topic."""
 
-    def __init__(self, writer: Any, data_type: Any) -> None:
-        self._writer, self._type = writer, data_type
+    def __init__(self, writer: Any, data_type: Any, subject: Subject) -> None:
+        self._writer, self._type, self.subject = writer, data_type, subject
+
+    @property
+    def gid(self) -> bytes:
+        """Its identity in the graph of ROS 2."""
+        return bytes(self._writer.get_guid().bytes)
+
+    @property
+    def partners(self) -> list[int]:
+        """Handles of the readers that match."""
+        return [handle & HANDLE for handle in self._writer.get_matched_subscriptions()]
 
     def write(self, cdr: bytes) -> bool:
         """Write; False if a reliable reader is too far behind."""
@@ -138,15 +162,25 @@ class Out:
 class In:
     """A reader of one topic."""
 
-    def __init__(self, reader: Any) -> None:
-        self.reader = reader
+    def __init__(self, reader: Any, subject: Subject) -> None:
+        self.reader, self.subject = reader, subject
+
+    @property
+    def gid(self) -> bytes:
+        """Its identity in the graph of ROS 2."""
+        return bytes(self.reader.get_guid().bytes)
+
+    @property
+    def partners(self) -> list[int]:
+        """Handles of the writers that match."""
+        return [handle & HANDLE for handle in self.reader.get_matched_publications()]
 
     def take(self) -> list[Arrival]:
         """Return what came in, oldest first."""
         return [
-            Arrival(sample.cdr, sample.sample_info.source_timestamp)
+            Arrival(sample.cdr, info.source_timestamp, info.publication_handle & HANDLE)
             for sample in self.reader.take(MOST_AT_ONCE)
-            if not isinstance(sample, InvalidSample)
+            if not isinstance(sample, InvalidSample) and (info := sample.sample_info)
         ]
 
     @property
@@ -186,25 +220,30 @@ class Participant:
                 f"ros2: no DDS domain {number} on interface '{config.interface}' ({error.msg});"
                 f" check its name, and that no other program uses its ports"
             ) from None
-        self.number = number
+        self.number, self.gid = number, bytes(self._participant.get_guid().bytes)
         self._waiting: _Waiting | None = None
         self._readers: list[Any] = []
 
     def writer(self, topic: str, data_type: Any, qos: Qos, type_hash: str) -> Out:
         """Return a writer."""
+        subject = _subject(topic, data_type, qos, type_hash)
         made = DataWriter(
-            self._participant,
-            Topic(self._participant, topic, data_type),
-            _policies(qos, type_hash),
+            self._participant, Topic(self._participant, topic, data_type), _policies(subject)
         )
-        return Out(made, data_type)
+        return Out(made, data_type, subject)
 
     def reader(self, topic: str, data_type: Any, qos: Qos, type_hash: str) -> In:
         """Return a reader."""
-        topic_of = Topic(self._participant, topic, data_type)
-        made = DataReader(self._participant, topic_of, _policies(qos, type_hash))
+        subject = _subject(topic, data_type, qos, type_hash)
+        made = DataReader(
+            self._participant, Topic(self._participant, topic, data_type), _policies(subject)
+        )
         self._readers.append(made)
-        return In(made)
+        return In(made, subject)
+
+    def discovered(self, what: Any) -> Any:
+        """Return a reader of what discovery reports, one of the topics of `cyclonedds.builtin`."""
+        return BuiltinDataReader(self._participant, what)
 
     def listen(self, on_data: Callable[[], None]) -> None:
         """Call `on_data` in the running event loop whenever a reader has data."""
@@ -263,12 +302,17 @@ class _Waiting:
         self._thread.join(5.0)
 
 
-def _policies(qos: Qos, type_hash: str) -> DdsQos:
+def _subject(topic: str, data_type: Any, qos: Qos, type_hash: str) -> Subject:
+    return Subject(topic, data_type.__idl_typename__.replace(".", "::"), type_hash, qos)
+
+
+def _policies(subject: Subject) -> DdsQos:
+    qos = subject.qos
     reliable = Policy.Reliability.Reliable(duration(seconds=0))  # our event loop does not wait
     return DdsQos(
         reliable if qos.reliable else Policy.Reliability.BestEffort,
         Policy.Durability.TransientLocal if qos.latched else Policy.Durability.Volatile,
         Policy.History.KeepLast(qos.depth),
-        Policy.Userdata(f"typehash={type_hash};".encode()),
+        Policy.Userdata(f"typehash={subject.type_hash};".encode()),
         Policy.DataRepresentation(use_cdrv0_representation=True),
     )

@@ -9,7 +9,7 @@ import struct
 from typing import Any, Final
 
 from hilserver.config.ros2 import Ros2Config
-from hilserver.io.ros2.participant import Arrival, Participant
+from hilserver.io.ros2.participant import Arrival, In, Out, Participant
 from hilserver.io.ros2.wire import WireTypes
 from hilserver.ros.flavours import Served
 from hilserver.ros.incoming import Answer
@@ -42,6 +42,11 @@ class Service:
         qos, type_hash = Qos(), types.hash(served.type)
         self._reader = participant.reader(f"rq{self.name}Request", request, qos, type_hash)
         self._writer = participant.writer(f"rr{self.name}Reply", response, qos, type_hash)
+
+    @property
+    def endpoints(self) -> tuple[In, Out]:
+        """Reader of the requests, writer of the replies."""
+        return self._reader, self._writer
 
     def take(self) -> list[Arrival]:
         """Return the requests that came in."""
