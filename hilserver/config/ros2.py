@@ -41,8 +41,7 @@ class Ros2Config(LinkSection):
     )
     rmw: Literal["fastrtps", "cyclonedds"] = Field(
         "fastrtps",
-        description="Middleware of the host, which decides how services carry their identity; with"
-        " fastrtps they take effect, but the answer never arrives",
+        description="Middleware of the host, which decides how services carry their identity",
     )
     domain: int | None = Field(
         None, ge=0, le=LAST_DOMAIN, description="DDS domain; null: ROS_DOMAIN_ID, else 0"

@@ -3,6 +3,7 @@
 A participant is alive while it renews its lease, whether or not it sends messages.
 """
 
+import re
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
@@ -33,7 +34,9 @@ MOST_KNOWN: Final = 5000
 SETTLED_NS: Final = 3_000_000_000
 """Time within which what belongs together has found each other."""
 _FIRST_UNICAST: Final = 10
+LAST_PORT: Final = 65535
 _HASH: Final = b"typehash="
+_ADDRESS: Final = re.compile(r"udp/([0-9.]{7,15}):([0-9]{1,5})")
 _LAST_CERTAIN: Final = 100
 """Ports of later domains are also given to any program that asks for a free one."""
 
@@ -54,6 +57,7 @@ class Endpoint(NamedTuple):
     is_reliable: bool
     is_latched: bool
     participant: bytes
+    gid: bytes
     since_ns: int
 
 
@@ -62,6 +66,7 @@ class Neighbour:
     """Another participant."""
 
     label: str  # for people
+    addresses: tuple[tuple[str, int], ...]  # where its readers listen, by the usual ports
     lease_s: float  # it counts as alive for so long after its last sign of life
     since_ns: int
     is_told: bool = False  # a line of the log says that nothing of it fits
@@ -100,7 +105,7 @@ class Neighbours:
         if sample.sample_info.instance_state != InstanceState.Alive:
             self.known.pop(gid, None)
         elif gid != self.participant.gid and gid not in self.known and len(self.known) < MOST_KNOWN:
-            self.known[gid] = Neighbour(_label(sample.qos), _lease_s(sample.qos), self.now_ns())
+            self.known[gid] = _neighbour(sample.qos, self.now_ns())
 
     def _note(self, found: dict[int, Endpoint], sample: Any) -> None:
         handle = sample.sample_info.instance_handle & HANDLE
@@ -118,6 +123,7 @@ class Neighbours:
             isinstance(sample.qos[Policy.Reliability], reliability),
             sample.qos[Policy.Durability] != durability,
             owner,
+            bytes(sample.key.bytes),
             self.now_ns(),
         )
 
@@ -125,6 +131,14 @@ class Neighbours:
         """Return who has a writer; None if that writer or its participant is gone."""
         found = self.writers.get(writer)
         return self.known.get(found.participant) if found else None
+
+    def replies_to(self, topic: str, participant: bytes) -> list[bytes]:
+        """Return the readers of a topic of replies that a participant has."""
+        return [
+            reader.gid
+            for reader in self.readers.values()
+            if reader.topic == topic and reader.participant == participant
+        ]
 
     def label(self, participant: bytes) -> str:
         """Return a participant for people."""
@@ -195,11 +209,6 @@ def _plain(topic: str) -> str:
     return topic[2:] if topic[:3] in ("rt/", "rq/", "rr/") else topic
 
 
-def _lease_s(qos: Any) -> float:
-    liveliness = qos[Policy.Liveliness]
-    return liveliness.lease_duration * 1e-9 if liveliness is not None else 0.0
-
-
 def _type_hash(qos: Any) -> str:
     data = qos[Policy.Userdata]
     for part in (data.data if data is not None else b"").split(b";"):
@@ -208,8 +217,13 @@ def _type_hash(qos: Any) -> str:
     return ""
 
 
-def _label(qos: Any) -> str:
-    """Return which program it is, as far as it says so."""
+def _neighbour(qos: Any, now_ns: int) -> Neighbour:
     said = {one.key: one.value for one in qos if isinstance(one, Policy.Property)}
     number = said.get("fastdds.physical_data.process") or said.get("__Pid")
-    return f"a node of process {number[:20]}" if number else "a node"
+    label = f"a node of process {number[:20]}" if number else "a node"
+    found = _ADDRESS.findall(said.get("__NetworkAddresses", "")[:1000])
+    # Discovery comes in at an even place of the domain's ports, data at the next one.
+    addresses = tuple((host, int(port) + 1) for host, port in found if int(port) < LAST_PORT)
+    liveliness = qos[Policy.Liveliness]
+    lease_s = liveliness.lease_duration * 1e-9 if liveliness is not None else 0.0
+    return Neighbour(label, addresses, lease_s, now_ns)

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import structlog
 
-from hilserver.config.ros2 import Ros2Config
+from hilserver.config.ros2 import LOOPBACK, Ros2Config
 from hilserver.core.events import Event, EventKind
 from hilserver.core.staleness import Transition
 from hilserver.faults.links import Lane, Line
@@ -21,6 +21,7 @@ from hilserver.io.ros2 import graph
 from hilserver.io.ros2.neighbours import Neighbours, other_domains, topics_of
 from hilserver.io.ros2.parameters import NODE, ParameterServices
 from hilserver.io.ros2.participant import Arrival, In, Out, Participant
+from hilserver.io.ros2.replies import Replies
 from hilserver.io.ros2.services import Service
 from hilserver.io.ros2.status import Command, Ros2Status
 from hilserver.io.ros2.way_back import WayBack
@@ -93,6 +94,7 @@ class Ros2Node(Part):
         self._news_ns: int | None = None
         self._watched = self._alone = 0
         self._neighbours: Neighbours | None = None
+        self._replies: Replies | None = None
         self._announced: Out | None = None
         self._commander = 0  # writer of the newest command
         self._way_back = WayBack(command_enables=config.command_enables)
@@ -128,6 +130,8 @@ class Ros2Node(Part):
         """
         self._participant = await asyncio.to_thread(self._join)
         self._neighbours = Neighbours(self._participant)
+        local = self.config.interface in LOOPBACK
+        self._replies = Replies(self._neighbours, local=local)
         self._participant.listen(self._on_data)
         self.status.state = LinkState.CONNECTING
         self._tasks = [
@@ -182,7 +186,9 @@ class Ros2Node(Part):
         if self._participant is not None:
             await self._participant.close()
         self._outs, self._ins, self._services, self._participant = {}, {}, [], None
-        self._neighbours = self._announced = None
+        if self._replies is not None:
+            self._replies.close()
+        self._neighbours = self._announced = self._replies = None
         self.status.state, self.status.connected = LinkState.STOPPED, False
 
     # --- what goes out ----------------------------------------------------------------------------
@@ -328,6 +334,9 @@ class Ros2Node(Part):
             self._way_back.withdraw()
 
     def _serve(self, service: Service, request: Any) -> None:
+        if self._replies is None:
+            return
+        number = self._replies.number(request)
         if self._line.is_cut or not self._look():
             return
         try:
@@ -340,7 +349,7 @@ class Ros2Node(Part):
             refusals = self._world.gate.write(NAME, values, commanded_ns=came_ns)
             if "drive.enable" in values and not refusals:
                 self._way_back.forget()
-        service.answer(request, answer(not refusals))
+        service.answer(request, number, answer(not refusals), self._replies)
 
     # --- what is judged ---------------------------------------------------------------------------
 

@@ -42,7 +42,7 @@ def tell(**what):
     sys.stdout.flush()
 
 
-def obey(node, publishers, command):
+def obey(node, publishers, clients, command):
     match command:
         case {"publish": topic, "fields": fields, "times": times}:
             message = fill(publishers[topic].msg_type(), fields)
@@ -50,7 +50,9 @@ def obey(node, publishers, command):
                 publishers[topic].publish(message)
                 time.sleep(0.02 if times > 1 else 0.0)
         case {"call": service, "type": name, "fields": fields}:
-            client = node.create_client(kind(name), service)
+            if service not in clients:
+                clients[service] = node.create_client(kind(name), service)
+            client = clients[service]
             if not client.wait_for_service(timeout_sec=30):
                 tell(answer=None, why="no service")
                 return
@@ -76,8 +78,9 @@ def main():
         )
 
     def listen():
+        clients = {}
         for line in sys.stdin:
-            obey(node, publishers, json.loads(line))
+            obey(node, publishers, clients, json.loads(line))
         rclpy.shutdown()
 
     threading.Thread(target=listen, daemon=True).start()

@@ -65,7 +65,7 @@ async def test_silence_withdraws_enable_until_the_host_enables_again(fast_dds, d
                 await drives(daemon)
             async with host.repeating(call, enable=False):
                 await stands(daemon)
-        assert not host.received[f"rr/{service}Reply"], "rmw_fastrtps could not use an answer"
+        assert host.last(f"rr/{service}Reply").sending_succesfull
 
 
 async def test_ramp_is_the_safe_state_until_reset(fast_dds, domain):

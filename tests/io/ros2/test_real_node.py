@@ -108,6 +108,21 @@ async def test_the_daemon_is_a_node_of_the_graph(domain):
             raise AssertionError("it has no name")
 
 
+async def test_services_answer(domain):
+    node = RosNode(domain, {"/cmd_vel": TWIST})
+    get, listed = "rcl_interfaces/srv/GetParameters", "rcl_interfaces/srv/ListParameters"
+    async with robot(domain) as daemon, node:
+        await node.is_ready()
+        names = ["plant.wheel_radius_m", "plant.track_m"]
+        for _ in range(3):
+            node.tell(call="/hilserver/get_parameters", type=get, fields={"names": names})
+            (radius, track) = (await node.answers("answer"))["values"]
+            assert radius["double_value"] == daemon.assembly.robot.wheel_radius_m
+            assert track["double_value"] == daemon.assembly.robot.track_m
+        node.tell(call="/hilserver/list_parameters", type=listed, fields={})
+        assert len((await node.answers("answer"))["result"]["names"]) > 10
+
+
 async def test_a_type_that_does_not_fit_is_told(domain):
     node = RosNode(domain, {"/cmd_vel": "std_msgs/msg/Float32"})
     async with robot(domain) as daemon, node:
