@@ -45,7 +45,7 @@ def announce(
         reader_gid_seq=[gid(one.gid) for one in ours if isinstance(one, In)],
         writer_gid_seq=[gid(one.gid) for one in ours if isinstance(one, Out)],
     )
-    told = types.make(ENTITIES, gid=gid(participant.gid), node_entities_info_seq=[node])
+    entities = types.make(ENTITIES, gid=gid(participant.gid), node_entities_info_seq=[node])
     writer = participant.writer(TOPIC, wire.make(ENTITIES), LATCHED, types.hash(ENTITIES))
-    writer.write(types.encode(told))
+    writer.write(types.encode(entities))
     return writer

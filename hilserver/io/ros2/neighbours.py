@@ -69,7 +69,7 @@ class Neighbour:
     addresses: tuple[tuple[str, int], ...]  # where its readers listen, by the usual ports
     lease_s: float  # it counts as alive for so long after its last sign of life
     since_ns: int
-    is_told: bool = False  # a line of the log says that nothing of it fits
+    is_reported: bool = False  # a line of the log says that nothing of it fits
 
 
 @dataclass(slots=True)

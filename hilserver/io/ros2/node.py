@@ -38,7 +38,7 @@ from hilserver.signals import State
 NAME: Final = "ros2"
 PERIOD_S: Final = 0.02
 LOOK_EVERY: Final = 25
-LONELY_AFTER: Final = 20
+ALONE_AFTER: Final = 20
 """Looks without any other participant after which the log says where other programs are."""
 
 _log = structlog.get_logger(__name__)
@@ -393,8 +393,8 @@ class Ros2Node(Part):
             self._source.faults.report(kind, topic, sentence, time.monotonic_ns())
         strangers = list(neighbours.strangers([*ours, *services]))
         for stranger in strangers:
-            if not stranger.is_told:
-                stranger.is_told = True
+            if not stranger.is_reported:
+                stranger.is_reported = True
                 _log.warning(
                     "ROS 2: none of a participant's topics and services fits ours",
                     participant=stranger.label,
@@ -403,7 +403,7 @@ class Ros2Node(Part):
         self.status.participants, self.status.strangers = len(neighbours.known), len(strangers)
         self.status.apart = len(apart)
         self._alone = 0 if neighbours.known else self._alone + 1
-        if self._alone == LONELY_AFTER and (domains := other_domains(participant.number)):
+        if self._alone == ALONE_AFTER and (domains := other_domains(participant.number)):
             _log.warning(
                 "ROS 2: nobody is in this domain, and programs of this computer are in others:"
                 " set ros2.domain or ROS_DOMAIN_ID",

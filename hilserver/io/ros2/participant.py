@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import os
 import socket
+import stat
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -89,18 +90,23 @@ def _keep_on_loopback(domain: int) -> None:
     """Let the sockets of a domain hear this computer only: DDS binds them to every interface."""
     first = FIRST_PORT + PORTS_OF_A_DOMAIN * domain
     for entry in Path("/proc/self/fd").iterdir():
-        with contextlib.suppress(OSError), socket.socket(fileno=os.dup(int(entry.name))) as found:
-            is_udp = found.family == socket.AF_INET and found.type == socket.SOCK_DGRAM
-            if not is_udp or not first <= found.getsockname()[1] < first + PORTS_OF_A_DOMAIN:
-                continue
-            try:
-                found.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")
-            except PermissionError:
-                _log.warning(
-                    "this kernel does not let ROS 2 stay on lo: close its UDP ports to others",
-                    ports=f"{first} .. {first + PORTS_OF_A_DOMAIN - 1}",
-                )
-                return
+        with contextlib.suppress(OSError):  # what another thread has closed meanwhile
+            if stat.S_ISSOCK(os.fstat(int(entry.name)).st_mode):
+                _keep_socket_on_loopback(int(entry.name), first)
+
+
+def _keep_socket_on_loopback(number: int, first: int) -> None:
+    with socket.socket(fileno=os.dup(number)) as found:
+        is_udp = found.family == socket.AF_INET and found.type == socket.SOCK_DGRAM
+        if not is_udp or not first <= found.getsockname()[1] < first + PORTS_OF_A_DOMAIN:
+            return
+        try:
+            found.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")
+        except PermissionError:
+            _log.warning(
+                "this kernel does not let ROS 2 stay on lo: close this UDP port to others",
+                port=found.getsockname()[1],
+            )
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,7 +35,7 @@ class Replies:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._asked: Counter[int] = Counter()  # requests by writer
-        self._told: Counter[bytes] = Counter()  # replies by reader, each of which counts from 1
+        self._sent: Counter[bytes] = Counter()  # replies by reader, each of which counts from 1
 
     def number(self, request: Arrival) -> int:
         """Return the number that the client has given to a request; each is to be counted once."""
@@ -56,8 +56,8 @@ class Replies:
             places = {("127.0.0.1", port) for _, port in places}
         readers = self._neighbours.replies_to(service.subject.topic, client.participant)
         for reader in readers:
-            self._told[reader] += 1
-            message = _message(service.gid, reader, self._told[reader], client, number, cdr)
+            self._sent[reader] += 1
+            message = _message(service.gid, reader, self._sent[reader], client, number, cdr)
             for place in places:
                 with contextlib.suppress(OSError):  # not every address of it is within our reach
                     self._socket.sendto(message, place)
