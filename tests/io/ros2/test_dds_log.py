@@ -33,9 +33,13 @@ async def test_joining_opens_no_second_copy_of_other_files(tmp_path):
     with contextlib.ExitStack() as kept:
         kept.enter_context(await asyncio.to_thread((tmp_path / "other").open, "w"))
         participant = Participant(Ros2Config(enabled=True, interface="lo", domain=76))
-        links = []
-        for entry in Path("/proc/self/fd").iterdir():
-            with contextlib.suppress(OSError):  # the one that lists them
-                links.append(str(entry.readlink()))
-        assert links.count(str(tmp_path / "other")) == 1
+        assert open_files().count(str(tmp_path / "other")) == 1
         await participant.close()
+
+
+def open_files():
+    links = []
+    for entry in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError):  # the one that lists them
+            links.append(str(entry.readlink()))
+    return links
