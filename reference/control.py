@@ -27,7 +27,11 @@ LIMITS: Final = (
     ("opcua", "`control.opcua_stale_after_ms`, by default for ever", "safe state"),
     ("opcua, `hilserver teleop`", "`page.deadman_ms`", "set-points zero"),
     ("page, Foxglove", "`page.deadman_ms`", "set-points zero"),
-    ("ros2", "`ros2.stale_after_ms`", "`ros2.on_stale`: device (drive disabled) or ramp"),
+    (
+        "ros2",
+        "`ros2.stale_after_ms`",
+        "`ros2.on_stale`: device (drive disabled), ramp, or hold while its writer is alive",
+    ),
     ("shield", "`shield.stale_after_ms`, or as its host says", "`shield.on_stale`: the same"),
     ("scenario", "for ever: its steps are planned", ""),
     ("whoever drives", "`control.command_timeout_ms`, by default for ever", "set-points zero"),

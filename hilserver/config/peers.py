@@ -225,6 +225,11 @@ class PeerConfig(LinkSection):
         who = (self.name, f"peer:{self.name}", f"peer '{self.name}'")
         return Driver(*who, self.stale_after_ms, self.on_stale)
 
+    @property
+    def is_local(self) -> bool:
+        """Whether it is a program of this computer."""
+        return is_loopback(self.host)
+
     def about(self, _folder: Path) -> str:
         """Return what it reads and writes, and how it is protected."""
         open_s7 = "unprotected: S7 knows neither users nor encryption"

@@ -69,6 +69,20 @@ class Config(Section):
             )
         return self
 
+    @model_validator(mode="after")
+    def _held_commands_move_no_machine(self) -> Self:
+        if not self.ros2.enabled or self.ros2.action != "hold":
+            return self
+        written = [f"peers.{peer.name}" for peer in self.peers if peer.write and not peer.is_local]
+        if self.shield.enabled and self.shield.device is not None:
+            written.append(f"shield.device '{self.shield.device}'")
+        if written:
+            raise ValueError(
+                "ros2.on_stale: a command that stands without being renewed must move no real"
+                f" machine, and {written[0]} may be one: set ros2.on_stale to ramp or device"
+            )
+        return self
+
     @property
     def drivers(self) -> list[Driver]:
         """Sources that may drive over a link, whether or not it is enabled."""

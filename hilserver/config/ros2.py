@@ -41,8 +41,7 @@ class Ros2Config(LinkSection):
     )
     rmw: Literal["fastrtps", "cyclonedds"] = Field(
         "fastrtps",
-        description="Middleware of the host, which decides how services carry their identity; with"
-        " fastrtps they take effect, but the answer never arrives",
+        description="Middleware of the host, which decides how services carry their identity",
     )
     domain: int | None = Field(
         None, ge=0, le=LAST_DOMAIN, description="DDS domain; null: ROS_DOMAIN_ID, else 0"
@@ -77,10 +76,17 @@ class Ros2Config(LinkSection):
     stale_after_ms: float = Field(
         500.0, ge=20, le=3_600_000, description="Commands older than this are stale"
     )
-    on_stale: Literal["device", "ramp"] = Field(
-        "device",
+    on_stale: Literal["device", "ramp", "hold"] | None = Field(
+        None,
         description="What then happens: device: enable is withdrawn until the host sends it again;"
-        " ramp: safe state until Reset",
+        " ramp: safe state until Reset; hold: a command stands while its writer is alive, then as"
+        " ramp; null: hold in thesis_sil, else device",
+    )
+    reenable: Literal["service", "command"] | None = Field(
+        None,
+        description="What enables the drive again after silence under device: the flavour's service"
+        " or button, or a fresh command after one at rest as well; null: command in thesis_sil,"
+        " which has no service",
     )
 
     @model_validator(mode="after")
@@ -100,6 +106,11 @@ class Ros2Config(LinkSection):
                     f"topics: flavour {self.flavour} has no topic '{name}';"
                     f" {meant(name, known, 'its names are ' + ', '.join(known))}"
                 )
+        if self.reenable == "service" and not self._enabled_by:
+            raise ValueError(
+                f"reenable: flavour {self.flavour} has no service that enables the drive: use"
+                " 'command'"
+            )
         if len(set(self.array_order)) != len(self.array_order):
             raise ValueError("array_order names a wheel twice")
         try:
@@ -111,8 +122,23 @@ class Ros2Config(LinkSection):
     @property
     def driver(self) -> Driver:
         """The host."""
-        limit_ms = self.stale_after_ms
-        return Driver("ros2", "ros2", "the ROS 2 host", limit_ms, self.on_stale, self.enabled)
+        limit_ms, lapse = self.stale_after_ms, "ramp" if self.action == "hold" else ""
+        who = ("ros2", "ros2", "the ROS 2 host")
+        return Driver(*who, limit_ms, self.action, self.enabled, lapse=lapse)
+
+    @property
+    def action(self) -> str:
+        """What happens to a command that is not renewed: device, ramp or hold."""
+        return self.on_stale or ("hold" if self.flavour == "thesis_sil" else "device")
+
+    @property
+    def command_enables(self) -> bool:
+        """Whether a command alone ends what silence has done."""
+        return (self.reenable or ("command" if not self._enabled_by else "service")) == "command"
+
+    @property
+    def _enabled_by(self) -> str:
+        return FLAVOURS[self.flavour].enabled_by
 
     def about(self, _folder: Path) -> str:
         """Return the robot program, the interface and the middleware."""

@@ -39,11 +39,17 @@ class Driver(NamedTuple):
     on_stale: str  # what happens to it then
     is_enabled: bool = True
     has_faults: bool = True  # whether faults can be injected
+    lapse: str = ""  # what the step does then, if it has another name for it
 
     @property
     def kind(self) -> Source:
         """Its kind in the ranking of sources: ``peer``."""
         return cast("Source", self.source.partition(":")[0])
+
+    @property
+    def policy(self) -> str:
+        """What the step does when its lease lapses."""
+        return self.lapse or self.on_stale
 
 
 class LinkSection(Section):

@@ -258,7 +258,7 @@ def leases_of(config: Config, image: ProcessImage, period_ns: int, pace: Pace) -
     found.add(TELEOP, config.page.deadman_ms, "zero")
     found.add("page", config.page.deadman_ms, "zero")
     for driver in config.drivers:
-        found.add(driver.source, driver.limit_ms, driver.on_stale)
+        found.add(driver.source, driver.limit_ms, driver.policy)
     return found
 
 

@@ -20,6 +20,8 @@ from hilserver.io import edge, foxglove, ros2, s7
 from hilserver.io.opcua_server import server as opcua_server
 from hilserver.io.peer_link import metrics as peer_metrics
 from hilserver.io.peers import parts as peer_parts
+from hilserver.io.ros2 import metrics as ros2_metrics
+from hilserver.io.ros2.status import Ros2Status
 from hilserver.io.shield import link as shield
 from hilserver.io.shield import metrics as shield_metrics
 from hilserver.io.shield.status import ShieldStatus
@@ -109,6 +111,7 @@ def make_metrics(
         Source(
             shield_metrics.METRICS, lambda: [p for p in of.peers() if isinstance(p, ShieldStatus)]
         ),
+        Source(ros2_metrics.METRICS, lambda: [p for p in of.peers() if isinstance(p, Ros2Status)]),
         Source(metrics.LATENCY_METRICS, lambda: outputs.end_to_end),
         Source(metrics.GAP_METRICS, outputs.model_gap),
         Source(metrics.OUTPUT_METRICS, outputs.exported),

@@ -14,6 +14,7 @@ from hilserver.core import metrics as core
 from hilserver.core.recalibration import RECALIBRATION_METRICS
 from hilserver.faults import metrics as faults
 from hilserver.io.peer_link import metrics as peer_metrics
+from hilserver.io.ros2 import metrics as ros2_metrics
 from hilserver.io.shield import metrics as shield_metrics
 from hilserver.metrics import US, Metric, S, by_name, counter, durations, gauges
 from hilserver.monitoring import audit
@@ -102,6 +103,7 @@ METRICS: Final[tuple[Metric[Any], ...]] = (
     *RECALIBRATION_METRICS,
     *peer_metrics.METRICS,
     *shield_metrics.METRICS,
+    *ros2_metrics.METRICS,
     *LATENCY_METRICS,
     *GAP_METRICS,
     *ALARM_METRICS,

@@ -36,13 +36,18 @@ DESCRIPTION: Final = Published(
 
 @dataclass(frozen=True, slots=True)
 class Subscribed:
-    """A topic that the host writes; `commands`: its silence is judged."""
+    """A topic that the host writes.
+
+    `commands`: its silence is judged. `made_from`: topics that its writer itself hears; once it
+    writes, they command here no longer.
+    """
 
     topic: str
     type: str
     take: Callable[[Robot, Any], incoming.Values]
     commands: bool = True
     qos: Qos = SENSOR_DATA
+    made_from: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +108,7 @@ _IOTBOT_SHIELD: Final = Flavour(
         ),
     ),
     subscribed=(
-        Subscribed("iotbot/rpm", RPM, incoming.rpm),
+        Subscribed("iotbot/rpm", RPM, incoming.rpm, made_from=("cmd_vel", "joy_extended", "joy")),
         Subscribed("cmd_vel", TWIST, incoming.velocity),
         Subscribed("joy_extended", JOY, incoming.axes),
         Subscribed("joy", JOY, incoming.gamepad),
@@ -163,7 +168,13 @@ _EDUARD: Final = Flavour(
     subscribed=(
         Subscribed("cmd_vel", TWIST, incoming.when_remote, qos=EDU_BEST_EFFORT),
         Subscribed("autonomous/cmd_vel", TWIST, incoming.when_autonomous, qos=EDU_BEST_EFFORT),
-        Subscribed("set_motor_rpm", FLOATS, incoming.motor_rpm, qos=EDU_BEST_EFFORT),
+        Subscribed(
+            "set_motor_rpm",
+            FLOATS,
+            incoming.motor_rpm,
+            qos=EDU_BEST_EFFORT,
+            made_from=("cmd_vel", "autonomous/cmd_vel"),
+        ),
         Subscribed(
             "set_lighting_color",
             "edu_robot/msg/SetLightingColor",

@@ -28,6 +28,16 @@ BUTTONS: Final[Mapping[int, tuple[str, tuple[int, int, int]]]] = {
 ENABLE_BUTTON: Final = 10
 AXES: Final = {"forward": 1, "left": 0, "turn": 3, "throttle": 5}
 """As read from ``joy_extended`` by the real motion node."""
+MOVING: Final = frozenset(
+    {
+        "control.mode",
+        "wheels.setpoints_rpm",
+        "twist.linear_m_s",
+        "twist.lateral_m_s",
+        "twist.angular_rad_s",
+    }
+)
+"""Values that move the robot; the rest of a message are lights and enable."""
 LIGHTING_MODES: Final = ("off", "dim", "flash all", "pulsation", "rotation", "running")
 """edu_robot's modes of a lighting."""
 
@@ -131,6 +141,13 @@ def gamepad(robot: Robot, message: Any) -> Values:
     if robot.extended_axes or len(message.axes) <= max(AXES.values()):
         return values
     return values | _axes(robot, message)
+
+
+def is_at_rest(values: Values) -> bool:
+    """Whether values ask every wheel to stand; False if they ask nothing of the wheels."""
+    asked = [values[name] for name in MOVING - {"control.mode"} if name in values]
+    numbers = [n for one in asked for n in (one if isinstance(one, list) else [one])]
+    return bool(numbers) and not any(numbers)
 
 
 def lights_color(robot: Robot, message: Any) -> Values:

@@ -69,6 +69,7 @@ SERVICES: Final[Mapping[str, tuple[str, str]]] = {
 
 WIDTHS: Final = ("bool", *(f"{sign}int{n}" for n in (8, 16, 32, 64) for sign in ("", "u")))
 EVENT_INFO: Final = "service_msgs/msg/ServiceEventInfo"
+GID: Final = "rmw_dds_common/msg/Gid"
 
 
 class Types:
@@ -88,11 +89,12 @@ class Types:
         self.store: Any = get_typestore(Stores.ROS2_JAZZY)
         for name, text in MESSAGES.items():
             self.add(name, text)
-        constants, fields = self.store.fielddefs[EVENT_INFO]
         kinds: Any = _kinds()
         gid: Any = (kinds.ARRAY, ((kinds.BASE, ("uint8", 0)), 16))  # a char is hashed as a uint8
-        fields = [(field, gid if field == "client_gid" else kind) for field, kind in fields]
-        self.store.fielddefs[EVENT_INFO] = constants, fields
+        for holder, held in ((EVENT_INFO, "client_gid"), (GID, "data")):
+            constants, fields = self.store.fielddefs[holder]
+            fields = [(field, gid if field == held else kind) for field, kind in fields]
+            self.store.fielddefs[holder] = constants, fields
         left = dict(widths or {})
         for field, width in left.items():
             if width not in WIDTHS:

@@ -21,6 +21,7 @@ from hilserver.config.ros2 import Ros2Config
         ({"service_fields": {"SendLighting.colour": "int8"}}, "no service has a field"),
         ({"namespace": "a b"}, "pattern"),
         ({"domain": 233}, "232"),
+        ({"flavour": "thesis_sil", "reenable": "service"}, "no service that enables"),
     ],
 )
 def test_what_cannot_work_is_refused(keys, said):
@@ -64,6 +65,43 @@ def test_viewers_stay_on_this_computer_unless_allowed():
 )
 def test_names(keys, name, full):
     assert Ros2Config(enabled=True, **keys).full_name(name) == full
+
+
+@pytest.mark.parametrize(
+    ("keys", "action", "command_enables"),
+    [
+        ({}, "device", False),
+        ({"reenable": "command"}, "device", True),
+        ({"flavour": "eduard"}, "device", False),
+        ({"flavour": "thesis_sil"}, "hold", True),
+        ({"flavour": "thesis_sil", "on_stale": "device"}, "device", True),
+    ],
+)
+def test_silence_and_the_way_back_by_flavour(keys, action, command_enables):
+    config = Ros2Config(enabled=True, **keys)
+    assert (config.action, config.command_enables) == (action, command_enables)
+    assert config.driver.policy == ("ramp" if action == "hold" else action)
+
+
+HELD = {"enabled": True, "flavour": "thesis_sil"}
+CELL = {"name": "cell", "endpoint": "opc.tcp://192.0.2.1:4840", "write": {"sim.tick": "ns=1;s=t"}}
+
+
+@pytest.mark.parametrize(
+    ("sections", "machine"),
+    [
+        ({"peers": [CELL]}, "peers.cell may be one"),
+        ({"shield": {"enabled": True, "device": "/dev/ttyS1"}}, "shield.device '/dev/ttyS1'"),
+    ],
+)
+def test_a_held_command_moves_no_real_machine(sections, machine):
+    with pytest.raises(ValidationError, match=machine):
+        Config(ros2=HELD, **sections)
+    Config(ros2=HELD | {"on_stale": "ramp"}, **sections)
+
+
+def test_a_held_command_may_be_shown_on_this_computer():
+    Config(ros2=HELD, peers=[CELL | {"endpoint": "opc.tcp://127.0.0.1:4840"}])
 
 
 def test_it_has_control_at_the_start():

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 OURS, THEIRS = "198.51.100.1", "198.51.100.2"  # TEST-NET-2
 
 
-def run(*command: str) -> None:
+def run(*command: str) -> str:
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     assert done.returncode == 0, f"{' '.join(command)}: {done.stderr.strip()}"
+    return done.stdout
 
 
 @dataclass(frozen=True)

@@ -12,24 +12,35 @@ from typing import Any, Final
 
 import structlog
 
-from hilserver.config.ros2 import Ros2Config
+from hilserver.config.ros2 import LOOPBACK, Ros2Config
+from hilserver.core.events import Event, EventKind
+from hilserver.core.staleness import Transition
 from hilserver.faults.links import Lane, Line
 from hilserver.io.arrival import WATCH_S
-from hilserver.io.link_status import LinkState, PeerStatus
-from hilserver.io.ros2.parameters import ParameterServices
+from hilserver.io.link_status import LinkState
+from hilserver.io.ros2 import graph
+from hilserver.io.ros2.neighbours import Neighbours, other_domains, topics_of
+from hilserver.io.ros2.parameters import NODE, ParameterServices
 from hilserver.io.ros2.participant import Arrival, In, Out, Participant
+from hilserver.io.ros2.replies import Replies
 from hilserver.io.ros2.services import Service
+from hilserver.io.ros2.status import Command, Ros2Status
+from hilserver.io.ros2.way_back import WayBack
 from hilserver.io.ros2.wire import WireTypes
 from hilserver.io.source import Source
 from hilserver.io.world import Part, World
+from hilserver.ros import incoming
 from hilserver.ros.flavours import DESCRIPTION, FLAVOURS, Published, Served, Subscribed
 from hilserver.ros.robot import Odometer, Robot
 from hilserver.ros.types import Types
+from hilserver.signals import State
 from hilserver.tasks import SupervisedTask
 
 NAME: Final = "ros2"
 PERIOD_S: Final = 0.02
 LOOK_EVERY: Final = 25
+ALONE_AFTER: Final = 20
+"""Looks without any other participant after which the log says where other programs are."""
 
 _log = structlog.get_logger(__name__)
 
@@ -47,7 +58,7 @@ class Ros2Node(Part):
     """One node for as long as the daemon runs."""
 
     section, label, is_early = NAME, "ROS 2", True  # joining takes a second
-    status: PeerStatus  # always up to date
+    status: Ros2Status  # always up to date
 
     def __init__(self, config: Ros2Config, world: World, line: Line) -> None:
         self.config, self._world = config, world
@@ -63,7 +74,7 @@ class Ros2Node(Part):
             frame_prefix=f"{space}/" if space else "",
         )
         self._names = [signal.name for signal in world.table.scalars]
-        self.status = PeerStatus(NAME, f"{config.flavour} on {config.interface}", mode="dds")
+        self.status = Ros2Status(NAME, f"{config.flavour} on {config.interface}", mode="dds")
         self._source = Source(
             config.driver._replace(on_stale=self._action),
             "ROS 2",
@@ -83,16 +94,28 @@ class Ros2Node(Part):
         self._jobs: list[SupervisedTask] = []
         self._cycle = 0
         self._news_ns: int | None = None
-        self._watched = 0
+        self._watched = self._alone = 0
+        self._neighbours: Neighbours | None = None
+        self._replies: Replies | None = None
+        self._announced: Out | None = None
+        self._commander = 0  # writer of the newest command
+        self._way_back = WayBack(command_enables=config.command_enables)
+        self._taken_over: dict[str, str] = {}  # topic that commands no longer: the one that does
+        world.control.on_reset.append(self._taken_over.clear)
         self._seen: dict[str, int] = {}
 
     @property
     def _action(self) -> str:
         """What happens to a command that is not renewed, in words."""
-        action, service = self.config.on_stale, self._flavour.enabled_by
-        if action != "device" or not service:
+        action, service = self.config.action, self._flavour.enabled_by
+        if action == "hold":
+            return f"{action}: it stood while its writer was alive, now Reset ends the safe state"
+        if action != "device":
             return action
-        return f"{action}: {self.config.full_name(service)} enables the drive again"
+        ways = [self.config.full_name(service)] if service else []
+        if self.config.command_enables:
+            ways.append("a command after one at rest")
+        return f"{action}: {' or '.join(ways)} enables the drive again"
 
     @property
     def address(self) -> str:
@@ -108,6 +131,9 @@ class Ros2Node(Part):
         FailedError if that is not possible.
         """
         self._participant = await asyncio.to_thread(self._join)
+        self._neighbours = Neighbours(self._participant)
+        local = self.config.interface in LOOPBACK
+        self._replies = Replies(self._neighbours, local=local)
         self._participant.listen(self._on_data)
         self.status.state = LinkState.CONNECTING
         self._jobs = [
@@ -129,6 +155,10 @@ class Ros2Node(Part):
             Service(served, self.config, self._types, wire, participant)
             for served in (*self._flavour.served, *self._parameter_services())
         ]
+        space = self.config.full_name(NODE).rpartition("/")[0] or "/"
+        ours = [endpoint for _, endpoint in self._endpoints()]
+        ours += [endpoint for service in self._services for endpoint in service.endpoints]
+        self._announced = graph.announce(participant, self._types, wire, (space, NODE), ours)
         kinds = [published.type for published, _ in self._outs.values()]
         for kind in kinds + [subscribed.type for subscribed, _ in self._ins.values()]:
             self._types.prepare(kind)
@@ -159,6 +189,9 @@ class Ros2Node(Part):
         if self._participant is not None:
             await self._participant.close()
         self._outs, self._ins, self._services, self._participant = {}, {}, [], None
+        if self._replies is not None:
+            self._replies.close()
+        self._neighbours = self._announced = self._replies = None
         self.status.state, self.status.connected = LinkState.STOPPED, False
 
     # --- what goes out ----------------------------------------------------------------------------
@@ -255,16 +288,58 @@ class Ros2Node(Part):
             self.status.interval.observe(now_ns - self._news_ns)
         self._news_ns = now_ns
         self.status.sequence_received += 1
+        is_command = subscribed.commands and subscribed.topic not in self._taken_over
+        if not is_command:
+            values = {name: value for name, value in values.items() if name not in incoming.MOVING}
         if values:
-            self._hand_over(subscribed, values, now_ns)
+            self._hand_over(subscribed, values, arrival, now_ns, is_command=is_command)
 
-    def _hand_over(self, subscribed: Subscribed, values: dict[str, object], now_ns: int) -> None:
-        wrong = self._source.write(values, now_ns, of=f"{subscribed.topic}: ").wrong
-        if subscribed.commands and not wrong:
-            self._source.staleness.renew(now_ns)
-            self.status.input_received_ns = dict.fromkeys(values, now_ns)
+    def _hand_over(
+        self,
+        subscribed: Subscribed,
+        values: incoming.Values,
+        arrival: Arrival,
+        now_ns: int,
+        *,
+        is_command: bool,
+    ) -> None:
+        self._see_lapse()
+        if is_command and self._way_back.enables(values):
+            values = values | {"drive.enable": True}
+        of = f"{subscribed.topic}: "
+        wrong = self._source.write(values, now_ns, of=of, renews=is_command).wrong
+        if not is_command or wrong:
+            return
+        self._source.staleness.renew(now_ns)
+        self.status.input_received_ns = dict.fromkeys(values, now_ns)
+        self.status.command_ns = now_ns
+        self._commander = arrival.writer
+        self._take_over(subscribed)
+
+    def _take_over(self, subscribed: Subscribed) -> None:
+        """Leave to the writer of this topic what it makes its messages from."""
+        theirs = [name for name in subscribed.made_from if name not in self._taken_over]
+        if not theirs:
+            return
+        self._taken_over |= dict.fromkeys(theirs, subscribed.topic)
+        names = ", ".join(self.config.full_name(name) for name in theirs)
+        text = (
+            f"ROS 2: {self.config.full_name(subscribed.topic)} drives; {names} belong to the node"
+            " that writes it and move nothing here until the simulation is reset"
+        )
+        self._world.events.publish(Event(EventKind.STATE, 300, NAME, text))
+
+    def _see_lapse(self) -> None:
+        """Note that silence has disabled the drive, or that this is over."""
+        if self._world.control.state is State.SAFE:
+            self._way_back.forget()
+        elif self.config.action == "device" and self._world.gate.leases.has_lapsed(NAME):
+            self._way_back.withdraw()
 
     def _serve(self, service: Service, request: Any) -> None:
+        if self._replies is None:
+            return
+        number = self._replies.number(request)
         if self._line.is_cut or not self._look():
             return
         try:
@@ -275,16 +350,69 @@ class Ros2Node(Part):
         refusals, came_ns = {}, self._source.came_ns(time.monotonic_ns())
         if values:
             refusals = self._world.gate.write(NAME, values, commanded_ns=came_ns)
-        service.answer(request, answer(not refusals))
+            if "drive.enable" in values and not refusals:
+                self._way_back.forget()
+        service.answer(request, number, answer(not refusals), self._replies)
 
     # --- what is judged ---------------------------------------------------------------------------
 
     def _watch(self) -> None:
         self._receive_due()
-        self._source.watch(time.monotonic_ns())
+        now_ns = time.monotonic_ns()
+        if self._neighbours is not None:
+            self._neighbours.look()
+        self._hold(now_ns)
+        self._see_lapse()
+        if self._source.watch(now_ns) is Transition.LOST:
+            self.status.command = Command.STALE
         if self._watched % LOOK_EVERY == 0:
             self._look_at_endpoints()
+            self._look_at_neighbours()
         self._watched += 1
+
+    def _hold(self, now_ns: int) -> None:
+        """Show where the last command stands; with `hold` renew it while its writer is alive."""
+        status, staleness = self.status, self._source.staleness
+        if self._neighbours is None or status.command_ns is None:
+            return
+        writer = self._neighbours.participant_of(self._commander)
+        status.lease_s = writer.lease_s if writer else None
+        if self.config.action == "hold" and writer is not None and not self._line.is_cut:
+            staleness.renew(now_ns)
+            self._world.gate.leases.renew(NAME, now_ns)
+        if not staleness.stale:
+            is_late = now_ns - status.command_ns > staleness.limit_ns
+            status.command = Command.HELD if is_late else Command.FRESH
+
+    def _look_at_neighbours(self) -> None:
+        """Tell what of other participants does not fit, and where others are if nobody is here."""
+        neighbours, participant = self._neighbours, self._participant
+        if neighbours is None or participant is None:
+            return
+        ours = [endpoint for _, endpoint in self._endpoints()]
+        services = [endpoint for service in self._services for endpoint in service.endpoints]
+        apart = list(neighbours.apart([*ours, *services]))
+        for kind, topic, sentence in apart:
+            self._source.faults.report(kind, topic, sentence, time.monotonic_ns())
+        strangers = list(neighbours.strangers([*ours, *services]))
+        for stranger in strangers:
+            if not stranger.is_reported:
+                stranger.is_reported = True
+                _log.warning(
+                    "ROS 2: none of a participant's topics and services fits ours",
+                    participant=stranger.label,
+                    ours=topics_of(ours),
+                )
+        self.status.participants, self.status.strangers = len(neighbours.known), len(strangers)
+        self.status.apart = len(apart)
+        self._alone = 0 if neighbours.known else self._alone + 1
+        if self._alone == ALONE_AFTER and (domains := other_domains(participant.number)):
+            _log.warning(
+                "ROS 2: nobody is in this domain, and programs of this computer are in others:"
+                " set ros2.domain or ROS_DOMAIN_ID",
+                domain=participant.number,
+                others=domains,
+            )
 
     def _look_at_endpoints(self) -> None:
         """Count matched endpoints, losses, and those that will never match."""

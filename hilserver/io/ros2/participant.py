@@ -1,13 +1,19 @@
 """One DDS participant: domain, writers, readers, and a thread that waits for what comes in."""
 
 import asyncio
+import contextlib
 import os
+import socket
+import stat
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 from xml.sax.saxutils import quoteattr
 
+import structlog
+from cyclonedds.builtin import BuiltinDataReader
 from cyclonedds.core import (
     DDSException,
     GuardCondition,
@@ -33,7 +39,14 @@ from hilserver.ros.qos import Qos
 
 MOST_AT_ONCE: Final = 32
 PARTICIPANTS: Final = 32  # of one computer that find each other without multicast
+ANNOUNCED_EVERY: Final = "1 s"
+FAST_DDS: Final = "1.15"  # its vendor id
+HANDLE: Final = 2**64 - 1
+"""Bits of a handle; the library gives them with and without a sign."""
+FIRST_PORT, PORTS_OF_A_DOMAIN = 7400, 250
 _FATAL_AND_ERROR: Final = 3
+
+_log = structlog.get_logger(__name__)
 
 
 def domain_of(config: Ros2Config) -> int:
@@ -62,8 +75,38 @@ def settings(interface: str, peers: tuple[str, ...]) -> str:
         f"<AllowMulticast>{'false' if local else 'default'}</AllowMulticast></General>"
         "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
         f"<MaxAutoParticipantIndex>{PARTICIPANTS}</MaxAutoParticipantIndex>"
-        f"<Peers>{listed}</Peers></Discovery></Domain></CycloneDDS>"
+        # A node may start at any time, and by default announces itself by multicast only.
+        f"<SPDPInterval>{ANNOUNCED_EVERY}</SPDPInterval>"
+        "<InitialLocatorPruneDelay>inf</InitialLocatorPruneDelay>"
+        f"<Peers>{listed}</Peers></Discovery>"
+        # Fast DDS 3 describes its types in a way that Cyclone DDS 11 takes for invalid: nothing
+        # would match. Types are told apart by their names, as with every older ROS 2.
+        f"<Compatibility><IgnoreTypeInformation>{FAST_DDS}</IgnoreTypeInformation></Compatibility>"
+        "</Domain></CycloneDDS>"
     )
+
+
+def _keep_on_loopback(domain: int) -> None:
+    """Let the sockets of a domain hear this computer only: DDS binds them to every interface."""
+    first = FIRST_PORT + PORTS_OF_A_DOMAIN * domain
+    for entry in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError):  # what another thread has closed meanwhile
+            if stat.S_ISSOCK(os.fstat(int(entry.name)).st_mode):
+                _keep_socket_on_loopback(int(entry.name), first)
+
+
+def _keep_socket_on_loopback(number: int, first: int) -> None:
+    with socket.socket(fileno=os.dup(number)) as found:
+        is_udp = found.family == socket.AF_INET and found.type == socket.SOCK_DGRAM
+        if not is_udp or not first <= found.getsockname()[1] < first + PORTS_OF_A_DOMAIN:
+            return
+        try:
+            found.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")
+        except PermissionError:
+            _log.warning(
+                "this kernel does not let ROS 2 stay on lo: close this UDP port to others",
+                port=found.getsockname()[1],
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,13 +115,34 @@ class Arrival:
 
     cdr: bytes
     source_ns: int
+    writer: int  # handle of the writer
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """What a writer and its readers have to agree on."""
+
+    topic: str  # with the prefix of DDS, ``rt/cmd_vel``
+    type: str  # as in DDS, ``geometry_msgs::msg::dds_::Twist_``
+    type_hash: str
+    qos: Qos
 
 
 class Out:
     """A writer of one topic."""
 
-    def __init__(self, writer: Any, data_type: Any) -> None:
-        self._writer, self._type = writer, data_type
+    def __init__(self, writer: Any, data_type: Any, subject: Subject) -> None:
+        self._writer, self._type, self.subject = writer, data_type, subject
+
+    @property
+    def gid(self) -> bytes:
+        """Its identity in the graph of ROS 2."""
+        return bytes(self._writer.get_guid().bytes)
+
+    @property
+    def partners(self) -> list[int]:
+        """Handles of the readers that match."""
+        return [handle & HANDLE for handle in self._writer.get_matched_subscriptions()]
 
     def write(self, cdr: bytes) -> bool:
         """Write; False if a reliable reader is too far behind."""
@@ -104,15 +168,25 @@ class Out:
 class In:
     """A reader of one topic."""
 
-    def __init__(self, reader: Any) -> None:
-        self.reader = reader
+    def __init__(self, reader: Any, subject: Subject) -> None:
+        self.reader, self.subject = reader, subject
+
+    @property
+    def gid(self) -> bytes:
+        """Its identity in the graph of ROS 2."""
+        return bytes(self.reader.get_guid().bytes)
+
+    @property
+    def partners(self) -> list[int]:
+        """Handles of the writers that match."""
+        return [handle & HANDLE for handle in self.reader.get_matched_publications()]
 
     def take(self) -> list[Arrival]:
         """Return what came in, oldest first."""
         return [
-            Arrival(sample.cdr, sample.sample_info.source_timestamp)
+            Arrival(sample.cdr, info.source_timestamp, info.publication_handle & HANDLE)
             for sample in self.reader.take(MOST_AT_ONCE)
-            if not isinstance(sample, InvalidSample)
+            if not isinstance(sample, InvalidSample) and (info := sample.sample_info)
         ]
 
     @property
@@ -143,6 +217,8 @@ class Participant:
             self._domain = Domain(number, settings(config.interface, config.peers))
             # Otherwise every malformed packet writes a line to standard error and fills the disk.
             DDS._dll_handle.dds_set_log_mask(_FATAL_AND_ERROR)
+            if config.interface in LOOPBACK:
+                _keep_on_loopback(number)
             enclave = DdsQos(Policy.Userdata(b"enclave=/;"))
             self._participant = DomainParticipant(number, enclave)
         except DDSException as error:
@@ -150,25 +226,30 @@ class Participant:
                 f"ros2: no DDS domain {number} on interface '{config.interface}' ({error.msg});"
                 f" check its name, and that no other program uses its ports"
             ) from None
-        self.number = number
+        self.number, self.gid = number, bytes(self._participant.get_guid().bytes)
         self._waiting: _Waiting | None = None
         self._readers: list[Any] = []
 
     def writer(self, topic: str, data_type: Any, qos: Qos, type_hash: str) -> Out:
         """Return a writer."""
+        subject = _subject(topic, data_type, qos, type_hash)
         made = DataWriter(
-            self._participant,
-            Topic(self._participant, topic, data_type),
-            _policies(qos, type_hash),
+            self._participant, Topic(self._participant, topic, data_type), _policies(subject)
         )
-        return Out(made, data_type)
+        return Out(made, data_type, subject)
 
     def reader(self, topic: str, data_type: Any, qos: Qos, type_hash: str) -> In:
         """Return a reader."""
-        topic_of = Topic(self._participant, topic, data_type)
-        made = DataReader(self._participant, topic_of, _policies(qos, type_hash))
+        subject = _subject(topic, data_type, qos, type_hash)
+        made = DataReader(
+            self._participant, Topic(self._participant, topic, data_type), _policies(subject)
+        )
         self._readers.append(made)
-        return In(made)
+        return In(made, subject)
+
+    def discovered(self, what: Any) -> Any:
+        """Return a reader of what discovery reports, one of the topics of `cyclonedds.builtin`."""
+        return BuiltinDataReader(self._participant, what)
 
     def listen(self, on_data: Callable[[], None]) -> None:
         """Call `on_data` in the running event loop whenever a reader has data."""
@@ -227,12 +308,17 @@ class _Waiting:
         self._thread.join(5.0)
 
 
-def _policies(qos: Qos, type_hash: str) -> DdsQos:
+def _subject(topic: str, data_type: Any, qos: Qos, type_hash: str) -> Subject:
+    return Subject(topic, data_type.__idl_typename__.replace(".", "::"), type_hash, qos)
+
+
+def _policies(subject: Subject) -> DdsQos:
+    qos = subject.qos
     reliable = Policy.Reliability.Reliable(duration(seconds=0))  # our event loop does not wait
     return DdsQos(
         reliable if qos.reliable else Policy.Reliability.BestEffort,
         Policy.Durability.TransientLocal if qos.latched else Policy.Durability.Volatile,
         Policy.History.KeepLast(qos.depth),
-        Policy.Userdata(f"typehash={type_hash};".encode()),
+        Policy.Userdata(f"typehash={subject.type_hash};".encode()),
         Policy.DataRepresentation(use_cdrv0_representation=True),
     )

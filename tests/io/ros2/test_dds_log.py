@@ -1,7 +1,10 @@
 """The DDS library writes a line for every malformed packet: a stranger's would fill the disk."""
 
+import asyncio
+import contextlib
 import ctypes
 import socket
+from pathlib import Path
 
 from cyclonedds.internal import DDS
 
@@ -23,3 +26,20 @@ async def test_its_warnings_are_off_and_its_errors_stay(capfd):
     written = capfd.readouterr().err
     assert "malformed" not in written
     assert "an error" in written
+
+
+async def test_joining_opens_no_second_copy_of_other_files(tmp_path):
+    """Its sockets are found among the files of the process, most of which are none."""
+    with contextlib.ExitStack() as kept:
+        kept.enter_context(await asyncio.to_thread((tmp_path / "other").open, "w"))
+        participant = Participant(Ros2Config(enabled=True, interface="lo", domain=76))
+        assert open_files().count(str(tmp_path / "other")) == 1
+        await participant.close()
+
+
+def open_files():
+    links = []
+    for entry in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError):  # the one that lists them
+            links.append(str(entry.readlink()))
+    return links

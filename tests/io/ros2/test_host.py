@@ -65,7 +65,7 @@ async def test_silence_withdraws_enable_until_the_host_enables_again(fast_dds, d
                 await drives(daemon)
             async with host.repeating(call, enable=False):
                 await stands(daemon)
-        assert not host.received[f"rr/{service}Reply"], "rmw_fastrtps could not use an answer"
+        assert host.last(f"rr/{service}Reply").sending_succesfull
 
 
 async def test_ramp_is_the_safe_state_until_reset(fast_dds, domain):
@@ -148,6 +148,47 @@ async def test_gamepad_drives_switches_lights_and_enables(fast_dds, domain):
             async with host.repeating("rt/joy", **joy(pressed=(10,))):
                 await wait_until(lambda: value(daemon, "drive.enable") == 1.0, PATIENCE_S)
             assert value(daemon, "twist.linear_m_s") == pytest.approx(-fastest), "axes of joy rest"
+
+
+async def test_once_the_motion_node_drives_what_it_hears_moves_nothing_here(fast_dds, domain):
+    """The gamepad and cmd_vel reach both of us; only one of us may turn them into motion."""
+    host = Host(fast_dds, domain, DRIVE, TWIST, JOY)
+    make = known_types().make
+    stamp = make("builtin_interfaces/msg/Time", sec=0, nanosec=0)
+    header = make("std_msgs/msg/Header", stamp=stamp, frame_id="")
+    axes, buttons = np.zeros(6, dtype=np.float32), np.zeros(12, dtype=np.int32)
+    buttons[4] = 1
+    joy = {"header": header, "axes": axes, "buttons": buttons}
+    async with robot(domain) as daemon, host, host.repeating("rt/cmd_vel", **twist(0.3)):
+        await wait_until(lambda: value(daemon, "control.mode") == 1.0, PATIENCE_S)
+        modes = set()
+        async with host.repeating("rt/iotbot/rpm", **FORWARD), host.repeating("rt/joy", **joy):
+            await drives(daemon)
+            ticks = value(daemon, "sim.tick") + 1000
+            while value(daemon, "sim.tick") < ticks:
+                modes.add(value(daemon, "control.mode"))
+                await asyncio.sleep(0.002)
+        assert modes == {0.0}
+        assert value(daemon, "lights.command") == 4.0, "its buttons stay"
+        told = [e.message for e in daemon.events.recent if "/iotbot/rpm drives" in e.message]
+        assert len(told) == 1
+        assert "/cmd_vel, /joy_extended, /joy belong to the node" in told[0]
+
+
+async def test_after_silence_a_command_enables_once_the_host_was_at_rest(fast_dds, domain):
+    host = Host(fast_dds, domain, DRIVE)
+    ours = {"reenable": "command", "stale_after_ms": SILENT_MS}
+    async with robot(domain, **ours) as daemon, host:
+        async with host.repeating("rt/iotbot/rpm", **FORWARD):
+            await drives(daemon)
+        await wait_until(lambda: value(daemon, "drive.enable") == 0.0, PATIENCE_S)
+        async with host.repeating("rt/iotbot/rpm", **FORWARD):
+            await wait_until(lambda: value(daemon, "wheel.fl.setpoint_rpm") == 50.0, PATIENCE_S)
+            assert value(daemon, "drive.enable") == 0.0, "it has not been at rest"
+        async with host.repeating("rt/iotbot/rpm", **speeds()):
+            await wait_until(lambda: value(daemon, "drive.enable") == 1.0, PATIENCE_S)
+        async with host.repeating("rt/iotbot/rpm", **FORWARD):
+            await drives(daemon)
 
 
 # --- defects 1 to 5 of real drivers: the symptom with, none without -------------------------------

@@ -1,0 +1,191 @@
+"""Real ROS 2 nodes (`rclpy`, rmw_fastrtps) and the daemon: they find each other and exchange."""
+
+import asyncio
+import sys
+from contextlib import asynccontextmanager
+
+import pytest
+
+from hilserver.core.events import EventKind
+from hilserver.io.ros2.status import Command
+from hilserver.signals import State
+from tests.io.ros2.rig import PATIENCE_S, robot, value
+from tests.io.ros2.ros_node import ROOT, RosNode, needs_rclpy
+from tests.loopback.rig import scrape, wait_until
+from tests.node_red.black_hole import peer_network, run
+
+pytestmark = needs_rclpy
+
+TWIST = "geometry_msgs/msg/Twist"
+DRIVE = {"linear": {"x": 0.2}, "angular": {"z": 0.5}}
+SENSORS = {
+    "/iotbot/imu": "sensor_msgs/msg/Imu",
+    "/iotbot/tof": "std_msgs/msg/Float32MultiArray",
+    "/iotbot/temperature": "std_msgs/msg/Float32",
+}
+
+
+FLOATS = "std_msgs/msg/Float32MultiArray"
+GONE_S = 30.0
+"""ROS 2 counts a participant that was killed as alive for 20 s."""
+
+
+async def test_a_real_node_drives_and_reads_the_sensors(domain):
+    node = RosNode(domain, {"/cmd_vel": TWIST}, SENSORS)
+    async with robot(domain) as daemon, node:
+        await node.is_ready()
+        node.publish("/cmd_vel", times=500, **DRIVE)
+        turns = lambda imu: imu["angular_velocity"]["z"] > 0.45  # noqa: E731
+        imu = await node.sees("/iotbot/imu", turns)
+        assert imu["header"]["frame_id"] == "imu_link"
+        assert len((await node.sees("/iotbot/tof"))["data"]) == 4
+        await node.sees("/iotbot/temperature")
+        assert daemon.part("ros2").status.fault_counts.total() == 0
+        node.process.kill()
+
+
+@asynccontextmanager
+async def driven_by_keys(domain):
+    """The node of the thesis's software in the loop: one message per key press, none between."""
+    node = RosNode(domain, {"/rpm": FLOATS}, {"/rpm/return": FLOATS}, name="iotbot_motion_control")
+    async with robot(domain, flavour="thesis_sil", stale_after_ms=200.0) as daemon, node:
+        await node.is_ready()
+
+        async def press(rpm):
+            node.publish("/rpm", data=[rpm, rpm, -rpm, -rpm])
+            await node.sees("/rpm/return", lambda m: abs(m["data"][0] - rpm) < 0.5)
+
+        yield daemon, node, press
+
+
+async def test_what_a_key_commanded_stands_while_its_node_is_there(domain):
+    async with driven_by_keys(domain) as (daemon, node, press):
+        status = daemon.part("ros2").status
+        for rpm in (20.0, 30.0):
+            await press(rpm)
+            await wait_until(lambda: status.command is Command.HELD, PATIENCE_S)
+            await asyncio.sleep(0.5)
+            assert value(daemon, "wheel.fl.speed_rpm") == pytest.approx(rpm, abs=0.5)
+        assert status.lease_s == 20.0
+        assert "hil_ros2_command_held 1.0" in await scrape(daemon)
+        node.process.stdin.close()
+        await wait_until(lambda: daemon.control.state is State.SAFE, PATIENCE_S)
+        await wait_until(lambda: abs(value(daemon, "wheel.fl.speed_rpm")) < 0.5, PATIENCE_S)
+        assert any("its writer was alive" in e.message for e in daemon.events.recent)
+
+
+async def test_after_a_stop_a_held_command_does_not_come_back(domain):
+    async with driven_by_keys(domain) as (daemon, _, press):
+        await press(30.0)
+        daemon.control.stop()
+        await wait_until(lambda: abs(value(daemon, "wheel.fl.speed_rpm")) < 0.5, PATIENCE_S)
+        daemon.control.reset()
+        await asyncio.sleep(0.7)
+        assert abs(value(daemon, "wheel.fl.speed_rpm")) < 0.5
+        assert daemon.control.state is State.RUNNING
+        await press(20.0)
+
+
+@pytest.mark.long
+async def test_a_node_that_is_killed_stops_the_robot_when_its_lease_ends(domain):
+    async with driven_by_keys(domain) as (daemon, node, press):
+        await press(30.0)
+        node.process.kill()
+        await asyncio.sleep(5.0)
+        assert value(daemon, "wheel.fl.speed_rpm") == pytest.approx(30.0, abs=0.5)
+        await wait_until(lambda: daemon.control.state is State.SAFE, GONE_S)
+
+
+async def test_the_daemon_is_a_node_of_the_graph(domain):
+    node = RosNode(domain, {"/left/cmd_vel": TWIST})
+    async with robot(domain, namespace="/left"), node:
+        await node.is_ready()
+        for _ in range(100):
+            node.tell(graph=True)
+            if "/left/hilserver" in await node.answers("nodes"):
+                break
+        else:
+            raise AssertionError("it has no name")
+
+
+async def test_services_answer(domain):
+    node = RosNode(domain, {"/cmd_vel": TWIST})
+    get, listed = "rcl_interfaces/srv/GetParameters", "rcl_interfaces/srv/ListParameters"
+    async with robot(domain) as daemon, node:
+        await node.is_ready()
+        names = ["plant.wheel_radius_m", "plant.track_m"]
+        for _ in range(3):
+            node.tell(call="/hilserver/get_parameters", type=get, fields={"names": names})
+            (radius, track) = (await node.answers("answer"))["values"]
+            assert radius["double_value"] == daemon.assembly.robot.wheel_radius_m
+            assert track["double_value"] == daemon.assembly.robot.track_m
+        node.tell(call="/hilserver/list_parameters", type=listed, fields={})
+        assert len((await node.answers("answer"))["result"]["names"]) > 10
+
+
+async def test_a_type_that_does_not_fit_is_told(domain):
+    node = RosNode(domain, {"/cmd_vel": "std_msgs/msg/Float32"})
+    async with robot(domain) as daemon, node:
+        status = daemon.part("ros2").status
+        await wait_until(lambda: status.apart == status.strangers == 1, PATIENCE_S)
+        faults = [e.message for e in daemon.events.recent if e.kind is EventKind.PEER_FAULT]
+        (told,) = [text for text in faults if "/cmd_vel" in text]
+        assert "std_msgs::msg::dds_::Float32_" in told
+        assert "geometry_msgs::msg::dds_::Twist_ here" in told
+        shown = await scrape(daemon)
+        assert "hil_ros2_endpoints_apart 1.0" in shown
+        assert 'hil_ros2_participants{kind="strange"} 1.0' in shown
+
+
+@asynccontextmanager
+async def ear(domain, interface, prefix=()):
+    """Our participant in a process of its own, which a namespace can hold."""
+    pipe = asyncio.subprocess.PIPE
+    process = await asyncio.create_subprocess_exec(
+        *(*prefix, sys.executable, "-m", "tests.io.ros2.ear", str(domain), interface),
+        stdin=pipe,
+        stdout=pipe,
+        cwd=ROOT,
+    )
+    assert await process.stdout.readline() == b"joined\n"
+    try:
+        yield process
+    finally:
+        process.stdin.close()
+        await process.wait()
+
+
+async def is_echoed(node):
+    await node.is_ready()
+    for _ in range(200):
+        node.publish("/cmd_vel", **DRIVE)
+        await asyncio.sleep(0.02)
+        if node.received["/echo"]:
+            break
+    assert node.received["/echo"][0]["angular"]["z"] == 0.5
+
+
+@pytest.mark.network
+async def test_both_sides_with_their_defaults_find_each_other_on_a_network(domain):
+    with peer_network() as network:
+        node = RosNode(
+            domain, {"/cmd_vel": TWIST}, {"/echo": TWIST}, discovery=None, prefix=network.prefix
+        )
+        async with ear(domain, f"{network.name}a"), node:
+            await is_echoed(node)
+
+
+@pytest.mark.network
+async def test_on_lo_a_node_that_starts_later_is_found_and_nobody_else_is_heard(domain):
+    with peer_network() as network:
+        run(*network.prefix, "ip", "link", "set", f"{network.name}b", "down")
+        node = RosNode(
+            domain, {"/cmd_vel": TWIST}, {"/echo": TWIST}, discovery=None, prefix=network.prefix
+        )
+        async with ear(domain, "lo", network.prefix) as ours:
+            lines = run(*network.prefix, "ss", "-Hulnp").splitlines()
+            places = [line.split()[3] for line in lines if f"={ours.pid}," in line]
+            assert len(places) >= 3
+            assert all("%lo:" in place or place.startswith("127.0.0.1:") for place in places)
+            async with node:
+                await is_echoed(node)
