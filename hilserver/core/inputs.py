@@ -14,6 +14,7 @@ from enum import StrEnum
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.core.handover import HandOver
 from hilserver.core.leases import NOBODY, OFFERING, Leases, kind_of
+from hilserver.core.rest import Rest, is_hand
 from hilserver.image import ProcessImage, Row
 from hilserver.plant.layout import N_COMMANDS, N_SETPOINTS
 from hilserver.signals import MEASURED, SAMPLED, SOURCES, Signal, SignalTable, ValueType
@@ -35,6 +36,7 @@ class Refusal(StrEnum):
     NOT_IN_CONTROL = "not_in_control"
     QUEUE_FULL = "queue_full"
     OUTDATED = "outdated"
+    NOT_AT_REST = "not_at_rest"
 
 
 _GRAIN_NS = 20_000_000  # accuracy of the time at which a command came in
@@ -91,11 +93,12 @@ class InputGate(HandOver):
         super().__init__(image, events, leases, owner, priority, fallback)
         self.rejected: Counter[tuple[str, str]] = Counter()
         self._table, self._now_ns = table, monotonic_ns
-        self._ended_ns = 0
+        self._ended_ns, self._rest = 0, Rest()
         self._last_ns: dict[str, int] = {}
         self._newest: dict[int, tuple[str, float]] = {}
         self._change: tuple[int, int] | None = None
         self._denied: dict[str, str] = {}
+        self._held: set[str] = set()  # hands told to let go first
         self._counted = {g for g in SAMPLED if f"internal.samples_{g}" in table}
         self._samples: Counter[str] = Counter()
 
@@ -109,6 +112,7 @@ class InputGate(HandOver):
         age_ns: int = 0,
         news: Collection[str] | None = None,
         renews: bool = True,
+        by_hand: bool = False,
     ) -> dict[str, Refusal]:
         """Check `values` and hand the accepted ones, as one group, to the next tick.
 
@@ -128,6 +132,8 @@ class InputGate(HandOver):
             Signals whose values are new samples, not repeated ones; by default all.
         renews : bool
             Whether to renew the lease of the source; False while it lacks an input.
+        by_hand : bool
+            Whether a person drives by this source, of which its name does not tell.
 
         Returns
         -------
@@ -137,6 +143,10 @@ class InputGate(HandOver):
         now_ns = self._now_ns() if received_ns is None else received_ns
         came_ns = now_ns if commanded_ns is None else commanded_ns
         rows, offered, refused = self._sort(source, values, came_ns < self._ended_ns)
+        if (by_hand or is_hand(source)) and not self._lets_move(source, rows, offered, now_ns):
+            held = [name for name, found in rows.items() if found[0].slot < N_COMMANDS]
+            refused |= dict.fromkeys(held, Refusal.NOT_AT_REST)
+            rows, offered = {name: rows[name] for name in rows if name not in held}, []
         group = offered + [row for found in rows.values() for row in found]
         speaker, placed = self._speaker, self._passed_on(source, group)
         placed += self._placed(source, group, came_ns if renews else None)
@@ -171,6 +181,14 @@ class InputGate(HandOver):
             if kind in OFFERING and not is_outdated:
                 offered += [row for row in found if row.slot < N_COMMANDS]
         return rows, offered, refused
+
+    def _lets_move(
+        self, source: str, rows: Mapping[str, list[Row]], offered: list[Row], now_ns: int
+    ) -> bool:
+        """Whether what a hand commands may act, if it commands anything."""
+        commanded = offered + [row for found in rows.values() for row in found]
+        setpoints = [row.value for row in commanded if row.slot < N_SETPOINTS]
+        return not setpoints or self._rest.lets_move(source, setpoints, now_ns)
 
     def stamps(
         self, names: Iterable[str], time_s: float, age_s: float = 0.0, tick: int = 0
@@ -227,8 +245,11 @@ class InputGate(HandOver):
         if is_denied and kind_of(source) in OFFERING:
             return  # a repeated offer is kept, not lost
         self.rejected[(source, reason.value)] += 1
-        if is_denied:
+        is_held = reason is Refusal.NOT_AT_REST and source in self._held
+        if is_denied or is_held:
             return
+        if reason is Refusal.NOT_AT_REST:
+            self._held.add(source)
         if reason is Refusal.NOT_IN_CONTROL:
             self._denied[source] = self.owner
         text = f"{source}: {name} = {value!r:.60} refused: {self.explain(source, name, reason)}"
@@ -241,6 +262,8 @@ class InputGate(HandOver):
             return f"'{self.owner}' has control; write '{kind}' to control.source to take it"
         if reason is Refusal.OUTDATED:
             return "it arrived before Reset, Pause or LoadSnapshot discarded the commands"
+        if reason is Refusal.NOT_AT_REST:
+            return "it was held over Reset, Pause or LoadSnapshot; let go first, then drive"
         if reason is Refusal.OUT_OF_RANGE:
             return f"outside {self._table[name].range_text}"
         if reason is Refusal.TYPE_MISMATCH:
@@ -274,6 +297,8 @@ class InputGate(HandOver):
     def outdate(self) -> None:
         """Refuse commands that have come in before now and still wait to be read."""
         self._ended_ns = self._now_ns() - _GRAIN_NS
+        self._rest.end(self._now_ns())
+        self._held.clear()
 
     def age_s(self, source: str) -> float | None:
         """Return the time since the source's last accepted write [s], None before the first."""

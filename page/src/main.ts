@@ -38,10 +38,14 @@ const links = VIEWS.map((view) =>
   h("a", { href: `#${view.id}` }, icon(view.icon), h("span", {}, view.name)),
 );
 
+let hands: Wheel | null = null;
+
 /** The emergency stop, whatever else of the page works. */
 async function emergencyStop(): Promise<void> {
+  const stopped = live.stop();
+  hands?.halt();
   try {
-    await live.stop();
+    await stopped;
     toast("Emergency stop: the robot stays in the safe state until you press Reset.");
   } catch (error) {
     toast(`Emergency stop failed: ${(error as Error).message}`, "error");
@@ -254,8 +258,8 @@ async function start(): Promise<void> {
     get<{ signals: Signal[] }>("signals"),
     get<Pick<Context, "walls" | "robot" | "faults">>("hall"),
   ]);
-  const wheels = new Wheel(hall.robot, () => void emergencyStop());
-  const context: Context = { session, signals: table.signals, ...hall, wheel: wheels };
+  hands = new Wheel(hall.robot, () => void emergencyStop());
+  const context: Context = { session, signals: table.signals, ...hall, wheel: hands };
   document.body.replaceChildren(
     header(context),
     banner,

@@ -133,6 +133,8 @@ def test_the_emergency_stop_needs_no_webgl(driving, plant):
 def test_a_gamepad_drives_while_its_stick_is_held(browser, url, plant):
     browser.do("open", url=url)
     browser.do("take")
+    browser.do("run", script="window.pad = {connected: true, axes: [0, 0]}")
+    browser.do("rest", ms=150)
     browser.do("run", script="window.pad = {connected: true, axes: [-0.5, -0.8]}")
     plant.wait(lambda: plant.value("twist.linear_m_s") > 0.1)
     plant.wait(lambda: plant.value("twist.angular_rad_s") > 0.1)

@@ -18,6 +18,7 @@ from foxglove.websocket import Capability
 from pydantic import BaseModel, TypeAdapter
 
 from hilserver.config.foxglove import FoxgloveConfig
+from hilserver.core.leases import FOXGLOVE
 from hilserver.errors import address_refused
 from hilserver.image import Frame
 from hilserver.io.arrival import Arrivals
@@ -31,7 +32,7 @@ from hilserver.logs.message import CDR_LITTLE_ENDIAN, SCHEMA_NAME, make_layout
 from hilserver.program import event_loop
 from hilserver.ros.types import Types
 
-SOURCE: Final = "page:foxglove"
+SOURCE: Final = FOXGLOVE
 TWIST, TWIST_TYPE = "/cmd_vel", "geometry_msgs/msg/Twist"
 SET: Final = "/hilserver/set"
 SCENE_EVERY_S: Final = 5.0

@@ -8,7 +8,8 @@ BadTypeMismatch         another data type, wrong length (no widening: an Int64 i
 BadOutOfRange           outside EURange, NaN, infinity
 BadUserAccessDenied     another source has control; the diagnostic text and an event name it
 BadResourceUnavailable  the queue of the plant is full
-BadInvalidState         it arrived before Reset, Pause or LoadSnapshot discarded the commands
+BadInvalidState         it arrived before Reset, Pause or LoadSnapshot discarded the commands, or
+                        a hand that was held over them has not let go since
 BadInvalidArgument      of a method: also a value out of range
 BadInvalidState         a method that is not possible now; the diagnostic text has the reason
 BadNotImplemented       Force, Unforce, InjectFault, ClearFaults on a server without faults
@@ -53,6 +54,7 @@ STATUS_OF: dict[Refusal, int] = {
     Refusal.NOT_IN_CONTROL: _Codes.BadUserAccessDenied,
     Refusal.QUEUE_FULL: _Codes.BadResourceUnavailable,
     Refusal.OUTDATED: _Codes.BadInvalidState,
+    Refusal.NOT_AT_REST: _Codes.BadInvalidState,
 }
 
 

@@ -22,7 +22,7 @@ from hilserver.io.ros2.wire import WireTypes
 from hilserver.io.source import Source, keep_watch
 from hilserver.io.world import Part, World
 from hilserver.program import event_loop
-from hilserver.ros.flavours import DESCRIPTION, FLAVOURS, Published, Served, Subscribed
+from hilserver.ros.flavours import DESCRIPTION, FLAVOURS, JOY, Published, Served, Subscribed
 from hilserver.ros.robot import Odometer, Robot
 from hilserver.ros.types import Types
 
@@ -256,7 +256,9 @@ class Ros2Node(Part):
             self._hand_over(subscribed, values, now_ns)
 
     def _hand_over(self, subscribed: Subscribed, values: dict[str, object], now_ns: int) -> None:
-        wrong = self._source.write(values, now_ns, of=f"{subscribed.topic}: ").wrong
+        wrong = self._source.write(
+            values, now_ns, of=f"{subscribed.topic}: ", by_hand=subscribed.type == JOY
+        ).wrong
         if subscribed.commands and not wrong:
             self._source.staleness.renew(now_ns)
             self.status.input_received_ns = dict.fromkeys(values, now_ns)
