@@ -3,10 +3,10 @@
 import "./style.css";
 import type { Context, View } from "./context";
 import { may, WHEELS } from "./context";
-import { call, get, live, type Session, type Signal } from "./net";
+import { call, CONFIRM_MS, get, live, type Session, type Signal } from "./net";
 import { lateness } from "./overruns";
 import { Wheel } from "./wheel";
-import { action, ask, field, h, micros, number, recall, setText, store, svg, toast } from "./ui";
+import { action, alarm, alarmed, ask, field, h, micros, number, recall, setText, store, svg, toast } from "./ui";
 import { diagnosisView } from "./views/diagnosis";
 import { driveView } from "./views/drive";
 import { signalsView } from "./views/signals";
@@ -42,13 +42,19 @@ let hands: Wheel | null = null;
 
 /** The emergency stop, whatever else of the page works. */
 async function emergencyStop(): Promise<void> {
+  const begun = performance.now();
   const stopped = live.stop();
   hands?.halt();
+  const late = window.setTimeout(() => alarm("stop", `Emergency stop sent, not confirmed: no tick shows it after ${CONFIRM_MS / 1000} s. Use the robot's own switch.`), CONFIRM_MS);
   try {
     await stopped;
-    toast("Emergency stop: the robot stays in the safe state until you press Reset.");
+    const text = "the robot stays in the safe state until you press Reset.";
+    if (alarmed("stop")) alarm("stop", `Emergency stop confirmed after ${((performance.now() - begun) / 1000).toFixed(1)} s: ${text}`);
+    else toast(`Emergency stop: ${text}`);
   } catch (error) {
-    toast(`Emergency stop failed: ${(error as Error).message}`, "error");
+    alarm("stop", `Emergency stop failed: ${(error as Error).message}`);
+  } finally {
+    window.clearTimeout(late);
   }
 }
 
@@ -154,16 +160,17 @@ function giveTo(): string {
 
 function showBoard(context: Context): void {
   const { board } = live.slow;
-  const state = live.connected ? (board.state ?? "starting") : "offline";
-  stateChip.dataset.state = state;
+  const state = !live.connected ? "offline" : live.stale ? "no answer" : (board.state ?? "starting");
+  stateChip.dataset.state = live.connected && live.stale ? "offline" : state;
   setText(stateChip, state);
   stateChip.title = board.reason ?? "";
   const who = driver();
-  setText(owner, `${capital(who === "you" ? "you drive" : `${who || "nobody"} drives`)}`);
+  if (live.stale) setText(owner, "Who drives is not known");
+  else setText(owner, `${capital(who === "you" ? "you drive" : `${who || "nobody"} drives`)}`);
   owner.title = live.drives ? "The arrow keys work in every view" : "";
   const hasController = Object.keys(board.peers ?? {}).length > 0;
   controller.hidden = !live.connected || !context.session.drive || !hasController || live.drives || board.owner === "peer";
-  owner.classList.toggle("you", live.drives);
+  owner.classList.toggle("you", live.drives && !live.stale);
   setText(wheel, live.drives ? "Give back" : "Take control");
   wheel.disabled = !live.connected || !context.session.drive;
   setText(factor, board.realtime_factor == null ? "–" : `${board.realtime_factor.toFixed(2)}×`);
@@ -175,7 +182,8 @@ function showBoard(context: Context): void {
   margin.title = `Smallest so far: ${micros(plant?.["margin_min_us"] as number | null | undefined)}`;
 }
 
-function showAge(): void {
+function showAge(context: Context): void {
+  if (document.body.classList.contains("stale") !== live.stale) showBoard(context);
   document.body.classList.toggle("stale", live.stale);
   const volts = live.value("battery.voltage_v");
   setText(battery, Number.isFinite(volts) ? `${number(volts)} V` : "–");
@@ -183,16 +191,17 @@ function showAge(): void {
   let text = "";
   if (live.loggedOut) text = "The page has been restarted.";
   else if (!live.connected) text = "No connection to the page's server: the values shown are old. Reconnecting …";
-  else if (live.stale && board.state !== "paused" && live.lastFrame > 0)
-    text = `No new data for ${(live.ageMs / 1000).toFixed(1)} s.`;
-  else if (board.state === "safe") text = `Safe state: ${board.reason ?? ""}. The drive is off.`;
-  if (banner.dataset.text !== text) {
-    banner.dataset.text = text;
+  else if (live.stale) text = `No answer for ${(live.silentMs / 1000).toFixed(1)} s: what is shown is old.`;
+  else if (board.state === "safe") text = `Safe state: ${board.reason || "stopped"}. The drive is off.`;
+  const kind = text.replace(/[\d.]+ s/, ""); // its seconds count on, which is no new message
+  if (banner.dataset.text === kind && text && banner.firstElementChild) setText(banner.firstElementChild, text);
+  if (banner.dataset.text !== kind) {
+    banner.dataset.text = kind;
     banner.hidden = !text;
-    banner.classList.toggle("safe", live.connected && board.state === "safe");
+    banner.classList.toggle("safe", !live.stale && board.state === "safe");
     banner.replaceChildren(h("span", {}, text));
     if (live.loggedOut) banner.append(h("a", { href: "./", onclick: () => location.reload() }, "Log in again"));
-    else if (board.state === "safe" && live.connected) banner.append(action("Reset", () => call("Reset"), { class: "primary" }));
+    else if (board.state === "safe" && !live.stale) banner.append(action("Reset", () => call("Reset"), { class: "primary" }));
   }
 }
 
@@ -269,10 +278,11 @@ async function start(): Promise<void> {
   if (session.problem) toast(session.problem, "error");
   stop.disabled = !may(context, "Stop");
   live.onReturn = () => void returned(context, JSON.stringify(table));
+  live.onLate = (method) => toast(`${method}: sent, not confirmed yet.`, "error");
   live.onRefused = (text) => toast(text, "error");
   live.onSlow(() => showBoard(context));
   live.want("frame", ["battery.voltage_v", "sim.state", "sim.time_s", "control.mode", ...SETPOINTS.flat().filter((name) => table.signals.some((signal) => signal.name === name))]);
-  window.setInterval(showAge, 200);
+  window.setInterval(() => showAge(context), 200);
   window.addEventListener("hashchange", () => show(context));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => window.dispatchEvent(new Event("themechange")));
   window.addEventListener("keydown", keys);
