@@ -272,6 +272,10 @@ class InputGate(HandOver):
             return f"{wanted} {signal.type} expected"
         return reason.value.replace("_", " ")
 
+    def publish(self, event: Event) -> None:
+        """Tell what a client has done."""
+        self._events.publish(event)
+
     def mark_stale(self, source: str) -> None:
         """Keep the last values of the source, with status UncertainLastUsableValue."""
         slots = [slot for slot, (writer, _) in self._newest.items() if writer == source]

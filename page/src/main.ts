@@ -2,7 +2,8 @@
 
 import "./style.css";
 import type { Context, View } from "./context";
-import { may, WHEELS } from "./context";
+import { may } from "./context";
+import { capital, driver, isBusy, SETPOINTS } from "./driver";
 import { call, CONFIRM_MS, get, live, type Session, type Signal } from "./net";
 import { lateness } from "./overruns";
 import { Wheel } from "./wheel";
@@ -31,7 +32,7 @@ const stateChip = h("span", { class: "chip state" });
 const owner = h("span", { class: "owner" });
 const figures = h("dl", { class: "figures" });
 const wheel = h("button", { type: "button", class: "wheel" });
-const controller = h("button", { type: "button", hidden: true, onclick: () => void give("peer") }, "Let the controller drive");
+const controller = h("button", { type: "button", hidden: true, onclick: () => void letControllerDrive() }, "Let the controller drive");
 const main = h("main", { id: "main", tabindex: "-1" });
 const banner = h("div", { class: "banner", role: "alert", hidden: true });
 const links = VIEWS.map((view) =>
@@ -102,34 +103,6 @@ function header(context: Context): HTMLElement {
   );
 }
 
-const NAMES: Record<string, string> = {
-  peer: "the controller", opcua: "an OPC UA client", page: "another browser", ros2: "a ROS 2 node",
-  shield: "the shield's computer", foxglove: "Foxglove", scenario: "a scenario", teleop: "the terminal",
-};
-const SETPOINTS = [WHEELS.map((name) => `wheel.${name}.setpoint_rpm`), ["twist.linear_m_s", "twist.angular_rad_s", "twist.lateral_m_s"]];
-
-/** Who has control; empty: nobody. */
-function driver(): string {
-  const { board, driver: seat } = live.slow;
-  if (live.drives) return "you";
-  if (!board.owner || board.owner === "nobody" || board.owner === "none") return "";
-  if (board.owner === "page") return seat === null ? "" : NAMES["page"]!;
-  if (board.owner === "opcua" && !board.opcua_wrote) return isCommanded() ? "an OPC UA client that has left" : ""; // it is whoever comes first
-  return NAMES[board.owner] ?? board.owner;
-}
-
-function isCommanded(): boolean {
-  return (SETPOINTS[live.value("control.mode")] ?? []).some((name) => live.value(name));
-}
-
-/** Whether somebody loses something when we take control: another browser, a controller, a moving robot. */
-function isBusy(): boolean {
-  const { board, driver: seat } = live.slow;
-  if (board.owner === "page") return seat !== null;
-  if (board.owner === "peer" && Object.values(board.peers ?? {}).some((peer) => peer["connected"])) return true;
-  return isCommanded();
-}
-
 async function take(): Promise<void> {
   const who = driver();
   if (who && isBusy() && !(await ask(`${capital(who)} is driving.`, `Take control from ${who}? The robot stops first.`, "Take over"))) return;
@@ -144,8 +117,9 @@ async function give(source: string): Promise<void> {
   await call("give", source).catch((error: Error) => toast(error.message, "error"));
 }
 
-function capital(text: string): string {
-  return text.charAt(0).toUpperCase() + text.slice(1);
+async function letControllerDrive(): Promise<void> {
+  const who = isBusy() && driver() ? `${capital(driver())} is driving. ` : "";
+  if (await ask("Let the controller drive?", `${who}The robot follows the controller's set-points at once.`, "Let it drive")) await give("peer");
 }
 
 async function logOut(): Promise<void> {
@@ -169,10 +143,10 @@ function showBoard(context: Context): void {
   else setText(owner, `${capital(who === "you" ? "you drive" : `${who || "nobody"} drives`)}`);
   owner.title = live.drives ? "The arrow keys work in every view" : "";
   const hasController = Object.keys(board.peers ?? {}).length > 0;
-  controller.hidden = !live.connected || !context.session.drive || !hasController || live.drives || board.owner === "peer";
+  controller.hidden = live.stale || !context.session.drive || !hasController || live.drives || board.owner === "peer";
   owner.classList.toggle("you", live.drives && !live.stale);
   setText(wheel, live.drives ? "Give back" : "Take control");
-  wheel.disabled = !live.connected || !context.session.drive;
+  wheel.disabled = live.stale || !context.session.drive;
   setText(factor, board.realtime_factor == null ? "–" : `${board.realtime_factor.toFixed(2)}×`);
   const plant = board.slices?.["plant"];
   setText(margin, micros(plant?.["margin_last_us"] as number | null | undefined));
