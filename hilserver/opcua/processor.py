@@ -302,7 +302,7 @@ class Processor:
         return self._answer(session, *SERVICES[service], body)
 
     def _has_expired(self, head: encoding.Head) -> bool:
-        """Whether the client was told long ago that this request had failed: we stood still.
+        """Whether the client has given this request up long ago, as we stood still.
 
         Only of clients that share our clock. One that gives local time would always be too late.
         """
