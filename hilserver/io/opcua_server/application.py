@@ -231,8 +231,13 @@ class RobotApplication(Application):
         return ACCEPTED
 
     def _other_driver(self, session: Any) -> str:
-        """Return a sentence if another person drives: by the page or by a terminal."""
+        """Return a sentence if another person drives, and a person asks.
+
+        Programs, as test stands, do not look on: what they may is up to their role.
+        """
         holder = self._gate.holder
+        if not is_hand(session.visitor.source):
+            return ""
         if holder is None or holder is session or not is_hand(holder.visitor.source):
             return ""
         by = "a terminal" if holder.visitor.source == TELEOP else "the page"
