@@ -179,6 +179,8 @@ class Driver:
         while True:
             held = self._hold.held(time.monotonic())
             try:
+                if held and not was_held:  # after a Reset the daemon waits for keys at rest
+                    await self._write(self.command(frozenset()))
                 if held or was_held:
                     await self._write(self.command(held))
                 if self._lights is not None:

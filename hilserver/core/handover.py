@@ -6,7 +6,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
-from typing import Final
+from typing import Any, Final
 
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.core.leases import NOBODY, OFFERING, Leases, kind_of
@@ -115,6 +115,11 @@ class HandOver:
         self._image, self._events = image, events
         self._fallback, self._before, self._speaker = fallback, NOBODY, ""
         self._holder: object = None
+
+    @property
+    def holder(self) -> Any:
+        """Client of our OPC UA server that has taken control and is still there, or None."""
+        return None if self._holder is _DEPARTED else self._holder
 
     def take(self, kind: str, holder: object = None) -> None:
         """Give control to the sources of `kind`, or to nobody.

@@ -15,6 +15,7 @@ from typing import Final
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.core.handover import HandOver
 from hilserver.core.leases import NOBODY, OFFERING, Leases, kind_of
+from hilserver.core.rest import Rest, is_hand
 from hilserver.image import ProcessImage, Row
 from hilserver.plant.layout import N_COMMANDS, N_SETPOINTS
 from hilserver.signals import MEASURED, SAMPLED, SOURCES, Signal, SignalTable, ValueType
@@ -36,6 +37,7 @@ class Refusal(StrEnum):
     NOT_IN_CONTROL = "not_in_control"
     QUEUE_FULL = "queue_full"
     OUTDATED = "outdated"
+    NOT_AT_REST = "not_at_rest"
 
 
 CHOOSING: Final = frozenset({"opcua", "page"})
@@ -104,11 +106,12 @@ class InputGate(HandOver):
             reasons = set(Refusal) - (set() if source in CHOOSING else OF_CLIENTS)
             self.rejected.update({(source, reason.value): 0 for reason in reasons})
         self._table, self._now_ns = table, monotonic_ns
-        self._ended_ns = 0
+        self._ended_ns, self._rest = 0, Rest()
         self._last_ns: dict[str, int] = {}
         self._newest: dict[int, tuple[str, float]] = {}
         self._change: tuple[int, int] | None = None
         self._denied: dict[str, str] = {}
+        self._held: set[str] = set()  # hands told to let go first
         self._counted = {g for g in SAMPLED if f"internal.samples_{g}" in table}
         self._samples: Counter[str] = Counter()
 
@@ -122,6 +125,7 @@ class InputGate(HandOver):
         age_ns: int = 0,
         news: Collection[str] | None = None,
         renews: bool = True,
+        by_hand: bool = False,
     ) -> dict[str, Refusal]:
         """Check `values` and hand the accepted ones, as one group, to the next tick.
 
@@ -141,6 +145,8 @@ class InputGate(HandOver):
             Signals whose values are new samples, not repeated ones; by default all.
         renews : bool
             Whether to renew the lease of the source; False while it lacks an input.
+        by_hand : bool
+            Whether a person drives by this source, of which its name does not tell.
 
         Returns
         -------
@@ -150,6 +156,10 @@ class InputGate(HandOver):
         now_ns = self._now_ns() if received_ns is None else received_ns
         came_ns = now_ns if commanded_ns is None else commanded_ns
         rows, offered, refused = self._sort(source, values, came_ns < self._ended_ns)
+        if (by_hand or is_hand(source)) and not self._lets_move(source, rows, offered, now_ns):
+            held = [name for name, found in rows.items() if found[0].slot < N_COMMANDS]
+            refused |= dict.fromkeys(held, Refusal.NOT_AT_REST)
+            rows, offered = {name: rows[name] for name in rows if name not in held}, []
         group = offered + [row for found in rows.values() for row in found]
         speaker, placed = self._speaker, self._passed_on(source, group)
         placed += self._placed(source, group, came_ns if renews else None)
@@ -184,6 +194,14 @@ class InputGate(HandOver):
             if kind in OFFERING and not is_outdated:
                 offered += [row for row in found if row.slot < N_COMMANDS]
         return rows, offered, refused
+
+    def _lets_move(
+        self, source: str, rows: Mapping[str, list[Row]], offered: list[Row], now_ns: int
+    ) -> bool:
+        """Whether what a hand commands may act, if it commands anything."""
+        commanded = offered + [row for found in rows.values() for row in found]
+        setpoints = [row.value for row in commanded if row.slot < N_SETPOINTS]
+        return not setpoints or self._rest.lets_move(source, setpoints, now_ns)
 
     def stamps(
         self, names: Iterable[str], time_s: float, age_s: float = 0.0, tick: int = 0
@@ -240,8 +258,11 @@ class InputGate(HandOver):
         if is_denied and kind_of(source) in OFFERING:
             return  # a repeated offer is kept, not lost
         self.rejected[(self.label(source), reason.value)] += 1
-        if is_denied:
+        is_held = reason is Refusal.NOT_AT_REST and source in self._held
+        if is_denied or is_held:
             return
+        if reason is Refusal.NOT_AT_REST:
+            self._held.add(source)
         if reason is Refusal.NOT_IN_CONTROL:
             if len(self._denied) >= _MOST_DENIED:
                 self._denied.pop(next(iter(self._denied)))
@@ -256,6 +277,8 @@ class InputGate(HandOver):
             return f"'{self.owner}' has control; write '{kind}' to control.source to take it"
         if reason is Refusal.OUTDATED:
             return "it arrived before Reset, Pause or LoadSnapshot discarded the commands"
+        if reason is Refusal.NOT_AT_REST:
+            return "it was held over Reset, Pause or LoadSnapshot; let go first, then drive"
         if reason is Refusal.OUT_OF_RANGE:
             return f"outside {self._table[name].range_text}"
         if reason is Refusal.TYPE_MISMATCH:
@@ -263,6 +286,10 @@ class InputGate(HandOver):
             wanted = f"{len(signal.slots)} values of type" if signal.is_array else "a value of type"
             return f"{wanted} {signal.type} expected"
         return reason.value.replace("_", " ")
+
+    def publish(self, event: Event) -> None:
+        """Tell what a client has done."""
+        self._events.publish(event)
 
     def mark_stale(self, source: str) -> None:
         """Keep the last values of the source, with status UncertainLastUsableValue."""
@@ -289,6 +316,8 @@ class InputGate(HandOver):
     def outdate(self) -> None:
         """Refuse commands that have come in before now and still wait to be read."""
         self._ended_ns = self._now_ns() - _GRAIN_NS
+        self._rest.end(self._now_ns())
+        self._held.clear()
 
     def age_s(self, source: str) -> float | None:
         """Return the time since the source's last accepted write [s], None before the first."""

@@ -10,7 +10,7 @@ from hilserver.plant.layout import N_COMMANDS, N_SETPOINTS
 from hilserver.signals import SOURCES
 from hilserver.status import GOOD
 
-NOBODY, TELEOP = "nobody", "opcua:teleop"
+NOBODY, TELEOP, FOXGLOVE = "nobody", "opcua:teleop", "page:foxglove"
 OFFERING = frozenset(SOURCES[leases.FIRST_OFFERING :])
 """Kinds that send their commands whether or not they have control."""
 _ACTIONS = {number: action for action, number in leases.POLICIES.items()}

@@ -41,6 +41,7 @@ class Surroundings:
         core, desk = self.core, self.desk
         return {
             "version": __version__,
+            "monotonic_s": time.monotonic(),  # at which all this was so
             "state": self.control.state.name.lower(),
             "reason": self.control.reason,
             "speed": self.control.speed,

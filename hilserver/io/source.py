@@ -11,7 +11,9 @@ from hilserver.core.staleness import Staleness, Transition
 from hilserver.io.arrival import Arrivals
 from hilserver.io.link_status import FaultBook, PeerStatus
 
-OFFERED_AGAIN: Final = frozenset({Refusal.NOT_IN_CONTROL, Refusal.QUEUE_FULL, Refusal.OUTDATED})
+OFFERED_AGAIN: Final = frozenset(
+    {Refusal.NOT_IN_CONTROL, Refusal.QUEUE_FULL, Refusal.OUTDATED, Refusal.NOT_AT_REST}
+)
 """Reasons that do not lie in the value: the next group may be accepted unchanged."""
 
 
@@ -70,6 +72,7 @@ class Source:
         age_ns: int = 0,
         news: Collection[str] | None = None,
         renews: bool = True,
+        by_hand: bool = False,
     ) -> Outcome:
         """Hand one group to the gate; report what is wrong with it, as values of `of`."""
         came_ns, self._has_written = self.came_ns(now_ns), True
@@ -81,6 +84,7 @@ class Source:
             age_ns=age_ns,
             news=news,
             renews=renews,
+            by_hand=by_hand,
         )
         wrong = {name: why for name, why in refused.items() if why not in OFFERED_AGAIN}
         for name, why in wrong.items():

@@ -192,12 +192,18 @@ def service_id(body: Buffer) -> Any:
     return type_id.Identifier if type_id.NamespaceIndex == 0 else None
 
 
+def utc_now() -> int:
+    """Return the time of now as UtcTime [100 ns]."""
+    return time.time_ns() // 100 + FILETIME_OF_1970
+
+
 class Head(NamedTuple):
     """The needed fields of a request header."""
 
     handle: int
     diagnostics: int
     timeout_ms: int
+    sent: int  # UtcTime of the client [100 ns]; 0: it gave none
 
 
 def request_head(body: Buffer, token: bytes) -> Head | None:
@@ -209,11 +215,11 @@ def request_head(body: Buffer, token: bytes) -> Head | None:
     end = start + len(token)
     if len(body) < len(token) + _REQUEST.size or body._data[start:end] != token:
         return None
-    _, handle, diagnostics, audit_id, timeout_ms, more = _REQUEST.unpack_from(body._data, end)
+    sent, handle, diagnostics, audit_id, timeout_ms, more = _REQUEST.unpack_from(body._data, end)
     if audit_id > 0 or more != _NULL_HEADER:
         return None
     body.skip(len(token) + _REQUEST.size)
-    return Head(handle, diagnostics, timeout_ms)
+    return Head(handle, diagnostics, timeout_ms, sent)
 
 
 def acknowledgements(body: Buffer) -> list[tuple[int, int]]:

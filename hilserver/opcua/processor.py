@@ -26,6 +26,7 @@ from hilserver.opcua.channel import GuardedConnection
 from hilserver.opcua.frames import Stage, TransportError, check_order
 from hilserver.opcua.login import activate_session, create_session
 from hilserver.opcua.logs import log
+from hilserver.opcua.loopback import is_loopback
 from hilserver.opcua.node_services import read
 from hilserver.opcua.portions import decoded, encoded, take
 from hilserver.opcua.rotation import Portions
@@ -53,6 +54,8 @@ _MANAGEMENT = {
 _UNDECODABLE = (
     NotEnoughData, struct.error, UnicodeDecodeError, RecursionError, OverflowError, MemoryError,
 )  # fmt: skip
+_ACTING = {_id("WriteRequest"), _id("CallRequest")}
+_LOCAL_TIME_MS = 900_000  # time zones differ by quarters of an hour at least
 REQUEST_S = 0.5  # of work for one request; the rest of it is refused
 LONGEST_WAIT_S = 10.0  # total, for the methods that one Call waits for
 
@@ -221,7 +224,12 @@ class Processor:
         if head is None:
             header = take(ua.RequestHeader, body)
             token = header.AuthenticationToken
-            head = encoding.Head(header.RequestHandle, header.ReturnDiagnostics, header.TimeoutHint)
+            head = encoding.Head(
+                header.RequestHandle,
+                header.ReturnDiagnostics,
+                header.TimeoutHint,
+                0,
+            )
             if session is not None and not session.is_named_by(token):
                 session = None
         try:
@@ -289,7 +297,18 @@ class Processor:
             raise ServiceError(_Codes.BadUserAccessDenied)
         if service not in SERVICES:
             raise ServiceError(_Codes.BadServiceUnsupported)
+        if service in _ACTING and self._has_expired(head):
+            raise ServiceError(_Codes.BadTimeout)
         return self._answer(session, *SERVICES[service], body)
+
+    def _has_expired(self, head: encoding.Head) -> bool:
+        """Whether the client has given this request up long ago, as we stood still.
+
+        Only of clients that share our clock. One that gives local time would always be too late.
+        """
+        age_ms = (encoding.utc_now() - head.sent) / 1e4
+        is_late = 0 < head.timeout_ms < age_ms < _LOCAL_TIME_MS
+        return is_late and is_loopback(self.address)
 
     def _read(self, session: Any, head: Any, body: Buffer) -> Portions:
         items = yield from encoding.read_items(body, self.iserver.settings.max_operations)

@@ -1,4 +1,4 @@
-/** Hold to drive: what is held is renewed many times a second, what is let go is zero at once. */
+/** Hold to drive: the hand that holds a command renews it many times a second, and nobody else does. */
 
 import { live } from "./net";
 
@@ -8,18 +8,28 @@ export type Held =
   | { mode: "twist"; linear: number; turn: number }
   | { mode: "wheels"; rpm: [number, number, number, number] };
 
+const ZERO: Held = { mode: "twist", linear: 0, turn: 0 };
+
+/** Whether a hand still holds what it held: asked before every renewal. */
+export type Hand = () => boolean;
+
 function isZero(held: Held): boolean {
   return held.mode === "twist" ? !held.linear && !held.turn : held.rpm.every((rpm) => !rpm);
 }
 
 export class Commander {
+  /** Called when the hand that held a command is gone. */
+  onGone: () => void = () => {};
   private held: Held | null = null;
+  private hand: Hand = () => false;
   private timer = 0;
 
-  /** Hold a command; zero lets go. */
-  hold(next: Held): void {
+  /** Hold a command as long as `hand` does; zero lets go. */
+  hold(next: Held, hand: Hand): void {
     const was = this.held;
     this.held = isZero(next) ? null : next;
+    this.hand = hand;
+    if (this.held && !was) live.drive(ZERO); // after a Reset the daemon waits for a hand at rest
     if (this.held || was) live.drive(next);
     if (this.held && !this.timer) this.timer = window.setInterval(() => this.renew(), EVERY_MS);
     if (!this.held) this.end();
@@ -29,7 +39,7 @@ export class Commander {
   stop(): void {
     this.held = null;
     this.end();
-    live.drive({ mode: "twist", linear: 0, turn: 0 });
+    if (live.drives) live.drive(ZERO);
   }
 
   get active(): boolean {
@@ -37,7 +47,8 @@ export class Commander {
   }
 
   private renew(): void {
-    if (this.held) live.drive(this.held);
+    if (this.held && this.hand()) live.drive(this.held);
+    else this.onGone();
   }
 
   private end(): void {

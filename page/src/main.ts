@@ -2,11 +2,12 @@
 
 import "./style.css";
 import type { Context, View } from "./context";
-import { may, WHEELS } from "./context";
-import { call, get, live, type Session, type Signal } from "./net";
+import { may } from "./context";
+import { capital, driver, isBusy, SETPOINTS } from "./driver";
+import { call, CONFIRM_MS, get, live, type Session, type Signal } from "./net";
 import { lateness } from "./overruns";
 import { Wheel } from "./wheel";
-import { action, ask, field, h, micros, number, recall, setText, store, svg, toast } from "./ui";
+import { action, alarm, alarmed, ask, field, h, micros, number, recall, setText, store, svg, toast } from "./ui";
 import { diagnosisView } from "./views/diagnosis";
 import { driveView } from "./views/drive";
 import { signalsView } from "./views/signals";
@@ -31,20 +32,30 @@ const stateChip = h("span", { class: "chip state" });
 const owner = h("span", { class: "owner" });
 const figures = h("dl", { class: "figures" });
 const wheel = h("button", { type: "button", class: "wheel" });
-const controller = h("button", { type: "button", hidden: true, onclick: () => void give("peer") }, "Let the controller drive");
+const controller = h("button", { type: "button", hidden: true, onclick: () => void letControllerDrive() }, "Let the controller drive");
 const main = h("main", { id: "main", tabindex: "-1" });
 const banner = h("div", { class: "banner", role: "alert", hidden: true });
 const links = VIEWS.map((view) =>
   h("a", { href: `#${view.id}` }, icon(view.icon), h("span", {}, view.name)),
 );
 
+let hands: Wheel | null = null;
+
 /** The emergency stop, whatever else of the page works. */
 async function emergencyStop(): Promise<void> {
+  const begun = performance.now();
+  const stopped = live.stop();
+  hands?.halt();
+  const late = window.setTimeout(() => alarm("stop", `Emergency stop sent, not confirmed: no tick shows it after ${CONFIRM_MS / 1000} s. Use the robot's own switch.`), CONFIRM_MS);
   try {
-    await live.stop();
-    toast("Emergency stop: the robot stays in the safe state until you press Reset.");
+    await stopped;
+    const text = "the robot stays in the safe state until you press Reset.";
+    if (alarmed("stop")) alarm("stop", `Emergency stop confirmed after ${((performance.now() - begun) / 1000).toFixed(1)} s: ${text}`);
+    else toast(`Emergency stop: ${text}`);
   } catch (error) {
-    toast(`Emergency stop failed: ${(error as Error).message}`, "error");
+    alarm("stop", `Emergency stop failed: ${(error as Error).message}`);
+  } finally {
+    window.clearTimeout(late);
   }
 }
 
@@ -92,34 +103,6 @@ function header(context: Context): HTMLElement {
   );
 }
 
-const NAMES: Record<string, string> = {
-  peer: "the controller", opcua: "an OPC UA client", page: "another browser", ros2: "a ROS 2 node",
-  shield: "the shield's computer", foxglove: "Foxglove", scenario: "a scenario", teleop: "the terminal",
-};
-const SETPOINTS = [WHEELS.map((name) => `wheel.${name}.setpoint_rpm`), ["twist.linear_m_s", "twist.angular_rad_s", "twist.lateral_m_s"]];
-
-/** Who has control; empty: nobody. */
-function driver(): string {
-  const { board, driver: seat } = live.slow;
-  if (live.drives) return "you";
-  if (!board.owner || board.owner === "nobody" || board.owner === "none") return "";
-  if (board.owner === "page") return seat === null ? "" : NAMES["page"]!;
-  if (board.owner === "opcua" && !board.opcua_wrote) return isCommanded() ? "an OPC UA client that has left" : ""; // it is whoever comes first
-  return NAMES[board.owner] ?? board.owner;
-}
-
-function isCommanded(): boolean {
-  return (SETPOINTS[live.value("control.mode")] ?? []).some((name) => live.value(name));
-}
-
-/** Whether somebody loses something when we take control: another browser, a controller, a moving robot. */
-function isBusy(): boolean {
-  const { board, driver: seat } = live.slow;
-  if (board.owner === "page") return seat !== null;
-  if (board.owner === "peer" && Object.values(board.peers ?? {}).some((peer) => peer["connected"])) return true;
-  return isCommanded();
-}
-
 async function take(): Promise<void> {
   const who = driver();
   if (who && isBusy() && !(await ask(`${capital(who)} is driving.`, `Take control from ${who}? The robot stops first.`, "Take over"))) return;
@@ -134,8 +117,9 @@ async function give(source: string): Promise<void> {
   await call("give", source).catch((error: Error) => toast(error.message, "error"));
 }
 
-function capital(text: string): string {
-  return text.charAt(0).toUpperCase() + text.slice(1);
+async function letControllerDrive(): Promise<void> {
+  const who = isBusy() && driver() ? `${capital(driver())} is driving. ` : "";
+  if (await ask("Let the controller drive?", `${who}The robot follows the controller's set-points at once.`, "Let it drive")) await give("peer");
 }
 
 async function logOut(): Promise<void> {
@@ -150,18 +134,19 @@ function giveTo(): string {
 
 function showBoard(context: Context): void {
   const { board } = live.slow;
-  const state = live.connected ? (board.state ?? "starting") : "offline";
-  stateChip.dataset.state = state;
+  const state = !live.connected ? "offline" : live.stale ? "no answer" : (board.state ?? "starting");
+  stateChip.dataset.state = live.connected && live.stale ? "offline" : state;
   setText(stateChip, state);
   stateChip.title = board.reason ?? "";
   const who = driver();
-  setText(owner, `${capital(who === "you" ? "you drive" : `${who || "nobody"} drives`)}`);
+  if (live.stale) setText(owner, "Who drives is not known");
+  else setText(owner, `${capital(who === "you" ? "you drive" : `${who || "nobody"} drives`)}`);
   owner.title = live.drives ? "The arrow keys work in every view" : "";
   const hasController = Object.keys(board.peers ?? {}).length > 0;
-  controller.hidden = !live.connected || !context.session.drive || !hasController || live.drives || board.owner === "peer";
-  owner.classList.toggle("you", live.drives);
+  controller.hidden = live.stale || !context.session.drive || !hasController || live.drives || board.owner === "peer";
+  owner.classList.toggle("you", live.drives && !live.stale);
   setText(wheel, live.drives ? "Give back" : "Take control");
-  wheel.disabled = !live.connected || !context.session.drive;
+  wheel.disabled = live.stale || !context.session.drive;
   setText(factor, board.realtime_factor == null ? "–" : `${board.realtime_factor.toFixed(2)}×`);
   const plant = board.slices?.["plant"];
   setText(margin, micros(plant?.["margin_last_us"] as number | null | undefined));
@@ -171,7 +156,8 @@ function showBoard(context: Context): void {
   margin.title = `Smallest so far: ${micros(plant?.["margin_min_us"] as number | null | undefined)}`;
 }
 
-function showAge(): void {
+function showAge(context: Context): void {
+  if (document.body.classList.contains("stale") !== live.stale) showBoard(context);
   document.body.classList.toggle("stale", live.stale);
   const volts = live.value("battery.voltage_v");
   setText(battery, Number.isFinite(volts) ? `${number(volts)} V` : "–");
@@ -179,16 +165,17 @@ function showAge(): void {
   let text = "";
   if (live.loggedOut) text = "The page has been restarted.";
   else if (!live.connected) text = "No connection to the page's server: the values shown are old. Reconnecting …";
-  else if (live.stale && board.state !== "paused" && live.lastFrame > 0)
-    text = `No new data for ${(live.ageMs / 1000).toFixed(1)} s.`;
-  else if (board.state === "safe") text = `Safe state: ${board.reason ?? ""}. The drive is off.`;
-  if (banner.dataset.text !== text) {
-    banner.dataset.text = text;
+  else if (live.stale) text = `No answer for ${(live.silentMs / 1000).toFixed(1)} s: what is shown is old.`;
+  else if (board.state === "safe") text = `Safe state: ${board.reason || "stopped"}. The drive is off.`;
+  const kind = text.replace(/[\d.]+ s/, ""); // its seconds count on, which is no new message
+  if (banner.dataset.text === kind && text && banner.firstElementChild) setText(banner.firstElementChild, text);
+  if (banner.dataset.text !== kind) {
+    banner.dataset.text = kind;
     banner.hidden = !text;
-    banner.classList.toggle("safe", live.connected && board.state === "safe");
+    banner.classList.toggle("safe", !live.stale && board.state === "safe");
     banner.replaceChildren(h("span", {}, text));
     if (live.loggedOut) banner.append(h("a", { href: "./", onclick: () => location.reload() }, "Log in again"));
-    else if (board.state === "safe" && live.connected) banner.append(action("Reset", () => call("Reset"), { class: "primary" }));
+    else if (board.state === "safe" && !live.stale) banner.append(action("Reset", () => call("Reset"), { class: "primary" }));
   }
 }
 
@@ -254,8 +241,8 @@ async function start(): Promise<void> {
     get<{ signals: Signal[] }>("signals"),
     get<Pick<Context, "walls" | "robot" | "faults">>("hall"),
   ]);
-  const wheels = new Wheel(hall.robot, () => void emergencyStop());
-  const context: Context = { session, signals: table.signals, ...hall, wheel: wheels };
+  hands = new Wheel(hall.robot, () => void emergencyStop());
+  const context: Context = { session, signals: table.signals, ...hall, wheel: hands };
   document.body.replaceChildren(
     header(context),
     banner,
@@ -265,10 +252,11 @@ async function start(): Promise<void> {
   if (session.problem) toast(session.problem, "error");
   stop.disabled = !may(context, "Stop");
   live.onReturn = () => void returned(context, JSON.stringify(table));
+  live.onLate = (method) => toast(`${method}: sent, not confirmed yet.`, "error");
   live.onRefused = (text) => toast(text, "error");
   live.onSlow(() => showBoard(context));
   live.want("frame", ["battery.voltage_v", "sim.state", "sim.time_s", "control.mode", ...SETPOINTS.flat().filter((name) => table.signals.some((signal) => signal.name === name))]);
-  window.setInterval(showAge, 200);
+  window.setInterval(() => showAge(context), 200);
   window.addEventListener("hashchange", () => show(context));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => window.dispatchEvent(new Event("themechange")));
   window.addEventListener("keydown", keys);

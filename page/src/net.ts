@@ -92,6 +92,8 @@ export interface Slow {
   driver: number | null;
   clients: number;
   jobs: Job[];
+  /** Of the board, when it was sent. */
+  age_s: number;
 }
 
 export interface Reading {
@@ -135,12 +137,17 @@ async function request(path: string, limitMs: number, init: () => RequestInit): 
 async function post<T>(limitMs: number, method: string, args: unknown[], body?: Blob): Promise<T> {
   const response = await request(body ? `./api/logs/${encodeURIComponent(String(args[0]))}` : "./api/call", limitMs, () => ({
     method: "POST",
-    headers: { "Content-Type": body ? "application/octet-stream" : "application/json", "X-Hilserver-Token": token },
+    headers: {
+      "Content-Type": body ? "application/octet-stream" : "application/json",
+      "X-Hilserver-Token": token,
+      ...(live.serverMs !== null && { "X-Hilserver-Sent": String(live.serverMs) }),
+    },
     body: body ?? JSON.stringify({ method, arguments: args }),
   }));
   const text = await response.text();
   if (!response.headers.get("Content-Type")?.startsWith("application/json")) throw new Error(text);
   const answer = JSON.parse(text) as { ok: boolean; text?: string; result?: T };
+  if (answer.text === "log in first") live.loggedOut = true;
   if (!answer.ok) throw new Error(answer.text ?? "refused");
   return answer.result as T;
 }
@@ -151,8 +158,13 @@ export function upload(file: File): Promise<number> {
 }
 
 /** Ask the server to do something; throws with the sentence that says why not. */
-export function call<T = unknown>(method: string, ...args: unknown[]): Promise<T> {
-  return post<T>(CALL_MS, method, args);
+export async function call<T = unknown>(method: string, ...args: unknown[]): Promise<T> {
+  const late = window.setTimeout(() => QUIET.has(method) || live.onLate(method), CONFIRM_MS);
+  try {
+    return await post<T>(CALL_MS, method, args);
+  } finally {
+    window.clearTimeout(late);
+  }
 }
 
 export async function get<T>(path: string): Promise<T> {
@@ -161,9 +173,13 @@ export async function get<T>(path: string): Promise<T> {
   return (await response.json()) as T;
 }
 
-const VERSION = 1;
-const HEAD_BYTES = 16;
-const STALE_MS = 700;
+const VERSION = 2;
+const HEAD_BYTES = 24;
+/** What is older is shown as old. */
+const STALE_MS = 1000;
+/** Until a request that was not answered is called unconfirmed. */
+export const CONFIRM_MS = 1000;
+const QUIET = new Set(["session", "ticket", "login", "logout"]);
 const CALL_MS = 20_000;
 const UPLOAD_MS = 3_600_000;
 const STOP_SOCKET_MS = 200;
@@ -175,20 +191,24 @@ type Listener = () => void;
 /** Everything live: one socket that comes back by itself. */
 export class Live {
   readonly values = new Map<string, Reading>();
-  slow: Slow = { board: {}, driver: null, clients: 0, jobs: [] };
+  slow: Slow = { board: {}, driver: null, clients: 0, jobs: [], age_s: 0 };
   you = 0;
   tick = 0;
   connected = false;
   lastFrame = 0;
   onRefused: (text: string) => void = () => {};
+  /** Called with what was asked for, if it is not answered within `CONFIRM_MS`. */
+  onLate: (method: string) => void = () => {};
   /** Called whenever the socket is there again. */
   onReturn: () => void = () => {};
   /** Whether the server wants a name and a password before it shows anything. */
   loggedOut = false;
-  private stops = new Map<number, () => void>();
+  private stops = new Map<number, { pressed: () => void; shown: () => void; lost: () => void }>();
   private stopNumber = 0;
   private socket: WebSocket | null = null;
   private stamp = 0;
+  private tickAgeMs = 0;
+  private lastSlow = 0;
   private wanted = new Map<string, Set<string>>();
   private names: string[] = [];
   private number = 0;
@@ -227,12 +247,25 @@ export class Live {
     return reading === undefined || reading.status >= 0x80000000 ? NaN : reading.value;
   }
 
+  /** Age of the tick that is shown. */
   get ageMs(): number {
-    return performance.now() - this.lastFrame;
+    return this.tickAgeMs + performance.now() - this.lastFrame;
+  }
+
+  /** How old what is shown is: the tick, unless time stands still, and the board. */
+  get silentMs(): number {
+    const boardMs = this.slow.age_s * 1000 + performance.now() - this.lastSlow;
+    const ticks = this.lastFrame > 0 && this.slow.board.state !== "paused";
+    return Math.max(this.lastSlow > 0 ? boardMs : 0, ticks ? this.ageMs : 0);
   }
 
   get stale(): boolean {
-    return !this.connected || this.ageMs > STALE_MS;
+    return !this.connected || this.silentMs > STALE_MS;
+  }
+
+  /** The time now by the clock of the page's server, as far as a frame has told it. */
+  get serverMs(): number | null {
+    return this.lastFrame ? Math.round(this.stamp + performance.now() - this.lastFrame) % 2 ** 32 : null;
   }
 
   get drives(): boolean {
@@ -241,27 +274,33 @@ export class Live {
 
   drive(command: Record<string, unknown>): void {
     if (this.socket?.readyState === WebSocket.OPEN) {
-      this.socket.send(JSON.stringify({ drive: { ...command, seen: this.stamp } }));
+      this.socket.send(JSON.stringify({ drive: { ...command, seen: Math.max(0, Math.round(this.stamp - this.tickAgeMs)) } }));
     }
   }
 
-  /** Stop the robot: over the open socket, and where that does not answer by a request of its own. */
+  /**
+   * Stop the robot: over the open socket, and where that does not answer by a request of its own. Ends when a tick
+   * shows the stop; throws if the stop could not even be pressed, or no tick came for long.
+   */
   async stop(): Promise<void> {
     const number = ++this.stopNumber;
     if (this.socket?.readyState === WebSocket.OPEN) {
-      const answered = new Promise<boolean>((resolve) => {
-        this.stops.set(number, () => resolve(true));
+      let shown: Promise<boolean> | undefined;
+      const pressed = await new Promise<boolean>((resolve) => {
+        shown = new Promise<boolean>((done) =>
+          this.stops.set(number, { pressed: () => resolve(true), shown: () => done(true), lost: () => done(false) }));
         window.setTimeout(() => resolve(false), STOP_SOCKET_MS);
+        this.socket!.send(JSON.stringify({ stop: number }));
       });
-      this.socket.send(JSON.stringify({ stop: number }));
-      const done = await answered;
+      const done = pressed && (await shown);
       this.stops.delete(number);
       if (done) return;
     }
     for (const controller of asked) controller.abort(); // a browser has few connections to one server
     for (let tries = 1; ; tries++) {
       try {
-        return await post<void>(STOP_REQUEST_MS, "Stop", []);
+        if (await post<boolean>(STOP_REQUEST_MS, "Stop", [])) return;
+        if (tries === STOP_TRIES) throw new Error("it is pressed, but the plant does not show it.");
       } catch (error) {
         if (tries === STOP_TRIES) throw error;
       }
@@ -287,6 +326,7 @@ export class Live {
   }
 
   private lost(): void {
+    for (const { lost } of this.stops.values()) lost();
     this.connected = false;
     this.socket = null;
     this.tell(this.slowListeners);
@@ -307,12 +347,16 @@ export class Live {
       this.retryMs = 250;
       this.subscribe();
       this.onReturn();
+    } else if (message.type === "pressed") {
+      this.stops.get(message.number)?.pressed();
     } else if (message.type === "stopped") {
-      this.stops.get(message.number)?.();
+      this.stops.get(message.number)?.pressed();
+      this.stops.get(message.number)?.shown();
     } else if (message.type === "refused") {
       this.onRefused(message.text);
     } else {
       this.slow = message as Slow;
+      this.lastSlow = performance.now();
     }
     this.tell(this.slowListeners);
   }
@@ -335,6 +379,7 @@ export class Live {
     if (n !== this.names.length || data.byteLength !== HEAD_BYTES + 12 * n) return;
     this.stamp = view.getUint32(4, true);
     this.tick = view.getFloat64(8, true);
+    this.tickAgeMs = view.getFloat64(16, true) * 1000;
     const values = new Float64Array(data, HEAD_BYTES, n);
     const status = new Uint32Array(data, HEAD_BYTES + 8 * n, n);
     for (let i = 0; i < n; i++) {

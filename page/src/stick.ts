@@ -4,6 +4,10 @@ import { h } from "./ui";
 
 export interface Stick {
   element: HTMLElement;
+  /** Whether a pointer holds it. */
+  held(): boolean;
+  /** Let go of the pointer: it drives again when it is pressed again. */
+  release(): void;
   show(x: number, y: number): void;
 }
 
@@ -34,6 +38,12 @@ export function makeStick(move: (x: number, y: number) => void): Stick {
     move(x, y);
   }
 
+  function letGo(event: PointerEvent): void {
+    if (event.pointerId !== pointer) return;
+    pointer = null;
+    move(0, 0);
+  }
+
   base.addEventListener("pointerdown", (event) => {
     if (pointer !== null) return;
     pointer = event.pointerId;
@@ -41,15 +51,15 @@ export function makeStick(move: (x: number, y: number) => void): Stick {
     follow(event);
   });
   base.addEventListener("pointermove", (event) => {
-    if (event.pointerId === pointer) follow(event);
-  });
-  const letGo = (event: PointerEvent): void => {
     if (event.pointerId !== pointer) return;
-    pointer = null;
-    move(0, 0);
+    if (event.buttons) follow(event);
+    else letGo(event); // its release went elsewhere
+  });
+  for (const name of ["pointerup", "pointercancel", "lostpointercapture"] as const) base.addEventListener(name, letGo);
+  return {
+    element: base,
+    held: () => pointer !== null,
+    release: () => void (pointer = null),
+    show,
   };
-  base.addEventListener("pointerup", letGo);
-  base.addEventListener("pointercancel", letGo);
-  base.addEventListener("lostpointercapture", letGo);
-  return { element: base, show };
 }

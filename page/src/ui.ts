@@ -46,6 +46,23 @@ export function toast(text: string, kind: "info" | "error" = "info"): void {
   window.setTimeout(() => note.remove(), kind === "error" ? 6000 : 3000);
 }
 
+const alarms = new Map<string, HTMLElement>();
+
+/** Say something that stays until it is acknowledged; a later one of the same kind takes its place. */
+export function alarm(kind: string, text: string): void {
+  const known = alarms.get(kind);
+  if (known) return setText(known.firstElementChild!, text);
+  const note = h("div", { class: "alarm", role: "alert" }, h("p", {}, text));
+  const seen = h("button", { type: "button", onclick: () => (note.remove(), alarms.delete(kind)) }, "Understood");
+  note.append(seen);
+  alarms.set(kind, note);
+  document.body.append(note);
+}
+
+export function alarmed(kind: string): boolean {
+  return alarms.has(kind);
+}
+
 const integers = new Set(["Byte", "UInt32", "Int64"]);
 
 /** A number as an instrument shows it: four significant digits, steady width. */

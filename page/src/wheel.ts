@@ -1,6 +1,11 @@
-/** Keys and gamepad: whoever drives does so in every view, and stops in every view. */
+/**
+ * The hands: keys, gamepad, stick and sliders. Whoever drives does so in every view, and stops in every view.
+ *
+ * A hand that is gone, hidden or frozen renews nothing. After everything was set to zero a hand has to let go
+ * before it drives again.
+ */
 
-import { Commander } from "./command";
+import { Commander, type Hand } from "./command";
 import type { Robot } from "./context";
 import { live } from "./net";
 import { toast } from "./ui";
@@ -11,11 +16,20 @@ const KEYS: Record<string, [number, number]> = {
   ArrowLeft: [-1, 0],
   ArrowRight: [1, 0],
 };
-const STOPS = new Set(["x", "X"]);
-const DRIVER_STOPS = new Set([" ", "Escape"]); // who only watches scrolls with them
 const DEAD_ZONE = 0.12;
 const STOP_BUTTON = 1; // B, or the circle
-const OWN_KEYS = "input, textarea, select";
+/** A stick that is held sends no news while nothing trembles; a receiver whose gamepad is lost never does. */
+const PAD_SILENT_MS = 5000;
+
+const NO_TEXT = ["range", "number", "checkbox", "radio", "button", "submit", "color", "file"];
+const TEXT = `textarea, input${NO_TEXT.map((type) => `:not([type=${type}])`).join("")}`;
+const PRESSES = "a, button, summary, select, input[type=checkbox], input[type=radio], input[type=color], input[type=file]";
+const OWN_ARROWS = `${TEXT}, select, input[type=number], [data-arrows=own]`;
+
+/** Whether keys and gamepad reach this page: not while it is hidden, or while a report has the focus. */
+function isInFront(): boolean {
+  return !document.hidden && document.hasFocus() && !(document.activeElement instanceof HTMLIFrameElement);
+}
 
 export class Wheel {
   /** Part of the largest speed that a full stick asks for. */
@@ -23,38 +37,50 @@ export class Wheel {
   readonly commander = new Commander();
   /** Called with where the stick stands now. */
   onStick: (x: number, y: number) => void = () => {};
-  /** Called when everything is zero. */
+  /** Called when everything is zero: what is still held has to be let go first. */
   onHalt: () => void = () => {};
   private pressed = new Set<string>();
-  private padHeld = false;
-  private padStops = false;
+  private pad = { name: "", stamp: NaN, newsMs: 0, isHeld: false, wasAtRest: false, stops: false };
 
   constructor(private robot: Robot, private emergencyStop: () => void) {
-    window.addEventListener("keydown", (event) => this.down(event));
+    window.addEventListener("keydown", (event) => this.down(event), true); // before a dialog or a field has it
     window.addEventListener("keyup", (event) => {
       if (this.pressed.delete(event.key)) this.steer();
-    });
+    }, true);
     window.addEventListener("blur", () => this.letGo());
     document.addEventListener("visibilitychange", () => document.hidden && this.letGo());
     window.setInterval(() => this.gamepad(), 50);
+    this.commander.onGone = () => this.halt();
     live.onSlow(() => {
-      if (!live.drives && this.commander.active) this.halt();
+      const ended = !live.drives || live.slow.board.state === "safe" || live.slow.board.state === "paused";
+      if (ended && this.commander.active) this.halt();
     });
   }
 
-  twist(x: number, y: number): void {
+  /** Drive by a hand; zero lets go. */
+  twist(x: number, y: number, hand: Hand): void {
     if ((x || y) && !live.drives) return void toast("Take control first.");
     this.onStick(x, y);
-    this.commander.hold({
-      mode: "twist",
-      linear: y * this.share * this.robot.max_linear_m_s,
-      turn: -x * this.share * this.robot.max_angular_rad_s,
-    });
+    this.commander.hold(
+      {
+        mode: "twist",
+        linear: y * this.share * this.robot.max_linear_m_s,
+        turn: -x * this.share * this.robot.max_angular_rad_s,
+      },
+      () => isInFront() && hand(),
+    );
   }
 
-  /** Everything to zero; a key that is held acts again when it is pressed again. */
+  /** Drive single wheels by a hand; zeros let go. */
+  wheels(rpm: [number, number, number, number], hand: Hand): void {
+    if (rpm.some(Boolean) && !live.drives) return void toast("Take control first.");
+    this.commander.hold({ mode: "wheels", rpm }, () => isInFront() && hand());
+  }
+
+  /** Everything to zero; what is held acts again when it was let go. */
   halt(): void {
     this.pressed.clear();
+    this.pad.isHeld = this.pad.wasAtRest = false;
     this.onStick(0, 0);
     this.onHalt();
     this.commander.stop();
@@ -70,37 +96,67 @@ export class Wheel {
       x += KEYS[key]![0];
       y += KEYS[key]![1];
     }
-    this.twist(x, y);
+    this.twist(x, y, () => this.pressed.size > 0);
   }
 
+  /**
+   * One rule for keys, whatever has the focus:
+   *
+   * - X stops the robot, except while you type a text;
+   * - Esc stops it while you drive, always, and so does space where it neither presses something nor types;
+   * - S lets go while you drive, except while you type a text;
+   * - arrows drive while you drive, except in a text, a number or a list, which take them until you leave.
+   */
   private down(event: KeyboardEvent): void {
     const target = event.target as HTMLElement;
-    if (event.ctrlKey || event.metaKey || event.altKey || target.matches(OWN_KEYS)) return;
-    if (STOPS.has(event.key) || (live.drives && DRIVER_STOPS.has(event.key))) {
-      if (event.key === " " && target.matches("a, button, summary")) return; // presses that
-      if (event.key === "Escape" && target.closest("dialog")) return; // closes that
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const types = target.matches(TEXT);
+    const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
+    const stops =
+      (key === "x" && !types) || (live.drives && (key === "Escape" || (key === " " && !types && !target.matches(PRESSES))));
+    if (stops) {
       event.preventDefault();
       if (!event.repeat) this.emergencyStop();
-    } else if (event.key === "s" || event.key === "S") this.halt();
-    else if (event.key in KEYS && (live.drives || document.querySelector("main[data-view='drive']"))) {
+    } else if (key === "s" && live.drives && !types) {
       event.preventDefault();
-      if (event.repeat || this.pressed.has(event.key)) return;
-      if (!live.drives) return void toast("Take control first.");
-      this.pressed.add(event.key);
-      this.steer();
-    }
+      this.halt();
+    } else if (key in KEYS) this.arrow(event, target);
+  }
+
+  private arrow(event: KeyboardEvent, target: HTMLElement): void {
+    const isFields = target.matches(OWN_ARROWS) || (!live.drives && target.matches("input"));
+    if (isFields && !this.pressed.size) return;
+    if (!live.drives && !document.querySelector("main[data-view='drive']")) return;
+    event.preventDefault();
+    if (event.repeat || this.pressed.has(event.key)) return;
+    if (!live.drives) return void toast("Take control first.");
+    this.pressed.add(event.key);
+    this.steer();
   }
 
   private gamepad(): void {
+    const state = this.pad;
     const pad = navigator.getGamepads?.().find((each) => each?.connected);
-    if (!pad) return;
-    const stops = pad.buttons?.[STOP_BUTTON]?.pressed ?? false;
-    if (stops && !this.padStops) this.emergencyStop();
-    this.padStops = stops;
-    if (!live.drives) return;
+    const stops = pad?.buttons?.[STOP_BUTTON]?.pressed ?? false;
+    if (stops && !state.stops) this.emergencyStop();
+    state.stops = stops;
+
+    const name = pad ? `${pad.index} ${pad.id}` : "";
+    const isAnother = name !== state.name;
+    if (isAnother || pad?.timestamp !== state.stamp) [state.name, state.stamp, state.newsMs] = [name, pad?.timestamp ?? NaN, performance.now()];
+    const isSilent = performance.now() - state.newsMs > PAD_SILENT_MS;
+    if (state.isHeld && (isAnother || isSilent || !isInFront())) {
+      if (isAnother) toast("The gamepad is gone: the robot stops.", "error");
+      else if (isSilent) toast(`No news of the gamepad for ${PAD_SILENT_MS / 1000} s: the robot stops. Let go of the stick to drive on.`, "error");
+      return this.halt();
+    }
+
     const dead = (value: number | undefined): number => (Math.abs(value ?? 0) < DEAD_ZONE ? 0 : value!);
-    const [x, y] = [dead(pad.axes[0]), -dead(pad.axes[1])];
-    if (x || y || this.padHeld) this.twist(x, y);
-    this.padHeld = !!(x || y);
+    const [x, y] = pad ? [dead(pad.axes[0]), -dead(pad.axes[1])] : [0, 0];
+    const isAtRest = !x && !y;
+    if (isAtRest || isAnother || !live.drives) state.wasAtRest = isAtRest;
+    if (!live.drives || !(state.isHeld || (x && state.wasAtRest) || (y && state.wasAtRest))) return;
+    state.isHeld = !isAtRest;
+    this.twist(x, y, () => this.pad.isHeld);
   }
 }

@@ -222,6 +222,17 @@ class _Source:
         return self.said_ns
 
 
+class _ByHand(_Source):
+    """Someone who lets go before driving, as the daemon asks for after a Reset."""
+
+    async def hold(self):
+        m_s, self.m_s = self.m_s, 0.0
+        if self._speaking is None:
+            await self.say()
+        self.m_s = m_s
+        await super().hold()
+
+
 class OpcUa(_Source):
     """A client as UaExpert: it writes a set-point once, and that is it."""
 
@@ -283,7 +294,7 @@ class OpcUa(_Source):
         self._ua.uaclient.protocol.transport.abort()
 
 
-class Page(_Source):
+class Page(_ByHand):
     """A browser with the operator page in it."""
 
     every_s = 0.05
@@ -350,7 +361,7 @@ class Page(_Source):
         self._socket._response.connection.transport.abort()
 
 
-class Foxglove(_Source):
+class Foxglove(_ByHand):
     """A viewer with a teleoperation panel."""
 
     every_s = 0.05

@@ -57,7 +57,12 @@ class Stage:
                 gone.end()
 
     def call(self, method, *arguments):
-        self.clients["operator"].do("call", method, *arguments)
+        try:
+            self.clients["operator"].do("call", method, *arguments)
+        except RefusedError as error:  # whoever looks on may not disturb; a test stand may
+            if "take control first" not in str(error) or method in ("give", "write"):
+                raise
+            self.clients["engineer"].do("call", method, *arguments)
 
     def wait(self, condition, within_s=SOON_S):
         end_s = time.monotonic() + within_s

@@ -20,7 +20,7 @@ OUTCOMES: Final[Mapping[str, str]] = {
     "off": "zero when its command lapses, the drive is disabled",
     "safe": "the safe state: a ramp to zero, and the drive is disabled",
     "drives": "it goes on as before",
-    "anew": "zero at first, and until it commands again; it keeps control",
+    "anew": "zero at first, and until it commands again, a hand once it was at rest; it keeps control",
     "forced": "the forced value, then its own again; it keeps control",
     "-": "does not exist",
 }

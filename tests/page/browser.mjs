@@ -91,7 +91,7 @@ const doing = {
     await page.locator(".owner.you, dialog").first().waitFor();
     const dialog = page.getByRole("dialog");
     if (await dialog.count()) await dialog.getByRole("button", { name: "Take it" }).click();
-    await page.getByText("You drive").waitFor();
+    await page.locator(".owner.you").waitFor();
   },
   view: async ({ name }) => {
     await page.getByRole("link", { name }).click();
@@ -136,6 +136,19 @@ const doing = {
     for (let part = 0.1; part < 1.05; part += 0.1) await send("touchMove", points(part));
     await send("touchEnd", []);
   },
+  /** Take hold of an element with the mouse, draw it by shares of its width, and keep hold. */
+  grab: async ({ selector, dx = 0, dy = 0 }) => {
+    const { x, y, width, height } = await page.locator(selector).first().boundingBox();
+    await page.mouse.move(x + width / 2, y + height / 2);
+    await page.mouse.down();
+    await page.mouse.move(x + width * (0.5 + dx), y + height * 0.5 + width * dy, { steps: 3 });
+  },
+  /** Draw the held mouse on. */
+  drag: async ({ selector, dx = 0, dy = 0 }) => {
+    const { x, y, width, height } = await page.locator(selector).first().boundingBox();
+    await page.mouse.move(x + width * (0.5 + dx), y + height * 0.5 + width * dy, { steps: 3 });
+  },
+  drop: () => page.mouse.up(),
   /** Mark a stretch of an element with the mouse, from one share of its width to another. */
   mark: async ({ selector, begin, end }) => {
     const { x, y, width, height } = await page.locator(selector).first().boundingBox();

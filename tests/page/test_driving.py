@@ -133,6 +133,8 @@ def test_the_emergency_stop_needs_no_webgl(driving, plant):
 def test_a_gamepad_drives_while_its_stick_is_held(browser, url, plant):
     browser.do("open", url=url)
     browser.do("take")
+    browser.do("run", script="window.pad = {connected: true, axes: [0, 0]}")
+    browser.do("rest", ms=150)
     browser.do("run", script="window.pad = {connected: true, axes: [-0.5, -0.8]}")
     plant.wait(lambda: plant.value("twist.linear_m_s") > 0.1)
     plant.wait(lambda: plant.value("twist.angular_rad_s") > 0.1)
@@ -229,3 +231,15 @@ def test_every_light_pattern_reaches_the_robot(browser, url, plant):
         plant.wait(lambda pattern=pattern: plant.value("lights.command") == pattern)
     browser.do("press", key="Home")
     plant.wait(lambda: plant.value("lights.command") == 0)
+
+
+def test_who_looks_on_cannot_pause_while_another_browser_drives(driving, url, plant):
+    """Before, one press of whoever looked on disturbed who drove, and nobody was told whose."""
+    driving.do("second", url=url)
+    driving.do("view", name="Time")
+    driving.do("click", role="button", name="Pause")
+    driving.do("wait", selector="dialog", text="Another browser is driving.")
+    driving.do("run", script="document.querySelector('dialog .primary').click()")
+    driving.do("wait", selector=".toast", text="drives by the page: take control first")
+    assert plant.value("sim.state") == 1
+    driving.do("back")

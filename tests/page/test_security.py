@@ -226,6 +226,7 @@ async def test_the_driver_drives_on_a_fresh_picture_only(visitor, plant):
     assert status == 200, answer
     await socket.send_json({"subscribe": ["sim.tick"], "number": 1})
     command = {"mode": "twist", "linear": 0.2, "turn": 0.0}
+    await socket.send_json({"drive": command | {"linear": 0.0}})  # a hand begins at rest
     await socket.send_json({"drive": command | {"seen": await stamp(socket) - 400}})
     async with asyncio.timeout(120):
         while (await socket.receive()).type is not aiohttp.WSMsgType.TEXT:
@@ -238,6 +239,36 @@ async def test_the_driver_drives_on_a_fresh_picture_only(visitor, plant):
     async with asyncio.timeout(120):
         while plant.command() != 0.0:  # noqa: ASYNC110 - the plant tells nobody
             await asyncio.sleep(0.01)
+    await visitor.call("give", "opcua")
+
+
+async def test_a_browser_that_goes_on_holding_over_a_reset_moves_nothing(visitor, plant):
+    """Before, a stick that was still held drove at once, with nobody's new command."""
+    socket = await visitor.live()
+    status, answer = await visitor.call("take", visitor.number)
+    assert status == 200, answer
+    await socket.send_json({"subscribe": ["sim.tick"], "number": 1})
+    command = {"mode": "twist", "linear": 0.2, "turn": 0.0}
+
+    async def held(until):
+        async with asyncio.timeout(60):
+            while not until():
+                await socket.send_json({"drive": command | {"seen": await stamp(socket)}})
+
+    await socket.send_json({"drive": command | {"linear": 0.0}})
+    await held(lambda: plant.command() > 0)
+    await visitor.call("Stop")
+    await held(lambda: plant.value("sim.state") == 3)
+    reset_at = plant.value("sim.tick")
+    async with asyncio.timeout(60):
+        while not (await visitor.call("Reset"))[1]["ok"]:
+            await held(lambda: True)
+    await held(lambda: plant.value("sim.state") == 1 and plant.value("sim.tick") > reset_at + 1500)
+    assert plant.command() == 0.0
+    assert plant.value("velocity.linear_m_s") == pytest.approx(0.0, abs=1e-3)
+    await socket.send_json({"drive": command | {"linear": 0.0}})
+    await held(lambda: plant.command() > 0)
+    await socket.close()
     await visitor.call("give", "opcua")
 
 

@@ -18,6 +18,7 @@ from foxglove.websocket import Capability
 from pydantic import BaseModel, TypeAdapter
 
 from hilserver.config.foxglove import FoxgloveConfig
+from hilserver.core.leases import FOXGLOVE
 from hilserver.errors import address_refused
 from hilserver.image import Frame
 from hilserver.io.arrival import WATCH_S, Arrivals
@@ -30,7 +31,7 @@ from hilserver.logs.message import CDR_LITTLE_ENDIAN, SCHEMA_NAME, make_layout
 from hilserver.ros.types import Types
 from hilserver.tasks import SupervisedTask
 
-SOURCE: Final = "page:foxglove"
+SOURCE: Final = FOXGLOVE
 TWIST, TWIST_TYPE = "/cmd_vel", "geometry_msgs/msg/Twist"
 SET: Final = "/hilserver/set"
 SCENE_EVERY_S: Final = 5.0

@@ -6,9 +6,11 @@ of `hilserver.opcua.application`:
 ======================  ========================================================================
 BadTypeMismatch         another data type, wrong length (no widening: an Int64 is not a Double)
 BadOutOfRange           outside EURange, NaN, infinity
-BadUserAccessDenied     another source has control; the diagnostic text and an event name it
+BadUserAccessDenied     another source or person has control; the diagnostic text and an event
+                        name it; of a method: one that disturbs the person who drives
 BadResourceUnavailable  the queue of the plant is full
-BadInvalidState         it arrived before Reset, Pause or LoadSnapshot discarded the commands
+BadInvalidState         it arrived before Reset, Pause or LoadSnapshot discarded the commands, or
+                        a hand that was held over them has not let go since
 BadInvalidArgument      of a method: also a value out of range
 BadInvalidState         a method that is not possible now; the diagnostic text has the reason
 BadNotImplemented       Force, Unforce, InjectFault, ClearFaults on a server without faults
@@ -26,8 +28,10 @@ from typing import Any
 
 from asyncua import ua
 
+from hilserver.core.events import Event, EventKind
 from hilserver.core.inputs import InputGate, Refusal
 from hilserver.core.leases import NOBODY, TELEOP, kind_of
+from hilserver.core.rest import is_hand
 from hilserver.errors import ControlRefused, UserError
 from hilserver.image import ProcessImage
 from hilserver.io.arrival import came_ns
@@ -53,6 +57,7 @@ STATUS_OF: dict[Refusal, int] = {
     Refusal.NOT_IN_CONTROL: _Codes.BadUserAccessDenied,
     Refusal.QUEUE_FULL: _Codes.BadResourceUnavailable,
     Refusal.OUTDATED: _Codes.BadInvalidState,
+    Refusal.NOT_AT_REST: _Codes.BadInvalidState,
 }
 
 
@@ -187,6 +192,13 @@ class RobotApplication(Application):
             return
         source = session.visitor.source
         values = {name: value for name, (_, value) in group.items()}
+        other = self._other_driver(session)
+        if other and kind_of(source) == self._gate.owner:
+            for name in [name for name in values if not self._table[name].is_measured]:
+                answers[group[name][0]] = Answer(_Codes.BadUserAccessDenied, other)
+                del values[name]
+        if not values:
+            return
         turned_down = self._gate.write(source, values, received_ns=received_ns)
         for name, reason in turned_down.items():
             why = self._gate.explain(source, name, reason)
@@ -206,13 +218,30 @@ class RobotApplication(Application):
         if variant.Value not in (*self._gate.priority, NOBODY):
             known = ", ".join(self._gate.priority)
             return Answer(_Codes.BadOutOfRange, f"sources are {known}")
+        kind = kind_of(session.visitor.source)
+        other = self._other_driver(session)
+        if other and kind == self._gate.owner != variant.Value:
+            return Answer(_Codes.BadUserAccessDenied, other)
         holder = session if session.visitor.may_hold_control else None
         try:
-            self._gate.request(kind_of(session.visitor.source), variant.Value, holder)
+            self._gate.request(kind, variant.Value, holder)
         except ControlRefused as error:
             return Answer(_Codes.BadUserAccessDenied, str(error))
         self._show_owner()
         return ACCEPTED
+
+    def _other_driver(self, session: Any) -> str:
+        """Return a sentence if another person drives, and a person asks.
+
+        Programs, as test stands, do not look on: what they may is up to their role.
+        """
+        holder = self._gate.holder
+        if not is_hand(session.visitor.source):
+            return ""
+        if holder is None or holder is session or not is_hand(holder.visitor.source):
+            return ""
+        by = "a terminal" if holder.visitor.source == TELEOP else "the page"
+        return f"{_name_of(holder)} drives by {by}: take control first"
 
     # --- calls ------------------------------------------------------------------------------------
 
@@ -222,14 +251,22 @@ class RobotApplication(Application):
 
     async def call(self, request: ua.CallMethodRequest, session: Any) -> CallAnswer:
         """Answer one call; the method can see who called."""
-        who = session.user.name or f"anonymous {session.user.rights.name.lower()}"
+        who, method = _name_of(session), self._methods.get(request.MethodId)
+        other = self._other_driver(session) if method is not None and method.disturbs else ""
+        if other and self.may_call(session.user, request.MethodId):
+            return refused(_Codes.BadUserAccessDenied, other)
         mine = CALLER.set(who)
         try:
             answer = await super().call(request, session)
         finally:
             CALLER.reset(mine)
-        method = self._methods.get(request.MethodId)
-        if answer.text and method is not None and method.refused is not None:
+        if method is None or method.name == "ResetStatistics":  # which changes nothing in the plant
+            return answer
+        if answer.result.StatusCode.is_good():
+            said = [f"{argument.Value!r:.60}" for argument in request.InputArguments or ()]
+            text = f"{method.name}({', '.join(said)}) by {who}"
+            self._gate.publish(Event(EventKind.STATE, 200, session.visitor.source, text))
+        if answer.text and method.refused is not None:
             why = answer.text.removeprefix(f"{method.name}: ")
             method.refused(self._parts, f"{method.name} by {who} was refused: {why}")
         return answer
@@ -260,6 +297,11 @@ class RobotApplication(Application):
             log.error("opcua method failed", method=method.name, error=repr(error))
             return refused(_Codes.BadInternalError, "internal error, see the log")
         return CallAnswer(ua.CallMethodResult(StatusCode=ua.StatusCode(_Codes.Good)))
+
+
+def _name_of(session: Any) -> str:
+    """Return the user of a session, for people."""
+    return session.user.name or f"anonymous {session.user.rights.name.lower()}"
 
 
 def _plain(signal: Signal, variant: ua.Variant) -> object:

@@ -67,6 +67,8 @@ class Method:
     arguments: tuple[Argument, ...] = ()
     # called with a sentence if a call was refused, for any reason
     refused: Callable[[Parts, str], None] | None = None
+    # refused while another person drives, whom it would disturb
+    disturbs: bool = False
 
     @property
     def node_id(self) -> str:
@@ -98,14 +100,20 @@ _NUMBER = Argument("number", ValueType.UINT32, "Number of the proposal, see reca
 _RECORDING = Argument("name", STRING, "Plain file name in folders.recordings, .mcap or .csv")
 
 METHODS = (
-    Method("Start", "Resume after a pause", lambda on: on.control.start()),
+    Method("Start", "Resume after a pause", lambda on: on.control.start(), disturbs=True),
     Method("Stop", "Emergency stop: go to the safe state", lambda on: on.control.stop()),
-    Method("Pause", "Stop the simulation at the next tick", lambda on: on.control.pause()),
+    Method(
+        "Pause",
+        "Stop the simulation at the next tick",
+        lambda on: on.control.pause(),
+        disturbs=True,
+    ),
     Method(
         "Step",
         "Run exactly n ticks while paused",
         lambda on, n: on.control.step(n),
         (Argument("n", ValueType.UINT32, "Number of ticks"),),
+        disturbs=True,
     ),
     Method(
         "Reset",
@@ -123,6 +131,7 @@ METHODS = (
         "Continue from a saved state",
         lambda on, name: on.control.load_snapshot(_plain(name)),
         (_SNAPSHOT,),
+        disturbs=True,
     ),
     Method(
         "Force",
@@ -164,17 +173,20 @@ METHODS = (
         "Run faster or slower than real time",
         lambda on, factor: on.control.set_speed(factor),
         (Argument("factor", ValueType.DOUBLE, "Times real time, 0.01 to 100"),),
+        disturbs=True,
     ),
     Method(
         "StartScenario",
         "Play a scenario from now on",
         lambda on, name: on.files.scenarios.start(_plain(name)),
         (_SCENARIO,),
+        disturbs=True,
     ),
     Method(
         "StopScenario",
         "End the scenario and all faults; set-points go to zero",
         lambda on: on.files.scenarios.stop(),
+        disturbs=True,
     ),
     Method(
         "StartRecording",

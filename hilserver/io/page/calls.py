@@ -14,7 +14,7 @@ from hilserver.io.page.hand import RefusedError, WrongPasswordError
 from hilserver.io.page.jobs import Jobs
 from hilserver.io.page.live import Live
 from hilserver.io.page.setup import Setup
-from hilserver.io.page.stopping import Stopping
+from hilserver.io.page.stopping import SHOWN_S, Stopping
 from hilserver.opcua.passwords import WINDOW_S, FailedAttempts, keys_of
 from hilserver.signals.numbers import is_finite_number
 
@@ -153,7 +153,7 @@ class Calls:
         if name not in ("login", "logout", "session") and not (is_stop and browser.may_stop):
             await self.ready(browser)
         if is_stop:
-            return self._stopping.press(browser)
+            return await self._stopping.press(browser)(SHOWN_S)
         if name in own:
             return await own[name][0](browser, *arguments)
         await browser.hand.call(name, arguments)

@@ -65,6 +65,7 @@ _RELEASE = Command({"control.source": "nobody"})
 class Driving:
     """Hands the newest command of the driver to the daemon; older ones are dropped, never queued.
 
+    Only that the hand was at rest in between is not: after a Reset the daemon waits for it.
     Commands on a picture older than `deadman_ms` are refused; held ones are ended by the daemon.
     """
 
@@ -72,6 +73,7 @@ class Driving:
         self.driver: Seat | None = None
         self._deadman_ms = deadman_ms
         self._next: Command | None = None
+        self._rests = False  # a zero came before it, which the daemon has to see
         self._news = asyncio.Event()
         self._taken_s = -math.inf
         self._turn = asyncio.Lock()  # what one browser sent is completed before another's turn
@@ -91,7 +93,7 @@ class Driving:
         async with self._turn:
             check()
             await seat.browser.hand.write({"control.source": "page"})
-            before, self.driver, self._next = self.driver, seat, None
+            before, self.driver, self._next, self._rests = self.driver, seat, None, False
             self._taken_s = time.monotonic()
         if before is not None and before is not seat:
             before.tell({"type": "refused", "text": "another browser has taken control"})
@@ -106,6 +108,7 @@ class Driving:
         if not is_fresh and not command.is_zero:
             raise RefusedError("the page's data is too old to drive by")
         self._next = command
+        self._rests |= command.is_zero
         self._news.set()
 
     def leave(self, seat: Seat) -> None:
@@ -122,7 +125,9 @@ class Driving:
             async with self._turn:
                 command, seat = self._next, self.driver
                 if command is not None and seat is not None:
-                    self._next = None
+                    self._next, rests, self._rests = None, self._rests, False
+                    if rests and not command.is_zero:
+                        await self._hand_over(_REST, seat)
                     await self._hand_over(command, seat)
 
     async def _hand_over(self, command: Command, seat: Seat) -> None:

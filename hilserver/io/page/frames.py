@@ -1,8 +1,9 @@
 """Binary frames: the signals that a browser has subscribed to, from the process image.
 
 Little endian: version (1), number of the subscription (UInt8), signals n (UInt16), time stamp
-[ms] (UInt32), tick (Double), n values (Double), n OPC UA status codes (UInt32). A browser sends the
-newest time stamp back with every command, so that no one drives on a frozen picture.
+[ms] (UInt32), tick (Double), age of that tick [s] (Double), n values (Double), n OPC UA status
+codes (UInt32). A browser sends the time of the newest tick back with every command, so that no one
+drives on a frozen picture.
 """
 
 import struct
@@ -16,8 +17,8 @@ from numpy.typing import NDArray
 from hilserver.image import Frame, ImageReader
 from hilserver.status import BAD
 
-VERSION = 1
-HEAD = struct.Struct("<BBHId")
+VERSION = 2
+HEAD = struct.Struct("<BBHIdd")
 _WRAP = 2**32
 
 
@@ -40,7 +41,8 @@ class Selection:
 
     def encode(self, frame: Frame, stamp: int) -> bytes:
         """Return the bytes for one frame."""
-        head = HEAD.pack(VERSION, self.key[0], len(self._slots), stamp, frame.tick)
+        age_s = max(time.monotonic_ns() - frame.planned_ns, 0) * 1e-9
+        head = HEAD.pack(VERSION, self.key[0], len(self._slots), stamp, frame.tick, age_s)
         values = frame.values[self._slots].astype("<f8").tobytes()
         return head + values + frame.status[self._slots].astype("<u4").tobytes()
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from asyncua import Client, ua
+from asyncua.client.ua_client import UaClientState
 from asyncua.ua.ua_binary import struct_from_binary
 
 from hilserver.errors import reason
@@ -57,7 +58,7 @@ class Hand:
     def is_connected(self) -> bool:
         """Whether there is a session."""
         client = self._client
-        return client is not None and client.uaclient.protocol is not None
+        return client is not None and client.uaclient.state is UaClientState.CONNECTED
 
     async def connect(self, name: str = "", password: str = "", address: str = "") -> None:
         """Open the session, for a user at this address.
@@ -91,9 +92,8 @@ class Hand:
             raise RefusedError(str(error)) from None
         except (OSError, TimeoutError, ua.UaError) as error:
             await self.close()
-            why = reason(error) if isinstance(error, OSError) else str(error)
             raise RefusedError(
-                f"the daemon's OPC UA server does not answer ({why or 'time-out'});"
+                f"the daemon's OPC UA server does not answer ({_why(error)});"
                 " 'hilserver run' starts it"
             ) from None
 
@@ -140,7 +140,7 @@ class Hand:
             async with time_limit(None):
                 return await self._read(list(names), ua.AttributeIds.Value)
         except (OSError, TimeoutError, ua.UaError) as error:
-            raise RefusedError(f"the daemon does not answer: {error or 'time-out'}") from None
+            raise _silent(error) from None
 
     async def _ask(self, request: Any, kind: Any) -> Any:
         if self._client is None:
@@ -152,7 +152,7 @@ class Hand:
             response = struct_from_binary(kind, data)
             response.ResponseHeader.ServiceResult.check()
         except (OSError, TimeoutError, ua.UaError) as error:
-            raise RefusedError(f"the daemon does not answer: {error or 'time-out'}") from None
+            raise _silent(error) from None
         return response
 
     async def _read_rights(self) -> Rights:
@@ -169,6 +169,17 @@ class Hand:
         nodes = [ua.NodeId(name, self._index) for name in names]
         values = await self._client.uaclient.read_attributes(nodes, attribute)
         return [None if value.Value is None else value.Value.Value for value in values]
+
+
+def _why(error: Exception) -> str:
+    if isinstance(error, TimeoutError):  # an OSError without words
+        return f"nothing came for {HAND_ANSWER_S:g} s"
+    said = reason(error) if isinstance(error, OSError) and error.errno else str(error)
+    return said or type(error).__name__
+
+
+def _silent(error: Exception) -> RefusedError:
+    return RefusedError(f"the daemon does not answer: {_why(error)}")
 
 
 async def _secure(client: Client, access: OpcUaAccess) -> None:

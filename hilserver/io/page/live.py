@@ -21,7 +21,7 @@ from hilserver.io.page.driving import Driving
 from hilserver.io.page.frames import Selection, stamp_ms
 from hilserver.io.page.hand import RefusedError
 from hilserver.io.page.jobs import Jobs
-from hilserver.io.page.stopping import Stopping
+from hilserver.io.page.stopping import Shown, Stopping
 from hilserver.program import event_loop
 from hilserver.tasks import Supervisor
 from hilserver.time_limit import time_limit
@@ -35,6 +35,7 @@ WRITABLE_BYTES = UNREAD_BYTES + (1 << 20)
 UNREAD_S = 15.0
 BOARD_EVERY_S = 0.5
 GREET_S = 5.0
+CONFIRM_S = 60.0
 
 _log = logging.getLogger(__name__)
 
@@ -77,9 +78,10 @@ class Client:
     def tell(self, message: Mapping[str, Any]) -> None:
         """Send a message; never waits."""
         if self.is_ready:
-            self._later(self.socket.send_str(json.dumps(message)))
+            self.later(self.socket.send_str(json.dumps(message)))
 
-    def _later(self, sending: Any) -> None:
+    def later(self, sending: Any) -> None:
+        """Send without waiting for it; cancelled by nothing but its own end."""
         self._tasks.spawn(partial(_ignoring_loss, sending), "message to a browser")
 
 
@@ -188,8 +190,9 @@ class Live:
 
     def _understand(self, client: Client, data: Mapping[str, Any]) -> None:
         if "stop" in data:
-            self._stopping.press(client.browser)
-            client.tell({"type": "stopped", "number": data["stop"]})
+            shown = self._stopping.press(client.browser)
+            client.tell({"type": "pressed", "number": data["stop"]})
+            client.later(self._confirm(client, data["stop"], shown))
         elif "drive" in data:
             self._driving.command(client, dict(data["drive"]))
         elif "subscribe" in data:
@@ -200,10 +203,14 @@ class Live:
         else:
             raise ValueError("unknown message")
 
+    async def _confirm(self, client: Client, number: object, shown: Shown) -> None:
+        if await shown(CONFIRM_S):
+            client.tell({"type": "stopped", "number": number})
+
     async def run(self) -> None:
         """Send frames and boards until cancelled."""
         loop = asyncio.get_running_loop()
-        next_s, board_s = loop.time(), loop.time()
+        next_s, board_s, board = loop.time(), loop.time(), self.board
         while True:
             next_s = max(next_s + self._period_s, loop.time())
             await asyncio.sleep(next_s - loop.time())
@@ -212,8 +219,8 @@ class Live:
             frame = self._reader.latest()
             if frame is not None:
                 await self._send(frame)
-            if loop.time() >= board_s:
-                board_s = loop.time() + BOARD_EVERY_S
+            if self.board is not board or loop.time() >= board_s:
+                board, board_s = self.board, loop.time() + BOARD_EVERY_S
                 text = json.dumps(self._slow(), separators=(",", ":"))
                 await self._send_text(text)
 
@@ -243,9 +250,11 @@ class Live:
         return seat.number if seat and is_there and drives else None
 
     def _slow(self) -> dict[str, Any]:
+        board = self.board
         return {
             "type": "board",
-            "board": self.board,
+            "board": board,
+            "age_s": time.monotonic() - board.get("monotonic_s", 0.0),
             "driver": self.driver,
             "clients": len(self._clients),
             "jobs": self._jobs.view(),

@@ -18,7 +18,7 @@ from hilserver.io.page.calls import Calls, WrongTypeError, may_work
 from hilserver.io.page.door import MOST, Door
 from hilserver.io.page.driving import Driving
 from hilserver.io.page.files import LOG_SUFFIXES, files_in, reports_in, shown_report
-from hilserver.io.page.frames import MAX_PLOTTED, history
+from hilserver.io.page.frames import MAX_PLOTTED, age_ms, history
 from hilserver.io.page.gatekeeper import REPORT_POLICY, Gatekeeper
 from hilserver.io.page.hand import Hand, RefusedError
 from hilserver.io.page.jobs import Jobs
@@ -31,6 +31,8 @@ from hilserver.tasks import Supervisor
 from hilserver.time_limit import time_limit
 
 TOKEN_HEADER = "X-Hilserver-Token"  # noqa: S105 - the header's name
+SENT_HEADER = "X-Hilserver-Sent"  # by the clock of the frames
+EXPIRES_MS, FAR_MS = 5_000, 2**31  # beyond: the clock has wrapped, or the browser is ahead
 BODY_BYTES = 65_536
 BODY_S = 5.0
 SWEEP_S, LOOK_S = 60.0, 1.0
@@ -51,12 +53,12 @@ class PageServer:
             lambda: Hand(setup.opcua, types), anonymous_may_stop=setup.opcua.anonymous_may_stop
         )
         self._tasks = Supervisor()
-        stopping = Stopping(setup.image, self._report_stop, self._tasks)
         self._door = Door(self._tls(), tasks=self._tasks)
         self._driving = Driving(setup.page.deadman_ms)
         self._jobs = Jobs(setup, self._tasks)
         self._uploads = Uploads(setup.folder("recordings"))
         self._image = ImageReader.attach(setup.image)
+        stopping = Stopping(setup.image, self._image, self._report_stop, self._tasks)
         self._slots = {signal["name"]: signal["slot"] for signal in setup.signals}
         self._live = Live(
             self._image,
@@ -283,6 +285,10 @@ class PageServer:
             raise web.HTTPBadRequest(text="a call needs a method and arguments") from None
         if not isinstance(name, str) or not isinstance(arguments, list):
             raise web.HTTPBadRequest(text="a call needs a method name and a list of arguments")
+        sent = request.headers.get(SENT_HEADER, "")
+        if sent.isdecimal() and name != "Stop" and EXPIRES_MS < age_ms(int(sent)) < FAR_MS:
+            text = "it came too late and was not done: the page's server had stood still"
+            return web.json_response({"ok": False, "text": text}, status=409)
         try:
             result = await self._calls.do(browser, name, arguments)
         except WrongTypeError as error:

@@ -30,7 +30,7 @@ from hilserver.io.ros2.wire import WireTypes
 from hilserver.io.source import Source
 from hilserver.io.world import Part, World
 from hilserver.ros import incoming
-from hilserver.ros.flavours import DESCRIPTION, FLAVOURS, Published, Served, Subscribed
+from hilserver.ros.flavours import DESCRIPTION, FLAVOURS, JOY, Published, Served, Subscribed
 from hilserver.ros.robot import Odometer, Robot
 from hilserver.ros.types import Types
 from hilserver.signals import State
@@ -307,7 +307,8 @@ class Ros2Node(Part):
         if is_command and self._way_back.enables(values):
             values = values | {"drive.enable": True}
         of = f"{subscribed.topic}: "
-        wrong = self._source.write(values, now_ns, of=of, renews=is_command).wrong
+        by_hand = subscribed.type == JOY
+        wrong = self._source.write(values, now_ns, of=of, renews=is_command, by_hand=by_hand).wrong
         if not is_command or wrong:
             return
         self._source.staleness.renew(now_ns)

@@ -15,7 +15,7 @@ const WHEEL_NAMES: Record<string, string> = { fl: "front left", rl: "rear left",
 export function driveView(context: Context): View {
   const { robot } = context;
   const { wheel: hand } = context;
-  const stick = makeStick((x, y) => hand.twist(x, y));
+  const stick = makeStick((x, y) => hand.twist(x, y, stick.held));
 
   // --- the picture ------------------------------------------------------------------------------
 
@@ -52,14 +52,23 @@ export function driveView(context: Context): View {
 
   // --- twist or single wheels -------------------------------------------------------------------
 
+  const held = new Set<HTMLInputElement>();
   const sliders = WHEELS.map((wheel) => {
-    const input = h("input", { type: "range", min: -100, max: 100, value: 0, step: 5, "aria-label": `${WHEEL_NAMES[wheel]} wheel, percent forward; returns to zero when released` });
+    const input = h("input", { type: "range", min: -100, max: 100, value: 0, step: 5, "data-arrows": "own", "aria-label": `${WHEEL_NAMES[wheel]} wheel, percent forward; returns to zero when released` });
     const shown = h("output", {}, "0");
     const spring = (): void => {
+      held.delete(input);
       input.value = "0";
       wheels();
     };
-    input.addEventListener("input", wheels);
+    input.addEventListener("pointerdown", () => held.add(input));
+    input.addEventListener("keydown", (event) => {
+      if (!event.repeat && /^(Arrow|Page|Home|End)/.test(event.key)) held.add(input);
+    });
+    input.addEventListener("input", () => {
+      if (!held.has(input)) input.value = "0"; // it was halted, and not let go since
+      wheels();
+    });
     for (const name of ["pointerup", "pointercancel", "blur", "keyup"]) input.addEventListener(name, spring);
     return { wheel, input, shown };
   });
@@ -70,8 +79,7 @@ export function driveView(context: Context): View {
       setText(shown, number(forward));
       return wheel[1] === "l" ? forward : -forward;
     });
-    if (rpm.some(Boolean) && !live.drives) return void toast("Take control first.");
-    hand.commander.hold({ mode: "wheels", rpm: rpm as [number, number, number, number] });
+    hand.wheels(rpm as [number, number, number, number], () => held.size > 0);
   }
 
   const wheelBox = h(
@@ -101,6 +109,8 @@ export function driveView(context: Context): View {
   const halt = h("button", { type: "button", class: "halt", "aria-keyshortcuts": "S", onclick: () => hand.halt() }, "Stop driving ", h("kbd", {}, "S"));
   hand.onStick = (x, y) => stick.show(x, y);
   hand.onHalt = () => {
+    stick.release();
+    held.clear();
     for (const { input, shown } of sliders) [input.value, shown.textContent] = ["0", "0"];
   };
 
@@ -210,7 +220,13 @@ export function driveView(context: Context): View {
       h("label", { class: "limit" }, h("span", {}, "Speed limit"), limit, limitShown),
       halt,
       h("div", { class: "lights" }, field("Lights", light), colour),
-      h("p", { class: "hint" }, h("kbd", {}, "↑"), h("kbd", {}, "↓"), h("kbd", {}, "←"), h("kbd", {}, "→"), " drive while held, ", h("kbd", {}, "S"), " stops, ", h("kbd", {}, "X"), ", space or ", h("kbd", {}, "Esc"), " emergency stop"),
+      h("details", { class: "keyboard" },
+        h("summary", {}, "Keys: ", h("kbd", {}, "X"), " or ", h("kbd", {}, "Esc"), " emergency stop"),
+        h("dl", {},
+          h("dt", {}, h("kbd", {}, "X")), h("dd", {}, "emergency stop, except while you type a text"),
+          h("dt", {}, h("kbd", {}, "Esc")), h("dd", {}, "emergency stop while you drive, in every field and dialogue; space, too, where it presses nothing"),
+          h("dt", {}, h("kbd", {}, "S")), h("dd", {}, "lets go: everything to zero"),
+          h("dt", {}, h("kbd", {}, "↑"), h("kbd", {}, "↓"), h("kbd", {}, "←"), h("kbd", {}, "→")), h("dd", {}, "drive while held, in every view; a text, a number or a list keeps them. Sliders then move by Page up and Page down"))),
     ),
   );
 

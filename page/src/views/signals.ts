@@ -1,6 +1,7 @@
 /** Signals: every value with unit, quality and age; forces, faults, scenarios. */
 
 import { may, type Context, type FaultForm, type View } from "../context";
+import { considerate } from "../driver";
 import { call, get, live, type Signal } from "../net";
 import { action, copy, field, h, quality, qualityName, seconds, setText, signalName, toast, valueText } from "../ui";
 
@@ -114,7 +115,7 @@ export function signalsView(context: Context): View {
     const { scenarios: files, folders } = await get<{ scenarios: { name: string }[]; folders: Record<string, string> }>("logs");
     scenarios.replaceChildren(
       ...(files.length
-        ? files.map(({ name }) => h("li", {}, h("code", {}, name), action("Start", () => call("StartScenario", name), { disabled: !may(context, "StartScenario"), "aria-label": `Start ${name}` })))
+        ? files.map(({ name }) => h("li", {}, h("code", {}, name), action("Start", () => considerate("Start the scenario", () => call("StartScenario", name)), { disabled: !may(context, "StartScenario"), "aria-label": `Start ${name}` })))
         : [h("li", { class: "note" }, `No scenarios yet: put one in the folder ${folders["scenarios"]}.`)]),
     );
   }

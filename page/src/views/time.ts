@@ -1,6 +1,7 @@
 /** Time: pause, step, reset, speed, snapshots, recording, and what has happened. */
 
 import { may, type Context, type View } from "../context";
+import { considerate } from "../driver";
 import { call, get, live } from "../net";
 import { action, bytes, download, field, h, micros, seconds, setText, toast } from "../ui";
 
@@ -27,13 +28,13 @@ export function timeView(context: Context): View {
   const clock = h("output", { class: "clock", "aria-label": "Simulated time" }, "0.000 s");
   const tick = h("span", { class: "hint" });
   const pace = h("dl", { class: "pairs" });
-  const run = action("Pause", () => call(paused() ? "Start" : "Pause"), { class: "primary large" });
+  const run = action("Pause", () => considerate(paused() ? "Resume" : "Pause", () => call(paused() ? "Start" : "Pause")), { class: "primary large" });
   const steps = h("input", { type: "number", min: 1, max: 1000000, value: 100, "aria-label": "Ticks to step" });
-  const step = action("Step", () => call("Step", Number(steps.value)), {});
+  const step = action("Step", () => considerate("Step", () => call("Step", Number(steps.value))), {});
   const reset = action("Reset", () => call("Reset"), {});
   const resetNumbers = action("Reset timing figures", () => call("ResetStatistics"), { class: "quiet" });
   const speeds = h("div", { class: "segments", role: "group", "aria-label": "Speed" });
-  for (const speed of SPEEDS) speeds.append(action(`${speed}×`, () => call("SetSpeed", speed), { "data-speed": speed }));
+  for (const speed of SPEEDS) speeds.append(action(`${speed}×`, () => considerate("Change the speed", () => call("SetSpeed", speed)), { "data-speed": speed }));
 
   function paused(): boolean {
     return live.slow.board.state === "paused";
@@ -59,7 +60,7 @@ export function timeView(context: Context): View {
   async function load(): Promise<void> {
     const files = await get<{ snapshots: File[]; logs: File[]; folders: Record<string, string> }>("logs");
     snapshots.replaceChildren(...entries(files.snapshots, "No snapshots yet.", (each) =>
-      action("Load", () => call("LoadSnapshot", each.name), { disabled: !may(context, "LoadSnapshot"), "aria-label": `Load ${each.name}` })));
+      action("Load", () => considerate("Load the snapshot", () => call("LoadSnapshot", each.name)), { disabled: !may(context, "LoadSnapshot"), "aria-label": `Load ${each.name}` })));
     recordings.replaceChildren(...entries(files.logs, "No recordings yet.", (each) => download(each.name)));
   }
   load().catch((error: Error) => toast(error.message, "error"));

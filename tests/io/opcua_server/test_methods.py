@@ -3,6 +3,7 @@
 import asyncio
 import math
 from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
 
 import pytest
 from asyncua import ua
@@ -166,3 +167,28 @@ async def test_one_call_does_not_wait_for_ever(
     results = await client.uaclient.call([request] * 5)
     assert [result.StatusCode.name for result in results] == ["Good", *["BadTimeout"] * 4]
     assert len(called) == 1
+
+
+async def test_a_call_whose_caller_was_told_that_it_failed_is_not_carried_out(
+    rig: Rig, client: RobotClient
+) -> None:
+    """Before, what was pressed while the daemon stood still was done long afterwards."""
+    rig.pacing.calls.clear()
+    answers = [await late(client, seconds) for seconds in (1.0, 7.0, 3600.0)]
+    assert answers == ["Good", "BadTimeout", "Good"]  # an hour: it gives local time
+    assert rig.pacing.calls.count("pause") == 2
+
+
+async def late(client: RobotClient, seconds: float) -> str:
+    """Call Pause as a client that has waited so long, and waits 5 s for answers."""
+    item = ua.CallMethodRequest()
+    item.ObjectId = ua.NodeId("methods", client.index)
+    item.MethodId = ua.NodeId("methods.Pause", client.index)
+    request = ua.CallRequest()
+    request.RequestHeader.Timestamp = datetime.now(UTC) - timedelta(seconds=seconds)
+    request.Parameters.MethodsToCall = [item]
+    try:
+        await client.uaclient.protocol.send_request(request, timeout=5)
+    except ua.UaStatusCodeError as error:
+        return str(ua.StatusCode(error.code).name)
+    return "Good"
