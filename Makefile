@@ -21,7 +21,7 @@ export PATH := $(PATH):/usr/sbin:/sbin
 
 .PHONY: help
 help: ## Show this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 .PHONY: run
 run: $(VENV)/.run $(if $(BODY),$(VENV)/.physics) ## Install if needed and drive the demonstration (Ctrl-C ends it; ARGS="--duration 60"; BODY=1)
@@ -69,7 +69,7 @@ test-pythons: $(VENV)/.dev ## Start, drive and diagnose on each Python, with new
 	@$(BIN)/python .ci/pythons.py $(ARGS)
 
 .PHONY: lint
-lint: $(VENV)/.dev ## Check style, types, the layers of the house and its size
+lint: $(VENV)/.dev ## Check style, types, the layers of the house and its density
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
