@@ -21,7 +21,7 @@ export PATH := $(PATH):/usr/sbin:/sbin
 
 .PHONY: help
 help: ## Show this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 .PHONY: run
 run: $(VENV)/.run $(if $(BODY),$(VENV)/.physics) ## Install if needed and drive the demonstration (Ctrl-C ends it; ARGS="--duration 60"; BODY=1)
@@ -45,7 +45,7 @@ test test-long: export OPENBLAS_NUM_THREADS := 1
 test test-long: export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: test
-test: test-tools lint ## Install what the tests need, lint, run all tests but the long ones
+test: test-tools ## Install what the tests need, run all tests but the long ones
 ifeq ($(strip $(ARGS)),)
 	@failed=; $(BIN)/python -m pytest $(SHARED) $(addprefix --ignore=,$(TIMED)) || failed=1; \
 	    $(BIN)/python -m pytest $(APART) $(TIMED) || failed=1; \
@@ -55,16 +55,31 @@ else
 endif
 
 .PHONY: test-long
-test-long: test-tools ## Run the soaks and full campaigns
-	@$(BIN)/python -m pytest -m long --timeout 7200 $(ARGS)
+test-long: test-tools ## Run the soaks and full campaigns, and the properties with fresh seeds
+ifeq ($(strip $(ARGS)),)
+	@failed=; export HYPOTHESIS_PROFILE=fresh; \
+	    $(BIN)/python -m pytest -m long --timeout 7200 || failed=1; \
+	    $(BIN)/python -m pytest -m 'hypothesis and not long' || failed=1; [ -z "$$failed" ]
+else
+	@HYPOTHESIS_PROFILE=fresh $(BIN)/python -m pytest -m long --timeout 7200 $(ARGS)
+endif
+
+.PHONY: test-pythons
+test-pythons: $(VENV)/.dev ## Start, drive and diagnose on each Python, with newest and lowest dependencies
+	@$(BIN)/python .ci/pythons.py $(ARGS)
 
 .PHONY: lint
-lint: $(VENV)/.dev ## Check style, types, the layers of the house and its size
+lint: $(VENV)/.dev ## Check style, types, the layers of the house and its density
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 	@$(BIN)/python .ci/house.py --check
+
+.PHONY: upgrade
+upgrade: $(VENV)/.dev ## Install the newest versions of all packages; .ci/run writes them down if all passes
+	@$(PIP) install --upgrade --upgrade-strategy eager --editable '.[dev]'
+	@touch $(VENV)/.run $(VENV)/.dev
 
 .PHONY: format
 format: $(VENV)/.dev ## Bring all code into the project's form
@@ -121,9 +136,9 @@ $(VENV)/.physics: $(VENV)/.run
 	@$(PIP) install --constraint constraints.txt --editable '.[physics]'
 	@touch $@
 
-$(VENV)/.dev: pyproject.toml | $(BIN)/python
+$(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
 	@echo "installing hilserver and what its tests need into $(VENV) (a minute or two)"
-	@$(PIP) install --editable '.[dev]'
+	@$(PIP) install --constraint constraints.txt --editable '.[dev]'
 	@touch $(VENV)/.run $@
 
 .PHONY: test-tools

@@ -17,9 +17,11 @@ RECORDINGS = ROOT.parent / "shared" / "data"
 if RECORDINGS.is_dir():
     os.environ.setdefault("HIL_DATA_DIR", str(RECORDINGS))
 
-# How long a busy computer takes for an example says nothing about the code.
-hypothesis.settings.register_profile("hilserver", deadline=None)
-hypothesis.settings.load_profile("hilserver")
+# How long a busy computer takes for an example says nothing about the code. The same examples every
+# time, so that a run fails for its change alone; make test-long looks for new ones.
+hypothesis.settings.register_profile("same", deadline=None, derandomize=True)
+hypothesis.settings.register_profile("fresh", deadline=None, print_blob=True)
+hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
 _INSTALLED = any(point.name == "hilserver" for point in entry_points(group="pytest11"))
 pytest_plugins = ["pytester"] if _INSTALLED else ["pytester", "hilserver.testing.plugin"]

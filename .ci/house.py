@@ -1,4 +1,4 @@
-"""How large and how entangled the house is, in numbers that may only get better.
+"""How dense and how entangled the house is, in numbers that may only get better.
 
 ``python .ci/house.py`` prints them beside the baseline in `house.json`; with ``--check`` it fails
 where one is worse. ``--write`` makes the present numbers the baseline; where one is worse it asks
@@ -27,7 +27,10 @@ LONG = 50
 INDEX = re.compile(r"[PXYUE]_[A-Z0-9_]+")
 """Names of places in a vector: of parameters, states, outputs, inputs, events."""
 CONSTANT = re.compile(r"[A-Z][A-Z0-9_]+")
+DENSE = 25
+"""AST nodes of an expression that one no longer reads at a glance."""
 MORE_IS_BETTER = {"comments_percent"}
+Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,11 @@ class File:
     def tree(self) -> ast.Module:
         """Its syntax."""
         return ast.parse(self.text)
+
+    @cached_property
+    def nodes(self) -> list[ast.AST]:
+        """All nodes of its syntax."""
+        return list(ast.walk(self.tree))
 
     @property
     def lines(self) -> int:
@@ -59,13 +67,66 @@ def read(root: Path) -> list[File]:
     return files
 
 
+def functions(file: File) -> Iterator[Function]:
+    """Yield all functions, methods and inner functions too."""
+    return (node for node in file.nodes if isinstance(node, Function))
+
+
 def long_functions(file: File) -> Iterator[str]:
     """Yield the functions that are longer than a screen."""
-    for node in ast.walk(file.tree):
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-            length = (node.end_lineno or node.lineno) - node.lineno + 1
-            if length > LONG:
-                yield f"{file.name}.{node.name} ({length})"
+    for node in functions(file):
+        length = (node.end_lineno or node.lineno) - node.lineno + 1
+        if length > LONG:
+            yield f"{file.name}.{node.name} ({length})"
+
+
+def size(node: ast.AST) -> int:
+    """Return the number of AST nodes below and with `node`."""
+    return sum(1 for _ in ast.walk(node))
+
+
+@dataclass
+class Density:
+    """What the bodies of functions hold, docstrings left out; an inner function counts twice."""
+
+    nodes: int = 0
+    code_lines: int = 0
+    statements: int = 0
+    expressions: int = 0  # the whole ones, which stand directly in a statement
+    dense: int = 0
+
+    def add(self, file: File, function: Function) -> None:
+        """Add a function."""
+        body = function.body[1:] if ast.get_docstring(function) is not None else function.body
+        if not body:
+            return
+        rows = file.text.splitlines()[body[0].lineno - 1 : function.end_lineno]
+        self.code_lines += sum(1 for row in rows if row.strip() and row.strip()[0] != "#")
+        for node in (inner for statement in body for inner in ast.walk(statement)):
+            self.nodes += 1
+            if isinstance(node, ast.stmt):
+                self.statements += 1
+                whole = [n for n in ast.iter_child_nodes(node) if isinstance(n, ast.expr)]
+                self.expressions += len(whole)
+                self.dense += sum(1 for expression in whole if size(expression) > DENSE)
+
+
+def used_once(file: File) -> list[str]:
+    """Return the private functions that their module names once."""
+    uses: Counter[str] = Counter()
+    for node in file.nodes:
+        if isinstance(node, ast.Name):
+            uses[node.id] += 1
+        elif isinstance(node, ast.Attribute):
+            uses[node.attr] += 1
+    names = (node.name for node in functions(file))
+    private = (n for n in names if n.startswith("_") and not n.startswith("__"))
+    return [f"{file.name}.{name}" for name in private if uses[name] == 1]
+
+
+def classes(file: File) -> Iterator[str]:
+    """Yield the names of the classes."""
+    return (node.name for node in file.nodes if isinstance(node, ast.ClassDef))
 
 
 def constants(file: File) -> Iterator[tuple[str, str]]:
@@ -91,7 +152,7 @@ def constants(file: File) -> Iterator[tuple[str, str]]:
 def index_lines(file: File) -> int:
     """Return the lines that do nothing but import index constants."""
     lines: set[int] = set()
-    for node in ast.walk(file.tree):
+    for node in file.nodes:
         if isinstance(node, ast.ImportFrom):
             lines |= {a.lineno for a in node.names if INDEX.fullmatch(a.name)}
     return len(lines)
@@ -100,7 +161,7 @@ def index_lines(file: File) -> int:
 def imported(file: File, rooms: set[str]) -> set[str]:
     """Return the other rooms that a module knows."""
     found: set[str] = set()
-    for node in ast.walk(file.tree):
+    for node in file.nodes:
         names: list[str] = []
         if isinstance(node, ast.Import):
             names = [a.name for a in node.names]
@@ -124,9 +185,10 @@ class House:
     """All numbers, and what stands behind them."""
 
     numbers: dict[str, float]
-    by_room: Counter[str]
     long: list[str]
     two_values: dict[str, set[str]]
+    several_classes: dict[str, int]
+    once: Counter[str]  # private functions that are used once, by room
 
 
 def measure(root: Path) -> House:
@@ -136,25 +198,41 @@ def measure(root: Path) -> House:
     arrows = {frozenset((f.room, other)) for f in files for other in imported(f, rooms)}
     pairs = list(combinations(sorted(rooms), 2))
     values: dict[str, set[str]] = defaultdict(set)
-    by_room: Counter[str] = Counter()
+    density = Density()
+    names: Counter[str] = Counter()
+    once: Counter[str] = Counter()
+    n_functions = 0
     for file in files:
-        by_room[file.room] += file.lines
+        names.update(classes(file))
+        once[file.room] += len(used_once(file))
+        for function in functions(file):
+            n_functions += 1
+            density.add(file, function)
         for name, literal in constants(file):
             values[name].add(literal)
     long = [name for f in files for name in long_functions(f)]
     two_values = {name: found for name, found in sorted(values.items()) if len(found) > 1}
-    lines = sum(f.lines for f in files)
+    several = {name: count for name, count in names.most_common() if count > 1}
     joined = sum(1 for pair in pairs if frozenset(pair) in arrows)
+    lines = sum(f.lines for f in files)
     numbers: dict[str, float] = {
-        "lines": lines,
-        "files": len(files),
+        "nodes_per_statement": ratio(density.nodes, density.statements),
+        "nodes_per_code_line": ratio(density.nodes, density.code_lines),
+        "dense_expressions_percent": ratio(100 * density.dense, density.expressions),
+        "helpers_used_once_percent": ratio(100 * once.total(), n_functions),
+        "names_of_several_classes": len(several),
         "functions_over_50_lines": len(long),
         "names_with_two_values": len(two_values),
-        "room_pairs_joined_percent": round(100 * joined / len(pairs), 1) if pairs else 0.0,
+        "room_pairs_joined_percent": ratio(100 * joined, len(pairs)),
         "index_import_lines": sum(map(index_lines, files)),
-        "comments_percent": round(100 * sum(map(comments, files)) / max(lines, 1), 2),
+        "comments_percent": ratio(100 * sum(map(comments, files)), lines),
     }
-    return House(numbers, by_room, long, two_values)
+    return House(numbers, long, two_values, several, once)
+
+
+def ratio(part: float, whole: float) -> float:
+    """Return ``part/whole`` with the digits that a reader can use."""
+    return round(part / max(whole, 1), 2)
 
 
 def worse(now: dict[str, float], before: dict[str, float]) -> list[str]:
@@ -171,17 +249,16 @@ def show(house: House, before: dict[str, float]) -> None:
     """Print the numbers beside the baseline, and what stands behind them."""
     for name, value in house.numbers.items():
         print(f"{name:28}{value:10g}{before.get(name, value):10g}")
-    print("\nlines by room")
-    for room, lines in house.by_room.most_common():
-        print(f"  {room:26}{lines:10}")
-    for title, found in (
-        ("functions over 50 lines", house.long),
-        (
-            "names with two values",
-            [f"{n}: {', '.join(sorted(v))}" for n, v in house.two_values.items()],
-        ),
-    ):
-        print(f"\n{title}", *(f"  {line:.96}" for line in found), sep="\n")
+    found = {
+        "functions over 50 lines": house.long,
+        "names with two values": [
+            f"{name}: {', '.join(sorted(values))}" for name, values in house.two_values.items()
+        ],
+        "names of several classes": [f"{n}: {c}" for n, c in house.several_classes.items()],
+        "private functions used once, by room": [f"{r}: {c}" for r, c in house.once.most_common()],
+    }
+    for title, rows in found.items():
+        print(f"\n{title}", *(f"  {row:.96}" for row in rows), sep="\n")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -208,7 +285,7 @@ def main(arguments: list[str] | None = None) -> int:
         if found:
             print(
                 *found,
-                "Make it smaller, or commit a new baseline with the reason:"
+                "Make it better, or commit a new baseline with the reason:"
                 " python .ci/house.py --write --reason TEXT",
                 sep="\n",
                 file=sys.stderr,

@@ -19,7 +19,7 @@ Neither copies anything: ``x.speed[i]`` is a word of `array`. As an argument of 
 one pointer, an array seven numbers.
 """
 
-from typing import TYPE_CHECKING, Any, ClassVar, Self, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,16 +27,30 @@ from numpy.typing import NDArray
 from hilserver.lazily import lazily
 
 
-def _number(hint: Any) -> np.dtype[Any]:
-    """Return the NumPy type of an annotation."""
+def _element(hint: Any) -> type[Any] | None:
+    """Return the NumPy type of the elements of an array or a list.
+
+    NumPy spells NDArray in its own way on each version of Python: the type is sought among all
+    arguments of the annotation, not at a place of its own.
+    """
+    if isinstance(hint, type) and issubclass(hint, np.generic):
+        return hint
+    return next(filter(None, map(_element, get_args(hint))), None)
+
+
+def _number(hint: Any) -> np.dtype[Any] | None:
+    """Return the NumPy type of an annotation, None if it does not name one."""
     if hint in (float, int):
         number: np.dtype[Any] = np.dtype(hint)
         return number
-    if isinstance(hint, type) and issubclass(hint, Record):
-        return hint.layout
-    (shape,) = hint.__metadata__
-    element = get_args(hint.__origin__)[-1]
-    return np.dtype((get_args(element)[0] if get_args(element) else element.layout, shape))
+    if get_origin(hint) is Annotated:
+        sequence, shape = get_args(hint)
+    else:
+        sequence, shape = hint, ()
+    element = _element(sequence)
+    if element is None:
+        return None
+    return np.dtype((element.layout if issubclass(element, Record) else element, shape))
 
 
 if TYPE_CHECKING:
@@ -78,6 +92,8 @@ class Record(_Void):
             if hasattr(Record, name) or name in Record.__annotations__:
                 raise TypeError(f"{cls.__name__}.{name} would hide what every record has")
             number = _number(hint)
+            if number is None:
+                raise TypeError(f"{cls.__name__}.{name}: {hint} names no type of number")
             fields.append((name, number if word is None else np.dtype((word, number.shape))))
         cls.layout = np.dtype((cls, np.dtype(fields, align=True)))
         cls.n_words = cls.layout.itemsize // 8

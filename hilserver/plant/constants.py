@@ -156,14 +156,20 @@ def _process(v: Any, p: Parameters) -> int:
     if v.euler != 0.0:
         if dt_s >= 2.0 * t2_s:
             return COARSE
-        nominal = euler_matrices(v.process_gain, 0.0, v.process_t1_s, t2_s, dt_s)
         matrices = euler_matrices(gain, v.term_viscous_load, t1_s, t2_s, dt_s)
     else:
-        nominal = process_matrices(v.process_gain, 0.0, v.process_t1_s, t2_s, dt_s)
         matrices = process_matrices(gain, v.term_viscous_load, t1_s, t2_s, dt_s)
-    k_p, k_d = v.controller_k_p, v.controller_k_d
-    keep, change = derivative(k_p, k_d, v.controller_derivative_n, dt_s)
-    if not is_stable(nominal, k_p, dt_s * v.controller_k_i, keep, change):
+    if not is_stable(
+        v.process_gain,
+        v.process_t1_s,
+        t2_s,
+        v.controller_k_p,
+        v.controller_k_i,
+        v.controller_k_d,
+        v.controller_derivative_n,
+        dt_s,
+        v.euler != 0.0,
+    ):
         return UNSTABLE
     if v.term_wheel_load_wheel != math.floor(v.term_wheel_load_wheel):
         return LOAD_WHEEL

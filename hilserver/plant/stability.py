@@ -1,9 +1,10 @@
 """The sampled wheel speed loop: its matrices, its stability, and the longest stable period."""
 
+import math
 from dataclasses import dataclass
 
 from hilserver.compiled import plain
-from hilserver.plant.drive import Matrices, process_matrices
+from hilserver.plant.drive import Matrices
 
 
 @plain
@@ -23,35 +24,68 @@ def derivative(k_p: float, k_d: float, derivative_n: float, dt_s: float) -> tupl
 
 
 @plain
-def is_stable(process: Matrices, k_p: float, k_i_step: float, keep: float, gain: float) -> bool:
+def is_stable(
+    gain: float,
+    t1_s: float,
+    t2_s: float,
+    k_p: float,
+    k_i: float,
+    k_d: float,
+    derivative_n: float,
+    dt_s: float,
+    euler: bool,
+) -> bool:
     """Return whether all poles of the loop, unsaturated, are inside the unit circle.
 
-    The process is ``(q1 z + q0) / (z^2 + p1 z + p0)`` from duty to speed, the controller
-    ``k_p + k_i_step / (z - 1) + gain (z - 1) / (z - keep)``. Without an integral, its pole at
-    1 is replaced by one at 0. Jury's criterion (Astrom and Wittenmark, 3.3).
+    The poles of a slow process crowd at ``z = 1`` and differ from it in their last digits only.
+    Therefore all is computed in ``w = z - 1`` (delta operator; Middleton and Goodwin, 1990), and no
+    coefficient is a difference of nearly equal numbers. The process is
+    ``(q1 w + q0) / (w^2 + s1 w + s0)`` from duty to speed, the controller
+    ``k_p + k_i_step / w + gain_d w / (w + r)``.
     """
-    a00, a01, a10, a11, b0, b1 = process
-    p1, p0 = -(a00 + a11), a00 * a11 - a01 * a10
-    q1, q0 = b1, a10 * b0 - a00 * b1
-    if k_i_step == 0.0:
-        n1, n0 = k_p + gain, -k_p * keep - gain
-        a = p1 - keep + q1 * n1
-        b = p0 - p1 * keep + q1 * n0 + q0 * n1
-        c, d = q0 * n0 - p0 * keep, 0.0
+    slow, fast = min(dt_s / t1_s, dt_s / t2_s), max(dt_s / t1_s, dt_s / t2_s)
+    if euler:
+        w1, w2, q1 = -slow, -fast, 0.0
     else:
-        d1, d0 = -(1.0 + keep), keep
-        n2 = k_p + gain
-        n1 = k_p * d1 + k_i_step - 2.0 * gain
-        n0 = k_p * d0 - k_i_step * keep + gain
-        a = p1 + d1 + q1 * n2
-        b = p0 + p1 * d1 + d0 + q1 * n1 + q0 * n2
-        c = p0 * d1 + p1 * d0 + q1 * n0 + q0 * n1
-        d = p0 * d0 + q0 * n0
-    # Jury's table of z^4 + a z^3 + b z^2 + c z + d: the cubic, then the quadratic
-    e3, e2, e1, e0 = 1.0 - d * d, a - c * d, b - b * d, c - a * d
-    f2, f0 = e3 * e3 - e0 * e0, e3 * e1 - e0 * e2
-    at_ends = 1.0 + a + b + c + d > 0.0 and 1.0 - a + b - c + d > 0.0
-    return bool(abs(d) < 1.0 and at_ends and abs(e0) < e3 and abs(f0) < f2)
+        w1, w2 = math.expm1(-slow), math.expm1(-fast)
+        apart = fast - slow
+        share = -math.expm1(-apart) / apart if apart > 0.0 else 1.0
+        q1 = gain * (-w1 - (1.0 + w1) * slow * share)  # the step response after one tick
+    s1, s0 = -(w1 + w2), w1 * w2
+    q0 = gain * s0  # a held duty leads to its steady speed
+
+    r, gain_d = 1.0, 0.0
+    if k_d > 0.0:
+        bandwidth = derivative_n * k_p
+        r = dt_s * bandwidth / (k_d + dt_s * bandwidth)
+        gain_d = k_d * bandwidth / (k_d + dt_s * bandwidth)
+    k_i_step = dt_s * k_i
+    other = 1.0 if k_i == 0.0 else 0.0  # without an integral, w + 1 takes the place of its w
+    n2 = k_p + gain_d
+    n1 = k_p * (r + other) + gain_d * other + k_i_step
+    n0 = k_p * r * other + k_i_step * r
+    return inside_unit_circle(  # type: ignore[no-any-return]
+        s1 + r + other + q1 * n2,
+        s0 + s1 * (r + other) + r * other + q1 * n1 + q0 * n2,
+        s0 * (r + other) + s1 * r * other + q1 * n0 + q0 * n1,
+        s0 * r * other + q0 * n0,
+    )
+
+
+@plain
+def inside_unit_circle(a: float, b: float, c: float, d: float) -> bool:
+    """Return whether ``|1 + w| < 1`` for all roots of ``w^4 + a w^3 + b w^2 + c w + d``.
+
+    ``w = 2 v / (1 - v)`` takes the circle to the left half plane, where Routh's criterion decides
+    (Astrom and Wittenmark, 3.3).
+    """
+    h4 = 16.0 - 8.0 * a + 4.0 * b - 2.0 * c + d
+    h3 = 8.0 * a - 8.0 * b + 6.0 * c - 4.0 * d
+    h2 = 4.0 * b - 6.0 * c + 6.0 * d
+    h1 = 2.0 * c - 4.0 * d
+    minor = h3 * h2 - h4 * h1
+    positive = h4 > 0.0 and h3 > 0.0 and h2 > 0.0 and h1 > 0.0 and d > 0.0
+    return bool(positive and minor > 0.0 and minor * h1 > h3 * h3 * d)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,21 +103,21 @@ class Loop:
     derivative_n: float  # the derivative is filtered with ``tau = K_D/(N K_P)``
     euler: bool  # forward differences instead of the exact solution
 
-    def process(self, dt_s: float) -> Matrices:
-        """Return ``a00, a01, a10, a11, b0, b1`` of the process over one tick with the duty held."""
-        solve = euler_matrices if self.euler else process_matrices
-        matrices: Matrices = solve(self.gain, 0.0, self.t1_s, self.t2_s, dt_s)
-        return matrices
-
-    def derivative(self, dt_s: float) -> tuple[float, float]:
-        """Return keep and gain of the filtered derivative, by backward differences."""
-        found: tuple[float, float] = derivative(self.k_p, self.k_d, self.derivative_n, dt_s)
-        return found
-
     def is_stable(self, dt_s: float) -> bool:
         """Return whether the loop is stable when sampled at `dt_s`."""
-        keep, gain = self.derivative(dt_s)
-        return bool(is_stable(self.process(dt_s), self.k_p, dt_s * self.k_i, keep, gain))
+        return bool(
+            is_stable(
+                self.gain,
+                self.t1_s,
+                self.t2_s,
+                self.k_p,
+                self.k_i,
+                self.k_d,
+                self.derivative_n,
+                dt_s,
+                self.euler,
+            )
+        )
 
     def largest_period_s(self, unstable_s: float) -> float:
         """Return the longest stable period below an unstable one."""

@@ -1,14 +1,19 @@
 """Records: the words of an array by name, the same ones in Python and in a kernel."""
 
 import pickle
-from typing import Annotated
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from typing_extensions import TypeAliasType
 
 from hilserver.compiled import kernel
 from hilserver.compiled.records import Record, record_at
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+# How NumPy 2.5 spells NDArray on Python 3.12, with a ``type`` statement.
+Alias = TypeAliasType("Alias", np.ndarray[Any, np.dtype[Scalar]], type_params=(Scalar,))
 
 Pair = Annotated[NDArray[np.float64], 2]
 Table = Annotated[NDArray[np.float64], (3, 2)]
@@ -93,3 +98,37 @@ def test_a_field_may_not_hide_what_every_record_has():
 
         class Wrong(Record):
             layout: float
+
+
+@pytest.mark.parametrize(
+    "spelled",
+    [
+        NDArray[np.int64],
+        Alias[np.int64],
+        np.ndarray[Any, np.dtype[np.int64]],
+        np.ndarray[tuple[int, ...], np.dtype[np.int64]],
+    ],
+)
+def test_an_array_has_its_element_type_however_numpy_spells_the_annotation(spelled):
+    class Counts(Record):
+        ticks: Annotated[spelled, 3]
+
+    assert Counts.zeros().ticks.dtype == np.int64
+    assert Counts.zeros().ticks.shape == (3,)
+
+
+def test_records_lie_in_a_list_of_records():
+    class Trip(Record):
+        motions: Annotated[list[Motion], 2]
+
+    trip = Trip.zeros()
+    trip.motions[1].time = 2.0
+    assert trip.numbers[Motion.n_words] == 2.0
+
+
+@pytest.mark.parametrize("hint", [Annotated[NDArray, 3], Annotated[list[str], 3], str, "float"])
+def test_an_annotation_without_a_number_is_refused_by_name(hint):
+    with pytest.raises(TypeError, match=r"Trip\.place"):
+
+        class Trip(Record):
+            place: hint
