@@ -142,7 +142,7 @@ $(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
 	@touch $(VENV)/.run $@
 
 .PHONY: test-tools
-test-tools: $(VENV)/.dev $(VENV)/.debian $(addsuffix /node_modules/.installed,$(NPM_FOLDERS))
+test-tools: $(VENV)/.dev $(VENV)/.debian build/ros/.installed $(addsuffix /node_modules/.installed,$(NPM_FOLDERS))
 
 $(VENV)/.debian: Makefile | $(BIN)/python
 	@missing=; \
@@ -165,6 +165,19 @@ $(VENV)/.debian: Makefile | $(BIN)/python
 	    echo "the tests that use them will fail without these Debian packages:$$missing;" \
 	        "install them with 'sudo apt-get install$$missing'" >&2; \
 	fi
+
+# Nodes of a real ROS 2 for the tests, in an environment of their own: rclpy is there for Python 3.12.
+ROS := ros-kilted-rclpy ros-geometry-msgs ros-sensor-msgs ros-std-msgs ros-rcl-interfaces ros-rmw-fastrtps-cpp
+
+build/ros/.installed:
+	@for python in python3.12 $$HOME/.pyenv/versions/3.12.*/bin/python3.12; do \
+	    if $$python -c 'import ensurepip' 2>/dev/null; then \
+	        echo "installing nodes of a real ROS 2 into build/ros (250 MB)"; \
+	        $$python -m venv build/ros && build/ros/bin/python -m pip install --quiet --prefer-binary $(ROS) \
+	            && touch $@; exit; \
+	    fi; \
+	done; \
+	echo "the tests with nodes of a real ROS 2 are skipped: they need Python 3.12 with venv" >&2
 
 %/node_modules/.installed: %/package.json | $(VENV)/.debian
 	@command -v npm >/dev/null || { \

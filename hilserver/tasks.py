@@ -25,7 +25,7 @@ from hilserver.time_limit import AbandonedError
 
 FIRST_PAUSE_S: Final = 0.1
 LONGEST_PAUSE_S: Final = 5.0
-SETTLED_S: Final = 10.0  # a task that has run for so long begins again after the first pause
+LASTED_S: Final = 10.0  # a task that has run for so long begins again after the first pause
 BEATS_MISSED: Final = 10
 SILENT_AT_LEAST_S: Final = 10.0
 
@@ -126,7 +126,7 @@ class SupervisedTask:
             self.why_down = self.why_down or "was cancelled from outside"
         again_in_s = None
         if self.lasting:
-            if self._loop.time() - self._begun_s > SETTLED_S:
+            if self._loop.time() - self._begun_s > LASTED_S:
                 self._pause_s = FIRST_PAUSE_S
             again_in_s = self._pause_s
             self._pause_s = min(2 * self._pause_s, LONGEST_PAUSE_S)

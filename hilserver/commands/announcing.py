@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Self
 
 from hilserver import __version__
-from hilserver.commands.compile_progress import Progress
+from hilserver.commands.compile_progress import CompileProgress
 from hilserver.program.writer import Footer, Writer
 
 if TYPE_CHECKING:  # importing it takes seconds, and the first line must not wait for that
@@ -35,7 +35,7 @@ class Announcer:
         self._is_readable = line_format == "console" or (line_format != "json" and writer.isatty())
         writer.lost_line = lambda lost: self._line(f"{lost} lines were lost: nothing read them", {})
         self.page_url = ""
-        self._progress: Progress | None = None
+        self._progress: CompileProgress | None = None
 
     def say(self, text: str, event: str = "", **details: object) -> None:
         """Say `text` to people, or `event` (by default the text) and `details` to programs."""
@@ -70,7 +70,7 @@ class Announcer:
         if not self._writer.is_watched:
             return
         if self._progress is None:
-            self._progress = Progress.begun()
+            self._progress = CompileProgress.begun()
             text = f"hilserver is compiling the model for this computer: {self._progress.estimate}"
             self.say(f"{text}; the next start finds it compiled")
         self._progress.add(len(functions))

@@ -8,15 +8,15 @@ from typing import Final, Self
 
 from hilserver.cache import Shelf
 
-FUNCTIONS: Final = 90
+FUNCTIONS: Final = 80
 """About as many has a robot without extras."""
-FEW: Final = 10
+FIRST_ESTIMATE_AFTER: Final = 10
 """Fewer say nothing of the pace, and nothing of what the cache holds of this robot."""
 _KEPT_AS: Final = "last.json"
 
 
 @dataclass
-class Progress:
+class CompileProgress:
     """What has been compiled so far, compared with the last time on this computer."""
 
     expected: int | None  # functions; None: the cache has some of them, nobody knows how many
@@ -38,7 +38,12 @@ class Progress:
             last = json.loads(kept)
             expected, pace_s = last["functions"], last["s"] / last["functions"]
         now_s = time.monotonic()
-        return cls(None if present > FEW else expected, pace_s, begin_s=now_s, last_s=now_s)
+        return cls(
+            None if present > FIRST_ESTIMATE_AFTER else expected,
+            pace_s,
+            begin_s=now_s,
+            last_s=now_s,
+        )
 
     def add(self, functions: int) -> None:
         """Count functions that are being compiled."""
@@ -61,7 +66,7 @@ class Progress:
             return f"compiling: {self.count} functions so far"
         left = max(0, self.expected - self.count)
         pace_s = self.s_per_function
-        if self.count >= FEW:
+        if self.count >= FIRST_ESTIMATE_AFTER:
             pace_s = (self.last_s - self.begin_s) / self.count
         text = f"compiling: {self.count} of about {max(self.count, self.expected)} functions"
         if not left:
@@ -71,7 +76,7 @@ class Progress:
     def ended(self) -> str:
         """Return how much it was; remember it for the next time, if it was all of a robot."""
         took_s = self.last_s - self.begin_s
-        if self.expected is not None and self.count > FEW:
+        if self.expected is not None and self.count > FIRST_ESTIMATE_AFTER:
             data = json.dumps({"functions": self.count, "s": took_s})
             Shelf("compiling").put(_KEPT_AS, data.encode())
         return f"{self.count} functions in {_duration(took_s)}"

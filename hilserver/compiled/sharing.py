@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from hilserver.cache import Shelf
 
 
-class Share:
+class Backlog:
     """What one process has put off."""
 
     def __init__(self, shelf: Callable[[], Shelf], *, is_helper: bool) -> None:
@@ -45,18 +45,18 @@ class Share:
             self.take(compile_now)
 
 
-_current: list[Share] = []
+_current: list[Backlog] = []
 
 
-def current() -> Share | None:
+def current() -> Backlog | None:
     """Return what this process has put off; None: it compiles at once."""
     return _current[0] if _current else None
 
 
 @contextlib.contextmanager
 def shared(shelf: Callable[[], Shelf], *, is_helper: bool) -> Iterator[None]:
-    """Put off what would be compiled in the block, until `Share.work`."""
-    _current.append(Share(shelf, is_helper=is_helper))
+    """Put off what would be compiled in the block, until `Backlog.work`."""
+    _current.append(Backlog(shelf, is_helper=is_helper))
     try:
         yield
     finally:

@@ -13,7 +13,7 @@ import time
 from hilserver.cache import Shelf
 from hilserver.commands import compile_progress
 from hilserver.commands.announcing import Announcer
-from hilserver.commands.compile_progress import Progress
+from hilserver.commands.compile_progress import CompileProgress
 from hilserver.compiled import cache
 from hilserver.program.writer import Writer
 from tests.commands.test_cli import write_config
@@ -103,10 +103,10 @@ def test_compiling_is_one_line_at_its_begin_and_one_at_its_end(tmp_path, monkeyp
 
 
 def test_a_terminal_shows_how_long_compiling_still_takes():
-    progress = Progress(expected=200, s_per_function=math.inf)
+    progress = CompileProgress(expected=200, s_per_function=math.inf)
     progress.add(5)
     assert progress.line == "compiling: 5 of about 200 functions"
-    progress = Progress(expected=200, s_per_function=0.5)
+    progress = CompileProgress(expected=200, s_per_function=0.5)
     assert progress.line == "compiling: 0 of about 200 functions, 1 min 40 s left"
     progress.count, progress.last_s = 150, 30.0
     assert progress.line == "compiling: 150 of about 200 functions, 10 s left"

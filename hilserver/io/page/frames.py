@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hilserver.image import Frame, ImageReader
 from hilserver.status import BAD
 
-VERSION = 2
+MESSAGE_VERSION = 2
 HEAD = struct.Struct("<BBHIdd")
 _WRAP = 2**32
 
@@ -42,7 +42,7 @@ class Selection:
     def encode(self, frame: Frame, stamp: int) -> bytes:
         """Return the bytes for one frame."""
         age_s = max(time.monotonic_ns() - frame.planned_ns, 0) * 1e-9
-        head = HEAD.pack(VERSION, self.key[0], len(self._slots), stamp, frame.tick, age_s)
+        head = HEAD.pack(MESSAGE_VERSION, self.key[0], len(self._slots), stamp, frame.tick, age_s)
         values = frame.values[self._slots].astype("<f8").tobytes()
         return head + values + frame.status[self._slots].astype("<u4").tobytes()
 

@@ -29,7 +29,7 @@ from hilserver.io.ros2.participant import (
     Participant,
 )
 
-MOST_AT_ONCE: Final = 200
+MOST_ENDPOINTS_AT_ONCE: Final = 200
 MOST_KNOWN: Final = 5000
 SETTLED_NS: Final = 3_000_000_000
 """Time within which what belongs together has found each other."""
@@ -94,10 +94,10 @@ class Neighbours:
     def look(self) -> None:
         """Take what discovery has reported since the last time."""
         people, writers, readers = self._discovered
-        for sample in people.take(MOST_AT_ONCE):
+        for sample in people.take(MOST_ENDPOINTS_AT_ONCE):
             self._meet(sample)
         for found, reader in ((self.writers, writers), (self.readers, readers)):
-            for sample in reader.take(MOST_AT_ONCE):
+            for sample in reader.take(MOST_ENDPOINTS_AT_ONCE):
                 self._note(found, sample)
 
     def _meet(self, sample: Any) -> None:

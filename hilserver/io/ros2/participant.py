@@ -119,7 +119,7 @@ class Arrival:
 
 
 @dataclass(frozen=True, slots=True)
-class Subject:
+class TopicInfo:
     """What a writer and its readers have to agree on."""
 
     topic: str  # with the prefix of DDS, ``rt/cmd_vel``
@@ -131,7 +131,7 @@ class Subject:
 class Out:
     """A writer of one topic."""
 
-    def __init__(self, writer: Any, data_type: Any, subject: Subject) -> None:
+    def __init__(self, writer: Any, data_type: Any, subject: TopicInfo) -> None:
         self._writer, self._type, self.subject = writer, data_type, subject
 
     @property
@@ -168,7 +168,7 @@ class Out:
 class In:
     """A reader of one topic."""
 
-    def __init__(self, reader: Any, subject: Subject) -> None:
+    def __init__(self, reader: Any, subject: TopicInfo) -> None:
         self.reader, self.subject = reader, subject
 
     @property
@@ -308,11 +308,11 @@ class _Waiting:
         self._thread.join(5.0)
 
 
-def _subject(topic: str, data_type: Any, qos: Qos, type_hash: str) -> Subject:
-    return Subject(topic, data_type.__idl_typename__.replace(".", "::"), type_hash, qos)
+def _subject(topic: str, data_type: Any, qos: Qos, type_hash: str) -> TopicInfo:
+    return TopicInfo(topic, data_type.__idl_typename__.replace(".", "::"), type_hash, qos)
 
 
-def _policies(subject: Subject) -> DdsQos:
+def _policies(subject: TopicInfo) -> DdsQos:
     qos = subject.qos
     reliable = Policy.Reliability.Reliable(duration(seconds=0))  # our event loop does not wait
     return DdsQos(
