@@ -2,7 +2,7 @@
 
 A task has a name and, if it loops, a heartbeat. One that lasts begins again, with growing pauses,
 whatever ends it: an exception, a cancellation by somebody else, a return. One that ends by itself
-may return. Every other end is told and counted:
+may return. Every other end is reported and counted:
 
     tasks = Supervisor(tell)
     job = tasks.keep("edge", self._stay_connected)            # begins again, with pauses
@@ -93,7 +93,7 @@ class SupervisedTask:
         if self._silent_after_s is None or self.why_down or silent_s <= self._silent_after_s:
             return
         self.why_down = f"has not turned for {silent_s:.0f} s"
-        # Told now, because it may swallow the cancellation.
+        # Reported now, because it may swallow the cancellation.
         self._supervisor.tell(Ended(self.name, self.why_down))
         self.task.cancel()
 

@@ -3,8 +3,8 @@
 import asyncio
 
 import pytest
-from numba.core.caching import FunctionCache
 
+from hilserver.compiled.stored import Stored
 from tests.faults.rig import Rig
 from tests.faults.test_same_bits import FAULTS
 
@@ -22,13 +22,13 @@ TERMS = {
 def asked_for(monkeypatch):
     """What is looked for in the cache of compiled code: all that is compiled passes there first."""
     names = []
-    load = FunctionCache.load_overload
+    load = Stored.load_overload
 
     def load_and_note(self, *what):
-        names.append(self._name)
+        names.append(self._readable)
         return load(self, *what)
 
-    monkeypatch.setattr(FunctionCache, "load_overload", load_and_note)
+    monkeypatch.setattr(Stored, "load_overload", load_and_note)
     return names
 
 
