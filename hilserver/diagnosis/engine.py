@@ -29,13 +29,14 @@ from hilserver.diagnosis.groups.shared import answers_in_groups, gains_in_groups
 from hilserver.diagnosis.memory import one_blas_thread
 from hilserver.diagnosis.progress import Report, Tracker
 from hilserver.diagnosis.regression.gain import HORIZON_S
-from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
+from hilserver.diagnosis.replay.judgeable import UNSEEN, absent, vocabulary_reasons
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.report.collecting import evidence
 from hilserver.diagnosis.report.merging import merged
 from hilserver.diagnosis.schema.evidence import Diagnosis, Evidence, FittedTerm
 from hilserver.diagnosis.schema.findings import (
     ON_OTHER_LOGS,
+    Detectable,
     Finding,
     Findings,
     Gain,
@@ -129,7 +130,8 @@ def judge(
         sizes, unseen = at_rest(sizes, unseen)
     tracker.timed("gain")
     judged = {d.cause for d in sizes} | {c for f in found for c in f.causes}
-    reasons = vocabulary_reasons(judged, member.reasons, set(member.judged))
+    reasons = {u.cause: u.reason for u in unseen} | member.reasons
+    reasons = vocabulary_reasons(judged, reasons, set(member.judged), absent(member.log), UNSEEN)
     return _diagnosis(
         [member],
         answers,
@@ -144,7 +146,7 @@ def judge(
         ceiling=ceiling,
         noise=member.noise,
         smallest_detectable=tuple(sizes),
-        not_judged=(*unseen, *_not_judged(reasons)),
+        not_judged=_not_judged(reasons),
         notices=notices,
     )
 
@@ -219,10 +221,12 @@ def compare(
     both = [check(one, robot) for one in (log, other)]
     result = compared(both, robot, seed, jobs, Tracker(progress))
     still = [too_little_motion()] if any(stood_still(checked.log) for checked in both) else []
-    faults = [finding for checked in both for finding in checked.findings]
+    faults = _of_both(*(checked.findings for checked in both))
+    silent = Overall.NO_DIFFERENCE if result.sizes else Overall.NOT_JUDGED
+    verdict = Overall.DIFFERS if result.findings else silent
     findings = _findings(
         result.logs,
-        verdict=Overall.DIFFERS if result.findings else Overall.NO_DIFFERENCE,
+        verdict=verdict,
         seed=seed,
         config_sha256=assembly.config.sha256,
         findings=(*faults, *result.findings, *still),
@@ -231,6 +235,19 @@ def compare(
         notices=tuple(note for one in result.logs for note in one.notices),
     )
     return Diagnosis(findings, Evidence())
+
+
+def _of_both(first: Sequence[Finding], second: Sequence[Finding]) -> list[Finding]:
+    """Return the faults of two sets of logs, one that both have once."""
+    own = {(f.causes, f.regressors): f for f in first}
+    other = {(f.causes, f.regressors): f for f in second}
+    found = []
+    for fault, finding in (other | own).items():
+        where = "both sets" if fault in own and fault in other else "the first set"
+        where = where if fault in own else "the second set"
+        text = f"In {where}: {explain_finding(finding)}"
+        found.append(finding.model_copy(update={"explanation": text}))
+    return found
 
 
 def _on_other_logs(
@@ -302,6 +319,7 @@ def _diagnosis(
     total_gain: Mapping[str, Gain],
     patch_gain: Mapping[str, Gain],
     notices: tuple[str, ...],
+    smallest_detectable: tuple[Detectable, ...],
     **fields: Any,
 ) -> Diagnosis:
     """Return findings and evidence.
@@ -314,20 +332,21 @@ def _diagnosis(
         Of `Findings`.
     """
     predicts = any(part.judged.whole.model.fitted for a in answers for part in a.explained.parts)
-    holds = refusal is None and any(answer.model.of_the_machine for answer in answers)
+    terms = extension(found, fitted) if refusal is None else ()
+    holds = bool(terms) and any(answer.model.of_the_machine for answer in answers)
     findings = _findings(
         [m.log for m in members],
-        verdict=overall(found, is_judged=any(m.judged for m in members)),
+        verdict=overall(found, is_judged=bool(smallest_detectable)),
         baseline={key: gain.before for key, gain in total_gain.items()},
         findings=tuple(found),
         total_gain=dict(total_gain) if found and predicts else {},
         patch_gain=dict(patch_gain) if holds else {},
+        smallest_detectable=smallest_detectable,
         joint=joint([answer.estimate for answer in answers]),
         notices=notices if refusal is None else (*notices, refusal),
         decisions=tuple(row for m in members for row in m.decisions),
         **fields,
     )
-    terms = extension(found, fitted) if refusal is None else ()
     parts = {m.name: _evidence(m, answers, terms, tracker) for m in members}
     return Diagnosis(findings, merged(parts))
 

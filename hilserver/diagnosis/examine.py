@@ -18,6 +18,7 @@ from hilserver.diagnosis.findings.sensors import noise_of
 from hilserver.diagnosis.progress import Tracker
 from hilserver.diagnosis.regression.screen import Scores
 from hilserver.diagnosis.regression.stages import Prepared, prepare, prepare_all
+from hilserver.diagnosis.replay.judgeable import of_kinematics
 from hilserver.diagnosis.schema.decisions import Decision
 from hilserver.diagnosis.schema.findings import Detectable, Finding, Noise, NotJudged
 from hilserver.measured.data import MeasuredLog
@@ -96,4 +97,6 @@ def examine(
             anew = with_wheels(as_configured, drive, log, jobs, tracker)
         others = [] if anew else [s for n, s in scores.items() if n != stage]
         judged[stage] = judge(anew or as_configured, others)
-    return Member(name, log, robot, (*checked.findings, *limits), judged, reasons)
+    return Member(
+        name, log, robot, (*checked.findings, *limits), judged, reasons | of_kinematics(why)
+    )

@@ -130,7 +130,7 @@ def line(y: Array | None, x: Array | None, least: float = 0.0) -> Line | None:
     x, y = x[good], y[good]
     if (np.abs(x) > least).sum() < 10 or not (x**2).sum() or not (y**2).sum():
         return None
-    # it begins where wild values cannot move it; then it is the line through the nine tenths nearest
+    # it begins where no wild value can move it, and leaves out the tenth that is farthest from it
     slope = slope_of(y, x)
     for _ in range(4):
         error = np.abs(y - slope * x)

@@ -259,7 +259,7 @@ def _position(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Faul
 
 
 def _duty(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | None]:
-    """Judge duties as shares: hardly one is above 1, and the speed needs a hundred times as much."""
+    """Judge duties as shares: hardly one is above 1; the speed needs a hundred times as much."""
     names = _there(log, (f"wheel.{wheel}.duty_pct" for wheel in WHEELS))
     windows = windows_of(log)
     pairs = [
