@@ -13,9 +13,9 @@ import numpy as np
 from hilserver import __version__
 from hilserver.compiled import kernel_hash
 from hilserver.daemon.assembly import Assembly
-from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.checks.standstill import at_rest, stood_still, too_little_motion
 from hilserver.diagnosis.compare.comparison import compared
+from hilserver.diagnosis.decide import one_topic
 from hilserver.diagnosis.decide.beginning import Terms
 from hilserver.diagnosis.examine import Member, examine
 from hilserver.diagnosis.findings.ceiling import ceilings
@@ -218,7 +218,7 @@ def compare(
         values of both sets, ``<cause>`` their difference.
     """
     robot = machine(log, assembly.robot)
-    both = [check(one, robot) for one in (log, other)]
+    both = [one_topic.checked(one, robot) for one in (log, other)]
     result = compared(both, robot, seed, jobs, Tracker(progress))
     still = [too_little_motion()] if any(stood_still(checked.log) for checked in both) else []
     faults = _of_both(*(checked.findings for checked in both))
@@ -254,7 +254,7 @@ def _on_other_logs(
     member: Member, test: MeasuredLog, rng: np.random.Generator
 ) -> tuple[dict[str, Gain], dict[str, Gain]]:
     """Return the gain on other logs, of all that predicts and of what has a name."""
-    log, stages = check(test, member.robot).log, member.judged.items()
+    log, stages = one_topic.checked(test, member.robot).log, member.judged.items()
     whole = {stage: j.whole.model for stage, j in stages}
     named = {stage: j.point.model for stage, j in stages}
     predicted = gain_on(log, member.robot, whole, HORIZON_S, rng)

@@ -6,9 +6,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.checks.frame import unidentified, without_kinematics
-from hilserver.diagnosis.decide import limited_duty
+from hilserver.diagnosis.decide import limited_duty, one_topic
 from hilserver.diagnosis.decide.beginning import Terms
 from hilserver.diagnosis.decide.revision import Judged, revised
 from hilserver.diagnosis.decide.selection import select
@@ -65,7 +64,7 @@ def examine(
     """Check logs, select causes, swap, prune; map the remainder; drop what that puts in doubt."""
     robot = machine(log, robot)
     tracker("checking the data", 0.0)
-    checked = check(log, robot)
+    checked = one_topic.checked(log, robot)
     why = unidentified(checked.log, robot)
     log = checked.log if why is None else without_kinematics(checked.log, why)
     log, limits = limited_duty.find(log, robot)

@@ -60,6 +60,8 @@ def stages_of(
     if DriveStage.judges(log) and log.drive_is_known:
         drive = DriveStage(log, robot, block_s=block_length(total_s, BLOCK_S, 5.0, 72))
         stages[drive.name] = drive
+    elif log.drive_is_known and DriveStage.replays(log):
+        drive = DriveStage(log, robot, block_s=BLOCK_S)
     if PoseStage.judges(log, robot, driven=drive is not None):
         known = None if drive is None else driven(drive, drive_terms)
         turned, block_s = as_turned(log, robot, drive_terms), block_length(total_s, 3.0, 5.0, 72)
