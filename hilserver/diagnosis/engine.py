@@ -243,8 +243,8 @@ def _of_both(first: Sequence[Finding], second: Sequence[Finding]) -> list[Findin
     other = {(f.causes, f.regressors): f for f in second}
     found = []
     for fault, finding in (other | own).items():
-        where = "both sets" if fault in own and fault in other else "the first set"
-        where = where if fault in own else "the second set"
+        alone = "the first set" if fault in own else "the second set"
+        where = "both sets" if fault in own and fault in other else alone
         text = f"In {where}: {explain_finding(finding)}"
         found.append(finding.model_copy(update={"explanation": text}))
     return found
