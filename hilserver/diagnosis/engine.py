@@ -13,9 +13,9 @@ import numpy as np
 from hilserver import __version__
 from hilserver.compiled import kernel_hash
 from hilserver.daemon.assembly import Assembly
-from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.checks.standstill import at_rest, stood_still, too_little_motion
 from hilserver.diagnosis.compare.comparison import compared
+from hilserver.diagnosis.decide import one_topic
 from hilserver.diagnosis.decide.beginning import Terms
 from hilserver.diagnosis.examine import Member, examine
 from hilserver.diagnosis.findings.ceiling import ceilings
@@ -29,13 +29,14 @@ from hilserver.diagnosis.groups.shared import answers_in_groups, gains_in_groups
 from hilserver.diagnosis.memory import one_blas_thread
 from hilserver.diagnosis.progress import Report, Tracker
 from hilserver.diagnosis.regression.gain import HORIZON_S
-from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
+from hilserver.diagnosis.replay.judgeable import UNSEEN, absent, vocabulary_reasons
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.report.collecting import evidence
 from hilserver.diagnosis.report.merging import merged
 from hilserver.diagnosis.schema.evidence import Diagnosis, Evidence, FittedTerm
 from hilserver.diagnosis.schema.findings import (
     ON_OTHER_LOGS,
+    Detectable,
     Finding,
     Findings,
     Gain,
@@ -129,7 +130,8 @@ def judge(
         sizes, unseen = at_rest(sizes, unseen)
     tracker.timed("gain")
     judged = {d.cause for d in sizes} | {c for f in found for c in f.causes}
-    reasons = vocabulary_reasons(judged, member.reasons, set(member.judged))
+    reasons = {u.cause: u.reason for u in unseen} | member.reasons
+    reasons = vocabulary_reasons(judged, reasons, set(member.judged), absent(member.log), UNSEEN)
     return _diagnosis(
         [member],
         answers,
@@ -144,7 +146,7 @@ def judge(
         ceiling=ceiling,
         noise=member.noise,
         smallest_detectable=tuple(sizes),
-        not_judged=(*unseen, *_not_judged(reasons)),
+        not_judged=_not_judged(reasons),
         notices=notices,
     )
 
@@ -216,13 +218,15 @@ def compare(
         values of both sets, ``<cause>`` their difference.
     """
     robot = machine(log, assembly.robot)
-    both = [check(one, robot) for one in (log, other)]
+    both = [one_topic.checked(one, robot) for one in (log, other)]
     result = compared(both, robot, seed, jobs, Tracker(progress))
     still = [too_little_motion()] if any(stood_still(checked.log) for checked in both) else []
-    faults = [finding for checked in both for finding in checked.findings]
+    faults = _of_both(*(checked.findings for checked in both))
+    silent = Overall.NO_DIFFERENCE if result.sizes else Overall.NOT_JUDGED
+    verdict = Overall.DIFFERS if result.findings else silent
     findings = _findings(
         result.logs,
-        verdict=Overall.DIFFERS if result.findings else Overall.NO_DIFFERENCE,
+        verdict=verdict,
         seed=seed,
         config_sha256=assembly.config.sha256,
         findings=(*faults, *result.findings, *still),
@@ -233,11 +237,24 @@ def compare(
     return Diagnosis(findings, Evidence())
 
 
+def _of_both(first: Sequence[Finding], second: Sequence[Finding]) -> list[Finding]:
+    """Return the faults of two sets of logs, one that both have once."""
+    own = {(f.causes, f.regressors): f for f in first}
+    other = {(f.causes, f.regressors): f for f in second}
+    found = []
+    for fault, finding in (other | own).items():
+        alone = "the first set" if fault in own else "the second set"
+        where = "both sets" if fault in own and fault in other else alone
+        text = f"In {where}: {explain_finding(finding)}"
+        found.append(finding.model_copy(update={"explanation": text}))
+    return found
+
+
 def _on_other_logs(
     member: Member, test: MeasuredLog, rng: np.random.Generator
 ) -> tuple[dict[str, Gain], dict[str, Gain]]:
     """Return the gain on other logs, of all that predicts and of what has a name."""
-    log, stages = check(test, member.robot).log, member.judged.items()
+    log, stages = one_topic.checked(test, member.robot).log, member.judged.items()
     whole = {stage: j.whole.model for stage, j in stages}
     named = {stage: j.point.model for stage, j in stages}
     predicted = gain_on(log, member.robot, whole, HORIZON_S, rng)
@@ -302,6 +319,7 @@ def _diagnosis(
     total_gain: Mapping[str, Gain],
     patch_gain: Mapping[str, Gain],
     notices: tuple[str, ...],
+    smallest_detectable: tuple[Detectable, ...],
     **fields: Any,
 ) -> Diagnosis:
     """Return findings and evidence.
@@ -314,20 +332,21 @@ def _diagnosis(
         Of `Findings`.
     """
     predicts = any(part.judged.whole.model.fitted for a in answers for part in a.explained.parts)
-    holds = refusal is None and any(answer.model.of_the_machine for answer in answers)
+    terms = extension(found, fitted) if refusal is None else ()
+    holds = bool(terms) and any(answer.model.of_the_machine for answer in answers)
     findings = _findings(
         [m.log for m in members],
-        verdict=overall(found, is_judged=any(m.judged for m in members)),
+        verdict=overall(found, is_judged=bool(smallest_detectable)),
         baseline={key: gain.before for key, gain in total_gain.items()},
         findings=tuple(found),
         total_gain=dict(total_gain) if found and predicts else {},
         patch_gain=dict(patch_gain) if holds else {},
+        smallest_detectable=smallest_detectable,
         joint=joint([answer.estimate for answer in answers]),
         notices=notices if refusal is None else (*notices, refusal),
         decisions=tuple(row for m in members for row in m.decisions),
         **fields,
     )
-    terms = extension(found, fitted) if refusal is None else ()
     parts = {m.name: _evidence(m, answers, terms, tracker) for m in members}
     return Diagnosis(findings, merged(parts))
 

@@ -6,9 +6,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.checks.frame import unidentified, without_kinematics
-from hilserver.diagnosis.decide import limited_duty
+from hilserver.diagnosis.decide import limited_duty, one_topic
 from hilserver.diagnosis.decide.beginning import Terms
 from hilserver.diagnosis.decide.revision import Judged, revised
 from hilserver.diagnosis.decide.selection import select
@@ -18,6 +17,7 @@ from hilserver.diagnosis.findings.sensors import noise_of
 from hilserver.diagnosis.progress import Tracker
 from hilserver.diagnosis.regression.screen import Scores
 from hilserver.diagnosis.regression.stages import Prepared, prepare, prepare_all
+from hilserver.diagnosis.replay.judgeable import of_kinematics
 from hilserver.diagnosis.schema.decisions import Decision
 from hilserver.diagnosis.schema.findings import Detectable, Finding, Noise, NotJudged
 from hilserver.measured.data import MeasuredLog
@@ -64,7 +64,7 @@ def examine(
     """Check logs, select causes, swap, prune; map the remainder; drop what that puts in doubt."""
     robot = machine(log, robot)
     tracker("checking the data", 0.0)
-    checked = check(log, robot)
+    checked = one_topic.checked(log, robot)
     why = unidentified(checked.log, robot)
     log = checked.log if why is None else without_kinematics(checked.log, why)
     log, limits = limited_duty.find(log, robot)
@@ -96,4 +96,6 @@ def examine(
             anew = with_wheels(as_configured, drive, log, jobs, tracker)
         others = [] if anew else [s for n, s in scores.items() if n != stage]
         judged[stage] = judge(anew or as_configured, others)
-    return Member(name, log, robot, (*checked.findings, *limits), judged, reasons)
+    return Member(
+        name, log, robot, (*checked.findings, *limits), judged, reasons | of_kinematics(why)
+    )

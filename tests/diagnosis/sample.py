@@ -97,6 +97,11 @@ def findings(**changes):
             "yaw_rad": gain(0.31, 0.04, 6.1, 9.0),
             "speed_rpm": gain(1.4, 1.3, 0.98, 1.2),
         },
+        "patch_gain": {
+            "position_m": gain(0.31, 0.1, 2.7, 3.6),
+            "yaw_rad": gain(0.31, 0.04, 6.1, 9.0),
+            "speed_rpm": gain(1.4, 1.3, 0.98, 1.2),
+        },
         "ceiling": {"position_m": 3.9},
         "noise": {
             "nav.x_m": noise_of(0.01, 0.05, 0.6, 4.2),
@@ -124,7 +129,12 @@ def findings(**changes):
 
 def nothing_found():
     return findings(
-        verdict="nothing_found", findings=(), total_gain={}, ceiling={}, model_patch=None
+        verdict="nothing_found",
+        findings=(),
+        total_gain={},
+        patch_gain={},
+        ceiling={},
+        model_patch=None,
     )
 
 

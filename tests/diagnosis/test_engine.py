@@ -8,6 +8,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from benchmarks.diagnose_worker import measured
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis import engine
+from hilserver.diagnosis.checks.support import data_fault
 from hilserver.diagnosis.engine import diagnose
 from hilserver.diagnosis.findings.nested import answers_of
 from hilserver.diagnosis.findings.worth import Explained
@@ -54,3 +55,11 @@ def test_no_patch_is_written_where_a_reported_quantity_is_worse(monkeypatch):
     found = diagnose(log, assembly, jobs=1)
     assert not found.evidence.extension
     assert any("no model patch" in note for note in found.findings.notices)
+
+
+def test_a_fault_of_both_sets_is_said_once_and_of_which():
+    fault, other = (data_fault(name, ["nav.x_m"], 1.0, None, "1", f"{name}.") for name in "ab")
+    both = engine._of_both([fault], [fault, other])
+    assert sorted(f.explanation for f in both) == ["In both sets: a.", "In the second set: b."]
+    (first,) = engine._of_both([other], [])
+    assert first.explanation == "In the first set: b."

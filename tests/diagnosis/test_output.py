@@ -48,7 +48,7 @@ def test_the_findings_come_back_as_they_were(tmp_path):
     assert findings_text(read) == (tmp_path / "findings.json").read_text(encoding="utf-8")
     for key, gain in findings().total_gain.items():
         assert read.total_gain[key].ratio == pytest.approx(gain.ratio, rel=1e-8), "nine digits"
-    plain = {"total_gain": {}, "findings": (), "smallest_detectable": ()}
+    plain = {"total_gain": {}, "patch_gain": {}, "findings": (), "smallest_detectable": ()}
     assert read.model_copy(update=plain) == findings().model_copy(update=plain)
     assert [f.parameters for f in read.findings] == [f.parameters for f in findings().findings]
 
@@ -100,13 +100,17 @@ def test_too_little_motion_is_not_nothing_found_in_any_output():
 def test_what_could_not_be_judged_is_not_nothing_found():
     assert overall(()) == Overall.NOTHING_FOUND
     assert overall((), is_judged=False) == Overall.NOT_JUDGED
+    named, fault = findings().findings[0], findings().findings[3]
+    assert overall((fault,), is_judged=False) == Overall.NOT_JUDGED
+    assert overall((fault,)) == Overall.FINDINGS
+    assert overall((fault, named), is_judged=False) == Overall.FINDINGS
 
 
 @pytest.mark.parametrize("verdict", ["nothing_found", "no_difference", "not_judged"])
 def test_where_nothing_could_be_judged_the_simulation_is_not_said_to_fit(verdict):
     found = nothing_found().model_copy(update={"verdict": verdict, "smallest_detectable": ()})
     assert found.not_judged
-    assert summary(found).startswith("Nothing could be judged because channels are missing")
+    assert summary(found).startswith("Nothing about the robot could be judged (no duty).")
 
 
 def test_a_term_of_several_parts_keeps_them_all():

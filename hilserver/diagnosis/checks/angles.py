@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from hilserver.diagnosis.checks.support import reach
 from hilserver.diagnosis.schema.findings import Finding
-from hilserver.diagnosis.thresholds import FEWEST_CHANGES
+from hilserver.diagnosis.thresholds import FEWEST_CHANGES, NEARLY_ALL
 from hilserver.measured.channels import SPEEDS
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.measured.resolution import step_of
@@ -44,7 +45,7 @@ def _wrap(channel: Channel, fastest_rad_s: float) -> float:
     """
     inside = np.diff(channel.span) == 0
     step, dt = np.diff(channel.values)[inside], np.diff(channel.t_s)[inside]
-    range_rad = float(np.ptp(channel.values))
+    range_rad = reach(channel.values)
     jumps = np.abs(step) > np.maximum(fastest_rad_s * dt, 0.5 * range_rad)
     calm = step[~jumps]
     if not jumps.any() or len(calm) < FEWEST_CHANGES:
@@ -52,7 +53,7 @@ def _wrap(channel: Channel, fastest_rad_s: float) -> float:
     steady = np.interp(np.flatnonzero(jumps), np.flatnonzero(~jumps), calm)
     sizes = np.abs(step[jumps] - steady)
     size = float(np.median(sizes))
-    if not np.all(np.abs(sizes - size) < 0.2 * size):
+    if np.mean(np.abs(sizes - size) < 0.2 * size) < NEARLY_ALL:
         return 0.0
     usual = np.abs(calm[1:-1] - 0.5 * (calm[:-2] + calm[2:]))  # what a steady turn leaves
     unsure = 3.0 * float(np.quantile(usual, 0.9)) / np.sqrt(len(sizes)) + 1e-9

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from hilserver.arrays import Array
-from hilserver.diagnosis.checks.support import along
+from hilserver.diagnosis.checks.support import along, largest, slope_of
 from hilserver.diagnosis.thresholds import SLOWEST_TURN_RAD_S, STANDS, TURNS_RAD_S
 from hilserver.measured.channels import GYRO, POSITION, SPEEDS, YAW
 from hilserver.measured.data import MeasuredLog
@@ -24,7 +24,7 @@ def unidentified(log: MeasuredLog, robot: RobotParameters) -> str | None:
     if turn is None:
         return None
     if _turning(turn, TURNS_RAD_S):
-        share = float(turn @ log[GYRO].values) / float(turn @ turn)
+        share = slope_of(log[GYRO].values, turn)
         return "did not turn although its wheels did" if abs(share) < STANDS else None
     if log.has(*POSITION) or _turning(turn, SLOWEST_TURN_RAD_S):
         return None
@@ -47,7 +47,9 @@ def asked_turn(log: MeasuredLog, robot: RobotParameters) -> Array | None:
 
 
 def _turning(turn: Array, least_rad_s: float) -> bool:
-    return float(turn @ turn) >= least_rad_s**2 * len(turn)
+    # wild wheel speeds are no turn
+    sound = np.minimum(np.abs(turn), largest(turn))
+    return float(sound @ sound) >= least_rad_s**2 * len(turn)
 
 
 def without_kinematics(log: MeasuredLog, why: str) -> MeasuredLog:

@@ -7,7 +7,7 @@ import numpy as np
 
 from hilserver.arrays import Array
 from hilserver.diagnosis.checks.frame import asked_turn
-from hilserver.diagnosis.checks.support import data_fault
+from hilserver.diagnosis.checks.support import data_fault, slope_of
 from hilserver.diagnosis.schema.findings import Finding, Parameter
 from hilserver.diagnosis.thresholds import FEWEST_PIECES, LIMITED_BEYOND, NEARLY_ALL
 from hilserver.measured.channels import DUTIES, GYRO
@@ -65,9 +65,6 @@ def _limit(values: Array, asked: Array | None) -> float | None:
         return None
     at = np.abs(values) >= limit * AT
     inside = np.abs(values) < NEARLY_ALL * limit
-    power = float(asked[inside] @ asked[inside])
-    if power == 0.0:
-        return None
-    ratio = float(asked[inside] @ values[inside]) / power
+    ratio = slope_of(values[inside], asked[inside])
     beyond = np.sign(values[at]) * ratio * asked[at] / limit - 1.0
     return limit if float(np.median(beyond)) > LIMITED_BEYOND else None

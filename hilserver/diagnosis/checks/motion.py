@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hilserver.arrays import Array, Mask
-from hilserver.diagnosis.checks.support import SPAN_S, along
+from hilserver.diagnosis.checks.support import SPAN_S, along, slope_of
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
 from hilserver.plant.parameters import RobotParameters
@@ -130,12 +130,12 @@ def line(y: Array | None, x: Array | None, least: float = 0.0) -> Line | None:
     x, y = x[good], y[good]
     if (np.abs(x) > least).sum() < 10 or not (x**2).sum() or not (y**2).sum():
         return None
-    keep = np.ones(len(x), dtype=np.bool_)
-    slope = 0.0
+    # it begins where no wild value can move it, and leaves out the tenth that is farthest from it
+    slope = slope_of(y, x)
     for _ in range(4):
-        slope = float((x[keep] * y[keep]).sum() / max((x[keep] ** 2).sum(), 1e-300))
         error = np.abs(y - slope * x)
-        np.less_equal(error, np.quantile(error, 0.9), out=keep)
+        keep = error <= np.quantile(error, 0.9)
+        slope = float((x[keep] * y[keep]).sum() / max((x[keep] ** 2).sum(), 1e-300))
     correlation = float(
         (x[keep] * y[keep]).sum()
         / max(np.sqrt((x[keep] ** 2).sum() * (y[keep] ** 2).sum()), 1e-300)

@@ -7,7 +7,7 @@ import numpy as np
 
 from hilserver.arrays import Array, Mask
 from hilserver.diagnosis.schema.findings import Finding, Interval, Parameter, Verdict
-from hilserver.diagnosis.thresholds import STILL_RPM
+from hilserver.diagnosis.thresholds import NEGLIGIBLE, STILL_RPM
 from hilserver.measured.channels import SETPOINTS, SPEEDS
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.measured.names import is_input
@@ -71,6 +71,34 @@ def row_period_s(channel: Channel) -> float:
     """Return the usual time between two samples; 0 if there are too few."""
     steps = np.diff(channel.t_s)[np.diff(channel.span) == 0]
     return float(np.median(steps)) if len(steps) else 0.0
+
+
+def slope_of(y: Array, x: Array) -> float:
+    """Return the slope of y = slope x that least absolute errors give; 0 if x is zero throughout.
+
+    It is the median of all y / x, each counted with its |x|: while less than half of that is wild,
+    no wild value moves it far.
+    """
+    moves = x != 0.0
+    if not moves.any():
+        return 0.0
+    ratio = y[moves] / x[moves]
+    order = np.argsort(ratio)
+    weight = np.cumsum(np.abs(x[moves])[order])
+    return float(ratio[order][np.searchsorted(weight, 0.5 * weight[-1])])
+
+
+def largest(values: Array) -> float:
+    """Return the largest size of a reading, a few wild ones left out; 0 without any."""
+    return float(np.quantile(np.abs(values), 1.0 - NEGLIGIBLE)) if len(values) else 0.0
+
+
+def reach(values: Array) -> float:
+    """Return the range of the readings, a few wild ones left out; 0 without any."""
+    if not len(values):
+        return 0.0
+    low, high = np.quantile(values, [0.5 * NEGLIGIBLE, 1.0 - 0.5 * NEGLIGIBLE])
+    return float(high - low)
 
 
 def standing(log: MeasuredLog, source: Channel) -> Mask:

@@ -18,7 +18,7 @@ from hilserver.diagnosis.checks.motion import (
     turned,
     windows_of,
 )
-from hilserver.diagnosis.checks.support import data_fault, listed
+from hilserver.diagnosis.checks.support import data_fault, largest, listed, reach
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import (
     UNIT_ALIKE,
@@ -147,7 +147,10 @@ def _wheel(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault |
     """
     windows, kinds = windows_of(log), (SPEEDS, SETPOINTS)
     columns = {n: mean_in(log[n], windows) for kind in kinds for n in _there(log, kind)}
-    size = {n: float(np.abs(log[n].values).mean()) + 1e-9 for n in columns}
+    size = {}
+    for name in columns:
+        values = np.abs(log[name].values)
+        size[name] = float(np.minimum(values, largest(values)).mean()) + 1e-9
 
     def apart(name: str) -> float:
         usual = np.median([size[n] for kind in kinds for n in kind if name in kind and n in size])
@@ -202,7 +205,7 @@ def _yaw(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | N
     """Judge headings in degrees: in radians, successive rows never differ that much."""
     windows = windows_of(log)
     for name in (YAW, IMU_YAW):
-        if name not in log or np.ptp(log[name].values) < 4.0 * np.pi:
+        if name not in log or reach(log[name].values) < 4.0 * np.pi:
             continue
         rate = rate_in(log[name], windows, 360.0)
         by_wheels = turned(log, windows, robot)
@@ -256,7 +259,7 @@ def _position(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Faul
 
 
 def _duty(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | None]:
-    """Judge duties as shares: none is above 1, and the speed needs a hundred times as much."""
+    """Judge duties as shares: hardly one is above 1; the speed needs a hundred times as much."""
     names = _there(log, (f"wheel.{wheel}.duty_pct" for wheel in WHEELS))
     windows = windows_of(log)
     pairs = [
@@ -264,7 +267,7 @@ def _duty(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | 
         for n in names
         if (s := n.replace("duty_pct", "speed_rpm")) in log
     ]
-    if not pairs or max(float(np.abs(log[n].values).max()) for n in names) > 1.01:
+    if not pairs or max(largest(log[n].values) for n in names) > 1.01:
         return [], None
     duty, wanted = (np.concatenate(column) for column in zip(*pairs, strict=True))
     return names, _known(line(duty, wanted, 1.0), SHARE, 2.5)

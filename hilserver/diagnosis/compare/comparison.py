@@ -19,7 +19,7 @@ from hilserver.diagnosis.decide.selection import select
 from hilserver.diagnosis.progress import Tracker
 from hilserver.diagnosis.regression.problem import Point
 from hilserver.diagnosis.regression.stages import prepare_all
-from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
+from hilserver.diagnosis.replay.judgeable import UNSEEN, absent, of_kinematics, vocabulary_reasons
 from hilserver.diagnosis.schema.findings import Detectable, Finding
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.parameters import RobotParameters
@@ -46,6 +46,7 @@ def compared(
     prepared, reasons = prepare_all(
         whole, robot, jobs, tracker, lost_setpoints=any(checked.lost_setpoints for checked in both)
     )
+    reasons |= of_kinematics(why[0] if why else None)
     runs, rng = run_of_spans(logs), np.random.default_rng(seed)
     scores = {name: p.library.scores(p.base) for name, p in prepared.items()}
     differences: list[Difference] = []
@@ -61,7 +62,7 @@ def compared(
         tuple(logs),
         difference_findings(differences, prepared, points),
         smallest_differences(differences, count),
-        vocabulary_reasons(judged, reasons, set(prepared)),
+        vocabulary_reasons(judged, reasons, set(prepared), absent(whole), UNSEEN),
     )
 
 

@@ -6,9 +6,11 @@ import numpy as np
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
+from hilserver.diagnosis.findings.explain import number
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.problem import Point
 from hilserver.diagnosis.regression.screen import Scores, critical, null_maxima, student
+from hilserver.diagnosis.replay.judgeable import UNSEEN
 from hilserver.diagnosis.schema.findings import Detectable, NotJudged
 from hilserver.diagnosis.thresholds import (
     DETECTABLE_LEAST_TIMES,
@@ -59,7 +61,9 @@ def smallest(
         part = next((p for p in parts if p.name == name), parts[0])
         hopeless = np.inf if part.reference is None else HOPELESS * abs(part.reference)
         if size > min(largest, hopeless):
-            reason = f"hardly excited: below {size:.3g} {part.unit} it would not be detected"
+            reason = f"hardly excited: below {number(size, part.unit)} it would not be detected"
+            if size > largest:  # more than any machine can have
+                reason = UNSEEN
             not_judged.append(NotJudged(cause=cause, reason=reason))
         else:
             judged.append(Detectable(cause=cause, size=size, unit=part.unit))

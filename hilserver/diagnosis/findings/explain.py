@@ -102,9 +102,10 @@ def of_two_wheels(finding: Finding) -> Finding:
     return finding.model_copy(update={"explanation": text})
 
 
-def remedy(cause: str) -> str:
-    """Return what to do about a cause."""
-    return sentences()[cause_of(cause).name]["remedy"]
+def remedy(cause: str, *, patched: bool) -> str:
+    """Return what to do about a cause, with a patch or without one."""
+    said = sentences()[cause_of(cause).name]
+    return f"{said['remedy']} {said['patch']}" if patched and "patch" in said else said["remedy"]
 
 
 def separating_experiment(causes: Iterable[str]) -> str:

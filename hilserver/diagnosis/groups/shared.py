@@ -17,7 +17,7 @@ from hilserver.diagnosis.groups.deciding import Decided, decided, with_what_rema
 from hilserver.diagnosis.groups.finding import estimate_in_groups, fitted_findings
 from hilserver.diagnosis.groups.joint_fit import fit_in_all
 from hilserver.diagnosis.regression.gain import pooled_gains
-from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
+from hilserver.diagnosis.replay.judgeable import UNSEEN, absent, vocabulary_reasons
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.schema.findings import Detectable, Gain, NotJudged
 
@@ -91,6 +91,8 @@ def smallest_in_groups(
             if size.cause not in sizes or size.size < sizes[size.cause].size:
                 sizes[size.cause] = size
         unseen |= {one.cause: one for one in not_excited}
-        why = vocabulary_reasons({d.cause for d in own}, m.reasons, set(m.judged))
+        why = vocabulary_reasons(
+            {d.cause for d in own}, m.reasons, set(m.judged), absent(m.log), UNSEEN
+        )
         unseen |= {c: NotJudged(cause=c, reason=r) for c, r in why.items() if c not in unseen}
     return list(sizes.values()), [one for cause, one in unseen.items() if cause not in sizes]

@@ -116,6 +116,8 @@ def noise_of_readings(
         return noise_sd**2 + step**2 / 12.0 - lasting(noise_sd, step) - seen
 
     low, high = (share * step for share in NOISE_BY_STEP)
+    if excess(high) < 0.0:  # its steps are lost in its noise
+        return None
     noise_sd = low if excess(low) > 0.0 else float(brentq(excess, low, high))
     whole = noise_sd**2 + step**2 / 12.0
     if lasting(noise_sd, step) < NEGLIGIBLE * whole:

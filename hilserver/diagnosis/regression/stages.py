@@ -15,7 +15,7 @@ from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.encoders import as_turned, driven
-from hilserver.diagnosis.replay.judgeable import judged_candidates, splits
+from hilserver.diagnosis.replay.judgeable import LOST_SETPOINTS, judged_candidates, splits
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.replay.stage import Stage
@@ -60,6 +60,8 @@ def stages_of(
     if DriveStage.judges(log) and log.drive_is_known:
         drive = DriveStage(log, robot, block_s=block_length(total_s, BLOCK_S, 5.0, 72))
         stages[drive.name] = drive
+    elif log.drive_is_known and DriveStage.replays(log):
+        drive = DriveStage(log, robot, block_s=BLOCK_S)
     if PoseStage.judges(log, robot, driven=drive is not None):
         known = None if drive is None else driven(drive, drive_terms)
         turned, block_s = as_turned(log, robot, drive_terms), block_length(total_s, 3.0, 5.0, 72)
@@ -86,9 +88,8 @@ def prepare_all(
     reasons: dict[str, str] = {}
     for name, stage in stages_of(log, robot, jobs).items():
         if stage.follows_setpoints and lost_setpoints:
-            text = "the log does not contain the set-points that the robot received"
             candidates, others = judged_candidates(stage)
-            reasons |= dict.fromkeys([*others, *(c.cause for c in candidates)], text)
+            reasons |= dict.fromkeys([*others, *(c.cause for c in candidates)], LOST_SETPOINTS)
             continue
         one, why = prepare(stage, jobs, report)
         reasons |= why

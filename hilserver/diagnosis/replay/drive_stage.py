@@ -89,8 +89,12 @@ class DriveStage(Stage):
     @staticmethod
     def judges(log: MeasuredLog) -> bool:
         """Return whether the log has what this stage needs."""
-        commanded = log.has(*SETPOINTS) or log.has(*TWIST)
-        return commanded and any(n in log for n in (*SPEEDS, *DUTIES))
+        return DriveStage.replays(log) and any(n in log for n in (*SPEEDS, *DUTIES))
+
+    @staticmethod
+    def replays(log: MeasuredLog) -> bool:
+        """Return whether the log has what moves the wheels, even if nothing shows how they turn."""
+        return log.has(*SETPOINTS) or log.has(*TWIST)
 
     def simulate(self, terms: Mapping[str, float]) -> tuple[Array, Array, Array]:
         """Return true speed, shown speed and duty at every tick, each of shape (ticks, 4)."""

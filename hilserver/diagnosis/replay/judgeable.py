@@ -8,7 +8,16 @@ from hilserver.diagnosis.catalogue.traits import Need, lacking, traits_of
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.replay.positions import begins_anew
 from hilserver.diagnosis.replay.stage import Stage
-from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, VOLTAGE, YAW
+from hilserver.measured.channels import (
+    DUTIES,
+    GYRO,
+    POSITION,
+    SETPOINTS,
+    SPEEDS,
+    TWIST,
+    VOLTAGE,
+    YAW,
+)
 from hilserver.measured.data import MeasuredLog
 
 NO_STAGE: Final[Mapping[StageName, str]] = {
@@ -17,6 +26,37 @@ NO_STAGE: Final[Mapping[StageName, str]] = {
     " robot: on every wheel)",
 }
 """Why causes are not judged if the log does not allow their stage."""
+
+
+WITHOUT_CANDIDATE: Final = frozenset({"nav_outliers"})  # judged on single samples
+UNSEEN: Final = "hardly excited: this drive cannot show it"
+LOST_SETPOINTS: Final = "the log does not contain the set-points that the robot received"
+
+
+def absent(log: MeasuredLog) -> dict[StageName, str]:
+    """Return which channels of a log are missing for each stage, if it does not allow one."""
+    commanded = log.has(*SETPOINTS) or log.has(*TWIST)
+    turning = any(name in log for name in (*SPEEDS, *DUTIES))
+    posed = log.has(*POSITION) or YAW in log or GYRO in log
+    of_drive = [
+        *(() if commanded else ("no set-points in the log",)),
+        *(() if turning else ("no wheel speed in the log",)),
+        *(() if log.drive_is_known else ("no plant.process in the mapping",)),
+    ]
+    of_pose = "no wheel speed on both sides" if posed else "no pose and no turn rate in the log"
+    return {"drive": ", ".join(of_drive) or NO_STAGE["drive"], "pose": of_pose}
+
+
+def of_kinematics(why: str | None) -> dict[str, str]:
+    """Return the reason for all causes of the pose if the log shows none, see `checks.frame`."""
+    if why is None:
+        return {}
+    return {n: f"the robot {why}" for n, c in CAUSES.items() if c.physical and c.stage == "pose"}
+
+
+def of_the_log(reason: str) -> bool:
+    """Return whether a cause was not judged because of what the recording lacks."""
+    return reason.startswith(("no ", "the robot ")) or reason in {*Need, LOST_SETPOINTS}
 
 
 HOLDS: Final[Mapping[Need, Callable[[MeasuredLog], bool]]] = {
@@ -54,9 +94,21 @@ def splits(log: MeasuredLog, candidate: Candidate) -> bool:
 
 
 def vocabulary_reasons(
-    judged: set[str], reasons: dict[str, str], stages: set[str]
+    judged: set[str],
+    reasons: dict[str, str],
+    stages: set[str],
+    missing: Mapping[StageName, str] = NO_STAGE,
+    unseen: str = "",
 ) -> dict[str, str]:
-    """Return a reason for every physical cause that was not judged, in the vocabulary's order."""
+    """Return a reason for every physical cause that was not judged, in the vocabulary's order.
+
+    Parameters
+    ----------
+    missing : mapping of str to str
+        Why there is no stage, see `absent`.
+    unseen : str, optional
+        Why all others that were not judged are not.
+    """
     out = dict(reasons)
     for name, cause in CAUSES.items():
         if name in judged or name in out:
@@ -67,7 +119,9 @@ def vocabulary_reasons(
         if not cause.physical:
             continue
         if cause.stage not in stages:
-            out[name] = NO_STAGE[cause.stage]
+            out[name] = missing[cause.stage]
+        elif unseen and name not in WITHOUT_CANDIDATE:
+            out[name] = unseen
     order = {name: place for place, name in enumerate(CAUSES)}
     left = sorted(out.keys() - judged, key=lambda name: (order.get(name, len(order)), name))
     return {name: out[name] for name in left}

@@ -126,7 +126,8 @@ def make_stack(
     usable : ndarray of bool, shape (segments,), optional
         Segments that take part.
     """
-    parts: list[list[NDArray[Any]]] = []
+    # of no channel there is no sample
+    parts: list[list[NDArray[Any]]] = [[np.empty(0, np.int64), *(np.empty(0) for _ in range(3))]]
     edges: dict[str, slice] = {}
     begin, skips_s = 0, np.broadcast_to(skip_s, len(segments))
     for name in names:

@@ -28,9 +28,8 @@ def summary(findings: Findings) -> str:
         for g in words.gains(findings)
         if not words.is_unchanged(g.gain)
     ]
-    lines += [
-        f"  {text}" for text in (words.of_patch(findings), words.understated(findings)) if text
-    ]
+    if findings.patch_gain and (text := words.understated(findings)):
+        lines.append(f"  {text}")
     if findings.verdict is Overall.NOTHING_FOUND and findings.smallest_detectable:
         lines.append("  The report shows how large an effect must be to be detected.")
     lines += [f"  Note: {notice}" for notice in findings.notices]

@@ -1,10 +1,11 @@
 """The text of the first page: the headline, the gains, in which block, and what to do."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from hilserver.diagnosis.catalogue.vocabulary import cause_of
 from hilserver.diagnosis.findings.explain import QUANTITIES, explain_finding, number, remedy
+from hilserver.diagnosis.replay.judgeable import of_the_log
 from hilserver.diagnosis.report.plain import plain
 from hilserver.diagnosis.schema.evidence import CutRow
 from hilserver.diagnosis.schema.findings import (
@@ -39,33 +40,60 @@ COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", 
 
 
 def headline(findings: Findings) -> str:
-    """Return the headline, one sentence."""
-    if not findings.findings and not findings.smallest_detectable and findings.not_judged:
-        return (
-            "Nothing could be judged because channels are missing."
-            " See what was not judged, and why."
-        )
-    silent = [f for f in findings.findings if f.verdict is Verdict.INSUFFICIENT_EXCITATION]
-    if silent and findings.verdict in {Overall.NOTHING_FOUND, Overall.NO_DIFFERENCE}:
-        return plain(explain_finding(silent[0]))
-    if findings.verdict is Overall.NOTHING_FOUND:
-        return "The simulation matches these data: nothing was found."
-    if findings.verdict is Overall.NO_DIFFERENCE:
-        return "The two sets of recordings do not differ."
+    """Return the headline, one sentence: of the robot it says nothing that was not judged."""
+    if findings.verdict in {Overall.DIFFERS, Overall.NO_DIFFERENCE}:
+        return _compared(findings)
     named = [f for f in findings.findings if f.verdict is not Verdict.INSUFFICIENT_EXCITATION]
-    if len(named) == 1:
-        return plain(explain_finding(named[0]))
-    if findings.verdict is Overall.DIFFERS:
-        return f"The two sets of recordings differ in {_count(named).lower()} ways."
+    silent = [f for f in findings.findings if f.verdict is Verdict.INSUFFICIENT_EXCITATION]
     faults = [f for f in named if f.verdict is Verdict.DATA_FAULT]
-    if len(faults) == len(named):
-        return f"{_count(faults)} faults in the recording, none in the robot."
-    others = len(named) - len(faults)
+    of_log = f"{_count(faults)} fault{'s' * (len(faults) > 1)} in the recording"
+    others, without = len(named) - len(faults), missing(findings)
+    if not others and not findings.smallest_detectable and (findings.not_judged or faults):
+        begin = f"{of_log}, but n" if faults else "N"
+        return f"{begin}othing about the robot could be judged{without}."
+    if silent and not named:
+        return plain(explain_finding(silent[0]))
+    if not named and without:
+        return f"In what could be judged{without}, the simulation matches: nothing was found."
+    if not named:
+        return "The simulation matches these data: nothing was found."
+    if len(named) == 1 and (others or not without):
+        return plain(explain_finding(named[0]))
+    if not others:
+        judged = f"what could be judged of the robot{without}" if without else "the robot"
+        return f"{of_log}, none in {judged}."
     what = "thing differs" if others == 1 else "things differ"
     text = f"{_count(named[:others])} {what} from the simulation"
     if faults:
         text += f", and the recording has {_count(faults).lower()} fault" + "s" * (len(faults) > 1)
     return f"{text}."
+
+
+def missing(findings: Findings) -> str:
+    """Return in brackets what the recording lacks for some causes; empty if it lacks nothing."""
+    reasons = ", ".join(n.reason for n in findings.not_judged if of_the_log(n.reason)).split(", ")
+    each = list(dict.fromkeys(reason.removesuffix(" in the log") for reason in reasons))
+    # no wheel speed at all is also none on both sides
+    said = [one for one in each if not any(one != other and one in other for other in each)]
+    return f" ({', '.join(said)})" if any(said) else ""
+
+
+def _compared(findings: Findings) -> str:
+    """Return the headline on two sets of recordings; faults of the recording are no difference."""
+    differ = [f for f in findings.findings if f.verdict is Verdict.DIFFERS]
+    if len(differ) == 1:
+        return plain(explain_finding(differ[0]))
+    if differ:
+        return f"The two sets of recordings differ in {_count(differ).lower()} ways."
+    silent = [f for f in findings.findings if f.verdict is Verdict.INSUFFICIENT_EXCITATION]
+    if silent:
+        return plain(explain_finding(silent[0]))
+    without = missing(findings)
+    if not findings.smallest_detectable and findings.not_judged:
+        return f"Nothing about the robot could be judged{without}."
+    if without:
+        return f"In what could be judged{without}, the two sets of recordings do not differ."
+    return "The two sets of recordings do not differ."
 
 
 def _count(items: Sequence[object]) -> str:
@@ -129,11 +157,14 @@ class Change:
 
 
 def gains(findings: Findings) -> list[Gained]:
-    """Return the gain of every quantity: first the robot's position, last what its sensors show."""
+    """Return the gain of every quantity with the patch: first position, last what sensors show.
+
+    What predicts without a name is in no patch, and nobody gets its gain.
+    """
     order = list(QUANTITIES)
     return [
         Gained(*QUANTITIES[key], when(key, gain), gain, findings.ceiling.get(key))
-        for key, gain in sorted(findings.total_gain.items(), key=lambda item: order.index(item[0]))
+        for key, gain in sorted(findings.patch_gain.items(), key=lambda item: order.index(item[0]))
     ]
 
 
@@ -155,32 +186,18 @@ def held_out(findings: Findings) -> str:
     return "other logs" if other else "parts of the recording that were not used for the fit"
 
 
-def of_patch(findings: Findings) -> str:
-    """Return the gain of the patch on its own; empty if that is the total gain."""
-    alone, total = findings.patch_gain, findings.total_gain
-    less = [key for key in QUANTITIES if key in alone and key in total
-            and Change.of(alone[key]).times != Change.of(total[key]).times]  # fmt: skip
-    if not less:
-        return ""
-    each = (f"{QUANTITIES[key][0]} {replace(Change.of(alone[key]), ci95=None)}" for key in less)
-    return (
-        f"With the patch alone: {', '.join(each)}. It corrects neither the clock of this log nor"
-        " errors without a known cause."
-    )
-
-
 def understated(findings: Findings) -> str:
     """Return why the total gain leaves out causes that were found; empty if it does not."""
     by = {0: "by neither", 1: "by one alone"}
-    missing = [
+    unshown = [
         f"{' or '.join(f.causes)} ({by[f.halves]})" for f in findings.findings if f.halves < 2
     ]
-    if not missing or held_out(findings) == "other logs":
+    if not unshown or held_out(findings) == "other logs":
         return ""
     return (
         "The gain of the extended model is measured on each half of the recording, with the"
         " causes that the other half shows on its own. Not shown by both halves:"
-        f" {', '.join(missing).replace('_', ' ')}."
+        f" {', '.join(unshown).replace('_', ' ')}."
         " The true gain is therefore larger; a longer recording would show how much."
     )
 
@@ -233,7 +250,11 @@ def steps(findings: Findings) -> list[Step]:
         elif item.verdict is Verdict.STRUCTURE_NOT_IN_LIBRARY:
             items.append(Step(_label(item, "Find the cause"), signals=tuple(item.regressors)))
         elif item.verdict is not Verdict.NO_DIFFERENCE:
-            items += [Step(_label(item, cause), remedy(cause)) for cause in item.causes[:1]]
+            is_patched = findings.model_patch is not None
+            items += [
+                Step(_label(item, cause), remedy(cause, patched=is_patched))
+                for cause in item.causes[:1]
+            ]
     return list(dict.fromkeys(items))
 
 

@@ -209,8 +209,9 @@ def overall(found: Iterable[Finding], *, is_judged: bool = True) -> Overall:
     Parameters
     ----------
     is_judged : bool
-        False if the log lacks the channels that any cause would show in.
+        False if no cause could be judged: faults of the log then say nothing about the robot.
     """
-    named = [one for one in found if one.verdict is not Verdict.INSUFFICIENT_EXCITATION]
-    silent = Overall.NOTHING_FOUND if is_judged else Overall.NOT_JUDGED
-    return Overall.FINDINGS if named else silent
+    kinds = {one.verdict for one in found} - {Verdict.INSUFFICIENT_EXCITATION}
+    if not is_judged and kinds <= {Verdict.DATA_FAULT}:
+        return Overall.NOT_JUDGED
+    return Overall.FINDINGS if kinds else Overall.NOTHING_FOUND

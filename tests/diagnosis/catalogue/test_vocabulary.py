@@ -54,7 +54,8 @@ def test_every_cause_has_a_finished_sentence_with_its_size(cause, sign):
     assert text.endswith(".")
     assert not text[0].islower()
     assert not re.search(r"[{}|?]", text), text
-    assert remedy(cause).endswith(".")
+    assert remedy(cause, patched=True).endswith(".")
+    assert "patch" not in remedy(cause, patched=False).lower()
 
 
 def test_a_sentence_tells_the_direction():

@@ -85,3 +85,10 @@ def knows_correlation(length_s):
 def test_noise_ends_at_its_number(decides, holds, fails):
     assert decides(holds)
     assert not decides(fails)
+
+
+def test_steps_far_finer_than_the_noise_are_not_its_measure():
+    exact, rng = np.zeros(N), np.random.default_rng(4)
+    read = np.rint(1e3 * rng.normal(size=N))
+    parts = [(np.arange(N) * 0.02, exact, read)]
+    assert noise_of_readings(parts, Reading(1.0, 0.0, np.inf)) is None

@@ -6,7 +6,12 @@ import hypothesis
 import hypothesis.strategies as st
 
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
-from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
+from hilserver.diagnosis.replay.judgeable import (
+    NO_STAGE,
+    UNSEEN,
+    WITHOUT_CANDIDATE,
+    vocabulary_reasons,
+)
 
 
 @hypothesis.given(st.integers(0, 10**6), st.sets(st.sampled_from(sorted(CAUSES))))
@@ -20,3 +25,13 @@ def test_reasons_stand_in_one_order_however_they_were_gathered(seed, judged):
     assert places == sorted(places)
     assert not found.keys() & judged
     assert reasons.keys() - judged <= found.keys()
+
+
+@hypothesis.given(
+    st.sets(st.sampled_from(sorted(CAUSES))), st.sets(st.sampled_from(["drive", "pose"]))
+)
+def test_every_cause_is_either_judged_or_not(judged, stages):
+    found = vocabulary_reasons(judged, {}, stages, NO_STAGE, UNSEEN)
+    physical = {name for name, cause in CAUSES.items() if cause.physical}
+    assert physical - WITHOUT_CANDIDATE <= judged | found.keys()
+    assert not judged & found.keys()

@@ -163,7 +163,7 @@ def test_a_size_that_nothing_can_have_is_not_shown():
 
 
 def test_an_error_that_grows_is_called_larger():
-    worse = findings(total_gain={"speed_rpm": gain(1.0, 2.0, 0.4, 0.8)})
+    worse = findings(patch_gain={"speed_rpm": gain(1.0, 2.0, 0.4, 0.8)})
     page = render(worse, Evidence())
     assert "2&times; <small>worse, 1.2 to 2.5</small>" in page
     assert str(Change.of(gain(1.0, 2.0, 0.4, 0.8))) == "2 times larger, 95\u00a0% 1.2 to 2.5"
@@ -197,7 +197,7 @@ def test_every_cell_says_its_column_for_a_phone(page):
 
 
 def test_an_error_that_stays_is_not_called_better():
-    stays = findings(total_gain={"speed_rpm": gain(0.096, 0.0961, 0.99, 1.0)})
+    stays = findings(patch_gain={"speed_rpm": gain(0.096, 0.0961, 0.99, 1.0)})
     text = Reader(render(stays, Evidence())).text
     assert "Unchanged: wheel speed." in text
     assert "better" not in text.split("What is wrong")[0]
@@ -227,7 +227,7 @@ def test_the_page_begins_with_where_the_robot_is_not_with_the_largest_ratio(page
 
 
 def test_what_is_not_clearly_better_is_not_the_headline():
-    unsure = findings(total_gain={
+    unsure = findings(patch_gain={
         "position_m": gain(0.3, 0.25, 1.18, 1.22), "gyro_z_rad_s": gain(0.8, 0.1, 6.0, 9.0),
     })  # fmt: skip
     text = Reader(render(unsure, Evidence())).text
@@ -244,16 +244,11 @@ def test_a_decision_stands_beside_what_was_found_in_the_end(page):
     assert re.findall(r"<td[^>]*>(?:<code>)?([^<]*)", refused)[-2:] == ["", ""]
 
 
-def test_what_the_patch_gains_by_itself_is_said_once_where_it_is_less(page):
-    said = "With the patch alone: position 2 times smaller."
-    given = findings()
-    given = given.model_copy(
-        update={"patch_gain": given.total_gain | {"position_m": gain(0.2, 0.1, 1.8, 2.2)}}
-    )
-    assert render(given, Evidence()).count(said) == 1
-    assert said in " ".join(summary(given).split())
-    alike = given.model_copy(update={"patch_gain": given.total_gain})
-    assert "patch alone: position" not in render(alike, Evidence()) + page
+def test_the_gain_of_a_model_that_nobody_gets_is_not_said():
+    given = findings(patch_gain={}, model_patch=None, findings=findings().findings[2:3])
+    for said in (Reader(render(given, Evidence())).text, summary(given)):
+        assert "smaller" not in said
+        assert "better" not in said
 
 
 def test_a_ceiling_is_explained_where_it_stands(page):
@@ -295,7 +290,7 @@ def as_halves_show(*halves):
         f.model_copy(update={"halves": n, "gain": {"yaw_rad": same}})
         for f, n in zip(causes, halves, strict=True)
     )
-    return given.model_copy(update={"findings": shown, "total_gain": {"yaw_rad": same}})
+    return given.model_copy(update={"findings": shown, "patch_gain": {"yaw_rad": same}})
 
 
 def test_what_no_half_shows_is_not_called_unchanged():
