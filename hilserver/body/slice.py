@@ -18,6 +18,7 @@ from hilserver.compiled import inlined, part
 from hilserver.compiled.records import record_at
 from hilserver.plant.imu import show_imu
 from hilserver.plant.layout import COMMAND_SAFE, Inputs, Outputs, Parameters, State, Status
+from hilserver.plant.nav import show_nav
 from hilserver.plant.pose import wrap
 from hilserver.plant.tof import FARTHEST_M, NEAREST_M, seen_by, show_ranges
 from hilserver.plant.units import RAD_S_PER_RPM
@@ -160,3 +161,11 @@ def body_ranges(b: Motion, p: Parameters, y: Outputs, q: Status, hall: Any) -> N
     ahead, _, _ = body_axes(b.orientation)
     yaw = math.atan2(ahead[1], ahead[0])
     show_ranges(p, hall, b.position[0], b.position[1], yaw, y, q)
+
+
+@inlined
+def body_nav(b: Motion, p: Parameters, x: State, y: Outputs, q: Status) -> None:
+    """Show the body's pose as the navigation tag measures it, with its age, noise and errors."""
+    ahead, _, _ = body_axes(b.orientation)
+    yaw = math.atan2(ahead[1], ahead[0])
+    show_nav(p, x, b.position[0], b.position[1], yaw, y, q)

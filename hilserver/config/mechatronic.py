@@ -36,7 +36,7 @@ class MechatronicConfig(Section):
         description="speed: the plant's wheel speeds; torque: the wheels turn as the floor allows",
     )
     sensors: Literal["planar", "body"] = Field(
-        "planar", description="source of tof.* and imu.*; torque needs body"
+        "planar", description="source of tof.*, imu.* and nav.*; torque needs body"
     )
     stall_torque_nm: float = of(BodyParameters, "stall_torque_nm")
     mass_kg: float = of(BodyParameters, "mass_kg")

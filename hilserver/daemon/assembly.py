@@ -220,7 +220,7 @@ class _Builder:
         for name in ("imu", "battery", "tof", "nav"):
             slice_name = getattr(sensors, name).slice
             self._need_compiled(("sensors", name, "slice"), slice_name, slices)
-            of_body = body.enabled and body.sensors == "body" and name in ("imu", "tof")
+            of_body = body.enabled and body.sensors == "body" and name in ("imu", "tof", "nav")
             parts.append(Part(name, slice_name, of_body))
             if name == "battery":
                 parts.append(Part("shield", slice_name))

@@ -3,7 +3,7 @@
 from typing import Any
 
 from hilserver.body.layout import ADDRESSES, CONSTANTS, MOTION, SIGNALS, Signals
-from hilserver.body.slice import body_imu, body_ranges, hand_over_wheels, run_slice
+from hilserver.body.slice import body_imu, body_nav, body_ranges, hand_over_wheels, run_slice
 from hilserver.compiled import inlined
 from hilserver.compiled.records import record_at
 from hilserver.kernel.places import BodyPlaces, Places, p, q, u, x, y
@@ -48,3 +48,10 @@ def tof(at: Places, body_at: BodyPlaces, values: Any, words: Any) -> None:
     """Show the four distances to the walls from the body's place."""
     b, hall = record_at(values, body_at.b, MOTION), values[at.hall : at.hall_end]
     body_ranges(b, p(at, values), y(at, values), q(at, words), hall)
+
+
+@inlined
+def nav(at: Places, body_at: BodyPlaces, values: Any, words: Any) -> None:
+    """Show the body's pose as the navigation tag measures it."""
+    b = record_at(values, body_at.b, MOTION)
+    body_nav(b, p(at, values), x(at, values), y(at, values), q(at, words))

@@ -23,7 +23,7 @@ from hilserver.signals import SignalTable
 class Part:
     """One of the robot's own parts (robot, imu, battery, shield, tof, nav) and its slice.
 
-    With `of_body` it is a part of the mechatronic model: body, body_wheels, imu, tof.
+    With `of_body` it is a part of the mechatronic model: body, body_wheels, imu, tof, nav.
     """
 
     name: str

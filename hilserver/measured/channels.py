@@ -7,6 +7,7 @@ from hilserver.plant.layout import WHEELS
 SPEEDS: Final = tuple(f"wheel.{w}.speed_rpm" for w in WHEELS)
 DUTIES: Final = tuple(f"wheel.{w}.duty_pct" for w in WHEELS)
 SETPOINTS: Final = tuple(f"wheel.{w}.setpoint_rpm" for w in WHEELS)
+DEMANDS: Final = tuple(f"wheel.{w}.demand_rpm" for w in WHEELS)
 DUTY_COMMANDS: Final = tuple(f"wheel.{w}.duty_command_pct" for w in WHEELS)
 TWIST: Final = ("twist.linear_m_s", "twist.angular_rad_s")
 OF_MODE: Final = (SETPOINTS, (*TWIST, "twist.lateral_m_s"), DUTY_COMMANDS)

@@ -13,6 +13,7 @@ from hilserver.logs.bag_reader import is_own_bag
 from hilserver.logs.reading import is_bag_of_ros, refuse_others
 from hilserver.measured.bag import is_bag, read_bag
 from hilserver.measured.bag_proposal import refuse_unmapped
+from hilserver.measured.channels import DEMANDS, DUTY_COMMANDS, MODE, SETPOINTS, TWIST
 from hilserver.measured.data import Channel, MeasuredLog, Source, Span
 from hilserver.measured.frames import Sampling
 from hilserver.measured.mapping import LogMapping, load_mapping
@@ -32,6 +33,7 @@ from hilserver.measured.thresholds import (
     SHORTEST_SEGMENT_S,
     SLOWEST_ROWS_S,
 )
+from hilserver.plant.layout import MODE_TWIST
 
 
 def read_measured(
@@ -196,8 +198,24 @@ def _pool(log: MeasuredLog, recordings: Sequence[Recording]) -> MeasuredLog:
             for name, piece in _channels(part, span + len(spans)).items():
                 pieces.setdefault(name, []).append(piece)
         spans += own
-    channels = {name: _joined(found) for name, found in pieces.items()}
+    channels = _commanded({name: _joined(found) for name, found in pieces.items()})
     return replace(log, channels=channels, spans=tuple(spans))
+
+
+def _commanded(channels: Mapping[str, Channel]) -> dict[str, Channel]:
+    """Return the channels with what the wheels were asked to do as set-points, if nothing else is.
+
+    The demand was computed, not measured: nobody judges it. Recorded commands come first, as they
+    were not yet limited and delayed.
+    """
+    found = {name: channel for name, channel in channels.items() if name not in DEMANDS}
+    by_twist = MODE in found and (found[MODE].values == MODE_TWIST).any()
+    asked = all(name in channels for name in DEMANDS)
+    known = found.keys() & {*TWIST, *DUTY_COMMANDS}
+    if not asked or known or (all(name in found for name in SETPOINTS) and not by_twist):
+        return found
+    found.pop(MODE, None)
+    return found | {s: channels[d] for s, d in zip(SETPOINTS, DEMANDS, strict=True)}
 
 
 def _spans(recording: Recording, offset: int) -> tuple[list[Span], list[Indices]]:

@@ -35,7 +35,10 @@ SECTIONS: Final[Mapping[str, type]] = {
 """Classes whose fields are parameters, by their section of config.yaml."""
 
 JUMPS: Final[Mapping[str, tuple[str, ...]]] = {
-    "duty": ("wheel.*.duty_pct", "battery.*_v", "battery.*_a", "shield.temperature_degc"),
+    "duty": (
+        *("wheel.*.demand_rpm", "wheel.*.duty_pct"),
+        *("battery.*_v", "battery.*_a", "shield.temperature_degc"),
+    ),
     "speed": ("wheel.*.speed_rpm",),
     "velocity": ("velocity.*", "imu.*"),
     "imu": ("imu.*",),

@@ -72,7 +72,11 @@ COMMAND_SAFE: Final = 2  # ramp to zero
 
 
 class Outputs(Record):
-    """Outputs of a tick in the order of the signal table; `robot_step` writes up to `angular`."""
+    """Outputs of a tick in the order of the signal table.
+
+    `robot_step` writes those up to `angular`, and `demand`. New ones come last: in an FMU the place
+    is the value reference, which its users have wired.
+    """
 
     speed: Wheels  # [rpm], as the encoder shows it
     duty: Wheels  # [%]
@@ -92,6 +96,7 @@ class Outputs(Record):
     temperature: float  # [degC]
     light_pattern: float
     lights: Lamps  # red, green, blue of each
+    demand: Wheels  # [rpm]: what the loops follow in this tick
 
 
 class Status(Outputs, word=np.int64):

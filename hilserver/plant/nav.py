@@ -85,15 +85,22 @@ def _sample(p: Parameters, x: State) -> None:
 
 @part
 def nav_step(p: Parameters, x: State, u: Inputs, y: Outputs, q: Status) -> None:  # noqa: ARG001 (one shape)
-    """Store the pose of t_k and, when a sample is due, publish what the tag shows."""
+    """Publish what the tag shows at t_k; runs after `robot_step` of the same tick."""
+    show_nav(p, x, y.pose[0], y.pose[1], y.pose[2], y, q)
+
+
+@part
+def show_nav(
+    p: Parameters, x: State, px: float, py: float, yaw: float, y: Outputs, q: Status
+) -> None:
+    """Store the true pose of t_k and, when a sample is due, publish what the tag shows."""
     if p.nav_enabled == 0.0:
         for k in range(3):
             q.nav[k] = BAD_OUT_OF_SERVICE
         return
     row, x.nav_count = push(x.nav_head, x.nav_count)
     x.nav_head = row
-    for k in range(3):
-        x.nav_ring[row, k] = y.pose[k]
+    x.nav_ring[row, 0], x.nav_ring[row, 1], x.nav_ring[row, 2] = px, py, yaw
     x.nav_wait -= 1.0
     if x.nav_wait <= 0.0:
         x.nav_wait = p.nav_every

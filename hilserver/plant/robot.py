@@ -13,7 +13,7 @@ from hilserver.plant.kinematics import across, in_region, sideways, velocity_bas
 from hilserver.plant.layout import N_WHEELS, Inputs, Outputs, Parameters, State, Status
 from hilserver.plant.pose import move, set_pose
 from hilserver.plant.units import RAD_S_PER_RPM
-from hilserver.status import GOOD
+from hilserver.status import BAD_NO_DATA, GOOD
 
 SIDE = 0.5 * RAD_S_PER_RPM  # from the sum of two wheels in rpm to their mean in rad/s
 SLOPE_REST_RAD_S = 0.05
@@ -103,6 +103,9 @@ def robot_step(p: Parameters, x: State, u: Inputs, y: Outputs, q: Status) -> Non
     command(p, x, u)
     for i in range(N_WHEELS):
         q.speed[i] = q.duty[i] = q.angle[i] = GOOD
+        y.demand[i] = x.setpoint[i]
+        # of duties no speed is demanded: there the loop only tracks what the wheel does
+        q.demand[i] = GOOD if x.direct == 0.0 else BAD_NO_DATA
     q.pose[0] = q.pose[1] = q.pose[2] = q.linear = q.lateral = q.angular = GOOD
     for i in range(3):
         y.pose[i] = x.pose[i]

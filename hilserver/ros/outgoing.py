@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.plant.layout import CORNERS, WHEEL_WORDS
+from hilserver.plant.layout import CORNERS, MODE_TWIST, MODE_WHEELS, WHEEL_WORDS
 from hilserver.plant.units import RPM_PER_RAD_S, STANDARD_GRAVITY_M_S2
 from hilserver.ros.robot import Robot
 
@@ -45,8 +45,14 @@ def rpm_return(robot: Robot) -> Iterator[Any]:
 
 
 def rpm_target(robot: Robot) -> Iterator[Any]:
-    """Set-points, for bags only: on the wire they come from the host."""
-    yield _rotation_speed(robot, "setpoint_rpm")
+    """Set-points, for bags only: on the wire they come from the host.
+
+    If a twist drives, nobody sends any; they are what the wheels are asked to do, as the motion
+    node would have computed them.
+    """
+    by_twist = robot.get("control.mode", MODE_WHEELS) == MODE_TWIST
+    by_twist &= "wheel.fl.demand_rpm" in robot.values
+    yield _rotation_speed(robot, "demand_rpm" if by_twist else "setpoint_rpm")
 
 
 def imu(robot: Robot) -> Iterator[Any]:

@@ -181,6 +181,17 @@ def _add_lights(b: _Builder) -> None:
             b.add(f"lights.{place}.{colour}", "1", out, 0, 255, text, type_=byte)
 
 
+def _add_demands(b: _Builder, max_rpm: float) -> None:
+    """Add what the wheels are asked to do, whoever drives.
+
+    The real robot's is ``measured.wheel.<w>.setpoint_rpm``.
+    """
+    text = "Speed asked of the {} wheel, whoever drives: after inverse kinematics, limits, delay"
+    for wheel in WHEELS:
+        what = text.format(WHEEL_WORDS[wheel])
+        b.add(f"wheel.{wheel}.demand_rpm", "rpm", Direction.OUT, -max_rpm, max_rpm, what)
+
+
 def _body_outputs() -> list[tuple[str, str, float, float, str]]:
     """Return the outputs of the mechatronic model, in the order of `hilserver.body.layout`."""
     rows = [
@@ -289,6 +300,7 @@ def robot_table(
     for name, unit, low, high, text in outputs:
         b.add(name, unit, Direction.OUT, low, high, text)
     _add_lights(b)
+    _add_demands(b, ranges.max_rpm)
     out = Direction.OUT
     b.add("sim.tick", "1", out, 0, 2**53, "Tick that made these values", type_=ValueType.INT64)
     b.add("sim.time_s", "s", out, 0, 1e9, "Simulated time")

@@ -101,6 +101,29 @@ async def test_driven_by_torque_the_plant_sees_what_its_wheels_do():
         assert value(core, "imu.gyro_z_rad_s") == pytest.approx(0.0, abs=1e-3)
 
 
+@pytest.mark.parametrize("driven_by", ["torque", "speed"])
+async def test_at_a_wall_whatever_measures_the_robot_measures_its_body(driven_by):
+    exact = dict.fromkeys(("white_noise_m", "correlated_noise_m", "yaw_noise_rad"), 0.0)
+    body = {"enabled": True, "driven_by": driven_by, "sensors": "body"}
+    config = {"mechatronic": body, "sensors": {"nav": {"enabled": True, **exact}}}
+    async with build(assemble_config(Config.model_validate(config))) as core:
+        place = {"internal.pose_request": 1.0, "internal.pose_x_m": 4.0}  # the wall is at 5 m
+        assert core.image.push([Row(core.table.slot(name), v) for name, v in place.items()])
+        drive(core, 0.5)
+        await core.scheduler.advance(4001)
+        shown = {s.name: value(core, s.name) for s in core.table.scalars}
+    assert shown["pose.x_m"] > 5.5 > 5.0 > shown["mech.x_m"], "pose.* stays planar"
+    for axis in ("x_m", "y_m", "yaw_rad"):
+        assert shown[f"nav.{axis}"] == pytest.approx(shown[f"mech.{axis}"], abs=1e-3)
+    assert shown["imu.yaw_rad"] == pytest.approx(shown["mech.yaw_rad"], abs=1e-3)
+    for corner in ("fl", "fr", "rl", "rr"):
+        seen = shown[f"mech.tof.{corner}_m"]
+        assert shown[f"tof.{corner}_m"] == pytest.approx(seen, abs=1e-3)
+    for wheel in ("fl", "rl", "fr", "rr"):  # what odometry reads
+        speed = shown[f"mech.wheel.{wheel}.speed_rpm"]
+        assert shown[f"wheel.{wheel}.speed_rpm"] == pytest.approx(speed, abs=0.1)
+
+
 async def test_a_snapshot_at_the_wall_goes_on_with_the_same_bits():
     async with build(assembled(**TORQUE)) as core:
         drive(core, 0.6)

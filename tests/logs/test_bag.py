@@ -181,6 +181,25 @@ def test_eduarts_topics_are_the_signals_rounded_to_float32(recording, tmp_path):
     np.testing.assert_allclose(theirs.columns["nav.yaw_rad"], ours.columns["nav.yaw_rad"][::20])
 
 
+def test_driven_by_a_twist_the_target_is_what_the_wheels_are_asked_to_do(tmp_path):
+    scenario = tmp_path / "twist.yaml"
+    scenario.write_text(
+        "steps:\n"
+        "  - {at_s: 0.1, write: {wheels.setpoints_rpm: [40, 40, -30, -30]}}\n"
+        "  - {at_s: 0.3, write: {control.mode: 1, twist.linear_m_s: 0.3}}\n"
+    )
+    words = ["simulate", str(scenario), "--duration", "0.7", "-o", str(tmp_path / "drive.mcap")]
+    assert commands.main(words) == 0
+    convert(tmp_path / "drive.mcap", tmp_path / "bag")
+    convert(tmp_path / "bag", tmp_path / "mapped.csv", "--mapping", "iotbot")
+    ours, theirs = read_log(tmp_path / "drive.mcap"), read_log(tmp_path / "mapped.csv")
+    for wheel in ("fl", "rl", "fr", "rr"):
+        demand = ours.columns[f"wheel.{wheel}.demand_rpm"][::20]
+        told = theirs.columns[f"wheel.{wheel}.setpoint_rpm"]
+        np.testing.assert_array_equal(told, demand.astype(np.float32))
+        assert abs(told[-1]) == pytest.approx(33.7, abs=0.1)
+
+
 def test_the_recording_of_the_thesis_maps_the_targets(recording, tmp_path):
     convert(recording, tmp_path / "bag")
     convert(tmp_path / "bag", tmp_path / "mapped.csv", "--mapping", "iotbot_5_6")

@@ -78,6 +78,23 @@ def write_recording(path, measured):
     return path
 
 
+def test_what_the_wheels_were_asked_to_do_stands_for_commands_that_nobody_recorded(tmp_path):
+    path = tmp_path / "log.csv"
+    asked = [f"wheel.{w}.demand_rpm" for w in ("fl", "rl", "fr", "rr")]
+    rows = "".join(f"{0.02 * i},{i},1,2,-3,{-i}\n" for i in range(100))
+    path.write_text(f"t_s,{SPEED},{','.join(asked)}\n{rows}")
+    log = read_measured([path])
+    assert log["wheel.fl.setpoint_rpm"].values.tolist() == [1.0] * 100
+    assert log["wheel.rr.setpoint_rpm"].values[-1] == -99.0
+    assert not any(name in log for name in asked), "nobody measured it"
+
+    rows = "".join(f"{0.02 * i},{i},1,2,-3,{-i},0.1,0.2\n" for i in range(100))
+    path.write_text(f"t_s,{SPEED},{','.join(asked)},twist.linear_m_s,twist.angular_rad_s\n{rows}")
+    assert set(read_measured([path]).channels) == {
+        SPEED, "twist.linear_m_s", "twist.angular_rad_s",
+    }  # fmt: skip
+
+
 @pytest.mark.parametrize(("measured", "value", "n"), [(True, 3.0, 1490), (False, 2.0, 1500)])
 def test_in_a_recording_of_ours_the_measured_values_count(tmp_path, measured, value, n):
     log = read_measured([write_recording(tmp_path / "run.mcap", measured)])

@@ -222,6 +222,18 @@ def test_single_wheels_spring_back(browser, url, plant):
     plant.wait(lambda: plant.command() == 0.0)
 
 
+def test_what_a_twist_asks_of_the_wheels_is_marked_beside_what_they_do(browser, url, plant):
+    mark = "document.querySelector('.bars .wanted')"
+    shown = f"!{mark}.hidden && parseFloat({mark}.style.transform.slice(11)) > 1"
+    browser.do("open", url=url)
+    browser.do("take")
+    browser.do("down", key="ArrowUp")
+    plant.wait(lambda: browser.do("run", script=shown))
+    assert plant.value("wheel.fl.setpoint_rpm") == 0.0
+    browser.do("up", key="ArrowUp")
+    plant.wait(lambda: plant.command() == 0.0)
+
+
 def test_every_light_pattern_reaches_the_robot(browser, url, plant):
     browser.do("open", url=url)
     browser.do("take")

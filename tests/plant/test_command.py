@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hilserver.plant.layout import COMMAND_NORMAL, COMMAND_SAFE, COMMAND_ZERO, Outputs
-from hilserver.status import BAD_WAITING_FOR_INITIAL_DATA
+from hilserver.status import BAD_NO_DATA, BAD_WAITING_FOR_INITIAL_DATA, GOOD
 from tests.plant.rig import Rig
 
 
@@ -99,6 +99,36 @@ def test_second_ramp_starts_anew():
     assert ramp(rig, 1)[0][0] == pytest.approx(49.5)
 
 
+# --- what the wheels are asked to do --------------------------------------------------------------
+
+
+def test_demand_is_the_setpoint_of_each_wheel():
+    rig = Rig().wheels(1, 2, -3, -4).step()
+    assert rig.y.demand.tolist() == [1, 2, -3, -4]
+    assert rig.q.demand.tolist() == [GOOD] * 4
+
+
+def test_demand_of_a_twist_is_what_its_wheels_follow():
+    rig = Rig().twist(0.3, 0.0).step()
+    asked = 0.3 / 0.085 * 60.0 / (2.0 * math.pi)
+    assert rig.y.demand == pytest.approx([asked, asked, -asked, -asked])
+    assert rig.step(3000).y.speed == pytest.approx(rig.y.demand, abs=1e-3)
+
+
+def test_demand_keeps_limit_and_rate_and_ramps_down():
+    rig = Rig(terms={"setpoint_rate_limit": 1000.0}, safe_ramp_s=0.1).twist(5.0, 0.0).step()
+    assert rig.y.demand.tolist() == [1, 1, -1, -1]
+    assert rig.step(1000).y.demand.tolist() == [90, 90, -90, -90]
+    ramp(rig, 50)
+    assert rig.y.demand == pytest.approx([45, 45, -45, -45], abs=2.0)
+
+
+def test_duties_demand_no_speed():
+    rig = Rig().duties(20, 20, -20, -20).step()
+    assert rig.q.demand.tolist() == [BAD_NO_DATA] * 4
+    assert rig.wheels(1, 2, 3, 4).step().q.demand.tolist() == [GOOD] * 4
+
+
 # --- duties straight to the process ---------------------------------------------------------------
 
 
@@ -163,8 +193,9 @@ def test_pose_request_acts_once_at_the_start_of_the_tick():
 def test_outputs_become_good():
     rig = Rig().step()
     status, end = rig.q.numbers.view(np.int64), Outputs.where("angular").stop
-    assert not status[:end].any()
-    assert np.all(status[end:] == BAD_WAITING_FOR_INITIAL_DATA)
+    others = slice(end, Outputs.where("demand").start)
+    assert not np.delete(status, others).any()
+    assert np.all(status[others] == BAD_WAITING_FOR_INITIAL_DATA)
 
 
 def test_outputs_belong_to_the_tick_before_the_move():

@@ -33,6 +33,7 @@ BEGIN = {
     "battery.current_a": ("y", "current"),
     "shield.temperature_degc": ("y", "temperature"),
     "lights.state": ("y", "light_pattern"),
+    "wheel.fl.demand_rpm": ("y", "demand"),
 }
 """First signal of each group, and where the plant has it: inputs `u`, outputs `y`."""
 
@@ -50,7 +51,11 @@ def test_nothing_lies_between_outputs_and_what_follows_them():
 
 def test_wheels_stand_in_the_order_of_the_plant():
     table = make_table()
-    for quantity, first in (("setpoint_rpm", 0), ("speed_rpm", N_U)):
+    for quantity, first in (
+        ("setpoint_rpm", 0),
+        ("speed_rpm", N_U),
+        ("demand_rpm", N_U + Outputs.where("demand").start),
+    ):
         slots = [table.slot(f"wheel.{wheel}.{quantity}") for wheel in WHEELS]
         assert slots == list(range(first, first + N_WHEELS))
 

@@ -9,7 +9,7 @@ import { makeStick } from "../stick";
 import { field, h, number, quality, setText, toast } from "../ui";
 
 const LIGHTS = ["off", "dim", "high beam", "flash all", "flash left", "flash right", "pulsation", "rotation", "running"];
-const TWIST = 1;
+const DUTY = 2;
 const WHEEL_NAMES: Record<string, string> = { fl: "front left", rl: "rear left", fr: "front right", rr: "rear right" };
 
 export function driveView(context: Context): View {
@@ -166,13 +166,13 @@ export function driveView(context: Context): View {
       const kind = quality(live.get(name)?.status ?? 0x80000000);
       if (value.dataset.quality !== kind) value.dataset.quality = kind;
     }
-    const byTwist = live.value("control.mode") === TWIST;
+    const byDuty = live.value("control.mode") === DUTY;
     for (const { wheel, actual, wanted, value } of bars) {
-      if (wanted.hidden !== byTwist) wanted.hidden = byTwist; // nobody writes set-points of wheels then
+      if (wanted.hidden !== byDuty) wanted.hidden = byDuty; // no speed is demanded then
       const sign = wheel[1] === "l" ? 1 : -1;
       const speed = sign * live.value(`wheel.${wheel}.speed_rpm`);
       place(actual, speed / robot.max_rpm);
-      place(wanted, (sign * live.value(`wheel.${wheel}.setpoint_rpm`)) / robot.max_rpm, true);
+      place(wanted, (sign * live.value(`wheel.${wheel}.demand_rpm`)) / robot.max_rpm, true);
       setText(value, Number.isFinite(speed) ? speed.toFixed(0).replace(/^-0$/, "0").replace("-", "\u2212") : "–");
     }
     for (const { place: at, value } of finders) {
@@ -191,7 +191,7 @@ export function driveView(context: Context): View {
 
   live.want("drive", [
     ...rows.map(([name]) => name),
-    ...WHEELS.flatMap((wheel) => [`wheel.${wheel}.speed_rpm`, `wheel.${wheel}.setpoint_rpm`]),
+    ...WHEELS.flatMap((wheel) => [`wheel.${wheel}.speed_rpm`, `wheel.${wheel}.demand_rpm`]),
     ...["fl", "fr", "rl", "rr"].map((at) => `tof.${at}_m`),
     "lights.command",
     "control.mode",

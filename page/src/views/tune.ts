@@ -27,7 +27,7 @@ const GROUPS: [string, string[]][] = [
   ["Own blocks", ["blocks."]],
 ];
 const SHOWN_S = 5;
-const CURVES = [["setpoint_rpm", "set-point", "rpm"], ["speed_rpm", "speed", "rpm"], ["duty_pct", "duty", "%"]] as const;
+const CURVES = [["demand_rpm", "demand", "rpm"], ["speed_rpm", "speed", "rpm"], ["duty_pct", "duty", "%"]] as const;
 const HEAD = ["Parameter", "Unit", "", "Value", "Configured"];
 const POLL_MS = 1000;
 

@@ -12,7 +12,7 @@ import { peerCard, sliceCard } from "./cards";
 const MOST_LINES = 6;
 
 const START: string[][] = [
-  ["wheel.fl.setpoint_rpm", "wheel.fl.speed_rpm"],
+  ["wheel.fl.demand_rpm", "wheel.fl.speed_rpm"],
   ["velocity.linear_m_s", "velocity.angular_rad_s"],
 ];
 const SPANS_S = [5, 10, 20, 60, 120];
