@@ -100,7 +100,7 @@ pictures: test-tools ## Take the pictures of page and dashboard anew, on a quiet
 	@$(BIN)/python -m tests.grafana.picture docs/how-to/dashboard.webp
 
 .PHONY: wheel
-wheel: $(VENV)/.dev ## Build sdist and wheel into dist/, with compiled code for this Python, and check them (five minutes)
+wheel: $(VENV)/.dev ## Build sdist and wheel with compiled code for this Python into dist/, and check them (two minutes)
 	@rm -rf build/lib* build/bdist.* dist
 	@$(BIN)/python deploy/objects.py build/objects
 	@HILSERVER_OBJECTS=$(CURDIR)/build/objects $(BIN)/python -m build --outdir dist . >/dev/null
