@@ -90,10 +90,12 @@ def collect(cache: Path, out: Path) -> list[Path]:
     from hilserver.compiled import kernel_hash  # noqa: PLC0415 - not while the others compile
     from hilserver.compiled.supplied import MADE_WITH, environment  # noqa: PLC0415
 
+    found = sorted((cache / f"kernels-{kernel_hash()}").glob("*.nbc"))
+    if not found:
+        raise SystemExit("nothing was compiled: this installation brings its compiled code along")
     shutil.rmtree(out, ignore_errors=True)
     folder = out / kernel_hash()
     folder.mkdir(parents=True)
-    found = sorted((cache / f"kernels-{kernel_hash()}").glob("*.nbc"))
     kept = [Path(shutil.copyfile(path, folder / path.name)) for path in found]
     about = environment() | {"platform": numbas_platform()}
     (out / MADE_WITH).write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")

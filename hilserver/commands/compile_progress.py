@@ -55,7 +55,7 @@ class CompileProgress:
     def estimate(self) -> str:
         """How much it is, said at the beginning."""
         if self.expected is None:
-            return "what is not compiled yet"
+            return "the functions that are missing"
         if math.isinf(self.s_per_function):
             return "the first time, that takes a minute or two"
         return f"about {_duration(self.expected * self.s_per_function)}"
