@@ -100,14 +100,17 @@ pictures: test-tools ## Take the pictures of page and dashboard anew, on a quiet
 	@$(BIN)/python -m tests.grafana.picture docs/how-to/dashboard.webp
 
 .PHONY: wheel
-wheel: $(VENV)/.dev ## Build sdist and wheel into dist/, and check them
-	@rm -rf build/lib build/bdist.* dist
-	@$(BIN)/python -m build --outdir dist . >/dev/null
+wheel: $(VENV)/.dev ## Build sdist and wheel with compiled code for this Python into dist/, and check them (two minutes)
+	@rm -rf build/lib* build/bdist.* dist
+	@$(BIN)/python deploy/objects.py build/objects
+	@HILSERVER_OBJECTS=$(CURDIR)/build/objects $(BIN)/python -m build --outdir dist . >/dev/null
 	@$(BIN)/python -m twine check --strict dist/*
 
 .PHONY: image
-image: wheel ## Build an OCI image into dist/, without a registry (as root; needs debootstrap)
-	@$(BIN)/python deploy/container/image.py dist/*.whl --out dist/hilserver-oci.tar --work build/image
+image: $(VENV)/.dev ## Build an OCI image into dist/, without a registry (as root; needs debootstrap)
+	@rm -rf build/lib* build/bdist.* build/plain
+	@$(BIN)/python -m build --wheel --outdir build/plain . >/dev/null
+	@$(BIN)/python deploy/container/image.py build/plain/*.whl --out dist/hilserver-oci.tar --work build/image
 
 .PHONY: clean
 clean: ## Remove everything that make has made

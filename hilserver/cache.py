@@ -148,8 +148,8 @@ class Shelf:
 
     def get(self, name: str) -> bytes | None:
         """Return what was put under `name`, by any process."""
-        found = _read(self.folder / name)
-        return _read(spare_of(self._name, make=False) / name) if found is None else found
+        found = whole(self.folder / name)
+        return whole(spare_of(self._name, make=False) / name) if found is None else found
 
     def put(self, name: str, data: bytes) -> None:
         """Keep `data`, whole or not at all, where there is room for it."""
@@ -219,8 +219,8 @@ def remove_old(prefix: str, keep: int) -> None:
                     shutil.rmtree(path, ignore_errors=True)
 
 
-def _read(path: Path) -> bytes | None:
-    """Return the contents of a file, if it is ours and whole."""
+def whole(path: Path) -> bytes | None:
+    """Return what a `Shelf` put into a file, if it is this user's or root's, and undamaged."""
     try:
         with path.open("rb") as file:
             if os.fstat(file.fileno()).st_uid not in (0, os.geteuid()):

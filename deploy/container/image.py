@@ -1,8 +1,9 @@
 """Makes an OCI image from a wheel, without a registry: ``make image`` (as root, on Debian).
 
-A minimal Debian by debootstrap, the wheel in an environment of its own, kernels compiled for any
-processor of this architecture, a user without rights. The layout is written here (OCI image
-specification 1.0), so that no container engine is needed; every engine reads the file.
+A minimal Debian by debootstrap, a wheel without compiled code in an environment of its own, the
+compiled code for this environment and any processor of this architecture, a user without rights.
+The layout is written here (OCI image specification 1.0), so that no container engine is needed;
+every engine reads the file.
 """
 
 import argparse
@@ -23,6 +24,7 @@ SUITE = "bookworm"
 PACKAGES = "python3,python3-venv"
 PYTHON = "3.11"  # of this suite
 HOME = "opt/hilserver"
+OBJECTS = f"{HOME}/lib/python{PYTHON}/site-packages/hilserver/compiled/objects"
 WITHOUT = ("usr/share/doc", "usr/share/man", "usr/share/locale", "var/cache", "var/lib/apt/lists",
            "var/log", "tmp", "run", "root")  # fmt: skip
 ANY_PORT = """
@@ -35,8 +37,6 @@ PLATFORM = {"x86_64": ("amd64", "x86_64"), "aarch64": ("arm64", "aarch64")}
 ENVIRONMENT = {
     "PATH": f"/{HOME}/bin:/usr/bin:/bin",
     "HILSERVER_CACHE_DIR": "/var/cache/hilserver",
-    "NUMBA_CPU_NAME": "generic",
-    "NUMBA_CPU_FEATURES": "",
     "PYTHONUNBUFFERED": "1",
     "PYTHONDONTWRITEBYTECODE": "1",
 }
@@ -128,6 +128,8 @@ def settle(root: Path) -> None:
     for folder in ("etc/hilserver", "var/lib/hilserver", "var/cache/hilserver"):
         (root / folder).mkdir(parents=True, exist_ok=True)
     shutil.copy(Path(__file__).with_name("config.yaml"), root / "etc/hilserver/config.yaml")
+    shutil.copy(Path(__file__).parents[1] / "objects.py", root / "run")
+    within(root, f"/{HOME}/bin/python", "/run/objects.py", f"/{OBJECTS}")
     (root / "run/any_port.yaml").write_text(ANY_PORT)  # a daemon may run beside the build
     within(root, f"/{HOME}/bin/hilserver", "run", "-c", "/run/any_port.yaml", "--duration", "2")
     for folder in WITHOUT:

@@ -19,7 +19,7 @@ _KEPT_AS: Final = "last.json"
 class CompileProgress:
     """What has been compiled so far, compared with the last time on this computer."""
 
-    expected: int | None  # functions; None: the cache has some of them, nobody knows how many
+    expected: int | None  # functions; None: some are compiled already, nobody knows how many
     # of the last start that compiled all; infinite if there was none
     s_per_function: float
     count: int = 0
@@ -31,7 +31,8 @@ class CompileProgress:
         """Begin, before anything is put into the cache."""
         from hilserver.compiled import cache  # noqa: PLC0415 - with the compiler
 
-        present = sum(1 for _ in cache.shelf().folder.glob("*.nbc"))
+        folders = cache.shelf().folder, cache.supplied().folder
+        present = sum(1 for folder in folders for _ in folder.glob("*.nbc"))
         expected, pace_s = FUNCTIONS, math.inf
         kept = Shelf("compiling").get(_KEPT_AS)
         if kept is not None:
@@ -54,7 +55,7 @@ class CompileProgress:
     def estimate(self) -> str:
         """How much it is, said at the beginning."""
         if self.expected is None:
-            return "what is not in the cache yet"
+            return "the functions that are missing"
         if math.isinf(self.s_per_function):
             return "the first time, that takes a minute or two"
         return f"about {_duration(self.expected * self.s_per_function)}"

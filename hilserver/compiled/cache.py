@@ -23,6 +23,7 @@ from numba.np import linalg
 
 import hilserver.cache
 from hilserver.cache import KERNELS, Shelf, cache_folder, remove_old
+from hilserver.compiled.supplied import Supplied
 
 
 def _without_linear_algebra() -> None:
@@ -82,6 +83,12 @@ def shelf() -> Shelf:
     kept = Shelf(f"{KERNELS}{kernel_hash()}")
     remove_old(KERNELS, KERNELS_KEPT)
     return kept
+
+
+@cache
+def supplied() -> Supplied:
+    """Return what the installation brought along for this kernel hash."""
+    return Supplied(kernel_hash())
 
 
 @cache
@@ -155,7 +162,7 @@ def c_function(signature: Any) -> Callable[[Callable[..., Any]], Any]:
 
 def _kept(function: Callable[..., Any]) -> Any:
     stamp = source_stamp(Path(function.__code__.co_filename))
-    return stored.Stored(function, shelf(), stamp)
+    return stored.Stored(function, shelf(), supplied(), stamp)
 
 
 @contextlib.contextmanager

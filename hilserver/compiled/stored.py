@@ -23,6 +23,7 @@ from numba.core.serialize import dumps
 
 from hilserver.cache import Shelf
 from hilserver.compiled import sharing
+from hilserver.compiled.supplied import ANY_PROCESSOR, Supplied
 
 WAIT_S: Final = 300.0
 """Longest wait for another process that compiles the same function."""
@@ -53,8 +54,10 @@ class Stored(_Cache):  # type: ignore[misc]
         Changes with every source that the compiled code depends on.
     """
 
-    def __init__(self, function: Callable[..., Any], shelf: Shelf, stamp: str) -> None:
-        self._shelf = shelf
+    def __init__(
+        self, function: Callable[..., Any], shelf: Shelf, supplied: Supplied, stamp: str
+    ) -> None:
+        self._shelf, self._supplied = shelf, supplied
         code, cells = function.__code__, function.__closure__ or ()
         self._made_from = (
             f"{function.__module__}.{function.__qualname__}:{code.co_firstlineno}",
@@ -77,14 +80,22 @@ class Stored(_Cache):  # type: ignore[misc]
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the compiled function for a signature; None: compile it, then save it."""
         target_context.refresh()
-        key = (sig, target_context.codegen().magic_tuple(), self._made_from)
+        triple, *processor = target_context.codegen().magic_tuple()
+        key = (sig, (triple, *processor), self._made_from)
         name = self._name(key)
-        found = self._load(name, key, target_context)
+        found = self._load(self._shelf.get(name), key, target_context)
+        if found is None and self._supplied.is_there:
+            for made_for in (processor, ANY_PROCESSOR):
+                other = (sig, (triple, *made_for), self._made_from)
+                found = self._load(self._supplied.get(self._name(other)), other, target_context)
+                if found is not None:
+                    return found
         if found is None:
+            self._supplied.tell_why_absent()
             while on_miss:
                 on_miss.pop()()
             self._shelf.wait_for(name, WAIT_S)
-            found = self._load(name, key, target_context)
+            found = self._load(self._shelf.get(name), key, target_context)
             if found is not None:
                 self._shelf.let_go(name)
         return found
@@ -111,12 +122,11 @@ class Stored(_Cache):  # type: ignore[misc]
         text = _ADDRESS.sub("", repr(key))
         return f"{self._readable}-{hashlib.sha256(text.encode()).hexdigest()[:16]}.nbc"
 
-    def _load(self, name: str, key: Any, target_context: Any) -> Any:
-        data = self._shelf.get(name)
+    def _load(self, data: bytes | None, key: Any, target_context: Any) -> Any:
         if data is None:
             return None
         try:
-            kept, reduced = pickle.loads(data)  # noqa: S301 - our own file in our own folder
+            kept, reduced = pickle.loads(data)  # noqa: S301 - our own file, or one that the sources came with
             if kept != key:
                 return None
             return CompileResult._rebuild(target_context, *reduced)

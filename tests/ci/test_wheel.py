@@ -1,4 +1,7 @@
-"""What `make wheel` builds works where there is no checkout: the first drive, and the test kit."""
+"""What `make wheel` builds works where there is no checkout: the first drive, and the test kit.
+
+The compiled code that it brings along spares the compiler, and gives the bits of native code.
+"""
 
 import os
 import re
@@ -7,6 +10,9 @@ import sys
 import zipfile
 from pathlib import Path
 
+import llvmlite
+import numba
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -18,7 +24,16 @@ async def test_it_drives(hil):
 """
 pytestmark = pytest.mark.long  # it downloads what hilserver needs, and compiles
 
-
+ALONE = ("PYTHONPATH", "HOME")
+LIMIT_BYTES = 10_000_000
+OBJECTS = "hilserver/compiled/objects/"
+VERSIONS = [f"{package.__name__}=={package.__version__}" for package in (numba, llvmlite, np)]
+SCENARIO = """
+steps:
+  - {at_s: 0.0, write: {control.mode: 1, twist.linear_m_s: 0.3}}
+  - {at_s: 2.0, write: {twist.angular_rad_s: 0.6}}
+  - {at_s: 4.0, write: {twist.linear_m_s: -0.2}}
+"""
 CONFIG = """
 image: {name: wheel-test}
 opcua: {endpoint: "opc.tcp://127.0.0.1:0/hilserver"}
@@ -27,10 +42,11 @@ page: {port: 0}
 """
 
 
-def run(*command, cwd):
+def run(*command, cwd, without=("PYTHONPATH",), **environment):
     """Return all that a command prints."""
     words = [str(word) for word in command]
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    rest = {name: value for name, value in os.environ.items() if name not in without}
+    environment = rest | environment
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
     done = subprocess.run(words, check=False, cwd=cwd, timeout=900, env=environment, **pipes)
     assert done.returncode == 0, done.stdout
@@ -39,8 +55,10 @@ def run(*command, cwd):
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    out = tmp_path_factory.mktemp("dist")
-    run(sys.executable, "-m", "build", "--outdir", out, ".", cwd=ROOT)
+    out, objects = tmp_path_factory.mktemp("dist"), tmp_path_factory.mktemp("objects")
+    run(sys.executable, "deploy/objects.py", objects, cwd=ROOT, PYTHONPATH=str(ROOT))
+    words = ("-m", "build", "--outdir", out, ".")
+    run(sys.executable, *words, cwd=ROOT, HILSERVER_OBJECTS=str(objects))
     run(sys.executable, "-m", "twine", "check", "--strict", *out.iterdir(), cwd=out)
     (path,) = out.glob("*.whl")
     return path
@@ -53,7 +71,16 @@ def installed(wheel, tmp_path_factory):
     run(sys.executable, "-m", "venv", folder / "venv", cwd=folder)
     bin_ = folder / "venv" / "bin"
     run(
-        bin_ / "python", "-m", "pip", "install", "-q", wheel, "pytest", "pytest-asyncio", cwd=folder
+        bin_ / "python",
+        "-m",
+        "pip",
+        "install",
+        "-q",
+        wheel,
+        *VERSIONS,
+        "pytest",
+        "pytest-asyncio",
+        cwd=folder,
     )
     return bin_, folder
 
@@ -65,6 +92,68 @@ def test_the_wheel_has_one_package_at_its_top_and_the_page(wheel):
     assert {top for top in tops if not re.search(r"[.](data|dist-info)$", top)} == {"hilserver"}
     assert "hilserver/io/page/static/index.html" in names
     assert not [name for name in names if name.startswith(("tests", "benchmarks"))]
+
+
+def test_it_names_its_interpreter_and_platform_and_the_terms_of_numba(wheel):
+    interpreter = f"cp{sys.version_info.major}{sys.version_info.minor}"
+    assert re.search(f"-{interpreter}-{interpreter}-manylinux[0-9a-z_.]+[.]whl$", wheel.name)
+    with zipfile.ZipFile(wheel) as file:
+        about = {Path(name).name: name for name in file.namelist() if ".dist-info/" in name}
+        assert b"Root-Is-Purelib: false" in file.read(about["WHEEL"])
+        assert b"License-File: LICENSE.numba" in file.read(about["METADATA"])
+        assert b"Anaconda" in file.read(about["LICENSE.numba"])
+        packed = [file.getinfo(n).compress_size for n in file.namelist() if n.startswith(OBJECTS)]
+    assert len(packed) > 50
+    assert sum(packed) < LIMIT_BYTES
+
+
+def test_without_compiled_code_it_is_for_every_interpreter(tmp_path):
+    run(sys.executable, "-m", "build", "--wheel", "--outdir", tmp_path, ".", cwd=ROOT)
+    [path] = tmp_path.glob("*.whl")
+    assert path.name.endswith("-py3-none-any.whl")
+    with zipfile.ZipFile(path) as file:
+        assert not [name for name in file.namelist() if name.startswith(OBJECTS)]
+
+
+def test_the_first_start_compiles_nothing(installed):
+    bin_, folder = installed
+    (folder / "first.yaml").write_text(CONFIG)
+    words = ["run", "--demo", "--duration", "3", "-c", "first.yaml"]
+    cache = str(folder / "cache")
+    said = run(bin_ / "hilserver", *words, cwd=folder, without=ALONE, HILSERVER_CACHE_DIR=cache)
+    assert "compil" not in said
+    assert list((folder / "cache").rglob("step_*.py"))  # it is the cache that was used
+    assert not list((folder / "cache").rglob("*.nbc"))
+
+
+def test_it_gives_the_bits_of_native_code(installed):
+    bin_, folder = installed
+    (folder / "drive.yaml").write_text(SCENARIO)
+    words = ("simulate", "drive.yaml", "--duration", "8", "-o")
+    cache = str(folder / "cache")
+    run(bin_ / "hilserver", *words, "any.csv", cwd=folder, HILSERVER_CACHE_DIR=cache)
+    assert not list((folder / "cache").rglob("*.nbc"))
+    native = (sys.executable, "-m", "hilserver")
+    run(*native, *words, "native.csv", cwd=folder, PYTHONPATH=str(ROOT))
+    assert (folder / "any.csv").read_bytes() == (folder / "native.csv").read_bytes()
+
+
+def test_other_versions_are_told_in_one_line_and_compiled(installed):
+    bin_, folder = installed
+    [about] = (folder / "venv").glob(f"lib/*/site-packages/{OBJECTS}made_with.json")
+    whole = about.read_text()
+    about.write_text(whole.replace(numba.__version__, "0.1"))
+    [hashed] = (path for path in about.parent.iterdir() if path.is_dir())
+    hidden = hashed.rename(hashed.with_name("other"))
+    try:
+        cache = str(folder / "other_cache")
+        words = ["run", "--duration", "1", "-c", "first.yaml"]
+        said = run(bin_ / "hilserver", *words, cwd=folder, HILSERVER_CACHE_DIR=cache)
+    finally:
+        hidden.rename(hashed)
+        about.write_text(whole)
+    assert len([line for line in said.splitlines() if "made with numba 0.1" in line]) == 1
+    assert list(Path(cache).rglob("*.nbc"))
 
 
 def test_it_drives_and_its_scenarios_are_there(installed):

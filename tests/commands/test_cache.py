@@ -6,7 +6,8 @@ import pytest
 
 from hilserver.cache import Shelf
 from hilserver.commands import main
-from hilserver.compiled import kernel_hash
+from hilserver.compiled import cache, kernel_hash
+from hilserver.compiled.supplied import Supplied
 
 
 @pytest.fixture
@@ -60,3 +61,13 @@ def test_what_cannot_be_removed_is_one_sentence(kept, here, monkeypatch):
     assert code == 1
     first = min(kernel_hash(), "old")
     assert said == f"hilserver: {kept}: kernels-{first} cannot be removed: permission denied\n"
+
+
+def test_it_shows_what_the_installation_brought_along(kept, here, tmp_path, monkeypatch):
+    supplied = Supplied("1", tmp_path / "objects")
+    supplied.folder.mkdir(parents=True)
+    (supplied.folder / "a.nbc").write_bytes(bytes(500_000))
+    monkeypatch.setattr(cache, "supplied", lambda: supplied)
+    assert f"{supplied.folder}: 0.5 MB, came with this installation" in here("cache")[1]
+    assert here("cache", "clear")[0] == 0
+    assert (supplied.folder / "a.nbc").exists()
