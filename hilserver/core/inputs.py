@@ -364,8 +364,12 @@ class InputGate(HandOver):
         """Keep the last values of the source, with status UncertainLastUsableValue."""
         slots = [slot for slot, (writer, _) in self._newest.items() if writer == source]
         rows = [Row(slot, math.nan, UNCERTAIN_LAST_USABLE_VALUE) for slot in slots]
-        self._silent.add(source)
+        self.let_go(source)
         self._image.push(self._placed(source, rows))
+
+    def let_go(self, source: str) -> None:
+        """Let others write what the source has written: it is silent."""
+        self._silent.add(source)
 
     def expect(self, source: str, names: Iterable[str]) -> None:
         """Mark signals that a configured source will write: BadWaitingForInitialData until then."""
