@@ -101,7 +101,7 @@ class Announcer:
         lines = ["hilserver is running; stop it with Ctrl-C"]
         lines += [f"  {part.label:8} {part.address}" for part in others.values()]
         lines += [f"  peer     {name} at {endpoint}" for name, endpoint in peers.items()]
-        lines += ["doors, and who may do what besides watching:"]
+        lines += ["  doors, and who may do what besides watching:"]
         lines += [f"  {line}" for line in table_of_doors(daemon.config)]
         where = {section: part.address for section, part in others.items()}
         self.say("\n".join(lines), "hilserver is running", **_NOWHERE | where, peers=peers)
