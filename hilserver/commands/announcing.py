@@ -93,12 +93,16 @@ class Announcer:
 
     def running(self, daemon: "Daemon") -> None:
         """Say that the robot runs, and where everything is."""
+        from hilserver.daemon.doors import table_of_doors  # noqa: PLC0415 - as above
+
         self._say_compiled()
         peers = {part.label: part.address for part in daemon.parts if part.section == "peers"}
         others = {part.section: part for part in daemon.parts if part.section != "peers"}
         lines = ["hilserver is running; stop it with Ctrl-C"]
         lines += [f"  {part.label:8} {part.address}" for part in others.values()]
         lines += [f"  peer     {name} at {endpoint}" for name, endpoint in peers.items()]
+        lines += ["  doors, and who may do what besides watching:"]
+        lines += [f"  {line}" for line in table_of_doors(daemon.config)]
         where = {section: part.address for section, part in others.items()}
         self.say("\n".join(lines), "hilserver is running", **_NOWHERE | where, peers=peers)
 

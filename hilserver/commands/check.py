@@ -9,6 +9,7 @@ from hilserver.config.blocks import BlockConfig
 from hilserver.config.root import Config
 from hilserver.config.section import schema_text
 from hilserver.daemon.assembly import Assembly, assemble
+from hilserver.daemon.doors import doors_lost, table_of_doors
 from hilserver.errors import EXIT_DONE
 from hilserver.io.opcua_server.model import describe as address_space
 from hilserver.plant.layout import WHEELS
@@ -76,6 +77,7 @@ def describe(assembly: Assembly) -> list[str]:
     lines.append(f"page: {f'{scheme}://{page.host}:{page.port}/' if page.enabled else 'off'}")
     if foxglove.enabled:
         lines.append(f"foxglove: ws://{foxglove.host}:{foxglove.port}")
+    lines += ["doors, and who may do what besides watching:", *table_of_doors(config)]
     return lines + [f"warning: {text}" for text in warnings(assembly)]
 
 
@@ -99,7 +101,8 @@ def warnings(assembly: Assembly) -> list[str]:
         f"{why}: snapshots do not restore it, and recordings are not replayable"
         for why in assembly.not_replayable
     ]
-    return foreign + assembly.remarks + _idle_peers(assembly)
+    lost = doors_lost(assembly.config)
+    return foreign + assembly.remarks + lost + _idle_peers(assembly)
 
 
 def _idle_peers(assembly: Assembly) -> list[str]:

@@ -8,6 +8,7 @@ import asyncio
 import contextlib
 import dataclasses
 import re
+import shlex
 from collections.abc import AsyncIterator
 
 from hilserver.config.peers import PeerConfig
@@ -18,10 +19,13 @@ from hilserver.daemon.assembly import Assembly, assemble_config
 from hilserver.errors import FailedError
 from hilserver.plant.parameters import RobotParameters
 from hilserver.program import children
+from hilserver.time_limit import time_limit
 
 TWIN = RecalibrationConfig(enabled=True, window_s=120, every_s=60, nice=5, limit_s=600)
 READY = re.compile(rb"listening on (opc\.tcp://\S+)")
-START_LIMIT_S = 30.0
+START_LIMIT_S = 600.0
+"""Only for one that hangs: a busy computer takes minutes, and one that ends is noticed at once."""
+ENDS_WITHIN_S = 5.0
 STALE_AFTER_MS = 2000.0
 """A controller that shares a busy computer's cores may pause without being lost."""
 
@@ -68,8 +72,20 @@ async def _serving(command: list[str], name: str) -> AsyncIterator[str]:
     ) as process:
         ready = await children.line_of(process, READY, START_LIMIT_S)
         if ready is None:
-            raise FailedError(f"the embedded {name} did not start; see its messages above")
+            raise FailedError(await _why_not(process, name, shlex.join(command)))
         yield ready.group(1).decode()
+
+
+async def _why_not(process: asyncio.subprocess.Process, name: str, command: str) -> str:
+    """Return why a child does not listen: it has ended, or it hangs."""
+    with contextlib.suppress(TimeoutError):
+        async with time_limit(ENDS_WITHIN_S):
+            await process.wait()
+    if process.returncode is None:
+        waited = f"after {START_LIMIT_S:g} s: the computer is too busy, or the start hangs"
+        return f"the embedded {name} runs, but does not listen {waited}"
+    how = children.how_ended(process.returncode)
+    return f"the embedded {name} {how} before it listened; to see why, run {command}"
 
 
 def demo_assembly(assembly: Assembly, endpoint: str) -> Assembly:

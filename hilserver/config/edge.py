@@ -5,6 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
+from hilserver.config.doors import GRANTS, WRITING, Door, Grant
 from hilserver.config.section import Driver, LinkSection, Section, need
 
 Level = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]  # one level of a topic
@@ -52,6 +53,9 @@ class EdgeConfig(LinkSection):
     version: Literal["3.1.1", "5"] = Field("3.1.1", description="Of MQTT")
     qos: Literal[0, 1] = Field(0, description="1: the broker confirms every message")
     groups: tuple[EdgeGroup, ...] = Field((EdgeGroup(),), min_length=1, max_length=100)
+    grants: tuple[Grant, ...] | None = Field(
+        None, max_length=2, description=f"{GRANTS}; only signals of writable groups"
+    )
     stale_after_ms: float = Field(
         2000.0, ge=100, le=3_600_000, description="Values older than this are stale"
     )
@@ -81,6 +85,12 @@ class EdgeConfig(LinkSection):
         """The writers on the databus."""
         who = ("edge", "peer:edge", "the databus")
         return Driver(*who, self.stale_after_ms, self.on_stale, self.drives, has_faults=False)
+
+    @property
+    def door(self) -> Door:
+        """What other clients of the broker may do."""
+        who = ("databus", self.driver.source, "edge.grants")
+        return Door(*who, self.drives, WRITING, self.grants)
 
     def about(self, _folder: Path) -> str:
         """Return the address of the broker."""

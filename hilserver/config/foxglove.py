@@ -4,6 +4,7 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
+from hilserver.config.doors import GRANTS, WRITING, Door, Grant
 from hilserver.config.section import Section, need
 from hilserver.opcua.loopback import is_loopback
 
@@ -21,6 +22,7 @@ class FoxgloveConfig(Section):
         description="Web pages that may connect (file:// is the desktop app); programs without an"
         " origin always may",
     )
+    grants: tuple[Grant, ...] | None = Field(None, max_length=2, description=GRANTS)
     allow_insecure_network: bool = Field(
         False, description="Listen beyond loopback: everyone there may then publish"
     )
@@ -36,3 +38,9 @@ class FoxgloveConfig(Section):
                 f" set-points: listen on 127.0.0.1, or set allow_insecure_network: true"
             )
         return self
+
+    @property
+    def door(self) -> Door:
+        """What viewers may do."""
+        who = ("Foxglove", "page:foxglove", "foxglove.grants")
+        return Door(*who, self.enabled, WRITING, self.grants)

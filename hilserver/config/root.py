@@ -8,6 +8,7 @@ from typing import Any, Self
 from pydantic import Field, model_validator
 
 from hilserver.config.blocks import BlockConfig
+from hilserver.config.doors import Door, Right
 from hilserver.config.edge import EdgeConfig
 from hilserver.config.foxglove import FoxgloveConfig
 from hilserver.config.loading import load
@@ -112,7 +113,20 @@ class Config(Section):
         """Kind of source that has control at the start; that of the first link that drives."""
         if self.control.source is not None:
             return self.control.source
-        return next((link.driver.kind for link in self.links if link.drives), "opcua")
+        watching = {door.source for door in self.doors if Right.COMMAND not in door.rights}
+        kinds = (
+            link.driver.kind
+            for link in self.links
+            if link.drives and link.driver.source not in watching
+        )
+        return next(kinds, "opcua")
+
+    @property
+    def doors(self) -> list[Door]:
+        """Doors without a log-in, open or not, with what they allow here."""
+        sections = (self.foxglove, self.ros2, self.s7, self.edge)
+        stranger = self.opcua.anonymous_role
+        return [section.door._replace(stranger=stranger) for section in sections]
 
     @property
     def sha256(self) -> str:

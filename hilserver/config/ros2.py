@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
+from hilserver.config.doors import Door, Right, Ros2Grant
 from hilserver.config.section import Driver, LinkSection, Section, need
 from hilserver.errors import meant
 from hilserver.ros.flavours import FLAVOURS
@@ -54,10 +55,11 @@ class Ros2Config(LinkSection):
     allow_insecure_network: bool = Field(
         False, description="Use an interface other than lo: everyone there may then command"
     )
-    role: Literal["operator", "engineer"] | None = Field(
+    grants: tuple[Ros2Grant, ...] | None = Field(
         None,
-        description="What everyone there may do: an operator commands, an engineer also sets"
-        " parameters; null: engineer on lo, operator elsewhere",
+        max_length=2,
+        description="What everyone there may do: command, set parameters; null: as opcua.anonymous,"
+        " so nothing once opcua.users are named, and parameters only on lo",
     )
     peers: tuple[Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_.:-]{1,253}$")], ...] = (
         Field((), max_length=50, description="Addresses to contact where there is no multicast")
@@ -146,11 +148,13 @@ class Ros2Config(LinkSection):
         return how if self.enabled else ""
 
     @property
-    def may_set_parameters(self) -> bool:
-        """Whether other nodes may change the robot itself."""
-        return (
-            self.role or ("engineer" if self.interface in LOOPBACK else "operator")
-        ) == "engineer"
+    def door(self) -> Door:
+        """What other nodes may do."""
+        who = ("ROS 2", self.driver.source, "ros2.grants")
+        usual = {Right.COMMAND}
+        if self.interface in LOOPBACK:
+            usual.add(Right.PARAMETERS)
+        return Door(*who, self.enabled, frozenset(usual), self.grants)
 
     def full_name(self, name: str) -> str:
         """Return the absolute name of a topic or service, renamed, within the namespace."""

@@ -14,8 +14,10 @@ from typing import Annotated, Final, Literal, NamedTuple, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
+from hilserver.config.doors import GRANTS, WRITING, Door, Grant, Right
 from hilserver.config.section import Driver, LinkSection, Section
 from hilserver.opcua.loopback import is_loopback
+from hilserver.signals import MEASURED
 
 BLOCK_BYTES: Final = 8192
 """Longest block; a controller's may be eight times longer, too much to read at 100 Hz."""
@@ -204,6 +206,7 @@ class S7Server(Section):
     allow_insecure_network: bool = Field(
         False, description="Listen beyond loopback; S7 has neither users nor encryption"
     )
+    grants: tuple[Grant, ...] | None = Field(None, max_length=2, description=GRANTS)
     stale_after_ms: float = Field(
         500.0, ge=10, le=3_600_000, description="Values older than this are stale"
     )
@@ -233,6 +236,17 @@ class S7Config(LinkSection):
         limit_ms, on_stale = (server.stale_after_ms, server.on_stale) if server else (500.0, "ramp")
         who = ("s7", "peer:s7", "the S7 client")
         return Driver(*who, limit_ms, on_stale, server is not None, has_faults=False)
+
+    @property
+    def door(self) -> Door:
+        """What clients of our blocks may do."""
+        server, who = self.server, ("S7", self.driver.source, "s7.server.grants")
+        if server is None:
+            return Door(*who, False, frozenset(), None)
+        names = [field.signal for layout in server.blocks.values() for field in layout]
+        is_measured = any(name.startswith(MEASURED) for name in names)
+        usual = WRITING if is_measured else frozenset({Right.COMMAND})
+        return Door(*who, True, usual, server.grants)
 
     def about(self, _folder: Path) -> str:
         """Return where it listens, and its blocks."""

@@ -12,6 +12,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from enum import StrEnum
 from typing import Final
 
+from hilserver.config.doors import Door, Right
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.core.handover import HandOver
 from hilserver.core.leases import NOBODY, OFFERING, Leases, kind_of
@@ -38,12 +39,15 @@ class Refusal(StrEnum):
     QUEUE_FULL = "queue_full"
     OUTDATED = "outdated"
     NOT_AT_REST = "not_at_rest"
+    NOT_GRANTED = "not_granted"
 
 
 CHOOSING: Final = frozenset({"opcua", "page"})
 OF_CLIENTS: Final = frozenset({Refusal.UNKNOWN_SIGNAL, Refusal.NOT_WRITABLE})
 """Only sources that choose their signals at run time can be refused like this."""
 _MOST_DENIED = 64  # sources whose refusal was reported, until they have control
+_MOST_REPORTED = 256  # refusals beside another writer that were reported, until it has gone
+_HELD_NS = 1_000_000_000  # for so long a client without a link holds what it has written
 _GRAIN_NS = 20_000_000  # accuracy of the time at which a command came in
 
 
@@ -81,6 +85,8 @@ class InputGate(HandOver):
         See `HandOver`.
     named : collection of str
         Sources that the configuration names, for metrics; any other counts as its kind.
+    doors : iterable of Door
+        Doors without a log-in, and what they allow.
     monotonic_ns : callable
         Clock that stamps incoming values.
     """
@@ -96,14 +102,18 @@ class InputGate(HandOver):
         priority: Sequence[str] = SOURCES,
         fallback: str = NOBODY,
         named: Collection[str] = SOURCES,
+        doors: Iterable[Door] = (),
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         super().__init__(image, events, leases, owner, priority, fallback)
         self._named = frozenset(named)
+        self._doors = {door.source: door for door in doors if door.is_open}
         # Counts exist before the first refusal: the increase of a series begins at its first value.
         self.rejected: Counter[tuple[str, str]] = Counter()
         for source in named:
             reasons = set(Refusal) - (set() if source in CHOOSING else OF_CLIENTS)
+            if source not in {self.label(door) for door in self._doors}:
+                reasons.discard(Refusal.NOT_GRANTED)
             self.rejected.update({(source, reason.value): 0 for reason in reasons})
         self._table, self._now_ns = table, monotonic_ns
         self._ended_ns, self._rest = 0, Rest()
@@ -111,6 +121,9 @@ class InputGate(HandOver):
         self._newest: dict[int, tuple[str, float]] = {}
         self._change: tuple[int, int] | None = None
         self._denied: dict[str, str] = {}
+        self._writing: dict[int, tuple[str, int]] = {}  # slot: who writes it, and since when last
+        self._silent: set[str] = set()  # links that have nothing new to say: others may write
+        self._reported: dict[tuple[str, str], str] = {}  # refused source and signal: beside whom
         self._held: set[str] = set()  # hands told to let go first
         self._counted = {g for g in SAMPLED if f"internal.samples_{g}" in table}
         self._samples: Counter[str] = Counter()
@@ -155,7 +168,8 @@ class InputGate(HandOver):
         """
         now_ns = self._now_ns() if received_ns is None else received_ns
         came_ns = now_ns if commanded_ns is None else commanded_ns
-        rows, offered, refused = self._sort(source, values, came_ns < self._ended_ns)
+        self._silent.discard(source)
+        rows, offered, refused = self._sort(source, values, came_ns < self._ended_ns, now_ns)
         if (by_hand or is_hand(source)) and not self._lets_move(source, rows, offered, now_ns):
             held = [name for name, found in rows.items() if found[0].slot < N_COMMANDS]
             refused |= dict.fromkeys(held, Refusal.NOT_AT_REST)
@@ -169,24 +183,36 @@ class InputGate(HandOver):
             rows, self._speaker = {}, speaker
         if rows:
             self._remember(source, rows.values(), now_ns)
+        for name in rows:
+            self._reported.pop((source, name), None)
         for name, reason in refused.items():
             self._report(source, name, values[name], reason)
         return refused
 
     def _sort(
-        self, source: str, values: Mapping[str, object], is_outdated: bool
+        self, source: str, values: Mapping[str, object], is_outdated: bool, now_ns: int
     ) -> tuple[dict[str, list[Row]], list[Row], dict[str, Refusal]]:
         """Return accepted rows by signal, rows kept as an offer, and refusals by signal."""
         rows: dict[str, list[Row]] = {}
         refused: dict[str, Refusal] = {}
-        kind, offered = kind_of(source), []
+        kind, offered = kind_of(source), list[Row]()
+        door = self._doors.get(source)
         for name, value in values.items():
             checked = self._check(name, value)
             if isinstance(checked, Refusal):
                 refused[name] = checked
                 continue
             signal = self._table[name]
+            right = Right.MEASURED if signal.is_measured else Right.COMMAND
+            if door is not None and right not in door.rights:
+                refused[name] = Refusal.NOT_GRANTED
+                continue
+            if self._other_writer(source, signal, now_ns):
+                refused[name] = Refusal.NOT_IN_CONTROL
+                continue
             found = [Row(s, v) for s, v in zip(signal.slots, checked, strict=True)]
+            if signal.is_measured or kind in OFFERING:
+                self._writing |= dict.fromkeys(signal.slots, (source, now_ns))
             if signal.is_measured or (kind == self.owner and not is_outdated):
                 rows[name] = found
                 continue
@@ -194,6 +220,25 @@ class InputGate(HandOver):
             if kind in OFFERING and not is_outdated:
                 offered += [row for row in found if row.slot < N_COMMANDS]
         return rows, offered, refused
+
+    def _other_writer(self, source: str, signal: Signal, now_ns: int) -> str:
+        """Return who writes this signal already, if that is somebody else; two never mix.
+
+        Among peers, and for measured values, the first to write keeps a signal until it falls
+        silent. A door without a log-in yields to the person who holds control.
+        """
+        if not signal.is_measured and kind_of(source) not in OFFERING:
+            holds = source in self._doors and kind_of(source) == self.owner
+            return self.owner if holds and self.holder is not None else ""
+        for slot in signal.slots:
+            writer, last_ns = self._writing.get(slot, ("", 0))
+            if writer in ("", source) or writer in self._silent:
+                continue
+            if signal.is_measured or kind_of(writer) == kind_of(source):
+                is_link = kind_of(writer) in OFFERING  # whose silence is judged elsewhere
+                if is_link or now_ns - last_ns < _HELD_NS:
+                    return writer
+        return ""
 
     def _lets_move(
         self, source: str, rows: Mapping[str, list[Row]], offered: list[Row], now_ns: int
@@ -254,6 +299,18 @@ class InputGate(HandOver):
             self._change = (now_ns, self._image.pushed_rows)
 
     def _report(self, source: str, name: str, value: object, reason: Refusal) -> None:
+        other = ""
+        if reason is Refusal.NOT_IN_CONTROL:
+            other = self._other_writer(source, self._table[name], self._now_ns())
+        if other or reason is Refusal.NOT_GRANTED:
+            self.rejected[(self.label(source), reason.value)] += 1
+            if self._reported.get((source, name)) == (other or reason.value):
+                return
+            if len(self._reported) >= _MOST_REPORTED:
+                self._reported.pop(next(iter(self._reported)))
+            self._reported[source, name] = other or reason.value
+            self._tell_refused(source, name, value, reason)
+            return
         is_denied = reason is Refusal.NOT_IN_CONTROL and self._denied.get(source) == self.owner
         if is_denied and kind_of(source) in OFFERING:
             return  # a repeated offer is kept, not lost
@@ -267,6 +324,9 @@ class InputGate(HandOver):
             if len(self._denied) >= _MOST_DENIED:
                 self._denied.pop(next(iter(self._denied)))
             self._denied[source] = self.owner
+        self._tell_refused(source, name, value, reason)
+
+    def _tell_refused(self, source: str, name: str, value: object, reason: Refusal) -> None:
         text = f"{source}: {name} = {value!r:.60} refused: {self.explain(source, name, reason)}"
         self._events.publish(Event(EventKind.SETPOINT_REFUSED, 400, source, text))
 
@@ -274,7 +334,16 @@ class InputGate(HandOver):
         """Return the reason in words."""
         if reason is Refusal.NOT_IN_CONTROL:
             kind = kind_of(source)
+            other = self._other_writer(source, self._table[name], self._now_ns())
+            if other == self.owner:
+                return f"a person holds control by '{other}'"
+            if other:
+                return f"'{other}' writes it, until it falls silent"
             return f"'{self.owner}' has control; write '{kind}' to control.source to take it"
+        if reason is Refusal.NOT_GRANTED:
+            door = self._doors[source]
+            right = "measured" if self._table[name].is_measured else "command"
+            return f"{door.title} knows no log-in, and {door.key} does not name '{right}'"
         if reason is Refusal.OUTDATED:
             return "it arrived before Reset, Pause or LoadSnapshot discarded the commands"
         if reason is Refusal.NOT_AT_REST:
@@ -295,7 +364,12 @@ class InputGate(HandOver):
         """Keep the last values of the source, with status UncertainLastUsableValue."""
         slots = [slot for slot, (writer, _) in self._newest.items() if writer == source]
         rows = [Row(slot, math.nan, UNCERTAIN_LAST_USABLE_VALUE) for slot in slots]
+        self.let_go(source)
         self._image.push(self._placed(source, rows))
+
+    def let_go(self, source: str) -> None:
+        """Let others write what the source has written: it is silent."""
+        self._silent.add(source)
 
     def expect(self, source: str, names: Iterable[str]) -> None:
         """Mark signals that a configured source will write: BadWaitingForInitialData until then."""
@@ -318,6 +392,7 @@ class InputGate(HandOver):
         self._ended_ns = self._now_ns() - _GRAIN_NS
         self._rest.end(self._now_ns())
         self._held.clear()
+        self._writing.clear()
 
     def age_s(self, source: str) -> float | None:
         """Return the time since the source's last accepted write [s], None before the first."""

@@ -203,6 +203,7 @@ def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
         priority=config.sources,
         fallback=config.control.fallback,
         named=_named_sources(config),
+        doors=config.doors,
     )
     folder = assembly.folder / config.snapshots.folder
     snapshots = SnapshotStore(image, folder, dict(assembly.identity))

@@ -28,6 +28,7 @@ from hilserver.daemon.connections import (
     make_metrics,
     make_world,
 )
+from hilserver.daemon.doors import doors_lost
 from hilserver.daemon.outputs import Outputs
 from hilserver.daemon.shadow import GapWatch
 from hilserver.daemon.supervision import Supervision
@@ -159,7 +160,7 @@ class Daemon:
         ending.callback(self.events.subscribe(self._on_event))
         for why in self.assembly.not_replayable:
             _log.warning("recordings of this run are not replayable", reason=why)
-        for remark in self.assembly.remarks:
+        for remark in self.assembly.remarks + doors_lost(self.config):
             _log.warning(remark)
         await self._start_recorder()
         ending.push_async_callback(self.desk.recordings.close)

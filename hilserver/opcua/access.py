@@ -10,7 +10,6 @@ import struct
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from typing import Any
 
 from asyncua import ua
@@ -27,7 +26,7 @@ from hilserver.opcua.passwords import (
     is_password,
     keys_of,
 )
-from hilserver.opcua.settings import OpcUaSettings, Role
+from hilserver.opcua.settings import OpcUaSettings, Role, needed_role
 
 _MAX_WAITING = 10
 _DECRYPT = {
@@ -121,11 +120,8 @@ class Access:
 def _is_enough(user: User, table: Mapping[str, str], name: str) -> bool:
     if not isinstance(user, RoleUser):
         return False
-    needed: str | None = None
-    for pattern, role in table.items():
-        if fnmatchcase(name, pattern):
-            needed = role
-    return needed is not None and user.rights >= Role[needed.upper()]
+    needed = needed_role(table, name)
+    return needed is not None and user.rights >= needed
 
 
 async def identify(

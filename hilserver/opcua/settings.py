@@ -2,7 +2,9 @@
 
 import re
 import socket
+from collections.abc import Mapping
 from enum import IntEnum
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated, Literal, Self
 from urllib.parse import urlsplit
@@ -44,6 +46,15 @@ def _check_hash(text: str) -> str:
 def default_application_uri() -> str:
     """Return the application URI if none is configured."""
     return f"urn:{socket.gethostname()}:hilserver"
+
+
+def needed_role(table: Mapping[str, str], name: str) -> Role | None:
+    """Return the lowest role that a table of permissions demands for a name; None: nobody may."""
+    needed = None
+    for pattern, role in table.items():
+        if fnmatchcase(name, pattern):
+            needed = Role[role.upper()]
+    return needed
 
 
 def check_endpoint(text: str) -> str:

@@ -3,6 +3,9 @@
 A connection that makes no progress is closed: no Hello, no channel or an incomplete message after
 `READ_DEADLINE_S`, no session after `LOGIN_DEADLINE_S`, unread answers after `UNREAD_DEADLINE_S`.
 When all places are taken, the one that has waited longest without a session makes room.
+
+On a busy computer an honest handshake takes seconds. So programs of our own user, as the operator
+page, and whoever waits for us, have `BUSY_DEADLINE_S` for each stage.
 """
 
 import asyncio
@@ -20,7 +23,7 @@ from asyncua.server.binary_server_asyncio import BinaryServer
 from hilserver.opcua.frames import FrameReader, Stage, TransportError
 from hilserver.opcua.login import release_session
 from hilserver.opcua.logs import log
-from hilserver.opcua.loopback import is_loopback
+from hilserver.opcua.loopback import is_loopback, is_own_program
 from hilserver.opcua.processor import Processor
 from hilserver.opcua.rotation import Portions, advance
 from hilserver.opcua.spawning import Running
@@ -28,6 +31,7 @@ from hilserver.opcua.spawning import Running
 READ_DEADLINE_S = 2.0
 LOGIN_DEADLINE_S = 10.0
 UNREAD_DEADLINE_S = 10.0
+BUSY_DEADLINE_S = 60.0
 _SWEEP_S = 0.2
 _LONG_S, _LONG_REST_S = 0.002, 0.002
 """A request that has taken so long rests after each portion: it then gets a fifth of the loop."""
@@ -55,6 +59,7 @@ class Connection(asyncio.Protocol):
         self.processor: Processor
         self.used_s = self.began_s = self._closing_since_s = 0.0
         self.address = ""
+        self._is_own: bool | None = None  # looked up once it is late
 
     def connection_made(self, transport: Any) -> None:
         """Start to serve a client, if there is room."""
@@ -203,13 +208,27 @@ class Connection(asyncio.Protocol):
             return
         limit_s = READ_DEADLINE_S - 2 * _SWEEP_S
         since_s = [s for s in (self._reader.since_s, self._parts_since_s) if s and self._is_reading]
-        if self.processor.stage < Stage.OPEN:
-            since_s.append(self._stage_since_s)
         is_late = any(now_s - since > limit_s for since in since_s)
-        if self.processor.stage is Stage.OPEN:
-            is_late = is_late or now_s - self._stage_since_s > LOGIN_DEADLINE_S
+        if self.processor.stage is not Stage.ACTIVE:
+            is_late = is_late or self._stays_too_long(now_s)
         if is_late:
             self.processor.refuse(_Codes.BadTimeout, "the rest did not come in time")
+
+    def _stays_too_long(self, now_s: float) -> bool:
+        """Whether it has been without a session for longer than its stage allows."""
+        stayed_s = now_s - self._stage_since_s
+        is_open = self.processor.stage is Stage.OPEN
+        if stayed_s <= (LOGIN_DEADLINE_S if is_open else READ_DEADLINE_S - 2 * _SWEEP_S):
+            return False
+        waits_for_us = bool(self._frames) or self._work is not None or self._waiting is not None
+        return stayed_s > BUSY_DEADLINE_S or not (waits_for_us or self._is_of_our_user())
+
+    def _is_of_our_user(self) -> bool:
+        if self._is_own is None:
+            ends = [self.transport.get_extra_info(name) for name in ("peername", "sockname")]
+            is_here = is_loopback(self.address) and None not in ends
+            self._is_own = is_here and is_own_program(*(end[:2] for end in ends))
+        return self._is_own
 
 
 class Listener(BinaryServer):  # type: ignore[misc]

@@ -10,6 +10,12 @@ from tests.security.pki import Pki
 from tests.security.stock import Stock
 
 
+@pytest.fixture(autouse=True)
+def _strangers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Attackers are somebody else's programs, and have no patience to expect."""
+    monkeypatch.setattr("hilserver.opcua.transport.is_own_program", lambda *_: False)
+
+
 @pytest.fixture(scope="session")
 def pki(tmp_path_factory: pytest.TempPathFactory) -> Pki:
     return Pki(tmp_path_factory.mktemp("pki"))

@@ -2,7 +2,7 @@
 
 The SDK does not check the Origin and has no limit of rate. It therefore listens at a random
 loopback address, which no web page can find; what comes to our address is checked here and
-handed on.
+handed on. A viewer that asks for nothing, as a subscription, is the first to yield its place.
 """
 
 import asyncio
@@ -13,6 +13,7 @@ from typing import Final
 
 import structlog
 
+from hilserver.io.places import Place, Places
 from hilserver.program import event_loop
 from hilserver.tasks import SupervisedTask, Supervisor, first_of
 from hilserver.time_limit import time_limit
@@ -47,6 +48,7 @@ class Door:
         self._server: asyncio.Server | None = None
         self._behind = ("", 0)
         self._open: set[SupervisedTask] = set()
+        self._places = Places(CONNECTIONS)
 
     @property
     def port(self) -> int:
@@ -66,27 +68,33 @@ class Door:
             await job.end()
 
     def _enter(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        if len(self._open) >= CONNECTIONS:
+        address, *_ = writer.get_extra_info("peername") or ("unknown",)  # none once it has left
+        place = self._places.take(address, writer.transport.abort)
+        if place is None:
             writer.transport.abort()
             return
-        address, *_ = writer.get_extra_info("peername") or ("unknown",)  # none once it has left
-        serving = partial(self._guarded, reader, writer, address)
+        serving = partial(self._guarded, reader, writer, place)
         job = self._tasks.spawn(serving, "foxglove viewer")
         self._open.add(job)
-        job.on_end = lambda: self._open.discard(job)
+
+        def ended() -> None:
+            self._open.discard(job)
+            self._places.leave(place)
+
+        job.on_end = ended
 
     async def _guarded(
-        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, place: Place
     ) -> None:
         try:
-            await self._serve(reader, writer, address)
+            await self._serve(reader, writer, place)
         except (OSError, EOFError, ValueError, TimeoutError, asyncio.LimitOverrunError):
             pass  # it has left, or is not a viewer
         finally:
             writer.transport.abort()
 
     async def _serve(
-        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, place: Place
     ) -> None:
         async with time_limit(HEAD_S):
             head = await reader.readuntil(b"\r\n\r\n")
@@ -97,7 +105,8 @@ class Door:
         inner, outer = await asyncio.open_connection(*self._behind, limit=PIECE_BYTES)
         try:
             outer.write(head)
-            await first_of(_sent(reader, outer), _shown(inner, writer, address))
+            asks = partial(self._places.progress, place)
+            await first_of(_sent(reader, outer, asks), _shown(inner, writer, place.address))
         finally:
             outer.transport.abort()
 
@@ -123,13 +132,16 @@ async def _shown(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, add
             return
 
 
-async def _sent(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+async def _sent(
+    reader: asyncio.StreamReader, writer: asyncio.StreamWriter, asks: Callable[[], None]
+) -> None:
     """Forward data of the viewer, no faster than its share, without messages that are too long."""
     is_allowed, loop = _short_messages(), asyncio.get_running_loop()
     free_s = loop.time()
     while data := await reader.read(PIECE_BYTES):
         if not is_allowed(data):
             return
+        asks()
         writer.write(data)
         await writer.drain()
         free_s = max(free_s, loop.time() - 1.0) + len(data) / BYTES_PER_S

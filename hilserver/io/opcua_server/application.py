@@ -58,6 +58,7 @@ STATUS_OF: dict[Refusal, int] = {
     Refusal.QUEUE_FULL: _Codes.BadResourceUnavailable,
     Refusal.OUTDATED: _Codes.BadInvalidState,
     Refusal.NOT_AT_REST: _Codes.BadInvalidState,
+    Refusal.NOT_GRANTED: _Codes.BadUserAccessDenied,
 }
 
 

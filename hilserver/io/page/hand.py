@@ -18,6 +18,8 @@ from hilserver.time_limit import time_limit
 logging.getLogger("asyncua").setLevel(logging.CRITICAL)
 
 HAND_ANSWER_S = 4.0
+LOG_IN_ANSWER_S = 20.0
+"""Keys and passwords take their time by design, and a busy computer multiplies it."""
 _TEXTS = 0x80  # additional info of every operation
 _VARIANTS = {
     "Double": (ua.VariantType.Double, float),
@@ -70,7 +72,7 @@ class Hand:
         if not access.endpoint:
             raise RefusedError("the OPC UA server of the daemon is off: this page is read-only")
         await self.close()
-        client = Client(access.endpoint, timeout=HAND_ANSWER_S, watchdog_intervall=30.0)
+        client = Client(access.endpoint, timeout=LOG_IN_ANSWER_S, watchdog_intervall=30.0)
         client.name = "hilserver page"
         client.description = f"{access.secret or 'page'} {address} operator"
         try:
@@ -84,6 +86,7 @@ class Hand:
                 self._client = client
                 self._index = await client.get_namespace_index(NAMESPACE_URI)
                 self.rights = await self._read_rights()
+                client.uaclient.protocol.timeout = HAND_ANSWER_S
         except ua.UaStatusCodeError as error:
             await self.close()
             unknown = {ua.StatusCodes.BadUserAccessDenied, ua.StatusCodes.BadIdentityTokenRejected}
@@ -93,7 +96,7 @@ class Hand:
         except (OSError, TimeoutError, ua.UaError) as error:
             await self.close()
             raise RefusedError(
-                f"the daemon's OPC UA server does not answer ({_why(error)});"
+                f"the daemon's OPC UA server does not answer ({_why(error, LOG_IN_ANSWER_S)});"
                 " 'hilserver run' starts it"
             ) from None
 
@@ -171,15 +174,15 @@ class Hand:
         return [None if value.Value is None else value.Value.Value for value in values]
 
 
-def _why(error: Exception) -> str:
+def _why(error: Exception, limit_s: float) -> str:
     if isinstance(error, TimeoutError):  # an OSError without words
-        return f"nothing came for {HAND_ANSWER_S:g} s"
+        return f"nothing came for {limit_s:g} s"
     said = reason(error) if isinstance(error, OSError) and error.errno else str(error)
     return said or type(error).__name__
 
 
 def _silent(error: Exception) -> RefusedError:
-    return RefusedError(f"the daemon does not answer: {_why(error)}")
+    return RefusedError(f"the daemon does not answer: {_why(error, HAND_ANSWER_S)}")
 
 
 async def _secure(client: Client, access: OpcUaAccess) -> None:

@@ -11,21 +11,25 @@ from aiohttp import web
 
 from hilserver.io.page.files import LOG_SUFFIXES, file_in, is_plain
 from hilserver.io.page.hand import RefusedError
+from hilserver.io.places import Place, Places
 from hilserver.time_limit import time_limit
 
 MAX_BYTES = 1 << 30
 KEPT_FREE_BYTES = 1 << 30
 PIECE_BYTES = 1 << 18
 PIECE_S = 30.0
+AT_ONCE = 2
+PROGRESS_BYTES = 1 << 16
+"""An upload that takes longer than `hilserver.io.places.YIELDS_AFTER_S` for so many makes room."""
 _Part = IO[bytes]
 
 
 class Uploads:
-    """Takes logs into a folder, one at a time."""
+    """Takes logs into a folder, a few at a time."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._one = asyncio.Lock()
+        self._places = Places(AT_ONCE)
 
     def download(self, name: str) -> web.FileResponse:
         """Return a log; RefusedError if there is none."""
@@ -41,29 +45,32 @@ class Uploads:
     async def take(self, name: str, request: web.Request) -> int:
         """Store the content of a request; return its size in bytes.
 
-        RefusedError if the name is taken or not a log's, another upload runs, or it is too large.
+        RefusedError if the name is taken or not a log's, others are uploaded, or it is too large.
         """
         if not is_plain(name) or Path(name).suffix not in LOG_SUFFIXES:
             raise RefusedError(
                 f"{name!r:.60} is not a log name: letters, digits, _ . - and one of"
                 f" {', '.join(LOG_SUFFIXES)}"
             )
-        if self._one.locked():
-            raise RefusedError("another log is being uploaded; wait until it is complete")
-        async with self._one:
-            target = self._folder / name
-            try:
-                part = await asyncio.to_thread(self._begin, target)
-                with part:
-                    size = await self._copy(request, part)
-                    await asyncio.to_thread(_complete, part, target)
-            except FileExistsError:
-                raise RefusedError(
-                    f"a log '{name}' already exists; give this one another name"
-                ) from None
-            except OSError as error:
-                raise RefusedError(f"{name} cannot be stored: {error.strerror}") from None
-            return size
+        slow = RefusedError("another log took its place, as this one came too slowly")
+        place = self._places.take(request.remote or "", lambda: request.content.set_exception(slow))
+        if place is None:
+            raise RefusedError("other logs are being uploaded; wait until one is complete")
+        target = self._folder / name
+        try:
+            part = await asyncio.to_thread(self._begin, target)
+            with part:
+                size = await self._copy(request, part, place)
+                await asyncio.to_thread(_complete, part, target)
+        except FileExistsError:
+            raise RefusedError(
+                f"a log '{name}' already exists; give this one another name"
+            ) from None
+        except OSError as error:
+            raise RefusedError(f"{name} cannot be stored: {error.strerror}") from None
+        finally:
+            self._places.leave(place)
+        return size
 
     def _begin(self, target: Path) -> _Part:
         self._folder.mkdir(parents=True, exist_ok=True)
@@ -71,9 +78,10 @@ class Uploads:
             raise FileExistsError
         return tempfile.NamedTemporaryFile(prefix=".upload-", dir=self._folder)
 
-    async def _copy(self, request: web.Request, part: _Part) -> int:
+    async def _copy(self, request: web.Request, part: _Part, place: Place) -> int:
         room = min(MAX_BYTES, shutil.disk_usage(self._folder).free - KEPT_FREE_BYTES)
-        size = 0
+        size = reached = 0
+        self._places.progress(place)
         while True:
             try:
                 async with time_limit(PIECE_S):
@@ -83,6 +91,9 @@ class Uploads:
             if not piece:
                 return size
             size += len(piece)
+            if size - reached >= PROGRESS_BYTES:
+                reached = size
+                self._places.progress(place)
             if size > room:
                 raise RefusedError(
                     f"the log is larger than the {max(room, 0) >> 20} MB that are free here"

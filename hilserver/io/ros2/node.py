@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import structlog
 
+from hilserver.config.doors import Right
 from hilserver.config.ros2 import LOOPBACK, Ros2Config
 from hilserver.core.events import Event, EventKind
 from hilserver.core.staleness import Transition
@@ -173,7 +174,8 @@ class Ros2Node(Part):
         parameters = self._world.parameters
         if parameters is None:
             return ()
-        may_set = self.config.may_set_parameters
+        doors = {door.source: door for door in self._world.config.doors}
+        may_set = Right.PARAMETERS in doors[NAME].rights
         return ParameterServices(NAME, parameters, self._types, may_set=may_set).served()
 
     def _published(self) -> list[Published]:

@@ -17,7 +17,7 @@ from hilserver.ros.types import Types
 
 NODE: Final = "hilserver"
 NOT_SET, INTEGER, DOUBLE = 0, 2, 3  # of rcl_interfaces/msg/ParameterType
-_NOT_ALLOWED: Final = "only an engineer may set parameters; ros2.role is the role of this network"
+_NOT_ALLOWED: Final = "setting parameters is not granted here: ros2.grants: [parameters] does"
 _SERVICES: Final = (
     ("get_parameters", "GetParameters"),
     ("get_parameter_types", "GetParameterTypes"),

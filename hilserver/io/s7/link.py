@@ -6,6 +6,7 @@ from typing import Final
 
 from hilserver.config.s7 import S7Server
 from hilserver.core.inputs import Refusal
+from hilserver.core.staleness import Transition
 from hilserver.errors import address_refused
 from hilserver.image import Frame
 from hilserver.io.arrival import WATCH_S
@@ -80,6 +81,8 @@ class S7Link(Part):
             self._source.watch(now_ns)
         else:
             self._source.faults.expire(now_ns)
+            if self._source.staleness.check(now_ns) is Transition.LOST:
+                self._world.gate.let_go(self._source.name)
 
     # --- what a client asks -----------------------------------------------------------------------
 

@@ -3,13 +3,13 @@
 import asyncio
 import socket
 import struct
-import time
 from collections.abc import Callable, Mapping
 from typing import Final
 
 from hilserver import __version__
 from hilserver.config.s7 import S7Server
 from hilserver.io.peer_link.samples import FaultKind
+from hilserver.io.places import Place, Places, Use
 from hilserver.io.s7 import wire
 from hilserver.io.s7.blocks import DataBlock, RefusedItemError
 from hilserver.io.s7.wire import Code, Function, Job, WireError
@@ -50,7 +50,6 @@ def _answer(message: Job, data: bytes, error: int) -> bytes:
 
 HANDSHAKE_S = MESSAGE_S = 5.0
 """Limits for the handshake of a client, for sending a whole message, for reading an answer."""
-SPARED_S = 5.0  # a client idle for so long gives its place to a newcomer if none is free
 JOBS = 8  # parallel jobs that are negotiated; they are answered in order
 NO_FUNCTION, NO_ROOM = 0x8104, 0x8500
 """Errors of a whole job: an unknown function, an answer that would be too long."""
@@ -154,7 +153,8 @@ class Server:
         self._config, self._answers, self._report = config, answers, report
         self._tasks = Supervisor() if tasks is None else tasks
         self._server: asyncio.Server | None = None
-        self.clients: dict[SupervisedTask, float] = {}  # connected now -> time of its last job
+        self.clients: dict[SupervisedTask, Place] = {}
+        self._places = Places(config.max_clients)
 
     @property
     def port(self) -> int:
@@ -178,7 +178,8 @@ class Server:
 
     def _enter(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         host = str((writer.get_extra_info("peername") or ["a client"])[0])
-        if not self._has_room():
+        place = self._places.take(host, writer.transport.abort)
+        if place is None:
             most = self._config.max_clients
             sentence = f"{host} was turned away: s7.server.max_clients is {most}"
             self._report(FaultKind.NO_ROOM, host, sentence)
@@ -187,25 +188,26 @@ class Server:
 
         def ended() -> None:
             self.clients.pop(job, None)
+            self._places.leave(place)
             writer.transport.abort()
 
         async def serve() -> None:
-            await self._serve(job, host, reader, writer)
+            await self._serve(place, host, reader, writer)
 
         job = self._tasks.spawn(serve, "s7 client")
         job.on_end = ended
-        self.clients[job] = time.monotonic()
+        self.clients[job] = place
 
     async def _serve(
         self,
-        job: SupervisedTask,
+        place: Place,
         host: str,
         reader: asyncio.StreamReader,
         writer: asyncio.StreamWriter,
     ) -> None:
         try:
             _stay_alive(writer.get_extra_info("socket"))
-            await self._converse(job, reader, writer)
+            await self._converse(place, reader, writer)
         except WireError as error:
             self._report(FaultKind.NO_S7, host, f"{host}: its message {error}")
         except TimeoutError:
@@ -213,20 +215,9 @@ class Server:
         except (OSError, EOFError):
             pass  # the client is gone
 
-    def _has_room(self) -> bool:
-        """Whether there is a place, if necessary that of the client idle for longest."""
-        if len(self.clients) < self._config.max_clients:
-            return True
-        idle, asked_s = min(self.clients.items(), key=lambda each: each[1])
-        if time.monotonic() - asked_s < SPARED_S:
-            return False
-        del self.clients[idle]
-        idle.cancel()
-        return True
-
     async def _converse(
         self,
-        job: SupervisedTask,
+        place: Place,
         reader: asyncio.StreamReader,
         writer: asyncio.StreamWriter,
     ) -> None:
@@ -235,7 +226,8 @@ class Server:
             writer.write(wire.confirmed(await wire.receive(reader)))
         while True:
             message = wire.taken_apart(await wire.receive(reader, MESSAGE_S))
-            self.clients[job] = time.monotonic()
+            writes = message.parameters[:1] == bytes((Function.WRITE,))
+            self._places.progress(place, Use.DRIVES if writes else Use.WATCHES)
             writer.write(answers.to(message))
             async with time_limit(MESSAGE_S):
                 await writer.drain()

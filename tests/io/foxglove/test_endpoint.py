@@ -30,9 +30,9 @@ MESSAGE_DATA, CLIENT_MESSAGE = 1, 1
 
 
 @asynccontextmanager
-async def robot(port=0):
+async def robot(port=0, **opcua):
     ours = {"enabled": True, "port": port}
-    config = configuration(foxglove=ours, opcua={"enabled": False})
+    config = configuration(foxglove=ours, opcua={"enabled": False, **opcua})
     async with Daemon(assemble_config(config)) as daemon:
         yield daemon
 
@@ -258,6 +258,39 @@ async def test_only_named_web_pages_enter(origin, enters):
     server.close()
 
 
+async def test_viewers_that_ask_for_nothing_keep_nobody_out(monkeypatch):
+    monkeypatch.setattr("hilserver.io.foxglove.door.CONNECTIONS", 3)
+    door, hello = Door([]), b"GET / HTTP/1.1\r\n\r\n"
+
+    async def behind(reader, writer):
+        await reader.readuntil(b"\r\n\r\n")
+        writer.write(b"HTTP/1.1 101 Switching Protocols\r\n\r\n")
+        with contextlib.suppress(OSError):
+            await reader.read()
+        writer.close()
+
+    async def viewer(asks=b""):
+        reader, writer = await asyncio.open_connection("127.0.0.1", door.port)
+        writer.write(hello)
+        await reader.readuntil(b"\r\n\r\n")
+        writer.write(asks)
+        return reader, writer
+
+    server = await asyncio.start_server(behind, "127.0.0.1", 0)
+    await door.open("127.0.0.1", 0, server.sockets[0].getsockname())
+    asking = await viewer(b"\x82\x81\0\0\0\0\1")
+    await wait_until(lambda: any(place.use for place in door._places._held))
+    idle = [await viewer() for _ in range(6)]
+    async with asyncio.timeout(PATIENCE_S):
+        with contextlib.suppress(ConnectionError):
+            assert await idle[0][0].read() == b""
+    assert not asking[0].at_eof()
+    for _, writer in [asking, *idle]:
+        writer.transport.abort()
+    await door.close()
+    server.close()
+
+
 async def test_a_viewer_that_takes_nothing_gives_its_place_back(monkeypatch):
     """Its address is named, though it has none for uvloop once it has left."""
     monkeypatch.setattr("hilserver.io.foxglove.door.UNREAD_S", 0.2)
@@ -283,6 +316,17 @@ async def test_a_viewer_that_takes_nothing_gives_its_place_back(monkeypatch):
     assert line["address"] == "127.0.0.1"
     await door.close()
     server.close()
+
+
+async def test_once_strangers_only_watch_a_viewer_writes_nothing():
+    async with robot(anonymous="observer") as daemon, Viewer(daemon.part("foxglove").url) as viewer:
+        daemon.gate.take("page")
+        await viewer.advertise(1, "/hilserver/set", "json")
+        name = "measured.wheel.fl.speed_rpm"
+        await viewer.publish(1, json.dumps({name: 12.5, "wheel.fl.setpoint_rpm": 30.0}).encode())
+        await wait_until(lambda: daemon.gate.rejected["page", "not_granted"] == 2, PATIENCE_S)
+        assert value(daemon, "wheel.fl.setpoint_rpm") == 0.0
+        assert value(daemon, name) != 12.5
 
 
 async def test_the_door_is_before_the_server():

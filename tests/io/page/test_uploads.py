@@ -1,5 +1,8 @@
 """Logs that come in over the page: whole or not at all, and never over one that is there."""
 
+import asyncio
+import contextlib
+
 import aiohttp
 import pytest
 from aiohttp import web
@@ -44,6 +47,31 @@ async def test_a_log_comes_in_whole(send, tmp_path):
 @pytest.mark.parametrize("name", ["run.exe", ".hidden.csv", "a b.csv", "..csv"])
 async def test_names_are_those_of_logs(send, name):
     assert (await send(name, b"x"))[0] == 409
+
+
+async def test_whoever_sends_a_byte_now_and_then_keeps_nobody_out(send, tmp_path, monkeypatch):
+    monkeypatch.setattr("hilserver.io.places.YIELDS_AFTER_S", 0.0)
+    ends, begun = asyncio.Event(), asyncio.Semaphore(0)
+
+    async def trickle():
+        yield b"t"
+        begun.release()
+        await ends.wait()
+
+    async def slow(number):
+        with contextlib.suppress(aiohttp.ClientConnectionError):
+            return await send(f"slow{number}.csv", trickle())
+
+    slow_ones = [asyncio.create_task(slow(number)) for number in range(module.AT_ONCE)]
+    for _ in slow_ones:
+        await begun.acquire()
+    await asyncio.sleep(0.1)  # until their requests are at work
+    assert await send("run.csv", b"t,x\n") == (200, 4)
+    ends.set()
+    answers = await asyncio.gather(*slow_ones)
+    assert len(list((tmp_path / "logs").glob("slow*"))) == module.AT_ONCE - 1
+    refused = next(text for status, text in answers if status == 409)
+    assert refused.endswith("came too slowly")
 
 
 async def test_what_is_too_large_is_not_kept(send, tmp_path, monkeypatch):

@@ -181,11 +181,28 @@ async def test_there_is_a_place_for_so_many_clients_and_it_comes_back():
             await asyncio.to_thread(client.disconnect)
 
 
+async def test_who_only_opens_connections_keeps_no_controller_out():
+    async with daemon_with({1: DRIVE}, max_clients=4) as (daemon, port):
+        driver = await asyncio.to_thread(connected, port)
+        halves = [await asyncio.open_connection("127.0.0.1", port) for _ in range(12)]
+        for _, writer in halves[::2]:
+            writer.write(HELLO)  # and no more
+        for _ in range(3):
+            controller = await asyncio.to_thread(connected, port)
+            assert len(await asyncio.to_thread(controller.db_read, 1, 0, 25)) == 25
+            await asyncio.to_thread(controller.disconnect)
+        assert len(await asyncio.to_thread(driver.db_read, 1, 0, 25)) == 25
+        assert not +daemon.part("s7").status.fault_counts
+        await asyncio.to_thread(driver.disconnect)
+        for _, writer in halves:
+            writer.transport.abort()
+
+
 async def test_a_newcomer_takes_the_place_of_who_has_been_idle_longest(monkeypatch):
     async with daemon_with({1: DRIVE}, max_clients=2) as (daemon, port):
         idle, busy = [await asyncio.to_thread(connected, port) for _ in range(2)]
         await asyncio.to_thread(busy.db_read, 1, 0, 25)
-        monkeypatch.setattr(server, "SPARED_S", 0.0)
+        monkeypatch.setattr("hilserver.io.places.YIELDS_AFTER_S", 0.0)
         newcomer = await asyncio.to_thread(connected, port)
         for client in (newcomer, busy):
             assert len(await asyncio.to_thread(client.db_read, 1, 0, 25)) == 25
