@@ -42,13 +42,24 @@ class Refusal(StrEnum):
     NOT_GRANTED = "not_granted"
 
 
-CHOOSING: Final = frozenset({"opcua", "page"})
-OF_CLIENTS: Final = frozenset({Refusal.UNKNOWN_SIGNAL, Refusal.NOT_WRITABLE})
-"""Only sources that choose their signals at run time can be refused like this."""
+_CHOOSING: Final = frozenset({"opcua", "page"})  # they choose their signals at run time
+_WITH_HANDS: Final = frozenset({"opcua", "page", "ros2"})  # a person may drive by them
 _MOST_DENIED = 64  # sources whose refusal was reported, until they have control
 _MOST_REPORTED = 256  # refusals beside another writer that were reported, until it has gone
 _HELD_NS = 1_000_000_000  # for so long a client without a link holds what it has written
 _GRAIN_NS = 20_000_000  # accuracy of the time at which a command came in
+
+
+def reasons_of(source: str, *, is_door: bool = False) -> set[Refusal]:
+    """Return why a source can be refused; `is_door`: it needs a grant of its section."""
+    reasons = set(Refusal)
+    if source not in _CHOOSING:
+        reasons -= {Refusal.UNKNOWN_SIGNAL, Refusal.NOT_WRITABLE}
+    if source not in _WITH_HANDS:
+        reasons.discard(Refusal.NOT_AT_REST)
+    if not is_door:
+        reasons.discard(Refusal.NOT_GRANTED)
+    return reasons
 
 
 def check_value(signal: Signal, value: object) -> tuple[float, ...] | Refusal:
@@ -111,9 +122,8 @@ class InputGate(HandOver):
         # Counts exist before the first refusal: the increase of a series begins at its first value.
         self.rejected: Counter[tuple[str, str]] = Counter()
         for source in named:
-            reasons = set(Refusal) - (set() if source in CHOOSING else OF_CLIENTS)
-            if source not in {self.label(door) for door in self._doors}:
-                reasons.discard(Refusal.NOT_GRANTED)
+            is_door = source in {self.label(door) for door in self._doors}
+            reasons = reasons_of(source, is_door=is_door)
             self.rejected.update({(source, reason.value): 0 for reason in reasons})
         self._table, self._now_ns = table, monotonic_ns
         self._ended_ns, self._rest = 0, Rest()

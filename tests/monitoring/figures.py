@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hilserver.compiled.histogram import N_BUCKETS, Histogram125
 from hilserver.core import metrics as core
-from hilserver.core.inputs import Refusal
+from hilserver.core.inputs import reasons_of
 from hilserver.core.recalibration import RECALIBRATION_METRICS, Figures
 from hilserver.daemon import metrics as daemon
 from hilserver.daemon.outputs import EXPORTED
@@ -17,6 +17,8 @@ from hilserver.faults import metrics as faults
 from hilserver.io.link_status import PeerStatus
 from hilserver.io.peer_link import metrics as peer_metrics
 from hilserver.io.peer_link.samples import FaultKind
+from hilserver.io.ros2 import metrics as ros2_metrics
+from hilserver.io.ros2.status import Ros2Status
 from hilserver.io.shield import metrics as shield_metrics
 from hilserver.io.shield.status import ShieldStatus
 from hilserver.metrics import Source
@@ -47,10 +49,6 @@ def slice_figures(name: str, **figures: object) -> SliceFigures:
     return SliceFigures(**{"name": name, **numbers, **histograms, **unknown, **figures})
 
 
-# a configuration that maps a peer to such a signal is refused before it runs
-OF_WRITERS = {Refusal.UNKNOWN_SIGNAL, Refusal.NOT_WRITABLE}
-
-
 class FakeDaemon:
     """Everything a scrape reads, settable."""
 
@@ -60,6 +58,7 @@ class FakeDaemon:
         self.realtime_factor = math.nan
         self.peers = [PeerStatus("iot2050")]
         self.shields = [ShieldStatus("shield")]
+        self.domains = [Ros2Status("ros2")]
         self.input_ages_s: dict[str, float] = {}
         self.rejected: Counter[tuple[str, str]] = Counter()
         self.differing = 2
@@ -84,6 +83,7 @@ class FakeDaemon:
             Source(core.INPUT_METRICS, lambda: core.Inputs(self.input_ages_s, self.rejected)),
             Source(peer_metrics.METRICS, lambda: self.peers),
             Source(shield_metrics.METRICS, lambda: self.shields),
+            Source(ros2_metrics.METRICS, lambda: self.domains),
             Source(daemon.LATENCY_METRICS, lambda: self.end_to_end),
             Source(daemon.GAP_METRICS, lambda: self.model_gap),
             Source(daemon.ALARM_METRICS, lambda: self.gap_alarms),
@@ -109,7 +109,7 @@ class FakeDaemon:
 
     def fill(self) -> None:
         """Set everything that a daemon in its default configuration can ever show."""
-        self.shields, self.observed, self.recalibration = [], [], None
+        self.shields, self.domains, self.observed, self.recalibration = [], [], [], None
         window = Window(1000, 30e3, 9e3, 5e3, 80e3)
         self.slices = {
             name: slice_figures(name, window=window, margin_min_ns=900_000) for name in SLICES
@@ -122,7 +122,7 @@ class FakeDaemon:
             peer.fault_counts[kind] = 1
         for source in ("opcua", "peer:iot2050"):
             self.input_ages_s[source] = 0.01
-            for reason in set(Refusal) - (OF_WRITERS if source != "opcua" else set()):
+            for reason in reasons_of(source):
                 self.rejected[source, reason] = 1
         self.outputs = dict.fromkeys(EXPORTED, 1.0)
         self.faults = {"injected": 1, "forced": 1}

@@ -14,6 +14,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from hilserver.compiled.histogram import BOUNDS_NS, N_BUCKETS
 from hilserver.daemon.metrics import METRICS
 from hilserver.io.link_status import PeerStatus
+from hilserver.io.ros2.status import Command
 from hilserver.io.shield.words import LATE_COUNTS, LATE_SUM
 from hilserver.metrics import Kind
 from hilserver.monitoring.metrics import Metrics
@@ -96,6 +97,10 @@ STIMULI = {
     "hil_peer_faults_total": lambda d: d.peers[0].fault_counts.update(["nan_with_good"]),
     "hil_shield_requests_total": lambda d: d.shields[0].requests.update(["set_rpm"]),
     "hil_shield_lateness_seconds_bucket": lambda d: late_response(d, 30_000),
+    "hil_ros2_participants": lambda d: setattr(d.domains[0], "participants", 2),
+    "hil_ros2_endpoints_apart": lambda d: setattr(d.domains[0], "apart", 1),
+    "hil_ros2_command_held": lambda d: setattr(d.domains[0], "command", Command.HELD),
+    "hil_ros2_command_age_seconds": lambda d: setattr(d.domains[0], "command_ns", 0),
     "hil_input_age_seconds": lambda d: d.input_ages_s.update(opcua=0.3),
     "hil_parameters_changed": lambda d: setattr(d, "differing", 3),
     "hil_rejected_values_total": lambda d: d.rejected.update([("opcua", "not_finite")]),
