@@ -51,6 +51,7 @@ class RecordingGate:
         age_ns: int = 0,
         news: Collection[str] | None = None,
         renews: bool = True,
+        by_hand: bool = False,
     ) -> dict[str, Refusal]:
         assert source == "peer:iot2050"
         self.news.append(news)
