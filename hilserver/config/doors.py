@@ -40,7 +40,7 @@ _OF_ROLE: Final = {
 }
 
 
-class Door(NamedTuple):
+class DoorRule(NamedTuple):
     """A door without a log-in."""
 
     title: str  # for people

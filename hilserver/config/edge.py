@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
-from hilserver.config.doors import GRANTS, WRITING, Door, Grant
+from hilserver.config.doors import GRANTS, WRITING, DoorRule, Grant
 from hilserver.config.section import Driver, LinkSection, Section, need
 
 Level = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]  # one level of a topic
@@ -87,10 +87,10 @@ class EdgeConfig(LinkSection):
         return Driver(*who, self.stale_after_ms, self.on_stale, self.drives, has_faults=False)
 
     @property
-    def door(self) -> Door:
+    def door(self) -> DoorRule:
         """What other clients of the broker may do."""
         who = ("databus", self.driver.source, "edge.grants")
-        return Door(*who, self.drives, WRITING, self.grants)
+        return DoorRule(*who, self.drives, WRITING, self.grants)
 
     def about(self, _folder: Path) -> str:
         """Return the address of the broker."""

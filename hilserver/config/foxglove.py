@@ -4,7 +4,7 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from hilserver.config.doors import GRANTS, WRITING, Door, Grant
+from hilserver.config.doors import GRANTS, WRITING, DoorRule, Grant
 from hilserver.config.section import Section, need
 from hilserver.opcua.loopback import is_loopback
 
@@ -40,7 +40,7 @@ class FoxgloveConfig(Section):
         return self
 
     @property
-    def door(self) -> Door:
+    def door(self) -> DoorRule:
         """What viewers may do."""
         who = ("Foxglove", "page:foxglove", "foxglove.grants")
-        return Door(*who, self.enabled, WRITING, self.grants)
+        return DoorRule(*who, self.enabled, WRITING, self.grants)

@@ -8,7 +8,7 @@ from typing import Any, Self
 from pydantic import Field, model_validator
 
 from hilserver.config.blocks import BlockConfig
-from hilserver.config.doors import Door, Right
+from hilserver.config.doors import DoorRule, Right
 from hilserver.config.edge import EdgeConfig
 from hilserver.config.foxglove import FoxgloveConfig
 from hilserver.config.loading import load
@@ -122,7 +122,7 @@ class Config(Section):
         return next(kinds, "opcua")
 
     @property
-    def doors(self) -> list[Door]:
+    def doors(self) -> list[DoorRule]:
         """Doors without a log-in, open or not, with what they allow here."""
         sections = (self.foxglove, self.ros2, self.s7, self.edge)
         stranger = self.opcua.anonymous_role

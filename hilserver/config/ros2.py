@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
-from hilserver.config.doors import Door, Right, Ros2Grant
+from hilserver.config.doors import DoorRule, Right, Ros2Grant
 from hilserver.config.section import Driver, LinkSection, Section, need
 from hilserver.errors import meant
 from hilserver.ros.flavours import FLAVOURS
@@ -148,13 +148,13 @@ class Ros2Config(LinkSection):
         return how if self.enabled else ""
 
     @property
-    def door(self) -> Door:
+    def door(self) -> DoorRule:
         """What other nodes may do."""
         who = ("ROS 2", self.driver.source, "ros2.grants")
         usual = {Right.COMMAND}
         if self.interface in LOOPBACK:
             usual.add(Right.PARAMETERS)
-        return Door(*who, self.enabled, frozenset(usual), self.grants)
+        return DoorRule(*who, self.enabled, frozenset(usual), self.grants)
 
     def full_name(self, name: str) -> str:
         """Return the absolute name of a topic or service, renamed, within the namespace."""

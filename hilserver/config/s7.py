@@ -14,7 +14,7 @@ from typing import Annotated, Final, Literal, NamedTuple, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from hilserver.config.doors import GRANTS, WRITING, Door, Grant, Right
+from hilserver.config.doors import GRANTS, WRITING, DoorRule, Grant, Right
 from hilserver.config.section import Driver, LinkSection, Section
 from hilserver.opcua.loopback import is_loopback
 from hilserver.signals import MEASURED
@@ -238,15 +238,15 @@ class S7Config(LinkSection):
         return Driver(*who, limit_ms, on_stale, server is not None, has_faults=False)
 
     @property
-    def door(self) -> Door:
+    def door(self) -> DoorRule:
         """What clients of our blocks may do."""
         server, who = self.server, ("S7", self.driver.source, "s7.server.grants")
         if server is None:
-            return Door(*who, False, frozenset(), None)
+            return DoorRule(*who, False, frozenset(), None)
         names = [field.signal for layout in server.blocks.values() for field in layout]
         is_measured = any(name.startswith(MEASURED) for name in names)
         usual = WRITING if is_measured else frozenset({Right.COMMAND})
-        return Door(*who, True, usual, server.grants)
+        return DoorRule(*who, True, usual, server.grants)
 
     def about(self, _folder: Path) -> str:
         """Return where it listens, and its blocks."""

@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from enum import StrEnum
 from typing import Final
 
-from hilserver.config.doors import Door, Right
+from hilserver.config.doors import DoorRule, Right
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.core.handover import HandOver
 from hilserver.core.leases import NOBODY, OFFERING, Leases, kind_of
@@ -96,7 +96,7 @@ class InputGate(HandOver):
         See `HandOver`.
     named : collection of str
         Sources that the configuration names, for metrics; any other counts as its kind.
-    doors : iterable of Door
+    doors : iterable of DoorRule
         Doors without a log-in, and what they allow.
     monotonic_ns : callable
         Clock that stamps incoming values.
@@ -113,7 +113,7 @@ class InputGate(HandOver):
         priority: Sequence[str] = SOURCES,
         fallback: str = NOBODY,
         named: Collection[str] = SOURCES,
-        doors: Iterable[Door] = (),
+        doors: Iterable[DoorRule] = (),
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         super().__init__(image, events, leases, owner, priority, fallback)

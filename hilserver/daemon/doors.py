@@ -13,7 +13,7 @@ _EXAMPLES: Final = ("measured.nav.x_m", "twist.linear_m_s", "plant.max_rpm", "Lo
 """Of each right what the table of permissions is asked for."""
 
 
-class Row(NamedTuple):
+class DoorRow(NamedTuple):
     """A door, and who may what."""
 
     title: str
@@ -23,28 +23,28 @@ class Row(NamedTuple):
     administer: str = NOBODY
 
 
-def rows_of(config: Config) -> Iterator[Row]:
+def rows_of(config: Config) -> Iterator[DoorRow]:
     """Yield the doors that are open, in the order of how well they know who comes."""
     people = _people(config)
     if config.opcua.enabled:
-        yield Row("OPC UA", *people)
-        yield Row("shell", *people)
+        yield DoorRow("OPC UA", *people)
+        yield DoorRow("shell", *people)
     if config.page.enabled:
-        yield Row("page", *(people if config.opcua.enabled else ()))
+        yield DoorRow("page", *(people if config.opcua.enabled else ()))
     for door in config.doors:
         if door.is_open:
             may = [EVERYONE if right in door.rights else NOBODY for right in Right]
-            yield Row(door.title, *may)
+            yield DoorRow(door.title, *may)
     if config.shield.enabled:
-        yield Row("shield", command=SECTION)
+        yield DoorRow("shield", command=SECTION)
     for peer in config.peers:
         is_measured = [name.startswith(MEASURED) for name in peer.inputs]
         may = [SECTION if any(is_measured) else NOBODY]
         may += [SECTION if not all(is_measured) else NOBODY]
-        yield Row(f"peer {peer.name}", *may)
+        yield DoorRow(f"peer {peer.name}", *may)
     if config.opcua.enabled:
         starts = _who(config, needed_role(config.opcua.permissions.call, "StartScenario"))
-        yield Row("scenario", starts, starts, starts)
+        yield DoorRow("scenario", starts, starts, starts)
 
 
 def _people(config: Config) -> list[str]:

@@ -24,7 +24,7 @@ from hilserver.opcua.loopback import is_loopback
 YIELDS_AFTER_S: Final = 5.0
 
 
-class Use(IntEnum):
+class PlaceUse(IntEnum):
     """What a place is used for, in the order in which they yield."""
 
     OPENS = 0
@@ -32,25 +32,25 @@ class Use(IntEnum):
     DRIVES = 2
 
 
-class Place:
+class KeptPlace:
     """The place of one client; `end` makes it leave."""
 
     def __init__(self, address: str, end: Callable[[], None], now_s: float) -> None:
         self.address, self.end = address, end
-        self.use, self.since_s = Use.OPENS, now_s
+        self.use, self.since_s = PlaceUse.OPENS, now_s
 
 
-class Places:
+class PlaceKeeper:
     """Decides who comes in, and who yields to whom."""
 
     def __init__(self, most: int, monotonic_s: Callable[[], float] = time.monotonic) -> None:
         self._most, self._now_s = most, monotonic_s
-        self._held: dict[Place, None] = {}
+        self._held: dict[KeptPlace, None] = {}
 
     def __len__(self) -> int:
         return len(self._held)
 
-    def take(self, address: str, end: Callable[[], None]) -> Place | None:
+    def take(self, address: str, end: Callable[[], None]) -> KeptPlace | None:
         """Return a place for a newcomer, if necessary that of another; None if none yields."""
         share = self._most if is_loopback(address) else max(1, self._most // 2)
         own = [place for place in self._held if place.address == address]
@@ -60,20 +60,20 @@ class Places:
                 return None
             self.leave(first)
             first.end()
-        place = Place(address, end, self._now_s())
+        place = KeptPlace(address, end, self._now_s())
         self._held[place] = None
         return place
 
-    def progress(self, place: Place, use: Use = Use.WATCHES) -> None:
+    def progress(self, place: KeptPlace, use: PlaceUse = PlaceUse.WATCHES) -> None:
         """Note that a client has asked for something, or that its request has come further."""
         place.use, place.since_s = max(place.use, use), self._now_s()
 
-    def leave(self, place: Place) -> None:
+    def leave(self, place: KeptPlace) -> None:
         """Free a place, also one that has been freed."""
         self._held.pop(place, None)
 
-    def _first_to_yield(self, among: Iterable[Place]) -> Place | None:
+    def _first_to_yield(self, among: Iterable[KeptPlace]) -> KeptPlace | None:
         crowd = Counter(place.address for place in self._held)
         late_s = self._now_s() - YIELDS_AFTER_S
-        may_yield = (p for p in among if p.use is Use.OPENS or p.since_s <= late_s)
+        may_yield = (p for p in among if p.use is PlaceUse.OPENS or p.since_s <= late_s)
         return min(may_yield, key=lambda p: (p.use, -crowd[p.address], p.since_s), default=None)

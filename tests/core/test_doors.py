@@ -2,12 +2,12 @@
 
 import pytest
 
-from hilserver.config.doors import WRITING, Door
+from hilserver.config.doors import WRITING, DoorRule
 from hilserver.core.events import EventBus
 from tests.fakes import ManualClock, latch_inputs, make_gate, make_image, make_table
 
 SPEED, MEASURED = "wheel.fl.setpoint_rpm", "measured.wheel.fl.speed_rpm"
-VIEWER = Door("Foxglove", "page:foxglove", "foxglove.grants", True, WRITING, None)
+VIEWER = DoorRule("Foxglove", "page:foxglove", "foxglove.grants", True, WRITING, None)
 
 
 class World:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from hilserver.io.places import YIELDS_AFTER_S, Places, Use
+from hilserver.io.places import YIELDS_AFTER_S, PlaceKeeper, PlaceUse
 
 HERE, THERE, ELSEWHERE = "127.0.0.1", "192.0.2.1", "192.0.2.2"
 
@@ -10,12 +10,12 @@ HERE, THERE, ELSEWHERE = "127.0.0.1", "192.0.2.1", "192.0.2.2"
 class Hall:
     def __init__(self, most=4):
         self.now_s, self.ended = 0.0, []
-        self.places = Places(most, lambda: self.now_s)
+        self.places = PlaceKeeper(most, lambda: self.now_s)
 
-    def enter(self, name, address=HERE, use=Use.OPENS):
+    def enter(self, name, address=HERE, use=PlaceUse.OPENS):
         self.now_s += 0.01
         place = self.places.take(address, lambda: self.ended.append(name))
-        if place is not None and use is not Use.OPENS:
+        if place is not None and use is not PlaceUse.OPENS:
             self.places.progress(place, use)
         return place
 
@@ -26,7 +26,7 @@ def hall():
 
 
 def test_half_open_ones_yield_at_once_the_oldest_first(hall):
-    hall.enter("asks", use=Use.WATCHES)
+    hall.enter("asks", use=PlaceUse.WATCHES)
     for name in ("a", "b", "c", "d", "e"):
         assert hall.enter(name)
     assert hall.ended == ["a", "b"]
@@ -34,7 +34,7 @@ def test_half_open_ones_yield_at_once_the_oldest_first(hall):
 
 
 def test_who_makes_progress_stays_and_who_does_not_yields(hall):
-    held = [hall.enter(name, use=Use.WATCHES) for name in "abcd"]
+    held = [hall.enter(name, use=PlaceUse.WATCHES) for name in "abcd"]
     assert hall.enter("late") is None
     hall.now_s += YIELDS_AFTER_S
     hall.places.progress(held[0])
@@ -43,20 +43,20 @@ def test_who_makes_progress_stays_and_who_does_not_yields(hall):
 
 
 def test_who_drives_yields_as_the_last(hall):
-    held = [hall.enter("driver", use=Use.DRIVES)]
-    held += [hall.enter(name, use=Use.WATCHES) for name in "abc"]
+    held = [hall.enter("driver", use=PlaceUse.DRIVES)]
+    held += [hall.enter(name, use=PlaceUse.WATCHES) for name in "abc"]
     hall.now_s += 2 * YIELDS_AFTER_S
     for name in "xyz":
-        assert hall.enter(name, use=Use.WATCHES)
+        assert hall.enter(name, use=PlaceUse.WATCHES)
     assert hall.ended == ["a", "b", "c"]
     hall.places.progress(held[0])
-    assert held[0].use is Use.DRIVES
+    assert held[0].use is PlaceUse.DRIVES
     assert hall.enter("late") is None
 
 
 def test_one_address_gets_half_of_the_places(hall):
     for name in "ab":
-        hall.enter(name, THERE, Use.WATCHES)
+        hall.enter(name, THERE, PlaceUse.WATCHES)
     assert hall.enter("c", THERE) is None
     assert hall.enter("d", ELSEWHERE)
     assert hall.ended == []

@@ -230,6 +230,10 @@ MOVED_ELSEWHERE = {
     "hil_output",  # in tests/prometheus: the robot stands still here
     "hil_shield_requests_total",  # in tests/io/shield
     "hil_shield_lateness_seconds",
+    "hil_ros2_participants",  # in tests/io/ros2
+    "hil_ros2_endpoints_apart",
+    "hil_ros2_command_held",
+    "hil_ros2_command_age_seconds",
     "hil_observer_samples_total",  # in tests/daemon/test_observer.py
     "hil_observer_readmitted_total",
     "hil_recalibration_looks_total",  # in tests/monitoring

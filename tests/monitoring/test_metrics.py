@@ -14,7 +14,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from hilserver.compiled.histogram import BOUNDS_NS, N_BUCKETS
 from hilserver.daemon.metrics import METRICS
 from hilserver.io.link_status import PeerStatus
-from hilserver.io.ros2.status import Command
+from hilserver.io.ros2.status import CommandState
 from hilserver.io.shield.words import LATE_COUNTS, LATE_SUM
 from hilserver.metrics import Kind
 from hilserver.monitoring.metrics import Metrics
@@ -99,7 +99,7 @@ STIMULI = {
     "hil_shield_lateness_seconds_bucket": lambda d: late_response(d, 30_000),
     "hil_ros2_participants": lambda d: setattr(d.domains[0], "participants", 2),
     "hil_ros2_endpoints_apart": lambda d: setattr(d.domains[0], "apart", 1),
-    "hil_ros2_command_held": lambda d: setattr(d.domains[0], "command", Command.HELD),
+    "hil_ros2_command_held": lambda d: setattr(d.domains[0], "command", CommandState.HELD),
     "hil_ros2_command_age_seconds": lambda d: setattr(d.domains[0], "command_ns", 0),
     "hil_input_age_seconds": lambda d: d.input_ages_s.update(opcua=0.3),
     "hil_parameters_changed": lambda d: setattr(d, "differing", 3),

@@ -20,12 +20,14 @@ from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RAD_S_PER_RPM
 
-TURN_S: Final = 0.1  # turns are compared over this time, in which a loop is still on its way
-PIECE_S: Final = 3.0  # pieces of the log that count as one, each
+COMPARED_OVER_S: Final = (
+    0.1  # turns are compared over this time, in which a loop is still on its way
+)
+JUDGED_PIECE_S: Final = 3.0  # pieces of the log that count as one, each
 BOTH: Final = (-1.5, 2.5)  # shares beyond these fit neither reading: a source is late or early
 
 
-class Share(NamedTuple):
+class Leaning(NamedTuple):
     """How much of the way from speeds (0) to set-points (1) the motion shows."""
 
     value: float
@@ -97,7 +99,7 @@ def _replayed(log: MeasuredLog, robot: RobotParameters) -> MeasuredLog:
     )
 
 
-def _share(shown: MeasuredLog, sent: MeasuredLog, robot: RobotParameters) -> Share | None:
+def _share(shown: MeasuredLog, sent: MeasuredLog, robot: RobotParameters) -> Leaning | None:
     """Return which of both readings the measured turn follows; None if it was not measured."""
     name = GYRO if GYRO in shown else YAW
     if name not in shown or len(shown[name]) < FEWEST_SAMPLES:
@@ -105,10 +107,10 @@ def _share(shown: MeasuredLog, sent: MeasuredLog, robot: RobotParameters) -> Sha
     source, at = shown[name], along(shown[name])
     measured = np.unwrap(source.values) if name == YAW else _turned(source)
     start_s = np.array([span.start_s for span in shown.spans])
-    inside = source.t_s - TURN_S > start_s[source.span]
+    inside = source.t_s - COMPARED_OVER_S > start_s[source.span]
 
     def turns(stamps: Array, path: Array) -> Array:
-        return (np.interp(at, stamps, path) - np.interp(at - TURN_S, stamps, path))[inside]
+        return (np.interp(at, stamps, path) - np.interp(at - COMPARED_OVER_S, stamps, path))[inside]
 
     turn, speeds, setpoints = (
         turns(at, measured),
@@ -118,14 +120,14 @@ def _share(shown: MeasuredLog, sent: MeasuredLog, robot: RobotParameters) -> Sha
     apart, left = slope * (setpoints - speeds), turn - slope * speeds
     # wild samples count no more than the largest others
     left = np.clip(left, -largest(left), largest(left))
-    _, piece = np.unique((at[inside] / PIECE_S).astype(np.int64), return_inverse=True)
+    _, piece = np.unique((at[inside] / JUDGED_PIECE_S).astype(np.int64), return_inverse=True)
     weight, seen = np.bincount(piece, apart**2), np.bincount(piece, apart * left)
     n = len(weight)
     if n < 2 * FEWEST_BLOCKS or not weight.sum():
         return None
     value = float(seen.sum() / weight.sum())
     spread = float(np.sum((seen - value * weight) ** 2)) * n / (n - 1)
-    return Share(value, float(np.sqrt(spread) / weight.sum()), slope, if_sent)
+    return Leaning(value, float(np.sqrt(spread) / weight.sum()), slope, if_sent)
 
 
 def _asked(log: MeasuredLog, robot: RobotParameters) -> tuple[Array, Array]:

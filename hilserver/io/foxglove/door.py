@@ -13,7 +13,7 @@ from typing import Final
 
 import structlog
 
-from hilserver.io.places import Place, Places
+from hilserver.io.places import KeptPlace, PlaceKeeper
 from hilserver.program import event_loop
 from hilserver.tasks import SupervisedTask, Supervisor, first_of
 from hilserver.time_limit import time_limit
@@ -48,7 +48,7 @@ class Door:
         self._server: asyncio.Server | None = None
         self._behind = ("", 0)
         self._open: set[SupervisedTask] = set()
-        self._places = Places(CONNECTIONS)
+        self._places = PlaceKeeper(CONNECTIONS)
 
     @property
     def port(self) -> int:
@@ -84,7 +84,7 @@ class Door:
         job.on_end = ended
 
     async def _guarded(
-        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, place: Place
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, place: KeptPlace
     ) -> None:
         try:
             await self._serve(reader, writer, place)
@@ -94,7 +94,7 @@ class Door:
             writer.transport.abort()
 
     async def _serve(
-        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, place: Place
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, place: KeptPlace
     ) -> None:
         async with time_limit(HEAD_S):
             head = await reader.readuntil(b"\r\n\r\n")

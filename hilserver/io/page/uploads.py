@@ -11,14 +11,14 @@ from aiohttp import web
 
 from hilserver.io.page.files import LOG_SUFFIXES, file_in, is_plain
 from hilserver.io.page.hand import RefusedError
-from hilserver.io.places import Place, Places
+from hilserver.io.places import KeptPlace, PlaceKeeper
 from hilserver.time_limit import time_limit
 
 MAX_BYTES = 1 << 30
 KEPT_FREE_BYTES = 1 << 30
 PIECE_BYTES = 1 << 18
 PIECE_S = 30.0
-AT_ONCE = 2
+UPLOADS_AT_ONCE = 2
 PROGRESS_BYTES = 1 << 16
 """An upload that takes longer than `hilserver.io.places.YIELDS_AFTER_S` for so many makes room."""
 _Part = IO[bytes]
@@ -29,7 +29,7 @@ class Uploads:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._places = Places(AT_ONCE)
+        self._places = PlaceKeeper(UPLOADS_AT_ONCE)
 
     def download(self, name: str) -> web.FileResponse:
         """Return a log; RefusedError if there is none."""
@@ -78,7 +78,7 @@ class Uploads:
             raise FileExistsError
         return tempfile.NamedTemporaryFile(prefix=".upload-", dir=self._folder)
 
-    async def _copy(self, request: web.Request, part: _Part, place: Place) -> int:
+    async def _copy(self, request: web.Request, part: _Part, place: KeptPlace) -> int:
         room = min(MAX_BYTES, shutil.disk_usage(self._folder).free - KEPT_FREE_BYTES)
         size = reached = 0
         self._places.progress(place)

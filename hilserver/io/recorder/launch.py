@@ -19,7 +19,7 @@ from hilserver.tasks import SupervisedTask, Supervisor
 
 PREFIX = "hilserver: "  # of error messages
 READY = re.compile(rb"^recording ")
-START_LIMIT_S = 30.0
+START_LIMIT_S = 600.0
 STOP_LIMIT_S = 30.0
 
 _log = structlog.get_logger(__name__)

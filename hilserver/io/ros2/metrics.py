@@ -4,7 +4,7 @@ import time
 from collections.abc import Collection, Iterator
 from typing import Final
 
-from hilserver.io.ros2.status import Command, Ros2Status
+from hilserver.io.ros2.status import CommandState, Ros2Status
 from hilserver.metrics import Metric, Row
 
 Links = Collection[Ros2Status]  # one, or none if ROS 2 is not enabled
@@ -40,7 +40,7 @@ METRICS: Final[tuple[Metric[Links], ...]] = (
         "hil_ros2_command_held",
         "1 while a command stands only because its writer is alive (on_stale: hold).",
         (),
-        lambda links: [((), float(link.command is Command.HELD)) for link in links],
+        lambda links: [((), float(link.command is CommandState.HELD)) for link in links],
     ),
     Metric(
         "hil_ros2_command_age_seconds",

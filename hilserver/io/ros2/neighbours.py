@@ -48,7 +48,7 @@ class Apart(StrEnum):
     TYPE_REFUSED = "type_refused"
 
 
-class Endpoint(NamedTuple):
+class RemoteEndpoint(NamedTuple):
     """A writer or reader of another participant."""
 
     topic: str
@@ -79,8 +79,8 @@ class Neighbours:
     participant: Participant
     now_ns: Callable[[], int] = time.monotonic_ns
     known: dict[bytes, Neighbour] = field(default_factory=dict)
-    writers: dict[int, Endpoint] = field(default_factory=dict)
-    readers: dict[int, Endpoint] = field(default_factory=dict)
+    writers: dict[int, RemoteEndpoint] = field(default_factory=dict)
+    readers: dict[int, RemoteEndpoint] = field(default_factory=dict)
     _discovered: list[Any] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -107,7 +107,7 @@ class Neighbours:
         elif gid != self.participant.gid and gid not in self.known and len(self.known) < MOST_KNOWN:
             self.known[gid] = _neighbour(sample.qos, self.now_ns())
 
-    def _note(self, found: dict[int, Endpoint], sample: Any) -> None:
+    def _note(self, found: dict[int, RemoteEndpoint], sample: Any) -> None:
         handle = sample.sample_info.instance_handle & HANDLE
         if sample.sample_info.instance_state != InstanceState.Alive:
             found.pop(handle, None)
@@ -116,7 +116,7 @@ class Neighbours:
         if owner == self.participant.gid or len(found) >= MOST_KNOWN:
             return
         reliability, durability = Policy.Reliability.Reliable, Policy.Durability.Volatile
-        found[handle] = Endpoint(
+        found[handle] = RemoteEndpoint(
             sample.topic_name,
             sample.type_name,
             _type_hash(sample.qos),
@@ -167,7 +167,7 @@ class Neighbours:
                     text = f"{who}, was discovered, but its type information was refused"
                     yield Apart.TYPE_REFUSED, subject.topic, text
 
-    def _should_fit(self, ours: In | Out, other: Endpoint) -> bool:
+    def _should_fit(self, ours: In | Out, other: RemoteEndpoint) -> bool:
         """Whether they have had time to match, and offer what the other side requests."""
         qos = ours.subject.qos
         mine = qos.reliable, qos.latched

@@ -25,7 +25,7 @@ from hilserver.io.ros2.parameters import NODE, ParameterServices
 from hilserver.io.ros2.participant import Arrival, In, Out, Participant
 from hilserver.io.ros2.replies import Replies
 from hilserver.io.ros2.services import Service
-from hilserver.io.ros2.status import Command, Ros2Status
+from hilserver.io.ros2.status import CommandState, Ros2Status
 from hilserver.io.ros2.way_back import WayBack
 from hilserver.io.ros2.wire import WireTypes
 from hilserver.io.source import Source
@@ -367,7 +367,7 @@ class Ros2Node(Part):
         self._hold(now_ns)
         self._see_lapse()
         if self._source.watch(now_ns) is Transition.LOST:
-            self.status.command = Command.STALE
+            self.status.command = CommandState.STALE
         if self._watched % LOOK_EVERY == 0:
             self._look_at_endpoints()
             self._look_at_neighbours()
@@ -385,7 +385,7 @@ class Ros2Node(Part):
             self._world.gate.leases.renew(NAME, now_ns)
         if not staleness.stale:
             is_late = now_ns - status.command_ns > staleness.limit_ns
-            status.command = Command.HELD if is_late else Command.FRESH
+            status.command = CommandState.HELD if is_late else CommandState.FRESH
 
     def _look_at_neighbours(self) -> None:
         """Tell what of other participants does not fit, and where others are if nobody is here."""

@@ -14,7 +14,7 @@ import time
 from collections import Counter
 from typing import Final
 
-from hilserver.io.ros2.neighbours import Endpoint, Neighbours
+from hilserver.io.ros2.neighbours import Neighbours, RemoteEndpoint
 from hilserver.io.ros2.participant import Arrival, Out
 
 _MAGIC: Final = b"RTPS\x02\x03\x01\x10"  # protocol 2.3, vendor Cyclone DDS
@@ -69,7 +69,7 @@ class Replies:
 
 
 def _message(
-    writer: bytes, reader: bytes, sequence: int, client: Endpoint, number: int, cdr: bytes
+    writer: bytes, reader: bytes, sequence: int, client: RemoteEndpoint, number: int, cdr: bytes
 ) -> bytes:
     """Return an RTPS message with one sample; GUIDs have 16 bytes."""
     seconds, nanoseconds = divmod(time.time_ns(), 10**9)

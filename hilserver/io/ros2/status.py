@@ -7,7 +7,7 @@ from enum import StrEnum
 from hilserver.io.link_status import PeerStatus
 
 
-class Command(StrEnum):
+class CommandState(StrEnum):
     """Where the last command stands."""
 
     NONE = "none"
@@ -20,7 +20,7 @@ class Command(StrEnum):
 class Ros2Status(PeerStatus):
     """Everything observed in the domain."""
 
-    command: Command = Command.NONE
+    command: CommandState = CommandState.NONE
     command_ns: int | None = None  # CLOCK_MONOTONIC [ns] of the newest accepted command
     lease_s: float | None = None  # the participant that sent it counts as alive for so long
     participants: int = 0  # others in the domain

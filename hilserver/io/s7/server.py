@@ -9,7 +9,7 @@ from typing import Final
 from hilserver import __version__
 from hilserver.config.s7 import S7Server
 from hilserver.io.peer_link.samples import FaultKind
-from hilserver.io.places import Place, Places, Use
+from hilserver.io.places import KeptPlace, PlaceKeeper, PlaceUse
 from hilserver.io.s7 import wire
 from hilserver.io.s7.blocks import DataBlock, RefusedItemError
 from hilserver.io.s7.wire import Code, Function, Job, WireError
@@ -153,8 +153,8 @@ class Server:
         self._config, self._answers, self._report = config, answers, report
         self._tasks = Supervisor() if tasks is None else tasks
         self._server: asyncio.Server | None = None
-        self.clients: dict[SupervisedTask, Place] = {}
-        self._places = Places(config.max_clients)
+        self.clients: dict[SupervisedTask, KeptPlace] = {}
+        self._places = PlaceKeeper(config.max_clients)
 
     @property
     def port(self) -> int:
@@ -200,7 +200,7 @@ class Server:
 
     async def _serve(
         self,
-        place: Place,
+        place: KeptPlace,
         host: str,
         reader: asyncio.StreamReader,
         writer: asyncio.StreamWriter,
@@ -217,7 +217,7 @@ class Server:
 
     async def _converse(
         self,
-        place: Place,
+        place: KeptPlace,
         reader: asyncio.StreamReader,
         writer: asyncio.StreamWriter,
     ) -> None:
@@ -227,7 +227,7 @@ class Server:
         while True:
             message = wire.taken_apart(await wire.receive(reader, MESSAGE_S))
             writes = message.parameters[:1] == bytes((Function.WRITE,))
-            self._places.progress(place, Use.DRIVES if writes else Use.WATCHES)
+            self._places.progress(place, PlaceUse.DRIVES if writes else PlaceUse.WATCHES)
             writer.write(answers.to(message))
             async with time_limit(MESSAGE_S):
                 await writer.drain()

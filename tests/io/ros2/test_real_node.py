@@ -7,7 +7,7 @@ from contextlib import asynccontextmanager
 import pytest
 
 from hilserver.core.events import EventKind
-from hilserver.io.ros2.status import Command
+from hilserver.io.ros2.status import CommandState
 from hilserver.signals import State
 from tests.io.ros2.rig import PATIENCE_S, robot, value
 from tests.io.ros2.ros_node import ROOT, RosNode, needs_rclpy
@@ -63,7 +63,7 @@ async def test_what_a_key_commanded_stands_while_its_node_is_there(domain):
         status = daemon.part("ros2").status
         for rpm in (20.0, 30.0):
             await press(rpm)
-            await wait_until(lambda: status.command is Command.HELD, PATIENCE_S)
+            await wait_until(lambda: status.command is CommandState.HELD, PATIENCE_S)
             await asyncio.sleep(0.5)
             assert value(daemon, "wheel.fl.speed_rpm") == pytest.approx(rpm, abs=0.5)
         assert status.lease_s == 20.0
