@@ -235,11 +235,11 @@ class InputGate(HandOver):
         """Return who writes this signal already, if that is somebody else; two never mix.
 
         Among peers, and for measured values, the first to write keeps a signal until it falls
-        silent. A door without a log-in yields to the person who holds control.
+        silent. A door without a log-in yields to the person who drives.
         """
         if not signal.is_measured and kind_of(source) not in OFFERING:
-            holds = source in self._doors and kind_of(source) == self.owner
-            return self.owner if holds and self.holder is not None else ""
+            is_beside = source in self._doors and kind_of(source) == self.owner
+            return self.owner if is_beside and self._is_driven_by_a_person(source) else ""
         for slot in signal.slots:
             writer, last_ns = self._writing.get(slot, ("", 0))
             if writer in ("", source) or writer in self._silent:
@@ -249,6 +249,14 @@ class InputGate(HandOver):
                 if is_link or now_ns - last_ns < _HELD_NS:
                     return writer
         return ""
+
+    def _is_driven_by_a_person(self, door: str) -> bool:
+        """Whether somebody else of this door's kind moves the robot now."""
+        speaker = self._speaker
+        if speaker in ("", door) or speaker in self._doors:
+            return False
+        newest = (self._newest.get(slot, ("", 0.0)) for slot in range(N_SETPOINTS))
+        return any(writer == speaker and value != 0.0 for writer, value in newest)
 
     def _lets_move(
         self, source: str, rows: Mapping[str, list[Row]], offered: list[Row], now_ns: int
@@ -346,7 +354,7 @@ class InputGate(HandOver):
             kind = kind_of(source)
             other = self._other_writer(source, self._table[name], self._now_ns())
             if other == self.owner:
-                return f"a person holds control by '{other}'"
+                return f"a person drives by '{other}'"
             if other:
                 return f"'{other}' writes it, until it falls silent"
             return f"'{self.owner}' has control; write '{kind}' to control.source to take it"

@@ -55,16 +55,14 @@ def test_what_is_granted_is_accepted(world):
     assert w.latched(MEASURED) == 12.5
 
 
-def test_a_door_without_a_log_in_yields_to_the_person_who_holds_control(world):
+def test_a_door_without_a_log_in_yields_to_the_person_who_drives(world):
     w = world(owner="opcua", doors=[VIEWER])
-    person = object()
-    w.gate.request("page", "page", person)
-    assert w.gate.write("page:foxglove", {SPEED: -60.0}) == {SPEED: "not_in_control"}
+    w.gate.request("page", "page", object())
     assert w.gate.write("page:1", {SPEED: 20.0}) == {}
+    assert w.gate.write("page:foxglove", {SPEED: -60.0}) == {SPEED: "not_in_control"}
     assert w.latched(SPEED) == 20.0
-    assert "a person holds control by 'page'" in w.events.recent[-1].message
-    w.gate.request("page", "nobody")
-    w.gate.take("page")
+    assert "a person drives by 'page'" in w.events.recent[-1].message
+    assert w.gate.write("page:1", {SPEED: 0.0}) == {}
     assert w.gate.write("page:foxglove", {SPEED: 10.0}) == {}
 
 

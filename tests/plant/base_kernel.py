@@ -29,6 +29,7 @@ def base_step(p, x, u, y):
         sums[i], motors[i] = n, m
         y.speed[i] = n
         y.angle[i] = x.angle[i]
+        y.demand[i] = x.commanded[i]
         e = x.commanded[i] - n
         w = p.k_p * e + x.integral[i]
         duty = w

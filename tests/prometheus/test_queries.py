@@ -125,6 +125,20 @@ async def ask_the_shield(rig: Rig) -> None:
     os.close(host)
 
 
+async def fail_tasks(rig: Rig) -> None:
+    """A task that should last fails as often as it begins; others that end by themselves fail."""
+
+    async def fail() -> None:
+        raise RuntimeError("on purpose")
+
+    tasks = rig.daemon.core.tasks
+    job = tasks.keep("failing", fail)
+    for _ in range(int(HOLD_S)):
+        tasks.spawn(fail, "metrics request")
+        await asyncio.sleep(1.0)
+    await job.end()
+
+
 async def recalibrate(rig: Rig) -> None:
     """The gap changes, windows are looked at, and a proposal waits after one that helped."""
     part = rig.daemon.part("recalibration")
@@ -236,6 +250,7 @@ STIMULI = (
         ask_the_shield,
         up=("Requests to the shield", "Lateness of the shield"),
     ),
+    Stimulus(fail_tasks, appears=("Tasks that run", "Ends that nobody asked for")),
     Stimulus(recalibrate, up=("Proposals", "Looks", "Effect of a proposal")),
     Stimulus(fill_memory, up=("Memory",)),
     Stimulus(
@@ -282,8 +297,12 @@ def moved(how: str, before: Series, during: Series) -> bool:
     )
 
 
+OF_ROS2 = {"ROS 2 neighbours", "Command of the ROS 2 host"}
+"""This robot has no ROS 2; the metrics of these panels are in tests/io/ros2."""
+
+
 def test_every_panel_has_a_stimulus() -> None:
-    named = {title for s in STIMULI for title in (*s.up, *s.down, *s.appears)}
+    named = OF_ROS2 | {title for s in STIMULI for title in (*s.up, *s.down, *s.appears)}
     assert named == {title for title, _ in panels()}
 
 

@@ -62,14 +62,14 @@ async def test_whoever_sends_a_byte_now_and_then_keeps_nobody_out(send, tmp_path
         with contextlib.suppress(aiohttp.ClientConnectionError):
             return await send(f"slow{number}.csv", trickle())
 
-    slow_ones = [asyncio.create_task(slow(number)) for number in range(module.AT_ONCE)]
+    slow_ones = [asyncio.create_task(slow(number)) for number in range(module.UPLOADS_AT_ONCE)]
     for _ in slow_ones:
         await begun.acquire()
     await asyncio.sleep(0.1)  # until their requests are at work
     assert await send("run.csv", b"t,x\n") == (200, 4)
     ends.set()
     answers = await asyncio.gather(*slow_ones)
-    assert len(list((tmp_path / "logs").glob("slow*"))) == module.AT_ONCE - 1
+    assert len(list((tmp_path / "logs").glob("slow*"))) == module.UPLOADS_AT_ONCE - 1
     refused = next(text for status, text in answers if status == 409)
     assert refused.endswith("came too slowly")
 
