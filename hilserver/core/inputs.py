@@ -54,7 +54,9 @@ def reasons_of(source: str, *, is_door: bool = False) -> set[Refusal]:
     """Return why a source can be refused; `is_door`: it needs a grant of its section."""
     reasons = set(Refusal)
     if source not in _CHOOSING:
+        # Its configuration names the signals, and only finite numbers leave a link or a scenario.
         reasons -= {Refusal.UNKNOWN_SIGNAL, Refusal.NOT_WRITABLE}
+        reasons -= {Refusal.TYPE_MISMATCH, Refusal.NOT_FINITE}
     if source not in _WITH_HANDS:
         reasons.discard(Refusal.NOT_AT_REST)
     if not is_door:

@@ -229,6 +229,7 @@ class _ByHand(_Source):
         m_s, self.m_s = self.m_s, 0.0
         if self._speaking is None:
             await self.say()
+            await asyncio.sleep(2 * self.every_s)  # of two messages at once the newer one counts
         self.m_s = m_s
         await super().hold()
 

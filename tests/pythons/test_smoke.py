@@ -62,7 +62,7 @@ def test_it_starts(hilserver):
 
 
 def test_the_embedded_controller_drives_it_over_opc_ua(hilserver):
-    hilserver("run", "--demo", "--duration", "4", "--record", "demo.csv")
+    hilserver("run", "--demo", "--duration", "20", "--record", "demo.csv")
     with (hilserver.folder / "demo.csv").open(newline="") as file:
         speeds = [float(row["wheel.fl.speed_rpm"]) for row in csv.DictReader(file)]
     assert max(map(abs, speeds)) > 5
