@@ -117,7 +117,7 @@ async def test_what_is_no_command_is_a_fault_and_nothing_else(fast_dds, domain):
             return counts["refused_value"] >= 2 and counts["bad_message"] >= 1
 
         await wait_until(all_are_counted, PATIENCE_S)
-        assert set(counts) == {"refused_value", "bad_message"}
+        assert set(+counts) == {"refused_value", "bad_message"}
         assert any(
             "3 numbers" in sentence for sentence in daemon.part("ros2").status.faults.values()
         )
