@@ -35,6 +35,15 @@ def test_the_daemon_carries_no_linear_algebra_until_it_is_called():
     assert shown.splitlines() == ["", "[[2.0, 0.0], [0.0, 2.0]]"]
 
 
+def test_what_comes_from_the_cache_needs_no_knowledge_of_types():
+    parts = {"numba.np.arrayobj", "numba.cpython.unicode", "cffi"}
+    loaded = f"import sys, hilserver.daemon.daemon; print(*{parts} & sys.modules.keys())"
+    words = [sys.executable, "-c", loaded]
+    for _ in range(2):  # the first one may have to compile
+        shown = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    assert shown == "\n"
+
+
 def test_the_daemon_compiles_for_shields_and_fmus_only_where_it_has_them():
     rooms = {"hilserver.fmu.calls", "hilserver.fmu.exchange", "hilserver.io.shield.answer"}
     loaded = f"import sys, hilserver.daemon.daemon; print(*{rooms} & sys.modules.keys())"

@@ -19,7 +19,6 @@ import numba
 import numpy as np
 from numba.core import config
 from numba.extending import register_jitable
-from numba.np import linalg
 
 import hilserver.cache
 from hilserver.cache import KERNELS, Shelf, cache_folder, remove_old
@@ -27,16 +26,16 @@ from hilserver.compiled.supplied import Supplied
 
 
 def _without_linear_algebra() -> None:
-    """Load numba's arrays without scipy's linear algebra: saves 15 MB and a tenth of the start.
+    """Load numba's arrays without scipy's linear algebra: saves 15 MB and a tenth of a second.
 
     numba only checks that it exists. Code that calls it, perhaps a user's block, loads it then.
     """
+    linalg = import_module("numba.np.linalg")
     asks, linalg.ensure_blas = linalg.ensure_blas, lambda: None
     import_module("numba.np.arraymath")
     linalg.ensure_blas = asks
 
 
-_without_linear_algebra()
 stored: Any = None  # our own cache, where this version of numba has what it is made of
 try:
     from hilserver.compiled import stored
@@ -45,6 +44,10 @@ except (ImportError, AttributeError) as _moved:
         f"numba {numba.__version__} has changed inside ({_moved}): it keeps compiled code itself,"
         " by the place of the sources; install a version that hilserver was tested with"
     )
+if stored is None:
+    _without_linear_algebra()
+else:
+    stored.on_miss.append(_without_linear_algebra)  # what is in the cache needs neither
 _PACKAGE = Path(__file__).resolve().parent.parent
 KERNELS_KEPT = 8
 """Folders of compiled code: this version's, and those of others that run on this computer."""

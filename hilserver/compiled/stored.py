@@ -19,6 +19,7 @@ from numba.core.caching import CompileResultCacheImpl, _Cache
 from numba.core.ccallback import CFunc
 from numba.core.compiler import CompileResult
 from numba.core.dispatcher import Dispatcher
+from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
 from hilserver.cache import Shelf
@@ -79,7 +80,9 @@ class Stored(_Cache):  # type: ignore[misc]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the compiled function for a signature; None: compile it, then save it."""
-        target_context.refresh()
+        # Compiled code needs numba's memory management, but not its implementations of types and
+        # functions. Those take a quarter of a second to load, and a compilation loads them itself.
+        rtsys.initialize(target_context)
         triple, *processor = target_context.codegen().magic_tuple()
         key = (sig, (triple, *processor), self._made_from)
         name = self._name(key)

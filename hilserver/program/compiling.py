@@ -5,6 +5,7 @@ and share the work (`hilserver.compiled.sharing`), so that everything is then in
 """
 
 import contextlib
+import functools
 import os
 import selectors
 import signal
@@ -59,13 +60,14 @@ def in_children(
     tell : callable
         Called every second, and at each report, with the functions whose compilation begins.
     """
+    share = functools.partial(_run, commands, tell)
     if stored is not None:
-        stored.on_miss.append(lambda: _run(commands, tell))
+        stored.on_miss.append(share)
     try:
         yield
     finally:
-        if stored is not None:
-            stored.on_miss.clear()
+        if stored is not None and share in stored.on_miss:
+            stored.on_miss.remove(share)
 
 
 def _run(commands: Sequence[Sequence[str]], tell: Callable[[Sequence[str]], None]) -> None:
