@@ -30,7 +30,7 @@ def _without_linear_algebra() -> None:
 
     numba only checks that it exists. Code that calls it, perhaps a user's block, loads it then.
     """
-    linalg = import_module("numba.np.linalg")
+    linalg: Any = import_module("numba.np.linalg")
     asks, linalg.ensure_blas = linalg.ensure_blas, lambda: None
     import_module("numba.np.arraymath")
     linalg.ensure_blas = asks

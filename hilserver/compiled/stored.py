@@ -14,6 +14,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import numba
+import numba.experimental.function_type  # how the step is passed; numba would load it at a call
 from numba.core import sigutils, typeinfer
 from numba.core.caching import CompileResultCacheImpl, _Cache
 from numba.core.ccallback import CFunc

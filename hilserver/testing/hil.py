@@ -1,12 +1,14 @@
 """The robot in a test: a daemon that advances on request of the test, or in real time."""
 
 import asyncio
+import inspect
 import math
 import time
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
-from typing import Literal, Self
+from functools import wraps
+from typing import Any, Concatenate, Literal, ParamSpec, Self, TypeVar
 
 from hilserver.core.inputs import Refusal
 from hilserver.daemon.daemon import Daemon
@@ -21,6 +23,8 @@ from hilserver.testing.tap import Capture, Tap
 __tracebackhide__ = True  # pytest then shows the failing line of the test
 Mode = Literal["virtual", "realtime"]
 Value = float | bool | list[float]
+P = ParamSpec("P")
+T = TypeVar("T")
 DRAIN_EVERY_S = 0.1
 DEFAULT_WAIT_S = 10.0  # of `Hil.wait_for`
 WATCH_EVERY_S = 0.002
@@ -41,6 +45,20 @@ class Sample:
     time_s: float
 
 
+def _to_await(
+    method: Callable[Concatenate["Hil", P], Coroutine[Any, Any, T]],
+) -> Callable[Concatenate["Hil", P], Coroutine[Any, Any, T]]:
+    """Note every call until it is awaited: what a test forgets to await does nothing."""
+
+    @wraps(method)
+    def call(hil: "Hil", /, *args: P.args, **options: P.kwargs) -> Coroutine[Any, Any, T]:
+        made = method(hil, *args, **options)
+        hil._calls = [*hil._not_begun(), made]
+        return made
+
+    return call
+
+
 class Hil:
     """The robot under a test."""
 
@@ -52,6 +70,7 @@ class Hil:
         self.journal = Journal()
         self._period_s = daemon.assembly.base_period_ns * 1e-9
         self._chunk = max(1, daemon.config.image.ring_frames // 2)
+        self._calls: list[Any] = []  # coroutines
 
     # --- time -------------------------------------------------------------------------------------
 
@@ -65,6 +84,7 @@ class Hil:
         """Simulated time [s]."""
         return self.tick * self._period_s
 
+    @_to_await
     async def step(self, n: int = 1) -> None:
         """Advance by `n` ticks: exactly in virtual time, at least in real time."""
         if isinstance(n, bool) or not isinstance(n, int) or n < 1:
@@ -80,6 +100,7 @@ class Hil:
             self.tap.drain()
             n -= ticks
 
+    @_to_await
     async def run_for(self, seconds: float) -> None:
         """Advance by simulated `seconds`, rounded to ticks."""
         await self.step(max(1, round(seconds / self._period_s)))
@@ -130,6 +151,7 @@ class Hil:
             raise HilError("; ".join(self._why(n, values[n], r) for n, r in refused.items()))
         self.journal.wrote(tick * self._period_s, values)
 
+    @_to_await
     async def set_parameter(self, name: str, value: float | None) -> int:
         """Change a parameter, named as in config.yaml; return the first tick with the new value.
 
@@ -167,6 +189,7 @@ class Hil:
             raise HilError("there is no frame yet; step once")
         return frame
 
+    @_to_await
     async def wait_for(
         self,
         signal: str,
@@ -269,6 +292,21 @@ class Hil:
                 yield self
             finally:
                 job.cancel()
+
+    def check_awaited(self) -> None:
+        """HilError if a call was not awaited."""
+        forgotten = self._not_begun()
+        for call in forgotten:
+            call.close()
+        if forgotten:
+            name = forgotten[0].__name__
+            raise HilError(
+                f"hil.{name} was called without await, so nothing happened: write 'await"
+                f" hil.{name}(...)' in a test that is an async def"
+            )
+
+    def _not_begun(self) -> list[Any]:
+        return [c for c in self._calls if inspect.getcoroutinestate(c) == inspect.CORO_CREATED]
 
     def _drain(self) -> None:
         if self.mode == "realtime":

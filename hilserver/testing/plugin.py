@@ -6,6 +6,8 @@ tests that use `hil`.
 
 import functools
 import inspect
+import unittest
+import warnings
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -62,28 +64,57 @@ def pytest_configure(config: pytest.Config) -> None:
 # --- collection -----------------------------------------------------------------------------------
 
 
-@pytest.hookimpl(tryfirst=True)
+@pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_pycollect_makeitem(
     collector: pytest.Module | pytest.Class, name: str, obj: Any
-) -> object:
+) -> Generator[None, Any, Any]:
     """Let a test that is an async generator advance with the simulation.
 
-    Tests that use `hil` run on asyncio in every mode of pytest-asyncio.
+    Tests that use `hil`, perhaps by a fixture of their own, run on asyncio in every mode of
+    pytest-asyncio.
     """
+    if not collector.config.pluginmanager.hasplugin("asyncio"):
+        return (yield)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        made = yield
+    tests = made if isinstance(made, list) else []
+    uses_hil = any("hil" in getattr(test, "fixturenames", ()) for test in tests)
     is_generator = inspect.isasyncgenfunction(obj)
-    if not (is_generator or inspect.iscoroutinefunction(obj)):
-        return None
-    if not collector.istestfunction(obj, name) or "hil" not in inspect.signature(obj).parameters:
-        return None
-    if not is_generator:
-        pytest.mark.asyncio(obj)
-        return None
-    driven = pytest.mark.asyncio(advancing(obj))
-    setattr(collector.obj, name, driven)  # pytest fetches the function again by its name
-    return list(collector._genfunctions(name, driven))
+    if not (uses_hil and is_generator):  # else pytest-asyncio has said that it will not run it
+        for warning in said:
+            warnings.warn_explicit(
+                warning.message, warning.category, warning.filename, warning.lineno
+            )
+    if not uses_hil:
+        return made
+    if inspect.isgeneratorfunction(obj):  # pytest 8 would leave it out
+        raise pytest.Collector.CollectError(f"{name}: a test that yields is written 'async def'")
+    if is_generator:
+        obj = advancing(obj, collector.config)
+        setattr(collector.obj, name, obj)  # pytest fetches the function again by its name
+    elif not inspect.iscoroutinefunction(obj) or tests[0].get_closest_marker("asyncio"):
+        return made
+    return collector.ihook.pytest_pycollect_makeitem(
+        collector=collector, name=name, obj=pytest.mark.asyncio(obj)
+    )
 
 
-def advancing(test: Callable[..., AsyncGenerator[object, float]]) -> Callable[..., Any]:
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Refuse a test that would be called without running its body."""
+    if "hil" not in getattr(item, "fixturenames", ()):
+        return
+    if not item.config.pluginmanager.hasplugin("asyncio"):
+        _without_asyncio()
+    if issubclass(getattr(item, "cls", None) or object, unittest.TestCase):
+        pytest.fail(
+            "hil works in functions and plain classes, not in a unittest.TestCase", pytrace=False
+        )
+
+
+def advancing(
+    test: Callable[..., AsyncGenerator[object, float]], config: pytest.Config
+) -> Callable[..., Any]:
     """Return a coroutine function that runs `test` and advances wherever it yields.
 
     ``yield`` waits for the next tick, ``yield 10`` for ten; both give the simulated time [s].
@@ -91,7 +122,7 @@ def advancing(test: Callable[..., AsyncGenerator[object, float]]) -> Callable[..
 
     @functools.wraps(test)
     async def drive(*args: Any, **kwargs: Any) -> None:
-        hil = kwargs["hil"]
+        hil: Any = config.stash[_HIL]
         steps = test(*args, **kwargs)
         try:
             wish = await anext(steps)
@@ -104,6 +135,15 @@ def advancing(test: Callable[..., AsyncGenerator[object, float]]) -> Callable[..
             await steps.aclose()
 
     return drive
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Generator[None, Any, Any]:
+    """Fail a test that forgot to await."""
+    done = yield
+    if "hil" in pyfuncitem.fixturenames and _HIL in pyfuncitem.config.stash:
+        pyfuncitem.config.stash[_HIL].check_awaited()
+    return done
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -133,16 +173,20 @@ async def _hil(request: pytest.FixtureRequest, hil_config: Any) -> AsyncIterator
     except (UserError, ValueError, AssertionError) as error:
         raise pytest.fail.Exception(str(error), pytrace=False) from None
     try:
-        request.node.stash[_HIL] = hil
+        request.config.stash[_HIL] = hil
         yield hil
     finally:
-        request.node.stash.__delitem__(_HIL)
+        request.config.stash.__delitem__(_HIL)
         await opened.__aexit__(None, None, None)
 
 
 def _without_asyncio() -> None:
     """Fail, as pytest-asyncio is missing."""
-    pytest.fail("the fixture hil needs pytest-asyncio: install hilserver[test]", pytrace=False)
+    pytest.fail(
+        "the fixture hil needs pytest-asyncio: install hilserver[test], and do not start pytest"
+        " with -p no:asyncio",
+        pytrace=False,
+    )
 
 
 if _asynchronous is None:
@@ -195,13 +239,13 @@ def pytest_runtest_makereport(
 ) -> Generator[None, Any, Any]:
     """Keep recording, scenario and seed of a failed test, and report the place."""
     report: Any = yield
-    if call.when == "call" and report.failed and _HIL in item.stash:
+    if call.when == "call" and report.failed and _HIL in item.config.stash:
         from hilserver.testing.keep import keep  # noqa: PLC0415
 
         config = item.config
         folder = config.getoption("--hil-keep") or config.getini("hil_keep")
-        place = keep(item.stash[_HIL], config.rootpath / folder, item.nodeid)
-        seed = item.stash[_HIL].daemon.config.plant.seed
+        place = keep(config.stash[_HIL], config.rootpath / folder, item.nodeid)
+        seed = config.stash[_HIL].daemon.config.plant.seed
         text = (
             f"recording, scenario and configuration: {place}\nseed {seed}, to run it again:"
             f" hilserver run -c {place / 'config.yaml'} --scenario {place / 'scenario.yaml'}"

@@ -37,8 +37,7 @@ class Series:
 
     def between(self, from_s: float | None = None, to_s: float | None = None) -> "Series":
         """Return the part from `from_s` to `to_s`, both counted from the first sample [s]."""
-        self._need_samples()
-        age_s = self.time_s - self.time_s[0]
+        age_s = self._age_s(up_to_s=to_s)
         keep = np.ones(len(self), dtype=bool)
         if from_s is not None:
             keep &= age_s >= from_s
@@ -109,6 +108,7 @@ class Series:
             )
         if found_s > within_s:
             raise AssertionError(f"{self.name} settles at {wanted} only after {found_s:.3f} s")
+        self._age_s(up_to_s=within_s)
 
     def overshoot(self, target: float) -> float:
         """Return how far it goes beyond `target`, as a share of the step from its first value."""
@@ -130,6 +130,21 @@ class Series:
     def _need_samples(self) -> None:
         if len(self) == 0:
             raise AssertionError(f"{self.name}: nothing was captured; step inside the capture")
+
+    def _age_s(self, *, up_to_s: float | None) -> Array:
+        """Return the times since the first sample [s], shape (n,), if they reach that far.
+
+        What was not captured could be anything: a band is not kept there.
+        """
+        self._need_samples()
+        age_s: Array = self.time_s - self.time_s[0]
+        period_s = age_s[1] if len(age_s) > 1 else 0.0
+        if up_to_s is not None and up_to_s > age_s[-1] + 1.5 * period_s:
+            raise AssertionError(
+                f"{self.name}: the capture ends after {age_s[-1]:.3f} s and is to be judged until"
+                f" {up_to_s:g} s; step further inside the capture"
+            )
+        return age_s
 
     def _fail_where(self, wrong: NDArray[np.bool_], what: str) -> None:
         if not wrong.any():

@@ -105,6 +105,16 @@ class Capture(Mapping[str, Series]):
         missing = [name for name in judge.signals if name not in list(self)]
         if missing:
             raise AssertionError(f"'{missing[0]}' was not captured; capture all that is required")
+        length_s = (len(self._rows) - 1) * self._period_s
+        for requirement in found:
+            until_s = requirement.lasts_s
+            if requirement.always:  # else it is met at the latest when it has become true once
+                until_s = max(until_s, requirement.within_s or 0.0)
+            if until_s > length_s + self._period_s:
+                raise AssertionError(
+                    f"'{requirement.name}' is about {until_s:g} s, and the capture is"
+                    f" {max(length_s, 0.0):g} s long; step further inside the capture"
+                )
         columns = {name: self[name].values for name in judge.signals}
         return judge.margins(Drive(self._period_s, columns))
 
