@@ -1,8 +1,8 @@
-"""What `pyproject.toml` cannot say: where the injector is installed, and compiled code in a wheel.
+"""What `pyproject.toml` cannot say: files from outside the package, and compiled code in a wheel.
 
 In a checkout the injector is a package of its own, which shares nothing with what it tests. A wheel
 has one package at its top, so there it lies within `hilserver.scenarios`, which imports it from
-there.
+there. So do the scenarios of ``examples/thesis``, which `hilserver.experiment` drives.
 
 ``make wheel`` names a folder of compiled code in HILSERVER_OBJECTS; the wheel is then one for this
 interpreter and architecture. Without it the wheel is for all of them, and compiles at its first
@@ -68,8 +68,11 @@ with_objects = {
     "distclass": WithObjects,
     "cmdclass": {"build_py": CopyObjects, "bdist_wheel": Tagged},
 }
+beside = {injector: "tests/injector/hilserver_injector"}
+if not is_editable:
+    beside["hilserver.experiment.drives"] = "examples/thesis"
 setup(
-    packages=[*find_namespace_packages(include=["hilserver", "hilserver.*"]), injector],
-    package_dir={injector: "tests/injector/hilserver_injector"},
+    packages=[*find_namespace_packages(include=["hilserver", "hilserver.*"]), *beside],
+    package_dir=beside,
     **(with_objects if objects else {}),
 )

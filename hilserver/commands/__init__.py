@@ -30,6 +30,7 @@ COMMANDS = {
     "page": "show the operator page in the browser, as 'run' does",
     "record": "record the signals of a running daemon",
     "simulate": "play a scenario in virtual time and write every signal to a file",
+    "experiment": "drive an experiment of the thesis again, with both models and its figures",
     "sweep": "run a controller on thousands of machines: how many pass, what decides it",
     "convert": "convert a log to another format: CSV, MCAP, MF4, ROS 2 bag, Parquet",
     "replay": "feed a log through the plant, faster than real time",

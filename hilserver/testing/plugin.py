@@ -4,6 +4,7 @@ Projects that do not test a robot load this file, too: it imports only pytest, a
 tests that use `hil`.
 """
 
+import asyncio
 import functools
 import inspect
 import unittest
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from hilserver.testing.hil import Hil
 
 MODES = ("virtual", "realtime")
+LOOPS = ("asyncio", "uvloop")
 _HIL: pytest.StashKey["Hil"] = pytest.StashKey()
 
 
@@ -34,6 +36,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--hil-config", metavar="FILE", help="configuration of the simulated robot")
     group.addoption(
         "--hil-mode", choices=MODES, help="virtual: as fast as possible, in lockstep; or realtime"
+    )
+    group.addoption(
+        "--hil-loop", choices=LOOPS, help="event loop of tests that use hil; the daemon's is uvloop"
     )
     group.addoption(
         "--hil-fault",
@@ -46,11 +51,19 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--hil-keep", metavar="DIR", help="folder for the recordings of failed tests")
     parser.addini("hil_config", "configuration of the simulated robot, like --hil-config")
     parser.addini("hil_mode", "virtual or realtime, like --hil-mode", default="virtual")
+    parser.addini("hil_loop", "asyncio or uvloop, like --hil-loop", default="asyncio")
     parser.addini("hil_keep", "folder for failed tests, like --hil-keep", default="hil-failures")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Describe the markers."""
+    """Describe the markers; choose the event loop."""
+    loop = config.getoption("--hil-loop") or config.getini("hil_loop")
+    if loop not in LOOPS:
+        raise pytest.UsageError(f"the loop of hil is {' or '.join(LOOPS)}, not {loop!r}")
+    if loop == "uvloop":
+        if not hasattr(config.hook, "pytest_asyncio_loop_factories"):
+            raise pytest.UsageError("uvloop for hil needs pytest-asyncio 1.4 or newer")
+        config.pluginmanager.register(_OnUvloop())
     config.addinivalue_line(
         "markers",
         "hil(config=..., mode=..., scenario=...): configuration (file or mapping), mode and"
@@ -59,6 +72,22 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line(
         "markers", "requirement(id, ...): requirements that the test verifies, for the JUnit report"
     )
+
+
+class _OnUvloop:
+    """Lets tests that use `hil` run on uvloop, as the daemon does; others keep their loop."""
+
+    @pytest.hookimpl(wrapper=True, optionalhook=True)
+    def pytest_asyncio_loop_factories(
+        self, item: pytest.Function
+    ) -> Generator[None, Any, dict[str, Callable[[], asyncio.AbstractEventLoop]]]:
+        """Name the loop of one test."""
+        own = yield
+        if "hil" not in item.fixturenames:
+            return own or {"asyncio": asyncio.new_event_loop}
+        import uvloop  # noqa: PLC0415 - most projects need none
+
+        return {"uvloop": uvloop.new_event_loop}
 
 
 # --- collection -----------------------------------------------------------------------------------

@@ -67,7 +67,7 @@ def test_k_om_by_name(name, value):
     assert RobotParameters(rotation_gain=name).k_om == pytest.approx(value, abs=5e-5)
 
 
-def test_printed_values_come_from_unrounded_dimensions():
+def test_printed_values_need_an_l_x_that_rounds_to_0_24():
     lx, ly = 0.2436, 0.3097
     assert 1 / ly == pytest.approx(3.229, abs=5e-4)
     assert ly / (lx**2 + ly**2) == pytest.approx(1.995, abs=5e-4)

@@ -206,3 +206,37 @@ def test_other_projects_pay_for_nothing_heavy(tmp_path):
         check=False,
     )
     assert re.search(r"1 passed", run.stdout), run.stdout + run.stderr
+
+
+def test_tests_with_a_robot_can_run_on_uvloop_as_the_daemon_does(project):
+    source = """
+        import asyncio
+
+        import pytest
+
+        def loop():
+            return type(asyncio.get_running_loop()).__module__.partition(".")[0]
+
+        async def test_coroutine(hil):
+            assert loop() == "uvloop"
+            await hil.step(3)
+
+        @pytest.mark.hil(mode="realtime")
+        async def test_generator(hil):
+            hil.write("wheel.fl.setpoint_rpm", 30.0)
+            yield 300
+            assert loop() == "uvloop"
+            assert hil.read("wheel.fl.speed_rpm") > 20.0
+
+        @pytest.mark.asyncio
+        async def test_of_others():
+            assert loop() == "asyncio"
+    """
+    project(source, "--hil-loop=uvloop").assert_outcomes(passed=3)
+
+
+def test_a_loop_that_does_not_exist_is_refused(pytester):
+    pytester.makeini("[pytest]\nhil_loop = trio\n")
+    ended = pytester.runpytest_subprocess(*LOAD)
+    assert ended.ret == pytest.ExitCode.USAGE_ERROR
+    ended.stderr.fnmatch_lines(["*the loop of hil is asyncio or uvloop, not 'trio'*"])
