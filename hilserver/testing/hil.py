@@ -130,7 +130,7 @@ class Hil:
             raise HilError("; ".join(self._why(n, values[n], r) for n, r in refused.items()))
         self.journal.wrote(tick * self._period_s, values)
 
-    async def set_parameter(self, name: str, value: float | None) -> int:
+    async def set_parameter(self, name: str, value: float | str | None) -> int:
         """Change a parameter, named as in config.yaml; return the first tick with the new value.
 
         HilError if it is refused.
