@@ -16,6 +16,7 @@ BENCHES = {
     "mechatronic": "a step of the body beside plain mj_step; the plant's wake latency with it",
     "recalibration": "a robot changes and its model follows: right, wrong, false, taken back",
     "observer": "where the robot is: consistency, error beside other filters, cost of a step",
+    "a53": "instructions of a tick on aarch64 (IOT2050) beside x86-64, counted in qemu",
     "fmu": "a step of the robot's FMU beside the daemon's; FMUs of others beside the paced plant",
     "tune": "wake latency while parameters change 20 times a second, against none",
     "sweep": "machines a minute, what Dask adds, memory; sweeps whose truth is known",

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from math import isnan
 
-from hilserver.parameters.table import BODY, JUMPS, PLANT, Parameter
+from hilserver.parameters.table import BODY, GAIN, JUMPS, PLANT, Parameter
 
 HEAD = """# Parameters: what changes while the robot runs
 
@@ -18,6 +18,12 @@ recording holds the packed numbers, and a replay gives the same bits. What does 
 refused with the reason, and nothing changes. States go on: the integral keeps its output when a
 gain changes, filters keep what they showed, a delay that is switched on begins with the present
 value, a wheel in contact stays so when play is added.
+
+A value may have a name, which every door takes where it takes text: K_om
+{names};
+`plant.exclusive_twist` is `true` or `false`. `hilserver set`, the page's view Tune, ROS 2 (a
+string, a bool), scenarios (`set:`) and the test kit take it as the value, OPC UA by the method
+`SetParameter`, as its variables are Doubles. In an FMU every parameter is a number, and 0 is null.
 
 *Jumps* names the outputs that may change at once in the tick of the change; all others go on
 without a jump. The ranges of the set-points are those of the start.
@@ -37,7 +43,8 @@ runs, so do the geometry and, where `driven_by` is `torque`, the process: the bo
 def as_markdown() -> str:
     """Return the reference as Markdown."""
     groups = "".join(f"| {word} | {_code(names)} |\n" for word, names in JUMPS.items())
-    return HEAD + "".join(map(_row, PLANT.values())) + TAIL + groups
+    head = HEAD.replace("{names}", PLANT[GAIN].names_text)
+    return head + "".join(map(_row, PLANT.values())) + TAIL + groups
 
 
 def _code(names: Iterable[str]) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 import yaml
 
 from hilserver import __version__, commands
+from hilserver.signals import Ranges, robot_table
 from tests.test_docs import LINK_TO, PAGES, ROOT
 
 BLOCK = re.compile(r"^ *```(\w*)\n(.*?)^ *```", re.S | re.M)
@@ -21,6 +22,8 @@ PATH = re.compile(
 KEY = re.compile(r"[a-z_0-9]+(?:\[\])?(?:\.[a-z_0-9]+(?:\[\])?)+")
 SCHEMA = json.loads((ROOT / "config.schema.json").read_text("utf-8"))
 CODE = "".join(p.read_text("utf-8") for p in ROOT.glob("hilserver/**/*.py"))
+SIGNAL = re.compile(r"[a-z]\w*(?:\.\w+)+")
+NOT_SIGNALS = (".py", ".yaml", ".csv", ".md", ".mcap")
 FILES = (".jsonl", ".mcap", ".py")
 NOT_FILES = {"hilserver/msg/Frame"}  # a ROS type
 
@@ -120,6 +123,21 @@ def test_every_key_in_an_example_of_a_configuration_exists() -> None:
             given = yaml.safe_load(textwrap.dedent(text)) if kind == "yaml" else None
             if isinstance(given, dict) and given.keys() & SCHEMA["properties"].keys():
                 yield from unknown(SCHEMA, given)
+
+    assert not wrong(missing)
+
+
+def test_every_signal_that_is_named_exists() -> None:
+    table = robot_table(Ranges(1.0, 1.0, 1.0, 1.0), body=True, observer=True)
+    names = {signal.name for signal in table}
+    kinds = {name.partition(".")[0] for name in names} - set(SCHEMA["properties"])
+
+    def missing(page: Path) -> Iterator[str]:
+        for span in spans(page):
+            is_name = SIGNAL.fullmatch(span) and not span.endswith(NOT_SIGNALS)
+            exists = any(f"{name}_".startswith(f"{span}_") for name in names)  # or is a group
+            if is_name and span.partition(".")[0] in kinds and not exists:
+                yield span
 
     assert not wrong(missing)
 

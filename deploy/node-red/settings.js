@@ -4,6 +4,7 @@
 const path = require("path");
 
 process.env.IOTBOT_NODESETS ||= path.join(__dirname, "nodesets");
+process.env.ROS2_PORT ||= "53881"; // of ros2_bridge.py
 process.env.IOTBOT_DEMO ||= "0"; // "1": drive the built-in demo when ROS 2 sends nothing
 
 module.exports = {
@@ -13,6 +14,7 @@ module.exports = {
   httpNodeRoot: false,
   uiHost: "127.0.0.1",
   uiPort: Number(process.env.EDITOR_PORT || 1880),
+  socketReconnectTime: 5000, // to ros2_bridge.py, which may start later, or not at all
   telemetry: { enabled: false, updateNotification: false },
   diagnostics: { enabled: false, ui: false },
   runtimeState: { enabled: false, ui: false },

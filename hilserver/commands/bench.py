@@ -19,7 +19,7 @@ BENCHES = {
     "loop": "set-point to pose and back over TCP, two processes",
 }
 ELSEWHERE = (
-    "attack", "diagnose", "fmu", "mechatronic", "observer", "opcua", "page", "recalibration",
+    "a53", "attack", "diagnose", "fmu", "mechatronic", "observer", "opcua", "page", "recalibration",
     "ros2", "s7", "shield", "start", "stop", "sweep", "tune",
 )  # fmt: skip
 """Benches of a checkout, in its folder ``benchmarks``."""

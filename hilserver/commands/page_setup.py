@@ -85,6 +85,8 @@ def _parameters(assembly: Assembly) -> list[dict[str, Any]]:
             "high": p.high,
             "configured": None if isnan(configured[p.name]) else configured[p.name],
             "nullable": p.nullable,
+            "flag": p.is_flag,
+            "names": {} if p.is_flag else {n: None if isnan(v) else v for n, v in p.names},
             "fixed": p.when == "restart",
             "meaning": p.meaning,
         }

@@ -6,11 +6,14 @@ source takes control; for driving there are ``teleop`` and scenarios, whose comm
 
 import argparse
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hilserver.commands.remote import PARAMETERS, add_connection, ask, from_json
 from hilserver.errors import FailedError, no_signal
 from hilserver.signals import Ranges, robot_table
+
+if TYPE_CHECKING:
+    from hilserver.parameters import Parameter
 
 EXAMPLE = "hilserver set control.source=opcua"
 SOURCE = "control.source"
@@ -32,11 +35,23 @@ def run(args: argparse.Namespace) -> int:
     if parameters:
         from hilserver.parameters import table_of  # noqa: PLC0415 -- needs the compiler
 
-        names += [f"{PARAMETERS}{name}" for name in table_of()]
+        table = {f"{PARAMETERS}{name}": parameter for name, parameter in table_of().items()}
+        names += table
+        values |= {n: _number(table[n], values[n]) for n in parameters if n in table}
     for name in values:
         if name not in names:
             raise FailedError(no_signal(name, names))
     return ask(args, lambda hand: hand.write(values), parameters)
+
+
+def _number(parameter: "Parameter", value: Any) -> Any:
+    """Return the number that a name stands for; another value as it is.
+
+    Which name of the geometry stands for null only the daemon knows.
+    """
+    known = {name: number for name, number in parameter.names if not math.isnan(number)}
+    word = str(value).lower() if isinstance(value, bool) else value
+    return known.get(word, value) if isinstance(word, str) else value
 
 
 def _values(texts: list[str]) -> dict[str, Any]:

@@ -1,7 +1,8 @@
 """Print the signal table: every signal once, as Markdown, CSV or an OPC UA NodeSet2 file.
 
 The table is that of the configuration, own blocks included; without one, that of the defaults. As
-SCL it prints the data blocks of the configuration, for the project of an S7 controller.
+SCL it prints the data blocks of the configuration, for the project of an S7 controller; as C and C#
+the process image in shared memory, for programs on the daemon's computer.
 """
 
 import argparse
@@ -15,6 +16,7 @@ from hilserver.errors import EXIT_DONE, ConfigError
 from hilserver.io.opcua_server.nodeset import to_nodeset
 from hilserver.io.opcua_server.units import find_unit
 from hilserver.io.s7.scl import to_scl
+from hilserver.io.shared_memory.headers import to_c, to_csharp
 from hilserver.parameters import PLANT
 from hilserver.signals import Signal, SignalTable
 
@@ -97,4 +99,6 @@ FORMATS: dict[str, Callable[[Assembly], str]] = {
     "csv": lambda assembly: as_csv(assembly.table),
     "nodeset2": lambda assembly: to_nodeset(assembly.table, PLANT.values()),
     "scl": lambda assembly: to_scl(assembly.config),
+    "c": lambda assembly: to_c(assembly.table, assembly.config.image.name),
+    "csharp": lambda assembly: to_csharp(assembly.table, assembly.config.image.name),
 }

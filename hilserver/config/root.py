@@ -24,6 +24,7 @@ from hilserver.config.ros2 import Ros2Config
 from hilserver.config.s7 import S7Config
 from hilserver.config.section import Driver, LinkSection, Section
 from hilserver.config.server import OpcUaConfig
+from hilserver.config.shared_memory import SharedMemoryConfig
 from hilserver.config.shield import ShieldConfig
 from hilserver.config.timing import ControlConfig, ImageConfig, SchedulerConfig, SnapshotConfig
 from hilserver.opcua.settings import Role
@@ -44,6 +45,7 @@ class Config(Section):
     peers: tuple[PeerConfig, ...] = ()
     edge: EdgeConfig = Field(default_factory=EdgeConfig)
     s7: S7Config = Field(default_factory=S7Config)
+    shared_memory: SharedMemoryConfig = Field(default_factory=SharedMemoryConfig)
     shield: ShieldConfig = Field(default_factory=ShieldConfig)
     ros2: Ros2Config = Field(default_factory=Ros2Config)
     blocks: tuple[BlockConfig, ...] = ()
@@ -124,7 +126,7 @@ class Config(Section):
     @property
     def doors(self) -> list[DoorRule]:
         """Doors without a log-in, open or not, with what they allow here."""
-        sections = (self.foxglove, self.ros2, self.s7, self.edge)
+        sections = (self.foxglove, self.ros2, self.s7, self.edge, self.shared_memory)
         stranger = self.opcua.anonymous_role
         return [section.door._replace(stranger=stranger) for section in sections]
 

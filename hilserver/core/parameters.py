@@ -30,7 +30,7 @@ from hilserver.parameters import (
     table_of,
     with_values,
 )
-from hilserver.parameters.table import BLOCK
+from hilserver.parameters.table import BLOCK, GAIN, gains
 from hilserver.plant.errors import PlantError
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
@@ -61,6 +61,7 @@ class Start:
         """Every parameter of this robot; those built into its body need a restart."""
         composition = self.composition
         table = table_of((block.name, block.declaration) for block in composition.blocks)
+        table[GAIN] = replace(table[GAIN], names=gains(geometric_gain(self.configured)))
         if composition.body is None:
             return table
         built_in = _OF_THE_BODY + (_OF_THE_DRIVES if self.robot.body_wheels else ())

@@ -16,7 +16,7 @@ from hilserver.daemon.shadow import GapWatch
 from hilserver.daemon.supervision import Supervision
 from hilserver.faults import metrics as fault_metrics
 from hilserver.faults.scenario import Stage
-from hilserver.io import edge, foxglove, ros2, s7
+from hilserver.io import edge, foxglove, ros2, s7, shared_memory
 from hilserver.io.opcua_server import server as opcua_server
 from hilserver.io.peer_link import metrics as peer_metrics
 from hilserver.io.peers import parts as peer_parts
@@ -42,6 +42,7 @@ LINKS: tuple[Callable[[World], Iterable[Part]], ...] = (
     foxglove.parts,
     edge.parts,
     s7.parts,
+    shared_memory.parts,
     peer_parts,
 )
 """Every link, in the order of the banner; a new one takes one line here."""

@@ -122,6 +122,22 @@ class Patches:
                 raise patch.refusal(patch.entry_at(key) or name, rest) from None
         return values
 
+    async def set_text(self, name: str, text: str) -> None:
+        """Set a parameter by a number, a name of one, or null.
+
+        ControlRefused if it cannot have that value.
+        """
+        try:
+            value: object = None if text == "null" else float(text)
+        except ValueError:
+            value = text
+        parameters = self._core.parameters
+        try:
+            number = parameters.apply(parameters.checked({name: value}))
+        except PlantError as error:
+            raise ControlRefused(str(error)) from None
+        await parameters.taken(number)
+
     async def reset(self) -> None:
         """Go back to the configuration, without a patch."""
         parameters = self._core.parameters

@@ -42,8 +42,8 @@ class Step(Section):
     write: dict[str, bool | float | list[float]] = Field(
         {}, description="signal: value", max_length=100
     )
-    set_: dict[str, float | None] = Field(
-        {}, alias="set", description="parameter: value; null as in config.yaml", max_length=100
+    set_: dict[str, bool | float | str | None] = Field(
+        {}, alias="set", description="parameter: value, as in config.yaml", max_length=100
     )
 
     model_config = ConfigDict(populate_by_name=True)

@@ -162,12 +162,16 @@ def _header(
         if part.slice == name
     ]
     taken = [_row(s.name, i, s.low, s.high) for i, s in enumerate(variables.inputs(table))]
-    tuned = [_row(t.about.name, t.place, t.low, t.high) for t in tunable]
+    tuned = [
+        _row(t.about.name, t.place, t.low, t.high, t.about.nullable, t.about.is_flag)
+        for t in tunable
+    ]
     why = ", ".join(f'"{REASONS.get(code, "")}"' for code in range(max(REASONS) + 1))
     lines = [
         *(f"#define {name} {value}" for name, value in sizes.items()),
         f"#define STEP_S {c_number(base_period_ns * 1e-9)}",
-        "typedef struct { const char *name; int place; double low, high; } Number;",
+        "typedef struct { const char *name; int place; double low, high; int has_null, is_flag; }"
+        " Number;",
         f"static const Number INPUTS[] = {{{', '.join(taken)}}};",
         f"static const Number TUNABLE[] = {{{', '.join(tuned)}}};",
         f"static const char *const WHY[] = {{{why}}};",
@@ -199,8 +203,9 @@ def _sizes(composition: Composition, tunable: Sequence[variables.Tunable]) -> di
     }
 
 
-def _row(name: str, place: int, low: float, high: float) -> str:
-    return f'{{"{name}", {place}, {c_number(float(low))}, {c_number(float(high))}}}'
+def _row(name: str, place: int, low: float, high: float, *kinds: bool) -> str:
+    bounds = f"{c_number(float(low))}, {c_number(float(high))}"
+    return f'{{"{name}", {place}, {bounds}{"".join(f", {int(kind)}" for kind in kinds)}}}'
 
 
 def _numbers(robot: RobotParameters) -> NDArray[np.float64]:

@@ -137,7 +137,12 @@ static const Number *settable(Robot *r, Reference reference, double value) {
         refuse(r, "variable %u cannot be set", (unsigned)reference);
         return NULL;
     }
+    if (about->is_flag && value != 0.0 && value != 1.0) {
+        refuse(r, "%s: %g is neither 0 nor 1", about->name, value);
+        return NULL;
+    }
     if (value >= about->low && value <= about->high) return about;
+    if (about->has_null && value == 0.0) return about;
     refuse(r, "%s: %g is outside %g .. %g", about->name, value, about->low, about->high);
     return NULL;
 }
@@ -150,9 +155,11 @@ static Status get(Robot *r, Reference reference, double *value) {
         *value = s->u[INPUTS[reference - FIRST_INPUT].place];
     else if (reference >= FIRST_OUTPUT && reference < FIRST_OUTPUT + N_Y)
         *value = s->y[reference - FIRST_OUTPUT];
-    else if (reference >= FIRST_TUNABLE && reference < FIRST_TUNABLE + N_TUNABLE)
-        *value = s->v[TUNABLE[reference - FIRST_TUNABLE].place];
-    else
+    else if (reference >= FIRST_TUNABLE && reference < FIRST_TUNABLE + N_TUNABLE) {
+        const Number *about = &TUNABLE[reference - FIRST_TUNABLE];
+        double own = s->v[about->place];
+        *value = about->has_null && isnan(own) ? 0.0 : own;
+    } else
         return refuse(r, "there is no variable %u", (unsigned)reference);
     return OK;
 }
@@ -169,7 +176,8 @@ static Status set_all(Handle c, const Reference *vr, size_t n, const double *val
     for (size_t i = 0; i < n; i++) {
         const Number *about = settable(c, vr[i], values[i]);
         if (about == NULL) return BAD;
-        (vr[i] < FIRST_TUNABLE ? u : v)[about->place] = values[i];
+        int is_null = about->has_null && values[i] == 0.0;
+        (vr[i] < FIRST_TUNABLE ? u : v)[about->place] = is_null ? NAN : values[i];
     }
     if (memcmp(v, s->v, sizeof v)) {
         int64_t why = run_part(s, PACK, p, v, N_V);

@@ -8,7 +8,7 @@ from xml.sax.saxutils import quoteattr
 
 from hilserver import __version__
 from hilserver.parameters import PLANT, Parameter, read
-from hilserver.parameters.table import SECTIONS, TERM
+from hilserver.parameters.table import EXCLUSIVE, SECTIONS, TERM
 from hilserver.plant.layout import Inputs, Outputs
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.physical import TERM_NAMES, Physical, physical
@@ -21,11 +21,11 @@ FIRST_INPUT, FIRST_OUTPUT, FIRST_TUNABLE = 1, 1000, 2000  # value references; ti
 
 @dataclass(frozen=True)
 class Tunable:
-    """A parameter: one of the physical numbers."""
+    """A parameter: one of the physical numbers. Where it can be null, 0 is null."""
 
     about: Parameter
     place: int  # index among the physical numbers
-    start: float  # the robot's value
+    start: float  # the robot's value; 0: null
     # range, ends included
     low: float
     high: float
@@ -43,12 +43,12 @@ def outputs(table: SignalTable) -> list[Signal]:
 
 
 def tunables(robot: RobotParameters) -> list[Tunable]:
-    """Return the parameters that are numbers of this robot and act at a tick."""
+    """Return the parameters of this robot that act at a tick."""
     fixed = _fixed(robot)
     found = [
-        Tunable(PLANT[name], _place(name), value, *_range(PLANT[name]))
+        Tunable(PLANT[name], _place(name), 0.0 if isnan(value) else value, *_range(PLANT[name]))
         for name, value in read(robot).items()
-        if PLANT[name].when == "tick" and not isnan(value) and name not in fixed
+        if PLANT[name].when == "tick" and name not in fixed
     ]
     seed = Parameter("seed", "1", 0, 2.0**53 - 1, 0, nullable=False, meaning="seed of all noise")
     return [*found, Tunable(seed, _place("seed"), float(robot.seed), seed.low, seed.high)]
@@ -67,6 +67,8 @@ def _fixed(robot: RobotParameters) -> set[str]:
 
 
 def _place(name: str) -> int:
+    if name == EXCLUSIVE:
+        name = "exclusive"
     known = TERM_NAMES.get(name.removeprefix(TERM))
     for section in ("plant.", "sensors.", "kinematics."):
         name = name.removeprefix(section)
@@ -79,7 +81,7 @@ def _range(about: Parameter) -> tuple[float, float]:
     section, _, key = about.name.rpartition(".")
     part = SECTIONS.get(section)
     own = {} if part is None else {item.name: item for item in fields(part)}
-    bounds = own[key].metadata["bounds"] if key in own else {}
+    bounds = own[key].metadata.get("bounds", {}) if key in own else {}
     low = nextafter(about.low, inf) if "gt" in bounds else about.low
     return low, nextafter(about.high, -inf) if "lt" in bounds else about.high
 
@@ -100,9 +102,10 @@ def description(
         rows.append(_row(version, s.name, FIRST_OUTPUT + i, what, _unit(s.unit)))
     for i, t in enumerate(tunable):
         about = t.about
-        text = quoteattr(about.meaning)
+        text = quoteattr(about.meaning + ("; 0 is null" if about.nullable else ""))
         what = f'causality="parameter" variability="tunable" description={text}'
-        more = f'{_unit(about.unit)} min="{about.low:.17g}" max="{about.high:.17g}"'
+        low = 0.0 if about.nullable else about.low
+        more = f'{_unit(about.unit)} min="{low:.17g}" max="{about.high:.17g}"'
         rows.append(
             _row(version, about.name, FIRST_TUNABLE + i, what, f'{more} start="{t.start:.17g}"')
         )

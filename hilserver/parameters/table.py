@@ -7,13 +7,13 @@ ROS 2, scenarios, test kit, patches and the reference page read this table.
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import Field, dataclass, fields
-from math import nan
+from math import isnan, nan
 from typing import Final, Literal
 
 from hilserver.body.parameters import BodyParameters, Tyre
 from hilserver.plant import parts
 from hilserver.plant.blocks import BlockDeclaration
-from hilserver.plant.parameters import RobotParameters
+from hilserver.plant.parameters import GEOMETRIC_GAINS, ROTATION_GAINS, RobotParameters
 from hilserver.plant.quantity import unit_of
 from hilserver.plant.terms import TERMS, Term
 
@@ -48,6 +48,9 @@ JUMPS: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """Outputs that jump in the tick of a change, by the words used in the plant's fields."""
 
+FLAG: Final = (("false", 0.0), ("true", 1.0))
+EXCLUSIVE: Final = "plant.exclusive_twist"
+GAIN: Final = "kinematics.rotation_gain"
 WIDEST: Final = 1e12  # bound of numbers without one of their own
 
 When = Literal["tick", "restart"]
@@ -67,6 +70,7 @@ class Parameter:
     meaning: str
     jumps: str = ""  # words of `JUMPS`, or outputs, that may jump in the tick of a change
     when: When = "tick"  # when a change takes effect
+    names: tuple[tuple[str, float], ...] = ()  # values that have a name, which stands for them
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -78,6 +82,20 @@ class Parameter:
         """The range in words."""
         unit = "" if self.unit == "1" else f" {self.unit}"
         return f"{self.low:g} .. {self.high:g}{unit}" + (" or null" if self.nullable else "")
+
+    @property
+    def is_flag(self) -> bool:
+        """Whether it is 0 (false) or 1 (true), and nothing else."""
+        return self.names == FLAG
+
+    @property
+    def names_text(self) -> str:
+        """The named values in words; empty: none."""
+        if self.is_flag or not self.names:
+            return ""
+        return "by name " + ", ".join(
+            name if isnan(value) else f"{name} {value:g}" for name, value in self.names
+        )
 
 
 def _of_field(section: str, item: "Field[object]") -> Parameter:
@@ -108,10 +126,17 @@ def _of_term(term: Term) -> Parameter:
     )
 
 
+def gains(geometric: str = GEOMETRIC_GAINS[0]) -> tuple[tuple[str, float], ...]:
+    """Return the values of K_om by name; `geometric`: the name that null stands for."""
+    return (*ROTATION_GAINS.items(), (geometric, nan))
+
+
 def _of_kinematics() -> Iterator[Parameter]:
+    text = "1: drive only the larger part of a twist with both (5.4)"
+    yield Parameter(EXCLUSIVE, "1", 0.0, 1.0, 0.0, False, text, "duty", names=FLAG)
     jumps = "velocity duty"
-    text = "K_om; null: from the geometry, as configured"
-    yield Parameter("kinematics.rotation_gain", "1/m", 1e-6, 1e6, nan, True, text, jumps)
+    text = "K_om; null: from the geometry, geometric_skid unless configured as geometric_diff"
+    yield Parameter(GAIN, "1/m", 1e-6, 1e6, nan, True, text, jumps, names=gains())
     text = "-1: right-handed; 1: as the thesis prints it"
     yield Parameter("kinematics.yaw_sign", "1", -1.0, 1.0, -1.0, False, text, jumps)
 

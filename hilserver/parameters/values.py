@@ -9,12 +9,11 @@ from math import isinf, isnan, nan
 from typing import Any, Final
 
 from hilserver.errors import meant
-from hilserver.parameters.table import BODY, PLANT, SECTIONS, TERM, Parameter
+from hilserver.parameters.table import BODY, EXCLUSIVE, GAIN, PLANT, SECTIONS, TERM, Parameter
 from hilserver.plant.errors import PlantError
 from hilserver.plant.parameters import GEOMETRIC_GAINS, RobotParameters
 from hilserver.plant.terms import complete, main_part
 
-GAIN: Final = "kinematics.rotation_gain"
 _PARTS: Final[Mapping[str, str]] = {
     section: section.partition(".")[2]
     for section in (*SECTIONS, "kinematics")
@@ -40,11 +39,19 @@ def named(name: str, table: Mapping[str, Parameter]) -> str:
 def check(parameter: Parameter, value: object) -> float:
     """Return a value as a float; `with_values` checks it against the others.
 
-    PlantError if it is not a number, out of range, or null without a meaning of null.
+    PlantError if it is neither a number nor the name of one, out of range, or null without a
+    meaning of null.
     """
     where = parameter.name
     if value is None:
         value = nan
+    if isinstance(value, bool) and parameter.is_flag:
+        value = float(value)
+    if isinstance(value, str) and parameter.names:
+        known = dict(parameter.names)
+        if value not in known:
+            raise PlantError(f"{where}: {value!r:.60} is none of {', '.join(known)}.")
+        value = known[value]
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise PlantError(f"{where}: must be a number, not {value!r:.60}.")
     if parameter.when == "restart":
@@ -59,6 +66,8 @@ def check(parameter: Parameter, value: object) -> float:
         return number
     if isinf(number) or not parameter.low <= number <= parameter.high:
         raise PlantError(f"{where}: {number:g} is outside {parameter.range_text}.")
+    if parameter.is_flag and not number.is_integer():
+        raise PlantError(f"{where}: must be 0 or 1, not {number:g}.")
     return number
 
 
@@ -121,4 +130,6 @@ def with_values(
 def _plain(name: str, value: float, geometric_gain: str) -> Any:
     if isnan(value):
         return geometric_gain if name == GAIN else None
+    if name == EXCLUSIVE:
+        return bool(value)
     return int(value) if name.endswith("yaw_sign") and value.is_integer() else value

@@ -152,7 +152,7 @@ class Hil:
         self.journal.wrote(tick * self._period_s, values)
 
     @_to_await
-    async def set_parameter(self, name: str, value: float | None) -> int:
+    async def set_parameter(self, name: str, value: float | str | None) -> int:
         """Change a parameter, named as in config.yaml; return the first tick with the new value.
 
         HilError if it is refused.

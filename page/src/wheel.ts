@@ -7,8 +7,9 @@
 
 import { Commander, type Hand } from "./command";
 import type { Robot } from "./context";
+import { joyOf, MAPPINGS, press } from "./gamepad";
 import { live } from "./net";
-import { toast } from "./ui";
+import { recall, store, toast } from "./ui";
 
 const KEYS: Record<string, [number, number]> = {
   ArrowUp: [0, 1],
@@ -17,7 +18,7 @@ const KEYS: Record<string, [number, number]> = {
   ArrowRight: [1, 0],
 };
 const DEAD_ZONE = 0.12;
-const STOP_BUTTON = 1; // B, or the circle
+const PAD_KEY = "hilserver.gamepad";
 /** A stick that is held sends no news while nothing trembles; a receiver whose gamepad is lost never does. */
 const PAD_SILENT_MS = 5000;
 
@@ -40,7 +41,8 @@ export class Wheel {
   /** Called when everything is zero: what is still held has to be let go first. */
   onHalt: () => void = () => {};
   private pressed = new Set<string>();
-  private pad = { name: "", stamp: NaN, newsMs: 0, isHeld: false, wasAtRest: false, stops: false };
+  private pad = { name: "", stamp: NaN, newsMs: 0, isHeld: false, wasAtRest: false, buttons: [] as boolean[] };
+  private padMapping = recall<{ mapping: string }>(PAD_KEY).mapping ?? "page";
 
   constructor(private robot: Robot, private emergencyStop: () => void) {
     window.addEventListener("keydown", (event) => this.down(event), true); // before a dialog or a field has it
@@ -55,6 +57,17 @@ export class Wheel {
       const ended = !live.drives || live.slow.board.state === "safe" || live.slow.board.state === "paused";
       if (ended && this.commander.active) this.halt();
     });
+  }
+
+  /** Name of what the gamepad's axes and buttons mean; this browser remembers it. */
+  get mapping(): string {
+    return this.padMapping in MAPPINGS ? this.padMapping : "page";
+  }
+
+  set mapping(name: string) {
+    this.halt();
+    this.padMapping = name;
+    store(PAD_KEY, { mapping: name });
   }
 
   /** Drive by a hand; zero lets go. */
@@ -137,9 +150,11 @@ export class Wheel {
   private gamepad(): void {
     const state = this.pad;
     const pad = navigator.getGamepads?.().find((each) => each?.connected);
-    const stops = pad?.buttons?.[STOP_BUTTON]?.pressed ?? false;
-    if (stops && !state.stops) this.emergencyStop();
-    state.stops = stops;
+    const mapping = MAPPINGS[this.mapping]!;
+    const joy = pad ? joyOf(pad) : { axes: [], buttons: [] };
+    if (joy.buttons[mapping.stop] && !state.buttons[mapping.stop]) this.emergencyStop();
+    if (isInFront()) press(mapping, joy.buttons, state.buttons);
+    state.buttons = joy.buttons;
 
     const name = pad ? `${pad.index} ${pad.id}` : "";
     const isAnother = name !== state.name;
@@ -151,8 +166,9 @@ export class Wheel {
       return this.halt();
     }
 
-    const dead = (value: number | undefined): number => (Math.abs(value ?? 0) < DEAD_ZONE ? 0 : value!);
-    const [x, y] = pad ? [dead(pad.axes[0]), -dead(pad.axes[1])] : [0, 0];
+    const dead = (value: number): number => (Math.abs(value) < DEAD_ZONE ? 0 : value);
+    const [left, ahead] = mapping.stick(joy);
+    const [x, y] = [-dead(left) || 0, dead(ahead)];
     const isAtRest = !x && !y;
     if (isAtRest || isAnother || !live.drives) state.wasAtRest = isAtRest;
     if (!live.drives || !(state.isHeld || (x && state.wasAtRest) || (y && state.wasAtRest))) return;

@@ -11,6 +11,7 @@ import tarfile
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "deploy" / "container" / "image.py"
@@ -54,6 +55,20 @@ def read(path):
         unpacked = gzip.decompress(blob(archive, layer))
     assert config["rootfs"]["diff_ids"] == [f"sha256:{hashlib.sha256(unpacked).hexdigest()}"]
     return entry, config, unpacked
+
+
+def test_on_an_iot2050_it_is_an_image_for_arm64_with_limits_of_its_own(monkeypatch):
+    monkeypatch.setattr("platform.machine", lambda: "aarch64")
+    image = script()
+    assert image.configuration("sha256:0", "1.2.3")["architecture"] == "arm64"
+    folder = SCRIPT.parent
+    usual, small = (
+        yaml.safe_load((folder / name).read_text())["services"]
+        for name in ("compose.yaml", "compose.iot2050.yaml")
+    )
+    assert small.keys() == {"hilserver"}
+    assert small["hilserver"]["platform"] == "linux/arm64"
+    assert small["hilserver"].keys() - {"platform", "cpuset"} <= usual["hilserver"].keys()
 
 
 def test_the_layout_is_that_of_the_specification_and_the_same_twice(tmp_path):

@@ -20,6 +20,9 @@ def test_the_shell_reaches_everything(robot, capsys):
     assert main(["set", *there, '{"wheel.fl.setpoint_rpm": 5, "wheel.fr.setpoint_rpm": -5}']) == 0
     assert main(["set", *there, "parameters.terms.dead_zone=2"]) == 0
     assert main(["set", *there, "parameters.terms.setpoint_rate_limit=null"]) == 0
+    assert main(["set", *there, "parameters.kinematics.rotation_gain=tile"]) == 0
+    assert main(["set", *there, "parameters.plant.exclusive_twist=true"]) == 0
+    assert main(["call", *there, "SetParameter", "kinematics.rotation_gain", "geometric_skid"]) == 0
     fault = '{"fault": "bias", "signal": "battery.voltage_v", "offset": -2}'
     assert main(["inject", *there, fault]) == 0
     assert main(["call", *there, "ClearFaults"]) == 0

@@ -22,6 +22,7 @@ ALL = {
     "ROS 2": {"command", "parameters"},
     "S7": {"measured", "command"},
     "databus": {"measured", "command"},
+    "shared memory": set(),
 }
 NOTHING = {title: set() for title in ALL}
 
@@ -53,6 +54,13 @@ def test_a_section_grants_more_by_name():
     assert rights["Foxglove"] == {"measured"}
     assert rights["ROS 2"] == set()
     assert rights_of({}, foxglove={"enabled": True, "grants": []})["Foxglove"] == set()
+
+
+def test_shared_memory_is_written_by_programs_only_where_its_section_says_so():
+    assert not Config().doors[-1].is_open
+    granted = config_of({}, shared_memory={"grants": ["command"]})
+    assert granted.doors[-1].rights == {Right.COMMAND}
+    assert granted.doors[-1].is_open
 
 
 def test_a_network_of_ros_2_does_not_change_the_robot_itself_unless_granted():

@@ -76,6 +76,47 @@ async def test_null_is_nan(kit, client):
     assert kit.daemon.core.parameters.differing == {}
 
 
+async def test_k_om_has_names_and_null_is_what_is_configured(kit, client):
+    def text(value):
+        return ua.Variant(value, ua.VariantType.String)
+
+    async def named(name, value):
+        return (await client.call("SetParameter", text(name), text(value))).StatusCode.name
+
+    gain = "kinematics.rotation_gain"
+    parameters = kit.daemon.core.parameters
+    for value, number in {"tile": 1.052, "1.5": 1.5, "carpet_soft": 1.03}.items():
+        assert await named(gain, value) == "Good"
+        assert parameters.values[gain] == number
+    for null in ("null", "geometric_skid"):
+        assert await named(gain, "tile") == "Good"
+        assert await named(gain, null) == "Good"
+        assert parameters.differing == {}
+    for wrong in ("geometric_diff", "parquet", "", "nan?", "inf"):
+        assert await named(gain, wrong) == "BadInvalidState"
+    assert await named("plant.controller.k_p", "tile") == "BadInvalidState"
+    assert parameters.differing == {}
+
+
+async def test_exclusive_mode_acts_at_a_tick(kit, client):
+    """Forward and turning at once: of the wheels' speeds only the larger part is left."""
+    kit.write({"control.mode": 1, "twist.linear_m_s": 0.3, "twist.angular_rad_s": 0.5})
+    await kit.step(2)
+
+    def demands():
+        return [kit.read(f"wheel.{wheel}.demand_rpm") for wheel in ("fl", "fr")]
+
+    left, right = demands()
+    assert left != -right
+    assert await write(client, **{"plant.exclusive_twist": 1.0}) == ["Good"]
+    await kit.step(1)
+    left, right = demands()
+    assert left == -right > 0
+    assert await write(client, **{"plant.exclusive_twist": 0.0}) == ["Good"]
+    await kit.step(1)
+    assert demands()[0] != left
+
+
 @pytest.mark.parametrize(
     ("values", "code", "text"),
     [

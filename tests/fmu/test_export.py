@@ -75,7 +75,7 @@ async def both(folder, fmu, writes, start=(), tuned=()):
         rows = [Row(table.slot(name), value, tick=tick) for tick, name, value in writes]
         assert core.image.push_timed(rows)
         for due, values in tuned:  # of the robot and of the FMU in one tick
-            copied = {f"blocks.copy.{name}": value for name, value in values.items()}
+            copied = {f"blocks.copy.{name}": value or 0.0 for name, value in values.items()}
             core.parameters.apply(core.parameters.checked(values | copied), due=due)
         await core.scheduler.advance(N)
         frames = np.array([core.image.frame(i).values for i in range(N)])
@@ -103,6 +103,9 @@ async def test_what_is_tuned_while_it_drives_gives_the_bits_of_the_daemon(fmu, t
         (700, {"terms.dead_zone": 8.0, "terms.gyro_bias": -0.1}),
         (800, {"terms.body_lag": 0.0, "terms.floor_slope.x": 0.2}),
         (900, {"terms.body_lag": 0.2, "terms.wheel_runout.amplitude": 0.0}),
+        (1050, {"plant.exclusive_twist": 1.0, "kinematics.rotation_gain": 1.052}),
+        (1200, {"plant.exclusive_twist": 0.0, "terms.setpoint_rate_limit": 50.0}),
+        (1400, {"kinematics.rotation_gain": None, "terms.setpoint_rate_limit": None}),
         (1700, {"terms.encoder_quantization": 0.0, "sensors.nav.white_noise_m": 0.1}),
         (1800, {"plant.controller.k_p": 6.0, "plant.controller.k_i": 60.0}),
         (1900, {"plant.controller.k_d": 0.02, "terms.controller_gains.p": 0.3}),
@@ -115,9 +118,10 @@ async def test_what_is_tuned_while_it_drives_gives_the_bits_of_the_daemon(fmu, t
         (2700, {"sensors.nav.rate_hz": 50.0, "sensors.nav.latency_s": 0.04}),
         (2900, {"kinematics.yaw_sign": 1.0, "sensors.battery.capacity_ah": 1.0}),
     ]
-    ours, copy = await both(tmp_path, fmu[version], drives(), tuned=tuned)
+    writes = sorted([*drives(), (1000, "twist.linear_m_s", 0.1)])
+    ours, copy = await both(tmp_path, fmu[version], writes, tuned=tuned)
     assert np.array_equal(ours, copy, equal_nan=True)
-    as_made, _ = await both(tmp_path, fmu[version], drives())
+    as_made, _ = await both(tmp_path, fmu[version], writes)
     assert [int(np.argmax((ours != as_made).any(axis=1)))] == [700]
 
 
@@ -147,10 +151,10 @@ def test_signals_and_parameters_have_their_names_units_and_ranges(fmu):
     left_out = {
         name for name in at_a_tick - said.keys() if not name.startswith("terms.friction_anisotropy")
     }
-    assert left_out == {
-        "kinematics.rotation_gain", "terms.setpoint_rate_limit", "terms.control_period",
-        "terms.roller_slip", "sensors.battery.initial_charge",
-    }  # fmt: skip
+    assert left_out == {"terms.roller_slip", "sensors.battery.initial_charge"}
+    by_name = said["kinematics.rotation_gain"]
+    assert (by_name.start, by_name.min) == ("0", "0")
+    assert by_name.description.endswith("; 0 is null")
     assert read_fmu(str(fmu[3]), fmu[3].parent).stores_state
 
 
@@ -279,6 +283,8 @@ for wrong, words in (
     (lambda: a.setFloat64([vr["plant.max_rpm"]], [0.0]), "above 0"),
     (lambda: a.setFloat64([vr["plant.icr_offset_m"]], [0.2]), "centre"),
     (lambda: a.setFloat64([vr["kinematics.yaw_sign"]], [0.5]), "sign"),
+    (lambda: a.setFloat64([vr["plant.exclusive_twist"]], [0.5]), "flag"),
+    (lambda: a.setFloat64([vr["plant.track_m"]], [0.0]), "null without a meaning"),
     (lambda: a.setFloat64([vr["terms.dead_zone"], vr["seed"]], [7.0, -1.0]), "half a group"),
     (lambda: a.deserializeFMUState(packed[:-8]), "short"),
     (lambda: a.deserializeFMUState(bytes(8) + packed[8:]), "layout"),

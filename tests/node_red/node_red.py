@@ -31,7 +31,7 @@ def with_sink(flow: list[dict], sink: Path, out: str = "sensors-out") -> list[di
     flow = json.loads(json.dumps(flow))
     for node in flow:
         if node["id"] == out:
-            node["links"] = ["sink-in"]
+            node["links"] = [*node["links"], "sink-in"]
     text = "return { payload: JSON.stringify([msg.topic, msg.payload, Date.now()]) };"
     return [
         *flow,

@@ -142,6 +142,50 @@ def test_a_gamepad_drives_while_its_stick_is_held(browser, url, plant):
     plant.wait(lambda: plant.command() == 0.0)
 
 
+PAD = """window.pad = {connected: true, index: 0, id: "pad", mapping: "standard", axes: %s,
+  get timestamp() { return performance.now(); }, buttons: Array.from({length: 18},
+  (_, i) => ({pressed: %s.includes(i), value: %s.includes(i) ? 1 : 0}))}"""
+CHOICE = """(() => { const pads = [...document.querySelectorAll(".keyboard select")][0];
+  pads.value = "%s"; pads.dispatchEvent(new Event("change")); return pads.value; })()"""
+TRIANGLE, CIRCLE, R2, TOUCH = 3, 1, 7, 17  # as a browser counts them
+
+
+def hold(browser, axes, *buttons):
+    browser.do("run", script=PAD % (axes, list(buttons), list(buttons)))
+    browser.do("rest", ms=150)
+
+
+@pytest.mark.parametrize(
+    ("mapping", "axes", "idle", "lamp", "stop"),
+    [
+        ("iotbot-ros2", [-0.5, 0, 0, -0.8], [0, -0.8, -0.5, 0], TOUCH, CIRCLE),
+        ("joy_extended", [0, -0.8, -0.5, 0], [-0.5, 0, 0, -0.8], CIRCLE, TRIANGLE),
+    ],
+)
+def test_a_gamepad_is_read_as_on_the_robot(browser, url, plant, mapping, axes, idle, lamp, stop):
+    browser.do("open", url=url)
+    browser.do("take")
+    assert browser.do("run", script=CHOICE % mapping) == mapping
+    hold(browser, [0, 0, 0, 0])
+    hold(browser, axes)
+    plant.wait(lambda: plant.value("twist.linear_m_s") > 0.1)
+    plant.wait(lambda: plant.value("twist.angular_rad_s") > 0.1)
+    hold(browser, idle)  # the axes of the other generation
+    plant.wait(lambda: plant.command() == 0.0)
+    if mapping == "joy_extended":
+        hold(browser, axes, R2)  # its factor
+        assert plant.command() == 0.0
+    hold(browser, [0, 0, 0, 0], lamp)
+    plant.wait(lambda: plant.value("lights.command") == 3)
+    assert plant.value("sim.state") == 1
+    hold(browser, [0, 0, 0, 0], stop)
+    plant.wait(lambda: plant.value("sim.state") == 3)
+    browser.do("run", script="window.pad = null")
+    browser.do("click", role="button", name="Reset")
+    plant.wait(lambda: plant.value("sim.state") == 1)
+    assert browser.do("run", script=CHOICE % "page") == "page"
+
+
 def test_keys_drive_in_every_view_and_a_held_one_does_not_go_on_after_s(browser, url, plant):
     browser.do("open", url=url)
     browser.do("take")

@@ -23,6 +23,7 @@ OPERATOR = {
 CALLS = {
     "LoadPatch": ["no-such.yaml"],
     "RemovePatch": [],
+    "SetParameter": ["kinematics.rotation_gain", "tile"],
     "ResetParameters": [],
     "AcceptProposal": [1],
     "RejectProposal": [1],

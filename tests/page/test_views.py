@@ -193,6 +193,37 @@ def test_a_gain_is_tuned_by_keyboard_alone_saved_and_undone(browser, url, plant,
     assert browser.do("errors") == []
 
 
+def test_k_om_is_chosen_by_name_and_exclusive_mode_switched(browser, url):
+    browser.do("open", url=url)
+    browser.do("press", key="6")
+    group = "document.querySelector(\"[aria-label='Group of parameters']\")"
+    gain = "kinematics.rotation_gain"
+    browser.do("wait", selector="main[data-view='tune'] [aria-label='plant.controller.k_p']")
+    browser.do(
+        "run", script=f"{group}.value = 'Geometry'; {group}.dispatchEvent(new Event('change'))"
+    )
+
+    def entered(label, value, kind="input"):
+        field = f"document.querySelector(\"main {kind}[aria-label='{label}']\")"
+        event = f"{field}.dispatchEvent(new Event('change'))"
+        browser.do("run", script=f"{field}.value = '{value}'; {event}")
+
+    def shown(label, value):
+        field = f"document.querySelector(\"input[aria-label='{label}, exactly']\").value"
+        done = f"new Promise((r) => {{ const look = () => {field} === '{value}' ? r(true) :"
+        assert browser.do("run", script=f"{done} setTimeout(look, 50); look(); }})")
+
+    entered(f"{gain}, by name", "tile", "select")
+    shown(gain, "1.052")
+    entered(f"{gain}, by name", "geometric_skid", "select")
+    shown(gain, "")
+    entered("plant.exclusive_twist, exactly", "1")
+    shown("plant.exclusive_twist", "1")
+    browser.do("click", role="button", name="Reset all")
+    shown("plant.exclusive_twist", "0")
+    assert browser.do("errors") == []
+
+
 def test_a_view_that_opens_shows_nothing_that_was_read_for_another_one(browser, url, plant):
     """Drive is left while the wheels turn; when Tune opens, they have stood for long."""
     browser.do("open", url=url)

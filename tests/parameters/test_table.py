@@ -76,6 +76,8 @@ def test_an_unknown_name_is_refused_with_the_one_that_was_meant():
 @pytest.mark.parametrize("name", PLANT)
 @pytest.mark.parametrize("value", [math.inf, -math.inf, 1e308, -1e308, 10**400, True, "1", [1.0]])
 def test_what_no_parameter_can_be_is_refused_with_its_name(name, value):
+    if value is True and PLANT[name].is_flag:
+        return
     with pytest.raises(PlantError, match=rf"^{name}: "):
         check(PLANT[name], value)
 
@@ -88,6 +90,34 @@ def test_null_is_refused_where_it_means_nothing(name):
     else:
         with pytest.raises(PlantError, match=name):
             check(parameter, math.nan)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "number"),
+    [
+        ("kinematics.rotation_gain", "tile", 1.052),
+        ("kinematics.rotation_gain", "printed_5_21", 3.229),
+        ("plant.exclusive_twist", True, 1.0),
+        ("plant.exclusive_twist", "false", 0.0),
+        ("plant.exclusive_twist", 1, 1.0),
+    ],
+)
+def test_a_value_may_have_a_name(name, value, number):
+    assert check(PLANT[name], value) == number
+
+
+def test_the_name_of_the_geometry_is_null_and_another_is_none():
+    assert math.isnan(check(PLANT["kinematics.rotation_gain"], "geometric_skid"))
+    with pytest.raises(PlantError, match=r"'geometric_diff' is none of printed_5_21, .*_skid\.$"):
+        check(PLANT["kinematics.rotation_gain"], "geometric_diff")
+    with pytest.raises(PlantError, match=r"exclusive_twist: must be 0 or 1, not 0\.5\.$"):
+        check(PLANT["plant.exclusive_twist"], 0.5)
+
+
+def test_exclusive_mode_comes_out_of_a_robot_and_makes_one():
+    assert read(RobotParameters(exclusive_twist=True))["plant.exclusive_twist"] == 1.0
+    robot = with_values(RobotParameters(), {"plant.exclusive_twist": 1.0})
+    assert robot.exclusive_twist is True
 
 
 def test_the_body_needs_a_restart_and_says_so():

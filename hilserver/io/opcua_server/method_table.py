@@ -203,6 +203,15 @@ METHODS = (
     ),
     Method("RemovePatch", "Continue without the model patch", lambda on: on.files.patches.remove()),
     Method(
+        "SetParameter",
+        "Set a parameter by a number, a name of one, or null, from one tick on",
+        lambda on, name, value: on.files.patches.set_text(name, value),
+        (
+            Argument("name", STRING, "Name as in config.yaml"),
+            Argument("value", STRING, "A number, null, or a name such as tile or true"),
+        ),
+    ),
+    Method(
         "ResetParameters",
         "Return to the configured parameters, from one tick on",
         lambda on: on.files.patches.reset(),

@@ -136,6 +136,7 @@ def _of_parameter(parameter: "Parameter") -> Variable:
     path = PARAMETERS + parameter.name
     parent, name = split(path)
     text = parameter.meaning + ("; NaN is null" if parameter.nullable else "")
+    text += f"; SetParameter takes it {parameter.names_text}" if parameter.names_text else ""
     return Variable(
         path=path,
         parent=parent,

@@ -16,7 +16,7 @@ from hilserver.ros.flavours import Served
 from hilserver.ros.types import Types
 
 NODE: Final = "hilserver"
-NOT_SET, INTEGER, DOUBLE = 0, 2, 3  # of rcl_interfaces/msg/ParameterType
+NOT_SET, BOOL, INTEGER, DOUBLE, STRING = range(5)  # of rcl_interfaces/msg/ParameterType
 _NOT_ALLOWED: Final = "setting parameters is not granted here: ros2.grants: [parameters] does"
 _SERVICES: Final = (
     ("get_parameters", "GetParameters"),
@@ -127,12 +127,17 @@ class ParameterServices:
             name=name,
             type=NOT_SET if parameter is None else DOUBLE,
             description="" if parameter is None else parameter.meaning,
-            additional_constraints="" if parameter is None else parameter.range_text,
+            additional_constraints="" if parameter is None else _constraints(parameter),
             read_only=parameter is not None and parameter.when == "restart",
             dynamic_typing=False,
             floating_point_range=ranges,
             integer_range=[],
         )
+
+
+def _constraints(parameter: Parameter) -> str:
+    names = parameter.names_text
+    return parameter.range_text + (f", {names}" if names else "")
 
 
 def _array(numbers: Any, kind: str = "uint8") -> Any:
@@ -148,6 +153,10 @@ def _values(request: Any) -> dict[str, object]:
 def _plain(value: Any) -> object:
     if value.type == DOUBLE:
         return value.double_value
+    if value.type == BOOL:
+        return bool(value.bool_value)
+    if value.type == STRING:
+        return str(value.string_value)
     if value.type == INTEGER:
         number = float(value.integer_value)
         return number if isfinite(number) else inf

@@ -2,6 +2,7 @@
 
 import { WHEELS, type Context, type View } from "../context";
 import { call, live } from "../net";
+import { MAPPINGS } from "../gamepad";
 import { Plan } from "../plan";
 import { pictureSignals } from "../poses";
 import type { Camera, Picture } from "../scene";
@@ -134,6 +135,16 @@ export function driveView(context: Context): View {
     await call("write", name, value).catch((error: Error) => toast(error.message, "error"));
   }
 
+  const pads = h("select", {}, ...Object.entries(MAPPINGS).map(([name, { title }]) => h("option", { value: name }, title)));
+  pads.value = hand.mapping;
+  const padStop = h("dd", {});
+  const showPad = (): void => setText(padStop, `emergency stop of the gamepad: ${MAPPINGS[hand.mapping]!.stopName}`);
+  pads.addEventListener("change", () => {
+    hand.mapping = pads.value;
+    showPad();
+  });
+  showPad();
+
   // --- instruments ------------------------------------------------------------------------------
 
   const at = (axis: string): string => `${robot.has_body ? "mech" : "pose"}.${axis}`; // of the robot that is shown
@@ -222,7 +233,9 @@ export function driveView(context: Context): View {
       h("div", { class: "lights" }, field("Lights", light), colour),
       h("details", { class: "keyboard" },
         h("summary", {}, "Keys: ", h("kbd", {}, "X"), " or ", h("kbd", {}, "Esc"), " emergency stop"),
+        field("Gamepad", pads),
         h("dl", {},
+          h("dt", {}, h("kbd", {}, "pad")), padStop,
           h("dt", {}, h("kbd", {}, "X")), h("dd", {}, "emergency stop, except while you type a text"),
           h("dt", {}, h("kbd", {}, "Esc")), h("dd", {}, "emergency stop while you drive, in every field and dialogue; space, too, where it presses nothing"),
           h("dt", {}, h("kbd", {}, "S")), h("dd", {}, "lets go: everything to zero"),

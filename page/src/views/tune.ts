@@ -13,6 +13,10 @@ interface Parameter {
   configured: number | null;
   value: number | null;
   nullable: boolean;
+  /** 0 or 1, and nothing else. */
+  flag: boolean;
+  /** Values that have a name; null as in the configuration. */
+  names: Record<string, number | null>;
   fixed: boolean;
   meaning: string;
 }
@@ -20,7 +24,7 @@ interface Parameter {
 /** Groups of sliders, by the beginning of the names; the first is shown at first. */
 const GROUPS: [string, string[]][] = [
   ["Controller", ["plant.controller."]],
-  ["Geometry", ["plant.wheel_radius_m", "plant.wheelbase_m", "plant.track_m", "plant.icr_offset_m", "plant.max_rpm", "kinematics."]],
+  ["Geometry", ["plant.wheel_radius_m", "plant.wheelbase_m", "plant.track_m", "plant.icr_offset_m", "plant.max_rpm", "plant.exclusive_twist", "kinematics."]],
   ["Process", ["plant.process."]],
   ["Terms", ["terms."]],
   ["Sensors", ["sensors."]],
@@ -81,19 +85,24 @@ export function tuneView(context: Context): View {
     const [low, high] = ends(p);
     const short = p.name.replace(/^(plant\.controller|plant\.process|plant|terms|sensors|kinematics|blocks)\./, "");
     const attributes = { disabled: !allowed || p.fixed, step: "any" };
-    const slider = h("input", { type: "range", min: low, max: high, ...attributes, step: (high - low) / 200, "aria-label": p.name });
+    const slider = h("input", { type: "range", min: low, max: high, ...attributes, step: p.flag ? 1 : (high - low) / 200, "aria-label": p.name });
     const exact = h("input", { type: "number", min: p.low, max: p.high, ...attributes, "aria-label": `${p.name}, exactly`, placeholder: "null" });
     const back = h("button", { type: "button", class: "quiet", disabled: !allowed || p.fixed, title: "As configured" }, number(p.configured));
     slider.addEventListener("change", () => void change(p, Number(Number(slider.value).toPrecision(4))));
     exact.addEventListener("change", () => void change(p, exact.value === "" ? null : Number(exact.value)));
     back.addEventListener("click", () => void change(p, p.configured));
+    const words = Object.entries(p.names);
+    const byName = h("select", { "aria-label": `${p.name}, by name`, disabled: attributes.disabled, hidden: !words.length },
+      h("option", { value: "" }, "by name"), ...words.map(([word]) => h("option", {}, word)));
+    byName.addEventListener("change", () => void change(p, p.names[byName.value] ?? null));
     const element = h("li", { class: "parameter", title: p.meaning },
-      h("label", {}, h("b", {}, short), h("small", {}, p.unit), slider), exact, back);
+      h("label", {}, h("b", {}, short), h("small", {}, p.unit), slider, byName), exact, back);
     rows.set(p.name, {
       show(now) {
         p = now;
         element.classList.toggle("changed", now.value !== now.configured);
         if (document.activeElement !== slider) slider.value = String(now.value ?? now.configured ?? 0);
+        byName.value = words.find(([, value]) => value === now.value)?.[0] ?? "";
         if (document.activeElement !== exact) exact.value = now.value === null ? "" : String(now.value);
       },
     });

@@ -33,15 +33,26 @@ class RosNode:
         ROS_AUTOMATIC_DISCOVERY_RANGE; None: its default, which sends multicast to every network.
     prefix : tuple of str
         Put before the command.
+    more : dict of str
+        Further environment variables.
     """
 
     def __init__(
-        self, domain, publish=None, subscribe=None, *, discovery="LOCALHOST", prefix=(), name="host"
+        self,
+        domain,
+        publish=None,
+        subscribe=None,
+        *,
+        discovery="LOCALHOST",
+        prefix=(),
+        name="host",
+        more=(),
     ):
         about = {"name": name, "publish": publish or {}, "subscribe": subscribe or {}}
         self._command = [*prefix, str(PYTHON), str(SCRIPT), json.dumps(about)]
         kept = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-        self._environment = kept | {"ROS_DOMAIN_ID": str(domain), "ROS_LOG_DIR": str(LOGS)}
+        own = {"ROS_DOMAIN_ID": str(domain), "ROS_LOG_DIR": str(LOGS)}
+        self._environment = kept | own | dict(more)
         if discovery is not None:
             self._environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = discovery
         self.received = {topic: [] for topic in subscribe or {}}

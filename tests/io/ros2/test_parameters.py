@@ -9,14 +9,20 @@ import pytest
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.builder import build
-from hilserver.io.ros2.parameters import DOUBLE, INTEGER, NOT_SET, ParameterServices
+from hilserver.io.ros2.parameters import (
+    BOOL,
+    DOUBLE,
+    INTEGER,
+    NOT_SET,
+    STRING,
+    ParameterServices,
+)
 from hilserver.parameters import PLANT
 from hilserver.ros.types import known_types
 from tests.io.ros2.rig import PATIENCE_S, Host, robot
 from tests.loopback.rig import wait_until
 
 TYPES = known_types()
-STRING = 4
 GUID = 0x0123456789ABCDEF
 
 
@@ -84,6 +90,25 @@ async def test_set_acts_on_all_that_are_sound(ask):
     assert "needs a restart" in answer.results[-1].reason
     changed = {"plant.controller.k_p": 15.0, "terms.rotation_gain": -0.3}
     assert ask.parameters.differing == changed
+
+
+async def test_k_om_by_name_and_a_flag_as_a_bool(ask):
+    by_name = value(STRING)
+    by_name.string_value = "tile"
+    on = value(BOOL)
+    on.bool_value = True
+    wanted = {"kinematics.rotation_gain": by_name, "plant.exclusive_twist": on}
+    answer = ask("set_parameters", **parameters(**wanted, **{"plant.max_rpm": on}))
+    assert [r.successful for r in answer.results] == [True, True, False]
+    assert ask.parameters.differing == {
+        "kinematics.rotation_gain": 1.052,
+        "plant.exclusive_twist": 1.0,
+    }
+    null = {"kinematics.rotation_gain": value(NOT_SET)}
+    assert ask("set_parameters", **parameters(**null)).results[0].successful
+    assert ask.parameters.differing == {"plant.exclusive_twist": 1.0}
+    (about,) = ask("describe_parameters", names=["kinematics.rotation_gain"]).descriptors
+    assert "by name printed_5_21 3.229, " in about.additional_constraints
 
 
 async def test_the_robot_changes_only_if_that_is_granted(tmp_path):
