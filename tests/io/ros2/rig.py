@@ -35,11 +35,11 @@ def claimed_domain():
 
 
 @contextlib.asynccontextmanager
-async def robot(domain, *, plant=None, **ros2):
-    """A daemon without OPC UA that takes part in ROS 2."""
+async def robot(domain, *, plant=None, beside=None, folder=None, **ros2):
+    """A daemon without OPC UA that takes part in ROS 2; `beside`: its other sections."""
     ours = {"enabled": True, "domain": domain, "stale_after_ms": NEVER_SILENT_MS, **ros2}
-    sections = {"ros2": ours, "opcua": {"enabled": False}, "plant": plant or {}}
-    async with Daemon(assemble_config(configuration(**sections))) as daemon:
+    sections = {"ros2": ours, "opcua": {"enabled": False}, "plant": plant or {}, **(beside or {})}
+    async with Daemon(assemble_config(configuration(**sections), folder)) as daemon:
         yield daemon
 
 

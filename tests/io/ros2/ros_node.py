@@ -84,6 +84,10 @@ class RosNode:
         """Write a message, or one every 20 ms."""
         self.tell(publish=topic, fields=fields, times=times)
 
+    def play(self, path):
+        """Write the messages of a drive at their times; ``played`` is the answer at its end."""
+        self.tell(play=str(path))
+
     async def answers(self, key):
         """Wait for something that it says besides messages; return it."""
         await self._until(lambda: any(key in said for said in self.said))
