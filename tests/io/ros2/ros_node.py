@@ -44,6 +44,7 @@ class RosNode:
         self._environment = kept | {"ROS_DOMAIN_ID": str(domain), "ROS_LOG_DIR": str(LOGS)}
         if discovery is not None:
             self._environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = discovery
+        self.domain = domain
         self.received = {topic: [] for topic in subscribe or {}}
         self.said = []
 
