@@ -41,7 +41,10 @@ class Ros2Measured(Section):
     """The real robot's topics, as `measured.*` beside the simulated one."""
 
     topics: dict[TopicName, Kind] = Field(
-        dict(IOTBOT), min_length=1, max_length=20, description="Its topics, each with its type"
+        dict(IOTBOT),
+        min_length=1,
+        max_length=20,
+        description="Its topics, each with its type; ros2.measured: iotbot is short for these",
     )
     namespace: Namespace = Field("", description="Of the real robot, for relative names")
     frame: FrameName = Field("map", description="Coordinate frame in which its poses count")

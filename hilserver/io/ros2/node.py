@@ -354,8 +354,8 @@ class Ros2Node(Part):
             return
         refusals, came_ns = {}, self._source.came_ns(time.monotonic_ns())
         if values:
-            # A service is no command that has to be renewed: who enables by hand may drive later, and
-            # who only switches lights does not keep the command of another node alive.
+            # A service is no command that has to be renewed: who enables by hand may drive later,
+            # and who only switches lights does not keep the command of another node alive.
             refusals = self._world.gate.write(NAME, values, commanded_ns=came_ns, renews=False)
             if "drive.enable" in values and not refusals:
                 self._way_back.forget()
