@@ -19,6 +19,7 @@ TopicName = Annotated[str, StringConstraints(pattern=rf"^{_NAME}$", min_length=1
 Wheel = Literal["fl", "rl", "fr", "rr"]
 LOOPBACK = ("lo", "127.0.0.1")
 LAST_DOMAIN = 232
+REAL_ROBOT = "ros2_measured"  # name of the link by which the real robot is heard
 
 
 class Ros2Publish(Section):

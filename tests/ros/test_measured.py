@@ -9,8 +9,8 @@ from hilserver.ros import measured
 from hilserver.ros.measured import IOTBOT, MEASURED_TYPES, Conventions
 from hilserver.ros.types import known_types
 from hilserver.signals import Ranges, robot_table
+from tests.ros.messages import MAKE, floats, imu, joints, odometry, tagged, transforms, turned
 
-MAKE = known_types().make
 ORDER = ("fl", "rl", "fr", "rr")
 WHEELS = {"wheel.fl.speed_rpm": 1.0, "wheel.rl.speed_rpm": 2.0, "wheel.fr.speed_rpm": 3.0}
 WHEELS |= {"wheel.rr.speed_rpm": 4.0}
@@ -19,89 +19,6 @@ RAD_S = math.tau / 60.0
 
 def how(flavour="iotbot_shield", frame="map", joints=None):
     return Conventions.of(flavour, ORDER, frame, "base_link", joints or {})
-
-
-def header(frame="map", at_ns=0):
-    sec, nanosec = divmod(at_ns, 10**9)
-    stamp = MAKE("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
-    return MAKE("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
-
-
-def vector(x=0.0, y=0.0, z=0.0):
-    return MAKE("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
-
-
-def turned(yaw, norm=1.0):
-    z, w = norm * math.sin(yaw / 2.0), norm * math.cos(yaw / 2.0)
-    return MAKE("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=z, w=w)
-
-
-def pose(x, y, yaw, norm=1.0):
-    point = MAKE("geometry_msgs/msg/Point", x=x, y=y, z=0.3)
-    return MAKE("geometry_msgs/msg/Pose", position=point, orientation=turned(yaw, norm))
-
-
-def floats(*numbers):
-    layout = MAKE("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
-    data = np.array(numbers, dtype=np.float32)
-    return MAKE("std_msgs/msg/Float32MultiArray", layout=layout, data=data)
-
-
-def joints(**speeds):
-    return MAKE(
-        "sensor_msgs/msg/JointState",
-        header=header(""),
-        name=list(speeds),
-        position=np.zeros(0),
-        velocity=np.array(list(speeds.values())),
-        effort=np.zeros(0),
-    )
-
-
-def imu(*, orientation=None, unmeasured=()):
-    def covariance(name):
-        matrix = np.zeros(9)
-        matrix[0] = -1.0 if name in unmeasured else 0.0
-        return matrix
-
-    return MAKE(
-        "sensor_msgs/msg/Imu",
-        header=header("imu_link"),
-        orientation=orientation or turned(0.5),
-        orientation_covariance=covariance("orientation"),
-        angular_velocity=vector(z=0.2),
-        angular_velocity_covariance=covariance("rate"),
-        linear_acceleration=vector(0.3, -0.4, 9.81),
-        linear_acceleration_covariance=covariance("force"),
-    )
-
-
-def odometry(frame, x=1.0, y=2.0, yaw=0.5):
-    moved = MAKE("geometry_msgs/msg/Twist", linear=vector(0.3, 0.1), angular=vector(z=0.7))
-    place = pose(x, y, yaw)
-    return MAKE(
-        "nav_msgs/msg/Odometry",
-        header=header(frame),
-        child_frame_id="base_link",
-        pose=MAKE("geometry_msgs/msg/PoseWithCovariance", pose=place, covariance=np.zeros(36)),
-        twist=MAKE("geometry_msgs/msg/TwistWithCovariance", twist=moved, covariance=np.zeros(36)),
-    )
-
-
-def transforms(*links):
-    """Message of links (parent, child, x, y, yaw)."""
-    made = [
-        MAKE(
-            "geometry_msgs/msg/TransformStamped",
-            header=header(parent, 7),
-            child_frame_id=child,
-            transform=MAKE(
-                "geometry_msgs/msg/Transform", translation=vector(x, y), rotation=turned(yaw)
-            ),
-        )
-        for parent, child, x, y, yaw in links
-    ]
-    return MAKE("tf2_msgs/msg/TFMessage", transforms=made)
 
 
 def test_every_reading_gives_inputs_of_the_robot_and_has_a_type():
@@ -154,7 +71,7 @@ def test_an_imu_gives_what_it_measures():
 
 
 def test_poses_count_in_one_frame():
-    message = MAKE("geometry_msgs/msg/PoseStamped", header=header("/map"), pose=pose(1, 2, 0.5))
+    message = tagged(1, 2, 0.5, "/map")
     assert list(measured.tag(how(), message).values()) == pytest.approx([1.0, 2.0, 0.5])
     other = how(frame="hall")
     assert measured.tag(other, message) == {}

@@ -11,7 +11,7 @@ from enum import StrEnum
 from functools import partial
 from typing import Any, Final
 
-from hilserver.config.ros2 import Ros2Config, Ros2Measured
+from hilserver.config.ros2 import REAL_ROBOT, Ros2Config, Ros2Measured
 from hilserver.core.events import Event, EventKind
 from hilserver.core.inputs import Refusal, check_value
 from hilserver.core.staleness import Staleness, Transition
@@ -25,7 +25,6 @@ from hilserver.ros.qos import SENSOR_DATA
 from hilserver.ros.types import Types
 from hilserver.signals import MEASURED
 
-NAME: Final = "ros2_measured"
 OLDEST_NS: Final = 1_000_000_000
 """A message that is older by its stamp has a wrong stamp."""
 AHEAD_NS: Final = 100_000_000
@@ -80,7 +79,9 @@ class RealRobot(Part):
             for name, kind in measured.topics.items()
         ]
         self._ins: list[tuple[_Topic, In]] = []
-        self.status = PeerStatus(NAME, ", ".join(topic.name for topic in self._topics), mode="dds")
+        self.status = PeerStatus(
+            REAL_ROBOT, ", ".join(topic.name for topic in self._topics), mode="dds"
+        )
         self._faults = FaultBook(
             self.status, world.events.publish, (*MeasuredFault, WrongValue.REFUSED_VALUE)
         )
@@ -212,7 +213,7 @@ class RealRobot(Part):
         self._how.remarks.clear()
 
     def _tell(self, kind: EventKind, severity: int, text: str) -> None:
-        self._world.events.publish(Event(kind, severity, NAME, f"ROS 2, real robot: {text}"))
+        self._world.events.publish(Event(kind, severity, REAL_ROBOT, f"ROS 2, real robot: {text}"))
 
     # --- silence ----------------------------------------------------------------------------------
 

@@ -3,7 +3,10 @@
 import json
 import math
 
+import numpy as np
 import yaml
+from hilserver_injector.make import make
+from hilserver_injector.recipe import Recipe
 
 from hilserver.commands import main
 from hilserver.logs import read_log
@@ -26,19 +29,29 @@ def recorded(folder, drive, name="drive.jsonl"):
     """Simulate a drive (a scenario, or a log of set-points) on the other floor; return the file."""
     configuration = {
         "plant": {"terms": {"rotation_gain": TURNS_MORE}},
-        "sensors": {"nav": {"enabled": True}},
+        "sensors": {"nav": {"enabled": True}, "imu": {"gyro_noise_rad_s": 0.006}},
     }
     real, log, out = folder / "real.yaml", folder / "real.mcap", folder / name
     real.write_text(yaml.safe_dump(configuration), encoding="utf-8")
     assert main(["simulate", str(drive), "-c", str(real), "-o", str(log)]) == 0
-    columns = read_log(log).columns
-    n = len(columns["wheel.fl.setpoint_rpm"])
+    read = read_log(log).columns
+    columns = {name: read[name] for name in read if name.split(".")[0] in ("wheel", "imu", "nav")}
     with out.open("w", encoding="utf-8") as lines:
-        for k in range(0, n, FAST_MS):
+        for k in range(0, len(columns["nav.x_m"]), FAST_MS):
             for topic, fields in _messages({name: float(v[k]) for name, v in columns.items()}, k):
                 line = {"at_s": 1e-3 * k, "topic": topic, "fields": fields}
                 lines.write(json.dumps(line) + "\n")
     return out
+
+
+def wandering(path, length_s, seed=1):
+    """Write a log of set-points that move on ramps, as the robot of ``run --twin`` does."""
+    table, _ = make(Recipe(seed=seed, manoeuvre="ramps", duration_s=length_s))
+    names = [f"wheel.{wheel}.setpoint_rpm" for wheel in WHEELS]
+    rows = np.column_stack([table.t_s, *(table.columns[name] for name in names)])
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    np.savetxt(path, rows, "%.6g", ",", header=",".join(["t_s", *names]), comments="")
+    return path
 
 
 def _messages(v, k):
