@@ -26,9 +26,10 @@ from hilserver.ros.types import Types
 from hilserver.signals import MEASURED
 
 OLDEST_NS: Final = 1_000_000_000
-"""A message that is older by its stamp has a wrong stamp."""
 AHEAD_NS: Final = 100_000_000
-"""By so much may the clock of the robot be ahead of ours."""
+"""Stamps that are further behind or ahead of our clock are those of another clock ..."""
+LATE_IN_A_ROW: Final = 20
+"""... if there are more of them in a row than come late after a standstill of ours."""
 SAID_ALL_NS: Final = 5_000_000_000
 """After its first message a robot has said by then what it has to say."""
 MOST_REMARKS: Final = 50
@@ -50,6 +51,7 @@ class _Topic:
     staleness: Staleness
     heard_ns: dict[int, int] = field(default_factory=dict)  # by writer: its last message
     has_values: bool = False
+    off_in_a_row: int = 0  # messages whose stamps are out of range
 
     @property
     def source(self) -> str:
@@ -176,19 +178,24 @@ class RealRobot(Part):
     def _age_ns(self, topic: _Topic, message: Any, arrival: Arrival, now_ns: int) -> int:
         """Return how long ago it was measured: by its own stamp, else by that of its writer."""
         utc_ns = self._world.clock.utc_ns(now_ns)
+        written_ago_ns = utc_ns - arrival.source_ns if arrival.source_ns > 0 else 0
+        if arrival.source_ns > 0:
+            self.status.one_way.observe(max(written_ago_ns, 0))
+
         stamped_ns = stamp_ns(message)
-        ages_ns = [utc_ns - at_ns for at_ns in (stamped_ns, arrival.source_ns) if at_ns > 0]
-        if stamped_ns and not -AHEAD_NS <= ages_ns[0] <= OLDEST_NS:
-            side = "behind" if ages_ns[0] > 0 else "ahead of"
+        ago_ns = utc_ns - stamped_ns if stamped_ns else written_ago_ns
+        topic.off_in_a_row = 0 if _is_likely(ago_ns) else topic.off_in_a_row + 1
+        if topic.off_in_a_row > LATE_IN_A_ROW:
+            side = "behind" if ago_ns > 0 else "ahead of"
             sentence = (
-                f"{topic.name}: its stamps are {abs(ages_ns[0]) * 1e-9:.3g} s {side} this"
-                " computer's clock, so the time of writing counts: synchronise the clocks"
+                f"{topic.name}: its stamps are {abs(ago_ns) * 1e-9:.3g} s {side} this computer's"
+                " clock, so the time of writing counts: synchronise the clocks"
             )
             self._faults.report(MeasuredFault.STAMP, topic.name, sentence, now_ns)
-        if arrival.source_ns > 0:
-            self.status.one_way.observe(max(ages_ns[-1], 0))
-        fitting = [age_ns for age_ns in ages_ns if -AHEAD_NS <= age_ns <= OLDEST_NS]
-        return max(fitting[0], 0) if fitting else 0
+        for one_ns in (ago_ns, written_ago_ns):
+            if _is_likely(one_ns):
+                return max(one_ns, 0)
+        return 0
 
     def _hand_over(self, topic: _Topic, inputs: dict[str, float], age_ns: int, now_ns: int) -> None:
         mine = {n: v for n, v in inputs.items() if self._giving.setdefault(n, topic) is topic}
@@ -262,3 +269,7 @@ class RealRobot(Part):
         names = ", ".join(topic.name for topic in missing)
         text = f"nothing has come by {names}, so {', '.join(signals)} have no value"
         self._tell(EventKind.STATE, 300, text)
+
+
+def _is_likely(ago_ns: int) -> bool:
+    return -AHEAD_NS <= ago_ns <= OLDEST_NS

@@ -8,6 +8,8 @@ import json
 
 import pytest
 
+from hilserver.daemon.connections import LINKS
+from hilserver.recalibration import link as recalibration
 from hilserver.recalibration.history import FILE
 from tests.io.ros2.drives import FLOATS, MEASURED, REAL, SETPOINTS, TURNS_MORE, recorded, wandering
 from tests.io.ros2.rig import robot
@@ -37,7 +39,8 @@ async def test_the_rotation_gain_is_found_and_better_once_accepted(domain, tmp_p
     node = RosNode(domain, {SETPOINTS: FLOATS} | REAL)
     beside = {"recalibration": TWIN, "sensors": {"nav": {"enabled": True}}}
     ros2 = {"flavour": "thesis_sil", "measured": MEASURED, "beside": beside, "folder": tmp_path}
-    async with robot(domain, **ros2) as daemon, node:
+    links = (*LINKS, recalibration.parts)
+    async with robot(domain, links=links, **ros2) as daemon, node:
         await node.is_ready()
         node.play(drive)
         await wait_until(lambda: lines(tmp_path, "proposal"), LONGEST_S)
