@@ -51,8 +51,8 @@ def obey(node, publishers, clients, command):
                 publishers[topic].publish(message)
                 time.sleep(0.02 if times > 1 else 0.0)
         case {"play": path}:
-            play(node, publishers, path)
-            tell(played=True)
+            # beside this, as the node has to end when nothing more can be told to it
+            threading.Thread(target=play, args=(node, publishers, path), daemon=True).start()
         case {"call": service, "type": name, "fields": fields}:
             if service not in clients:
                 clients[service] = node.create_client(kind(name), service)
@@ -80,6 +80,7 @@ def play(node, publishers, path):
             if hasattr(message, "header"):
                 message.header.stamp = node.get_clock().now().to_msg()
             publisher.publish(message)
+    tell(played=True)
 
 
 def main():

@@ -151,7 +151,6 @@ async def test_a_drive_without_a_pose_says_what_has_no_value(domain, drive, monk
         assert text.endswith("by /real/poseStamped, so measured.nav.* have no value")
         with pytest.raises(ControlRefused, match=r"AlignPose needs measured\.pose"):
             daemon.control.align_pose()
-        node.process.kill()
 
 
 async def test_two_robots_under_one_namespace_give_nothing(domain):
