@@ -15,7 +15,7 @@ from typing import Final, Literal, NamedTuple
 from hilserver.opcua.settings import Role
 
 Grant = Literal["measured", "command"]
-Ros2Grant = Literal["command", "parameters"]
+Ros2Grant = Literal["measured", "command", "parameters"]
 GRANTS: Final = (
     "What everyone there may do: write measured.*, command; null: as opcua.anonymous, so nothing"
     " once opcua.users are named"

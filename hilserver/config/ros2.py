@@ -4,12 +4,13 @@ import re
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import BeforeValidator, Field, StringConstraints, model_validator
 
 from hilserver.config.doors import DoorRule, Right, Ros2Grant
 from hilserver.config.section import Driver, LinkSection, Section, need
 from hilserver.errors import meant
-from hilserver.ros.flavours import FLAVOURS
+from hilserver.ros.flavours import DESCRIPTION, FLAVOURS, Published
+from hilserver.ros.measured import IOTBOT, Kind
 from hilserver.ros.types import Types
 
 _NAME = r"(/|(/?[A-Za-z_][A-Za-z0-9_]*)(/[A-Za-z_][A-Za-z0-9_]*)*)?"
@@ -18,6 +19,7 @@ TopicName = Annotated[str, StringConstraints(pattern=rf"^{_NAME}$", min_length=1
 Wheel = Literal["fl", "rl", "fr", "rr"]
 LOOPBACK = ("lo", "127.0.0.1")
 LAST_DOMAIN = 232
+REAL_ROBOT = "ros2_measured"  # name of the link by which the real robot is heard
 
 
 class Ros2Publish(Section):
@@ -31,6 +33,49 @@ class Ros2Publish(Section):
     )
     pose_stamped: bool = Field(False, description="/poseStamped: the simulated navigation tag")
     robot_description: bool = Field(False, description="robot_description: URDF, for RViz")
+
+
+FrameName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_./-]{1,100}$")]
+
+
+class Ros2Measured(Section):
+    """The real robot's topics, as `measured.*` beside the simulated one."""
+
+    topics: dict[TopicName, Kind] = Field(
+        dict(IOTBOT),
+        min_length=1,
+        max_length=20,
+        description="Its topics, each with its type; ros2.measured: iotbot is short for these",
+    )
+    namespace: Namespace = Field("", description="Of the real robot, for relative names")
+    frame: FrameName = Field("map", description="Coordinate frame in which its poses count")
+    base_frame: FrameName = Field("base_link", description="The robot itself in /tf")
+    joints: dict[str, Wheel] = Field(
+        {},
+        max_length=20,
+        description="Wheel by joint, if its name does not say front left and so on",
+    )
+    stale_after_ms: float = Field(
+        1000.0, ge=20, le=3_600_000, description="Values older than this are Uncertain"
+    )
+
+    @model_validator(mode="after")
+    def _usable(self) -> Self:
+        names = [self.full_name(name) for name in self.topics]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"topics names {name} twice: remove one of them")
+        if self.frame.lstrip("/") == self.base_frame.lstrip("/"):
+            raise ValueError("frame and base_frame are the same: name the frame of the floor plan")
+        return self
+
+    def full_name(self, name: str) -> str:
+        """Return the absolute name of a topic."""
+        return _absolute(name, self.namespace)
+
+
+def _iotbot(value: object) -> object:
+    return {} if value == "iotbot" else value
 
 
 class Ros2Config(LinkSection):
@@ -57,9 +102,9 @@ class Ros2Config(LinkSection):
     )
     grants: tuple[Ros2Grant, ...] | None = Field(
         None,
-        max_length=2,
-        description="What everyone there may do: command, set parameters; null: as opcua.anonymous,"
-        " so nothing once opcua.users are named, and parameters only on lo",
+        max_length=3,
+        description="What everyone there may do: command, write measured.*, set parameters; null:"
+        " as opcua.anonymous, so nothing once opcua.users are named, and parameters only on lo",
     )
     peers: tuple[Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_.:-]{1,253}$")], ...] = (
         Field((), max_length=50, description="Addresses to contact where there is no multicast")
@@ -67,6 +112,13 @@ class Ros2Config(LinkSection):
     namespace: Namespace = Field("", description="For relative names; empty: the flavour's own")
     topics: dict[str, TopicName] = Field({}, description="Renames: the flavour's name: other name")
     publish: Ros2Publish = Field(default_factory=Ros2Publish)
+    measured: Annotated[
+        Ros2Measured | None,
+        BeforeValidator(_iotbot, json_schema_input_type=Literal["iotbot"] | Ros2Measured | None),
+    ] = Field(
+        None,
+        description="The real robot's topics, as measured.*; iotbot: those of EduArt's IOT Bot",
+    )
     array_order: tuple[Wheel, Wheel, Wheel, Wheel] = Field(
         ("fl", "rl", "fr", "rr"), description="Wheels and range finders in the arrays of thesis_sil"
     )
@@ -115,11 +167,42 @@ class Ros2Config(LinkSection):
             )
         if len(set(self.array_order)) != len(self.array_order):
             raise ValueError("array_order names a wheel twice")
+        self._keep_the_robots_apart()
         try:
             Types(self.service_fields)
         except ValueError as error:
             raise ValueError(f"service_fields: {error}") from None
         return self
+
+    def _keep_the_robots_apart(self) -> None:
+        """Raise if the real robot's topics are also topics of the simulated one."""
+        if self.measured is None:
+            return
+        theirs = {self.measured.full_name(name): name for name in self.measured.topics}
+        written = [topic.topic for topic in (*self.published, DESCRIPTION)]
+        if not self.publish.robot_description:
+            written.remove(DESCRIPTION.topic)
+        read = [topic.topic for topic in FLAVOURS[self.flavour].subscribed]
+        for does, names in (("publishes", written), ("is driven by", read)):
+            both = [name for name in names if self.full_name(name) in theirs]
+            if not both:
+                continue
+            name, full = both[0], self.full_name(both[0])
+            is_moved = name in self.topics or name.startswith("/")
+            way = f"ros2.topics: {{{name}: /sim{full}}}" if is_moved else "ros2.namespace: /sim"
+            if not theirs[full].startswith("/"):
+                way += ", or ros2.measured.namespace to that of the real robot"
+            raise ValueError(
+                f"measured: the simulated robot {does} {full} as well, so one would pass for the"
+                f" other: set {way}"
+            )
+
+    @property
+    def published(self) -> list[Published]:
+        """What the simulated robot writes over and over."""
+        flavour, asked = FLAVOURS[self.flavour], self.publish.model_dump()
+        extras = [topic for name, topic in flavour.extras.items() if asked[name]]
+        return [*flavour.published, *extras]
 
     @property
     def driver(self) -> Driver:
@@ -145,6 +228,9 @@ class Ros2Config(LinkSection):
     def about(self, _folder: Path) -> str:
         """Return the robot program, the interface and the middleware."""
         how = f"{self.flavour} on {self.interface}, services as in {self.rmw}"
+        if self.measured is not None:
+            names = sorted(map(self.measured.full_name, self.measured.topics))
+            how += f", the real robot by {', '.join(names)}"
         return how if self.enabled else ""
 
     @property
@@ -154,10 +240,15 @@ class Ros2Config(LinkSection):
         usual = {Right.COMMAND}
         if self.interface in LOOPBACK:
             usual.add(Right.PARAMETERS)
+        if self.measured is not None:
+            usual.add(Right.MEASURED)
         return DoorRule(*who, self.enabled, frozenset(usual), self.grants)
 
     def full_name(self, name: str) -> str:
         """Return the absolute name of a topic or service, renamed, within the namespace."""
-        name = self.topics.get(name, name)
-        space = (self.namespace or FLAVOURS[self.flavour].namespace).strip("/")
-        return name if name.startswith("/") else re.sub("/+", "/", f"/{space}/{name}")
+        space = self.namespace or FLAVOURS[self.flavour].namespace
+        return _absolute(self.topics.get(name, name), space)
+
+
+def _absolute(name: str, space: str) -> str:
+    return name if name.startswith("/") else re.sub("/+", "/", f"/{space}/{name}")

@@ -208,7 +208,7 @@ class InputGate(HandOver):
         rows: dict[str, list[Row]] = {}
         refused: dict[str, Refusal] = {}
         kind, offered = kind_of(source), list[Row]()
-        door = self._doors.get(source)
+        door = self._doors.get(source) or self._doors.get(kind)  # one of its topics
         for name, value in values.items():
             checked = self._check(name, value)
             if isinstance(checked, Refusal):
@@ -361,7 +361,7 @@ class InputGate(HandOver):
                 return f"'{other}' writes it, until it falls silent"
             return f"'{self.owner}' has control; write '{kind}' to control.source to take it"
         if reason is Refusal.NOT_GRANTED:
-            door = self._doors[source]
+            door = self._doors.get(source) or self._doors[kind_of(source)]
             right = "measured" if self._table[name].is_measured else "command"
             return f"{door.title} knows no log-in, and {door.key} does not name '{right}'"
         if reason is Refusal.OUTDATED:

@@ -21,6 +21,7 @@ from hilserver.config.patch import Patch, load_patch
 from hilserver.config.peers import check_peers, check_signals
 from hilserver.config.plant import to_parameters
 from hilserver.config.root import Config, load_config
+from hilserver.config.ros2 import REAL_ROBOT
 from hilserver.config.timing import COMMUNICATION_SLICES
 from hilserver.daemon.assembled import Assembly
 from hilserver.errors import ConfigError
@@ -138,6 +139,8 @@ class _Builder:
     def _check_names(self) -> None:
         drivers = self._config.drivers
         taken = {o.name for o in drivers if o.is_enabled and o.source != f"peer:{o.name}"}
+        if self._config.ros2.enabled and self._config.ros2.measured is not None:
+            taken.add(REAL_ROBOT)
         for index, peer in enumerate(self._config.peers):
             if peer.name in taken:
                 here = ("peers", index, "name")

@@ -6,6 +6,7 @@ import pytest
 from pydantic import ValidationError
 
 from hilserver.config import section
+from hilserver.config.doors import Right
 from hilserver.config.edge import EdgeConfig
 from hilserver.config.foxglove import FoxgloveConfig
 from hilserver.config.root import Config
@@ -22,6 +23,21 @@ from hilserver.config.ros2 import Ros2Config
         ({"namespace": "a b"}, "pattern"),
         ({"domain": 233}, "232"),
         ({"flavour": "thesis_sil", "reenable": "service"}, "no service that enables"),
+        ({"measured": "iotbot"}, r"publishes /iotbot/rpm/return .* set ros2\.namespace: /sim, or"),
+        (
+            {"measured": {"topics": {"/tf": "TFMessage"}}, "publish": {"tf": True}},
+            r"publishes /tf as well.* set ros2\.topics: {/tf: /sim/tf} ",
+        ),
+        (
+            {"namespace": "/sim", "topics": {"iotbot/imu": "/iotbot/imu"}, "measured": "iotbot"},
+            r"publishes /iotbot/imu as well.* set ros2\.topics: {iotbot/imu: /sim/iotbot/imu}",
+        ),
+        (
+            {"measured": {"topics": {"cmd_vel": "Odometry"}}},
+            r"is driven by /cmd_vel as well.* set ros2\.namespace",
+        ),
+        ({"measured": {"topics": {"odom": "Odometry", "/odom": "Odometry"}}}, "/odom twice"),
+        ({"measured": {"frame": "/map", "base_frame": "map"}}, "frame and base_frame are the same"),
     ],
 )
 def test_what_cannot_work_is_refused(keys, said):
@@ -107,3 +123,26 @@ def test_a_held_command_may_be_shown_on_this_computer():
 def test_it_has_control_at_the_start():
     assert Config(ros2={"enabled": True}).first_source == "ros2"
     assert Config(ros2={"enabled": True}, control={"source": "opcua"}).first_source == "opcua"
+
+
+def test_the_real_robot_beside_the_simulated_one():
+    """Set-points of the real robot may drive both; what each of them says is kept apart."""
+    shared = {"iotbot/rpm": "/iotbot/rpm"}
+    config = Ros2Config(enabled=True, namespace="/sim", topics=shared, measured="iotbot")
+    real = config.measured
+    assert [real.full_name(name) for name in real.topics][:3] == [
+        "/iotbot/rpm/return",
+        "/iotbot/imu",
+        "/iotbot/battery",
+    ]
+    assert config.full_name("iotbot/imu") == "/sim/iotbot/imu"
+    assert Right.MEASURED in config.door.rights
+    assert Right.MEASURED not in Ros2Config(enabled=True).door.rights
+    Ros2Config(enabled=True, measured={"namespace": "/real"})
+    Ros2Config(enabled=True, flavour="thesis_sil", measured="iotbot")
+
+
+def test_iotbot_is_short_for_its_topics():
+    short, whole = (Ros2Config(enabled=True, namespace="/a", measured=m) for m in ("iotbot", {}))
+    assert short == whole
+    assert Ros2Config.model_validate(short.model_dump(mode="json")) == short

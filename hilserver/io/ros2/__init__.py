@@ -10,8 +10,11 @@ from hilserver.io.world import Part, World
 
 
 def parts(world: World) -> Iterator[Part]:
-    """Yield the node, if the configuration has one."""
+    """Yield the node, if the configuration has one, and the real robot that it hears."""
     if world.config.ros2.enabled:
         from hilserver.io.ros2.node import NAME, Ros2Node  # noqa: PLC0415 -- an extra
 
-        yield Ros2Node(world.config.ros2, world, world.lines[NAME])
+        node = Ros2Node(world.config.ros2, world, world.lines[NAME])
+        yield node
+        if node.real is not None:
+            yield node.real

@@ -27,8 +27,11 @@ from hilserver.io.ros2.participant import (
     In,
     Out,
     Participant,
+    TopicInfo,
 )
 
+WRITTEN_BY_MANY: Final = ("/tf", "/tf_static")
+"""Topics of which every node of a robot writes its part."""
 MOST_ENDPOINTS_AT_ONCE: Final = 200
 MOST_KNOWN: Final = 5000
 SETTLED_NS: Final = 3_000_000_000
@@ -156,16 +159,41 @@ class Neighbours:
             for handle, other in others.items():
                 if other.topic != subject.topic:
                     continue
-                who = f"{self.label(other.participant)} {verb} {_plain(other.topic)}"
+                who = f"{self.label(other.participant)} {verb} {plain(other.topic)}"
                 if other.type != subject.type:
                     text = f"{who} as {other.type}, which is {subject.type} here"
                     yield Apart.OTHER_TYPE, subject.topic, text
-                elif other.type_hash and other.type_hash != subject.type_hash:
+                elif _has_other_fields(other, subject):
                     text = f"{who} as {subject.type} with other fields than here"
                     yield Apart.OTHER_TYPE, subject.topic, f"{text} ({other.type_hash})"
                 elif handle not in partners and self._should_fit(endpoint, other):
                     text = f"{who}, was discovered, but its type information was refused"
                     yield Apart.TYPE_REFUSED, subject.topic, text
+
+    def has_our_fields(self, writer: int, subject: TopicInfo) -> bool:
+        """Whether a writer's messages are what we take them for; `apart` tells if not.
+
+        DDS compares the names of types only.
+        """
+        if writer not in self.writers:
+            self.look()  # a message may come before the last news of its writer
+        found = self.writers.get(writer)
+        return found is None or not _has_other_fields(found, subject)
+
+    def clashes(self, ours: Iterable[Out]) -> Iterator[tuple[str, str]]:
+        """Yield who also writes a topic that only the robot should write: whom, sentence."""
+        for endpoint in ours:
+            topic = endpoint.subject.topic
+            if plain(topic) in WRITTEN_BY_MANY:
+                continue
+            for other in self.writers.values():
+                if other.topic == topic:
+                    who = self.label(other.participant)
+                    sentence = (
+                        f"{who} publishes {plain(topic)} as well, as the simulated robot does:"
+                        " give one of them a namespace of its own (ros2.namespace)"
+                    )
+                    yield f"{topic} {other.participant.hex()}", sentence
 
     def _should_fit(self, ours: In | Out, other: RemoteEndpoint) -> bool:
         """Whether they have had time to match, and offer what the other side requests."""
@@ -189,7 +217,7 @@ class Neighbours:
 
 def topics_of(ours: Iterable[In | Out]) -> str:
     """Return names of topics for people."""
-    return ", ".join(_plain(endpoint.subject.topic) for endpoint in ours)
+    return ", ".join(plain(endpoint.subject.topic) for endpoint in ours)
 
 
 def other_domains(ours: int, udp: Path = Path("/proc/net/udp")) -> list[int]:
@@ -205,8 +233,13 @@ def other_domains(ours: int, udp: Path = Path("/proc/net/udp")) -> list[int]:
     return sorted(found - {ours})
 
 
-def _plain(topic: str) -> str:
+def plain(topic: str) -> str:
+    """Return the name of a topic in DDS for people."""
     return topic[2:] if topic[:3] in ("rt/", "rq/", "rr/") else topic
+
+
+def _has_other_fields(other: RemoteEndpoint, subject: TopicInfo) -> bool:
+    return bool(other.type_hash) and other.type_hash != subject.type_hash
 
 
 def _type_hash(qos: Any) -> str:

@@ -7,10 +7,8 @@ judged, and its figures are those of a peer named ``ros2``.
 import asyncio
 import time
 from collections.abc import Callable, Iterable
-from enum import StrEnum
+from functools import partial
 from typing import Any, Final
-
-import structlog
 
 from hilserver.config.doors import Right
 from hilserver.config.ros2 import LOOPBACK, Ros2Config
@@ -20,12 +18,14 @@ from hilserver.faults.links import Lane, Line
 from hilserver.io.arrival import WATCH_S
 from hilserver.io.link_status import LinkState
 from hilserver.io.ros2 import graph
-from hilserver.io.ros2.neighbours import Neighbours, other_domains, topics_of
+from hilserver.io.ros2.domain_watch import DomainWatch
+from hilserver.io.ros2.neighbours import Neighbours
 from hilserver.io.ros2.parameters import NODE, ParameterServices
 from hilserver.io.ros2.participant import Arrival, In, Out, Participant
+from hilserver.io.ros2.real_robot import RealRobot
 from hilserver.io.ros2.replies import Replies
 from hilserver.io.ros2.services import Service
-from hilserver.io.ros2.status import CommandState, Ros2Status
+from hilserver.io.ros2.status import CommandState, Ros2Fault, Ros2Status
 from hilserver.io.ros2.way_back import WayBack
 from hilserver.io.ros2.wire import WireTypes
 from hilserver.io.source import Source
@@ -40,19 +40,8 @@ from hilserver.tasks import SupervisedTask
 NAME: Final = "ros2"
 PERIOD_S: Final = 0.02
 LOOK_EVERY: Final = 25
-ALONE_AFTER: Final = 20
-"""Looks without any other participant after which the log says where other programs are."""
 
-_log = structlog.get_logger(__name__)
-
-
-class Ros2Fault(StrEnum):
-    """Ways in which a host's messages can be wrong."""
-
-    BAD_MESSAGE = "bad_message"
-    SAMPLE_LOST = "sample_lost"
-    INCOMPATIBLE_QOS = "incompatible_qos"
-    NOT_TAKEN = "not_taken"
+Receiver = Callable[[Arrival], None]
 
 
 class Ros2Node(Part):
@@ -86,7 +75,7 @@ class Ros2Node(Part):
             kinds=Ros2Fault,
         )
         self._line = line
-        self._arriving: Lane[list[tuple[Subscribed, Arrival]]] = Lane(line, "in")
+        self._arriving: Lane[list[tuple[Receiver, Arrival]]] = Lane(line, "in")
         self._leaving: Lane[list[tuple[str, Out, bytes]]] = Lane(line, "out")
         self._participant: Participant | None = None
         self._outs: dict[str, tuple[Published, Out]] = {}
@@ -95,15 +84,18 @@ class Ros2Node(Part):
         self._jobs: list[SupervisedTask] = []
         self._cycle = 0
         self._news_ns: int | None = None
-        self._watched = self._alone = 0
+        self._watched = 0
         self._neighbours: Neighbours | None = None
+        self._domain_watch: DomainWatch | None = None
+        self.real: RealRobot | None = None  # whose topics are read beside ours
+        if config.measured is not None:
+            self.real = RealRobot(config, config.measured, world, self._types)
         self._replies: Replies | None = None
         self._announced: Out | None = None
         self._commander = 0  # writer of the newest command
         self._way_back = WayBack(command_enables=config.command_enables)
         self._taken_over: dict[str, str] = {}  # topic that commands no longer: the one that does
         world.control.on_reset.append(self._taken_over.clear)
-        self._seen: dict[str, int] = {}
 
     @property
     def _action(self) -> str:
@@ -132,9 +124,11 @@ class Ros2Node(Part):
         FailedError if that is not possible.
         """
         self._participant = await asyncio.to_thread(self._join)
-        self._neighbours = Neighbours(self._participant)
+        self._neighbours = neighbours = Neighbours(self._participant)
+        number = self._participant.number
+        self._domain_watch = DomainWatch(self.status, self._source.faults, neighbours, number)
         local = self.config.interface in LOOPBACK
-        self._replies = Replies(self._neighbours, local=local)
+        self._replies = Replies(neighbours, local=local)
         self._participant.listen(self._on_data)
         self.status.state = LinkState.CONNECTING
         self._jobs = [
@@ -150,12 +144,14 @@ class Ros2Node(Part):
             made = open_one(f"rt{name}", wire.make(kind), topic.qos, self._types.hash(kind))
             return name, (topic, made)
 
-        self._outs = dict(opened(participant.writer, topic) for topic in self._published())
+        self._outs = dict(opened(participant.writer, topic) for topic in self.config.published)
         self._ins = dict(opened(participant.reader, topic) for topic in self._flavour.subscribed)
         self._services = [
             Service(served, self.config, self._types, wire, participant)
             for served in (*self._flavour.served, *self._parameter_services())
         ]
+        if self.real is not None:
+            self.real.join(participant, wire)
         space = self.config.full_name(NODE).rpartition("/")[0] or "/"
         ours = [endpoint for _, endpoint in self._endpoints()]
         ours += [endpoint for service in self._services for endpoint in service.endpoints]
@@ -178,11 +174,6 @@ class Ros2Node(Part):
         may_set = Right.PARAMETERS in doors[NAME].rights
         return ParameterServices(NAME, parameters, self._types, may_set=may_set).served()
 
-    def _published(self) -> list[Published]:
-        asked = self.config.publish.model_dump()
-        extras = [topic for name, topic in self._flavour.extras.items() if asked[name]]
-        return [*self._flavour.published, *extras]
-
     async def stop(self) -> None:
         """Leave the domain."""
         jobs, self._jobs = self._jobs, []
@@ -193,7 +184,7 @@ class Ros2Node(Part):
         self._outs, self._ins, self._services, self._participant = {}, {}, [], None
         if self._replies is not None:
             self._replies.close()
-        self._neighbours = self._announced = self._replies = None
+        self._neighbours = self._announced = self._replies = self._domain_watch = None
         self.status.state, self.status.connected = LinkState.STOPPED, False
 
     # --- what goes out ----------------------------------------------------------------------------
@@ -256,10 +247,14 @@ class Ros2Node(Part):
     # --- what comes in ----------------------------------------------------------------------------
 
     def _on_data(self) -> None:
-        arrived = [
-            (subscribed, arrival)
+        receivers: list[tuple[In, Receiver]] = [
+            (reader, partial(self._receive, subscribed))
             for subscribed, reader in self._ins.values()
-            for arrival in reader.take()
+        ]
+        if self.real is not None:
+            receivers.extend(self.real.receivers())
+        arrived = [
+            (receive, arrival) for reader, receive in receivers for arrival in self._fitting(reader)
         ]
         if arrived and not self._line.is_cut:
             self._arriving.put(arrived)
@@ -268,10 +263,17 @@ class Ros2Node(Part):
             for request in service.take():
                 self._serve(service, request)
 
+    def _fitting(self, reader: In) -> list[Arrival]:
+        """Return what came in from writers that mean the same fields as we do."""
+        if self._neighbours is None:
+            return []
+        has_our_fields = self._neighbours.has_our_fields
+        return [one for one in reader.take() if has_our_fields(one.writer, reader.subject)]
+
     def _receive_due(self) -> None:
         for batch in self._arriving.take():
-            for subscribed, arrival in batch:
-                self._receive(subscribed, arrival)
+            for receive, arrival in batch:
+                receive(arrival)
 
     def _receive(self, subscribed: Subscribed, arrival: Arrival) -> None:
         now_ns = time.monotonic_ns()
@@ -352,7 +354,9 @@ class Ros2Node(Part):
             return
         refusals, came_ns = {}, self._source.came_ns(time.monotonic_ns())
         if values:
-            refusals = self._world.gate.write(NAME, values, commanded_ns=came_ns)
+            # A service is no command that has to be renewed: who enables by hand may drive later,
+            # and who only switches lights does not keep the command of another node alive.
+            refusals = self._world.gate.write(NAME, values, commanded_ns=came_ns, renews=False)
             if "drive.enable" in values and not refusals:
                 self._way_back.forget()
         service.answer(request, number, answer(not refusals), self._replies)
@@ -368,9 +372,11 @@ class Ros2Node(Part):
         self._see_lapse()
         if self._source.watch(now_ns) is Transition.LOST:
             self.status.command = CommandState.STALE
-        if self._watched % LOOK_EVERY == 0:
-            self._look_at_endpoints()
-            self._look_at_neighbours()
+        if self.real is not None:
+            self.real.watch(now_ns)
+        if self._domain_watch is not None and self._watched % LOOK_EVERY == 0:
+            services = [endpoint for service in self._services for endpoint in service.endpoints]
+            self._domain_watch.look(self._endpoints(), services)
         self._watched += 1
 
     def _hold(self, now_ns: int) -> None:
@@ -387,63 +393,10 @@ class Ros2Node(Part):
             is_late = now_ns - status.command_ns > staleness.limit_ns
             status.command = CommandState.HELD if is_late else CommandState.FRESH
 
-    def _look_at_neighbours(self) -> None:
-        """Tell what of other participants does not fit, and where others are if nobody is here."""
-        neighbours, participant = self._neighbours, self._participant
-        if neighbours is None or participant is None:
-            return
-        ours = [endpoint for _, endpoint in self._endpoints()]
-        services = [endpoint for service in self._services for endpoint in service.endpoints]
-        apart = list(neighbours.apart([*ours, *services]))
-        for kind, topic, sentence in apart:
-            self._source.faults.report(kind, topic, sentence, time.monotonic_ns())
-        strangers = list(neighbours.strangers([*ours, *services]))
-        for stranger in strangers:
-            if not stranger.is_reported:
-                stranger.is_reported = True
-                _log.warning(
-                    "ROS 2: none of a participant's topics and services fits ours",
-                    participant=stranger.label,
-                    ours=topics_of(ours),
-                )
-        self.status.participants, self.status.strangers = len(neighbours.known), len(strangers)
-        self.status.apart = len(apart)
-        self._alone = 0 if neighbours.known else self._alone + 1
-        if self._alone == ALONE_AFTER and (domains := other_domains(participant.number)):
-            _log.warning(
-                "ROS 2: nobody is in this domain, and programs of this computer are in others:"
-                " set ros2.domain or ROS_DOMAIN_ID",
-                domain=participant.number,
-                others=domains,
-            )
-
-    def _look_at_endpoints(self) -> None:
-        """Count matched endpoints, losses, and those that will never match."""
-        status, matched = self.status, 0
-        for name, endpoint in self._endpoints():
-            matched += endpoint.matched
-            if self._grows(f"qos {name}", endpoint.incompatible):
-                sentence = f"a node's quality of service for {name} is incompatible: no data flows"
-                self._report(Ros2Fault.INCOMPATIBLE_QOS, name, sentence)
-            if isinstance(endpoint, In) and (more := self._grows(f"lost {name}", endpoint.lost)):
-                status.sequence_missed += more
-                self._report(Ros2Fault.SAMPLE_LOST, name, f"messages of {name} were lost")
-        if bool(matched) != status.connected:
-            status.connected = bool(matched)
-            status.state = LinkState.CONNECTED if matched else LinkState.CONNECTING
-            if matched:
-                status.reconnects += status.last_connect_ns is not None
-                status.last_connect_ns = time.monotonic_ns()
-            _log.info("ROS 2 endpoints", matched=matched)
-
     def _endpoints(self) -> list[tuple[str, Out | In]]:
         found: list[tuple[str, Out | In]] = [(name, out) for name, (_, out) in self._outs.items()]
-        return found + [(name, reader) for name, (_, reader) in self._ins.items()]
-
-    def _grows(self, key: str, total: int) -> int:
-        before = self._seen.get(key, 0)
-        self._seen[key] = total
-        return total - before
+        found += [(name, reader) for name, (_, reader) in self._ins.items()]
+        return found + (self.real.endpoints if self.real is not None else [])
 
     def _report(self, kind: Ros2Fault, subject: str, sentence: str) -> None:
         self._source.faults.report(kind, subject, sentence, time.monotonic_ns())

@@ -7,6 +7,16 @@ from enum import StrEnum
 from hilserver.io.link_status import PeerStatus
 
 
+class Ros2Fault(StrEnum):
+    """Ways in which what others send, or that they send it, can be wrong."""
+
+    BAD_MESSAGE = "bad_message"
+    SAMPLE_LOST = "sample_lost"
+    INCOMPATIBLE_QOS = "incompatible_qos"
+    NOT_TAKEN = "not_taken"
+    ALSO_PUBLISHED = "also_published"
+
+
 class CommandState(StrEnum):
     """Where the last command stands."""
 

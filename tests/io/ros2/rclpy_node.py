@@ -9,6 +9,7 @@ import json
 import sys
 import threading
 import time
+from pathlib import Path
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
@@ -49,6 +50,9 @@ def obey(node, publishers, clients, command):
             for _ in range(times):
                 publishers[topic].publish(message)
                 time.sleep(0.02 if times > 1 else 0.0)
+        case {"play": path}:
+            # beside this, as the node has to end when nothing more can be told to it
+            threading.Thread(target=play, args=(node, publishers, path), daemon=True).start()
         case {"call": service, "type": name, "fields": fields}:
             if service not in clients:
                 clients[service] = node.create_client(kind(name), service)
@@ -62,6 +66,21 @@ def obey(node, publishers, clients, command):
         case {"graph": _}:
             nodes = node.get_node_names_and_namespaces()
             tell(nodes=[f"{space.rstrip('/')}/{name}" for name, space in nodes])
+
+
+def play(node, publishers, path):
+    """Publish a drive: a JSON object a line, ``{"at_s": ..., "topic": ..., "fields": ...}``."""
+    begun_s = time.monotonic()
+    with Path(path).open(encoding="utf-8") as drive:
+        for line in drive:
+            row = json.loads(line)
+            time.sleep(max(0.0, begun_s + row["at_s"] - time.monotonic()))
+            publisher = publishers[row["topic"]]
+            message = fill(publisher.msg_type(), row["fields"])
+            if hasattr(message, "header"):
+                message.header.stamp = node.get_clock().now().to_msg()
+            publisher.publish(message)
+    tell(played=True)
 
 
 def main():

@@ -10,6 +10,7 @@ from mcap_ros2._dynamic import generate_dynamic
 
 from benchmarks.ros2_peers import arguments
 from hilserver.daemon.assembly import assemble_config
+from hilserver.daemon.connections import LINKS
 from hilserver.daemon.daemon import Daemon
 from hilserver.ros.types import known_types
 from tests.loopback.rig import configuration, wait_until
@@ -35,11 +36,11 @@ def claimed_domain():
 
 
 @contextlib.asynccontextmanager
-async def robot(domain, *, plant=None, **ros2):
-    """A daemon without OPC UA that takes part in ROS 2."""
+async def robot(domain, *, plant=None, beside=None, folder=None, links=LINKS, **ros2):
+    """A daemon without OPC UA that takes part in ROS 2; `beside`: its other sections."""
     ours = {"enabled": True, "domain": domain, "stale_after_ms": NEVER_SILENT_MS, **ros2}
-    sections = {"ros2": ours, "opcua": {"enabled": False}, "plant": plant or {}}
-    async with Daemon(assemble_config(configuration(**sections))) as daemon:
+    sections = {"ros2": ours, "opcua": {"enabled": False}, "plant": plant or {}, **(beside or {})}
+    async with Daemon(assemble_config(configuration(**sections), folder), links=links) as daemon:
         yield daemon
 
 

@@ -55,6 +55,7 @@ class RosNode:
         self._environment = kept | own | dict(more)
         if discovery is not None:
             self._environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = discovery
+        self.domain = domain
         self.received = {topic: [] for topic in subscribe or {}}
         self.said = []
 
@@ -94,6 +95,10 @@ class RosNode:
     def publish(self, topic, times=1, **fields):
         """Write a message, or one every 20 ms."""
         self.tell(publish=topic, fields=fields, times=times)
+
+    def play(self, path):
+        """Write the messages of a drive at their times; ``played`` is the answer at its end."""
+        self.tell(play=str(path))
 
     async def answers(self, key):
         """Wait for something that it says besides messages; return it."""

@@ -2,11 +2,12 @@
 
 import asyncio
 import sys
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 
 import pytest
 
 from hilserver.core.events import EventKind
+from hilserver.errors import ControlRefused
 from hilserver.io.ros2.status import CommandState
 from hilserver.signals import State
 from tests.io.ros2.rig import PATIENCE_S, robot, value
@@ -72,6 +73,23 @@ async def test_what_a_key_commanded_stands_while_its_node_is_there(domain):
         await wait_until(lambda: daemon.control.state is State.SAFE, PATIENCE_S)
         await wait_until(lambda: abs(value(daemon, "wheel.fl.speed_rpm")) < 0.5, PATIENCE_S)
         assert any("its writer was alive" in e.message for e in daemon.events.recent)
+
+        # Started again, the node drives after Reset by a new key, not by the one pressed before it.
+        again = RosNode(node.domain, {"/rpm": FLOATS}, {"/rpm/return": FLOATS})
+        async with again:
+            await again.is_ready()
+            again.publish("/rpm", data=[20.0, 20.0, -20.0, -20.0])
+            await wait_until(lambda: may_reset(daemon), PATIENCE_S)
+            await asyncio.sleep(0.7)
+            assert abs(value(daemon, "wheel.fl.speed_rpm")) < 0.5
+            again.publish("/rpm", data=[30.0, 30.0, -30.0, -30.0])
+            await again.sees("/rpm/return", lambda m: abs(m["data"][0] - 30.0) < 0.5)
+
+
+def may_reset(daemon):
+    with suppress(ControlRefused):
+        daemon.control.reset()
+    return daemon.control.state is State.RUNNING
 
 
 async def test_after_a_stop_a_held_command_does_not_come_back(domain):

@@ -5,10 +5,14 @@ import math
 import pytest
 
 from hilserver.ros.flavours import FLAVOURS
+from hilserver.ros.measured import IOTBOT, MEASURED_TYPES
+from hilserver.ros.types import known_types
 from hilserver.signals import State
 from tests.io.ros2.rig import PATIENCE_S, Host, four_floats, robot, speeds, twist, value
 from tests.loopback.rig import wait_until
+from tests.ros import messages as real
 
+RPM = "iotbot_interface/msg/RotationSpeed"
 EXTRAS = {"tf": True, "clock": True, "odom": True, "pose_stamped": True}
 
 
@@ -83,6 +87,43 @@ async def test_reliable_topics_lose_nothing(fast_dds, domain, minutes):
 
 def nanoseconds(stamp):
     return stamp.sec * 10**9 + stamp.nanosec
+
+
+async def test_every_topic_of_a_real_iot_bot_is_measured(fast_dds, domain):
+    """Also those types for which PyPI has no `rclpy` package."""
+    kinds = {name if name[0] == "/" else f"/{name}": kind for name, kind in IOTBOT.items()}
+    types = {f"rt{name}": MEASURED_TYPES[kind].type for name, kind in kinds.items()}
+    host = Host(
+        fast_dds, domain, *(("w", topic, kind, "reliable") for topic, kind in types.items())
+    )
+    link = ("odom", "base_link", 1.5, 0.0, 0.0)
+    messages = {
+        "rt/iotbot/rpm/return": known_types().make(RPM, **speeds(10, -20, 30, -40)),
+        "rt/iotbot/imu": real.imu(),
+        "rt/iotbot/battery": known_types().make("iotbot_interface/msg/Battery", voltage=11.5),
+        "rt/poseStamped": real.tagged(0.5, 0.6, 0.7, "odom"),
+        "rt/odom": real.odometry("odom", x=1.5),
+        "rt/joint_states": real.joints(
+            front_left=9.0, front_right=9.0, rear_left=9.0, rear_right=9.0
+        ),
+        "rt/tf": real.transforms(link),
+    }
+    measured = {"frame": "odom"}
+    async with robot(domain, namespace="/sim", measured=measured) as daemon, host:
+        expected = {"wheel.rr.speed_rpm": -40.0, "imu.gyro_z_rad_s": 0.2, "nav.yaw_rad": 0.7}
+        expected |= {"battery.voltage_v": 11.5, "velocity.lateral_m_s": 0.1, "pose.x_m": 1.5}
+
+        def have_come():
+            for topic, message in messages.items():
+                host.write_cdr(topic, known_types().encode(message))
+            return all(near(daemon, f"measured.{n}", v)() for n, v in expected.items())
+
+        await wait_until(have_come, PATIENCE_S)
+        part = daemon.parts_of("ros2")[1]
+        heard = lambda: all(topic.has_values for topic in part._topics)  # noqa: E731
+        await wait_until(lambda: have_come() and heard(), PATIENCE_S)
+        assert not set(+part.status.fault_counts) - {"stamp"}, "that of /tf is from 1970"
+        assert value(daemon, "measured.wheel.fl.speed_rpm") == 10.0, "rpm/return was heard first"
 
 
 async def test_twist_beyond_what_the_robot_can(fast_dds, domain):
