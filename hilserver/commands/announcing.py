@@ -101,6 +101,7 @@ class Announcer:
         lines = ["hilserver is running; stop it with Ctrl-C"]
         lines += [f"  {part.label:8} {part.address}" for part in others.values()]
         lines += [f"  peer     {name} at {endpoint}" for name, endpoint in peers.items()]
+        lines.append(f"  {daemon.config.after_reset}")
         lines += ["  doors, and who may do what besides watching:"]
         lines += [f"  {line}" for line in table_of_doors(daemon.config)]
         where = {section: part.address for section, part in others.items()}
@@ -126,7 +127,8 @@ class Announcer:
 
 def status_line(daemon: "Daemon", page_url: str) -> str:
     """Return state, pose, who drives, real-time factor, worst margin and the page's address."""
-    parts = [daemon.control.state.word]
+    is_waiting = daemon.gate.interlock.waits
+    parts = [daemon.control.state.word + ", waits for Start" * is_waiting]
     with contextlib.suppress(LookupError):
         x_m, y_m, yaw_rad = (_value(daemon, f"pose.{name}") for name in ("x_m", "y_m", "yaw_rad"))
         parts.append(f"x {x_m:.2f} m, y {y_m:.2f} m, yaw {math.degrees(yaw_rad):.0f}°")
