@@ -9,6 +9,10 @@ libraries cancel their own futures when a connection breaks: nobody asked our ta
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator
+from typing import Final
+
+_TURN_S: Final = 0.05
+"""How often a limit that counts our own time looks whether the loop turns."""
 
 
 class AbandonedError(ConnectionError):
@@ -16,23 +20,51 @@ class AbandonedError(ConnectionError):
 
 
 @contextlib.asynccontextmanager
-async def time_limit(limit_s: float | None) -> AsyncIterator[None]:
+async def time_limit(
+    limit_s: float | None, *, at_most_s: float | None = None
+) -> AsyncIterator[None]:
     """Raise TimeoutError after `limit_s` (None: never), AbandonedError if a library gives up.
 
-    A cancellation of this task passes through.
+    With `at_most_s`, time in which our own event loop could not turn does not count: a quota or
+    other programs then prolong the wait, up to this. A cancellation of this task passes through.
     """
     task = asyncio.current_task()
     asked = 0 if task is None else task.cancelling()
     try:
-        async with asyncio.timeout(limit_s):
+        async with asyncio.timeout(limit_s) as limit:
+            prolonging = None if at_most_s is None else _Prolonging(limit, at_most_s)
             try:
                 yield
             except asyncio.CancelledError as error:
                 if type(error) is asyncio.CancelledError:
                     raise
                 raise asyncio.CancelledError(str(error)) from error
+            finally:
+                if prolonging is not None:
+                    prolonging.stop()
     except asyncio.CancelledError as error:
         # Whoever cancels a task is counted by it; a future that a library cancels is not.
         if task is None or task.cancelling() > asked:
             raise
         raise AbandonedError("the wait for an answer was abandoned") from error
+
+
+class _Prolonging:
+    """Gives a limit back what the loop loses, until it is stopped."""
+
+    def __init__(self, limit: asyncio.Timeout, at_most_s: float) -> None:
+        self._limit, self._loop = limit, asyncio.get_running_loop()
+        self._looked_s = self._loop.time()
+        self._last_s = self._looked_s + at_most_s
+        self._timer = self._loop.call_later(_TURN_S, self._look)
+
+    def _look(self) -> None:
+        now_s, ends_s = self._loop.time(), self._limit.when()
+        lost_s, self._looked_s = now_s - self._looked_s - _TURN_S, now_s
+        if lost_s > _TURN_S and ends_s is not None:
+            self._limit.reschedule(min(ends_s + lost_s, self._last_s))
+        self._timer = self._loop.call_later(_TURN_S, self._look)
+
+    def stop(self) -> None:
+        """Leave the limit as it is."""
+        self._timer.cancel()

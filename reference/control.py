@@ -17,7 +17,8 @@ MEANING: Final[Mapping[Happening, str]] = {
     " set-points that an OPC UA client wrote last, without taking it, become zero",
     Happening.LAPSE: "has not renewed its command in time: its policy acts in the plant's tick",
     Happening.STOP: "safe state: a ramp to zero, then the drive is disabled",
-    Happening.RESET: "every lease ends: zero until a command comes in anew",
+    Happening.RESET: "every lease ends: zero until a command comes in anew; after a safe state"
+    " that of an automatic source counts only after Start",
     Happening.PAUSE: "every lease ends: Start and Step go on at zero",
     Happening.LOAD: "every lease ends: the state comes back, the commands of then do not",
 }

@@ -7,11 +7,12 @@ from hilserver.core.transitions import TRANSITIONS, Command
 from hilserver.signals import State
 
 MEANING: Final[Mapping[Command, str]] = {
-    Command.START: "run on after a pause",
+    Command.START: "run on after a pause; after Stop and Reset, let automatic sources drive",
     Command.PAUSE: "stop the plant at the next tick; inputs and outputs stay visible",
     Command.STEP: "run n ticks, then pause again",
     Command.STOP: "emergency stop",
-    Command.RESET: "acknowledge the safe state once its cause is gone; otherwise back to the start",
+    Command.RESET: "acknowledge the safe state once its cause is gone;"
+    " automatic sources then wait for Start. Otherwise back to the start",
     Command.LOAD_SNAPSHOT: "continue from a saved state",
     Command.STARTED: "the first ticks are done",
     Command.FAULT: "stale inputs, too many overruns, a fault of the paced loop",
@@ -25,7 +26,10 @@ is the signal `sim.state`, the metric `hil_state` and a line of the log.
 
 In the **safe** state the set-points ramp to zero within `plant.safe_ramp_s`, then the drive is
 disabled; outputs keep being computed, with quality Uncertain. Only *Reset* ends it, and only when
-its cause is gone.
+its cause is gone. Automatic sources (peer, OPC UA client, ROS 2, shield) then wait for *Start*,
+unless `control.after_reset` is `continue`; the signal `control.waits_for_start` shows it, and
+recordings and snapshots contain it. Hands (page, gamepad, teleop, Joy, Foxglove) drive as soon as
+they were at rest. In virtual time nothing waits.
 
 Which state follows a command, by the state in which it comes ("-": refused with BadInvalidState,
 and nothing changes):

@@ -1,6 +1,7 @@
 """The limit of a wait: whose cancellation it was that ended it."""
 
 import asyncio
+import time
 
 import pytest
 import wait_for2
@@ -57,3 +58,26 @@ async def test_the_outer_limit_ends_the_inner_wait():
 async def test_no_limit_reached_no_error():
     async with time_limit(60):
         await asyncio.sleep(0)
+
+
+async def answer_after(seconds, *, blocked_s):
+    """Answer after so many seconds of a loop that stands for some time at first."""
+    time.sleep(blocked_s)  # noqa: ASYNC251 - the quota of a control group looks like that
+    await asyncio.sleep(seconds)
+
+
+async def test_time_that_our_own_loop_loses_does_not_count_if_the_limit_is_told_so():
+    with pytest.raises(TimeoutError):
+        async with time_limit(0.2):
+            await answer_after(0.1, blocked_s=0.3)
+    async with time_limit(0.2, at_most_s=5.0):
+        await answer_after(0.1, blocked_s=0.3)
+
+
+async def test_a_limit_that_is_prolonged_still_ends():
+    with pytest.raises(TimeoutError):
+        async with time_limit(0.05, at_most_s=5.0):
+            await asyncio.sleep(4.0)
+    with pytest.raises(TimeoutError):
+        async with time_limit(0.1, at_most_s=0.2):
+            await answer_after(4.0, blocked_s=0.3)

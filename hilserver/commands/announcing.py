@@ -7,7 +7,9 @@ JSON, each announcement is one JSON line, so that every line can be parsed.
 import contextlib
 import json
 import math
-from collections.abc import AsyncIterator, Sequence
+import threading
+import time
+from collections.abc import AsyncIterator, Iterator, Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Self
 
@@ -19,6 +21,8 @@ if TYPE_CHECKING:  # importing it takes seconds, and the first line must not wai
     from hilserver.daemon.daemon import Daemon
 
 STATUS_EVERY_S = 2.0
+LONG_START_S = 20.0  # after so long it is said what a start waits for, then ever more rarely
+HELD_UP_SHARE = 0.5  # of a core: a start that has had less waits for the processor
 _NOWHERE: dict[str, object] = dict.fromkeys(("opcua", "metrics", "shield", "foxglove", "ros2"))
 
 
@@ -36,6 +40,8 @@ class Announcer:
         writer.lost_line = lambda lost: self._line(f"{lost} lines were lost: nothing read them", {})
         self.page_url = ""
         self._progress: CompileProgress | None = None
+        self.waits_for = "its libraries"  # what a start does now, for whoever wonders
+        self._has_started = threading.Event()
 
     def say(self, text: str, event: str = "", **details: object) -> None:
         """Say `text` to people, or `event` (by default the text) and `details` to programs."""
@@ -59,6 +65,33 @@ class Announcer:
     def __exit__(self, *_: object) -> None:
         if self._footer is not None:
             self._footer.show("")
+
+    @contextlib.contextmanager
+    def patient(self) -> Iterator[None]:
+        """Say what a long start waits for, from a thread, until it runs or the context ends."""
+        self._has_started.clear()
+        began_s = time.monotonic()
+
+        def tell() -> None:
+            pause_s = LONG_START_S
+            while not self._has_started.wait(pause_s):
+                pause_s *= 2
+                self.still_starting(time.monotonic() - began_s, time.process_time())
+
+        threading.Thread(target=tell, name="patience", daemon=True).start()
+        try:
+            yield
+        finally:
+            self._has_started.set()
+
+    def still_starting(self, seconds: float, processor_s: float) -> None:
+        """Say what a start waits for that has lasted so long, with so much time of a processor."""
+        share = processor_s / seconds
+        why = f"waits for {self.waits_for}"
+        if share < HELD_UP_SHARE and self._progress is None:
+            why += f"; a quota or other programs have left it {share:.0%} of a core"
+        text = f"hilserver is still starting after {seconds:.0f} s: it {why}"
+        self.say(text, "still starting", seconds=round(seconds), why=why)
 
     def starting(self) -> None:
         """Say that it is starting, if anyone may be reading."""
@@ -95,12 +128,14 @@ class Announcer:
         """Say that the robot runs, and where everything is."""
         from hilserver.daemon.doors import table_of_doors  # noqa: PLC0415 - as above
 
+        self._has_started.set()
         self._say_compiled()
         peers = {part.label: part.address for part in daemon.parts if part.section == "peers"}
         others = {part.section: part for part in daemon.parts if part.section != "peers"}
         lines = ["hilserver is running; stop it with Ctrl-C"]
         lines += [f"  {part.label:8} {part.address}" for part in others.values()]
         lines += [f"  peer     {name} at {endpoint}" for name, endpoint in peers.items()]
+        lines.append(f"  {daemon.config.after_reset}")
         lines += ["  doors, and who may do what besides watching:"]
         lines += [f"  {line}" for line in table_of_doors(daemon.config)]
         where = {section: part.address for section, part in others.items()}
@@ -126,7 +161,8 @@ class Announcer:
 
 def status_line(daemon: "Daemon", page_url: str) -> str:
     """Return state, pose, who drives, real-time factor, worst margin and the page's address."""
-    parts = [daemon.control.state.word]
+    is_waiting = daemon.gate.interlock.waits
+    parts = [daemon.control.state.word + ", waits for Start" * is_waiting]
     with contextlib.suppress(LookupError):
         x_m, y_m, yaw_rad = (_value(daemon, f"pose.{name}") for name in ("x_m", "y_m", "yaw_rad"))
         parts.append(f"x {x_m:.2f} m, y {y_m:.2f} m, yaw {math.degrees(yaw_rad):.0f}°")

@@ -68,6 +68,7 @@ def describe(assembly: Assembly) -> list[str]:
         f"control: '{config.first_source}' has control at the start; sources, highest first:"
         f" {', '.join(config.sources)}"
     )
+    lines.append(config.after_reset)
     lines.append(f"OPC UA: {config.opcua.endpoint if config.opcua.enabled else 'off'}")
     metrics = config.metrics
     address = f"http://{metrics.host}:{metrics.port}/metrics" if metrics.enabled else "off"

@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
 
             children = compiling.in_children(compiled_start.commands(args), announcer.compiling)
             telling = compiling.telling(lambda name: announcer.compiling([name]))
-            with reported_by(announcer.warn), children, telling:
+            with reported_by(announcer.warn), children, telling, announcer.patient():
                 from hilserver.commands.running import serve  # noqa: PLC0415
 
                 code = serve(args, guard, announcer)

@@ -42,6 +42,7 @@ def serve(args: argparse.Namespace, guard: Guard, announcer: Announcer) -> int:
     play = None if args.scenario is None else Play(load_scenario(args.scenario), args.scenario)
     assembly = _recorded(assembled(args), args.record)
     run = Run(assembly, args.duration, play, announcer, guard)
+    announcer.waits_for = "its parts and the first ticks"
     with announcer:
         check_credentials(assembly)
         try:
@@ -85,7 +86,9 @@ class Run:
 
     async def demo(self) -> int:
         """Run beside a controller that drives; return the exit code."""
+        self._announcer.waits_for = "the embedded controller"
         async with running_controller(self._assembly.robot) as endpoint:
+            self._announcer.waits_for = "its parts and the first ticks"
             self._assembly = demo_assembly(self._assembly, endpoint)
             return await self.robot()
 

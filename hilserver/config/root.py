@@ -28,7 +28,7 @@ from hilserver.config.shared_memory import SharedMemoryConfig
 from hilserver.config.shield import ShieldConfig
 from hilserver.config.timing import ControlConfig, ImageConfig, SchedulerConfig, SnapshotConfig
 from hilserver.opcua.settings import Role
-from hilserver.signals import Source
+from hilserver.signals import AUTOMATIC, Source
 
 
 class Config(Section):
@@ -122,6 +122,20 @@ class Config(Section):
             if link.drives and link.driver.source not in watching
         )
         return next(kinds, "opcua")
+
+    @property
+    def waits_for_start(self) -> bool:
+        """Whether automatic sources wait for Start after a Stop; in virtual time, nobody would."""
+        return self.control.after_reset == "start" and self.scheduler.backend != "virtual"
+
+    @property
+    def after_reset(self) -> str:
+        """What follows a Stop or a safe state, in a sentence."""
+        automatic = ", ".join(kind for kind in self.sources if kind in AUTOMATIC)
+        if self.waits_for_start:
+            return f"after a Stop: Reset, then Start lets {automatic} drive (control.after_reset)"
+        why = "control.after_reset" if self.control.after_reset == "continue" else "virtual time"
+        return f"after a Stop: {automatic} drive on after Reset, without Start ({why}: continue)"
 
     @property
     def doors(self) -> list[DoorRule]:

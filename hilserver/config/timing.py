@@ -108,6 +108,12 @@ class ControlConfig(Section):
         description="Who gets control when the source in control is gone; before: the previous"
         " source, except after a Stop, a lapsed command or the safe state",
     )
+    after_reset: Literal["start", "continue"] = Field(
+        "start",
+        description="start: after a Stop or safe state, Reset lets only hands drive; peers, OPC UA"
+        " clients, ROS 2 and shield wait for Start. continue: they drive on after Reset, as they"
+        " always do in virtual time",
+    )
     opcua_stale_after_ms: float | None = Field(
         None,
         gt=0,

@@ -7,6 +7,7 @@ Uncertain. Only Reset ends it, and only when its cause is gone.
 
 import time
 from collections.abc import Callable
+from typing import Final
 
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.core.inputs import InputGate
@@ -17,6 +18,9 @@ from hilserver.image import ProcessImage, Row
 from hilserver.scheduler import Scheduler
 from hilserver.scheduler.faults import fault_of
 from hilserver.signals import SignalTable, State
+
+WAITING: Final = "automatic sources wait for Start; hands drive as soon as they were at rest"
+DRIVING_ON: Final = "automatic sources drive on without Start (control.after_reset: continue)"
 
 
 class Control:
@@ -53,6 +57,7 @@ class Control:
         self._causes: dict[str, str] = {}
         self._stop_taken = 0
         self._pose_requests = 0.0
+        snapshots.restored.append(self._adopt_interlock)
 
     def _go(self, state: State, reason: str) -> None:
         if state is self.state and reason == self.reason:
@@ -80,9 +85,10 @@ class Control:
             self._go(state, state.word)
 
     def start(self) -> None:
-        """Resume after a pause."""
+        """Resume after a pause; after a safe state, let automatic sources drive again."""
         state = self._next(Command.START)
         self._scheduler.resume()
+        self._gate.interlock.release()
         self._go(state, state.word)
 
     def pause(self) -> None:
@@ -144,7 +150,9 @@ class Control:
         state = self._next(Command.RESET)
         if self.state is State.SAFE:
             self._acknowledge()
-            self._go(state, state.word)
+            self._go(state, WAITING if self._gate.interlock.waits else state.word)
+            if not self._gate.interlock.must_wait:
+                self._events.publish(Event(EventKind.STATE, 200, "daemon", DRIVING_ON))
             return
         self._snapshots.reset()
         self._gate.outdate()
@@ -157,9 +165,16 @@ class Control:
             raise ControlRefused(f"Reset is not possible yet: {'; '.join(self._causes.values())}")
         self.on_acknowledge()
         self._gate.end()
+        self._gate.interlock.engage()
         self._image.control.first_fault = 0
         self._image.control.stop_acknowledged = self._stop_taken
         self._image.push([Row(self._table.slot("drive.enable"), 1.0)])
+
+    def _adopt_interlock(self) -> None:
+        """Let automatic sources wait if they did so in the state that was restored."""
+        self._gate.interlock.adopt()
+        if self._gate.interlock.waits and self.state is State.RUNNING:
+            self._go(self.state, WAITING)
 
     def set_pose(self, x_m: float, y_m: float, yaw_rad: float) -> None:
         """Put the robot at a pose at the next tick.
@@ -220,6 +235,7 @@ class Control:
     def supervise(self) -> None:
         """Take over what the plant has already done, and end what departed clients commanded."""
         self._take_stop()
+        self._gate.interlock.show()
         if code := self._image.control.first_fault:
             self.enter_safe(fault_of(code).text, cause=None)
         if not self._gate.end_departed() and self.state is not State.PAUSED:

@@ -16,10 +16,18 @@ from hilserver.config.doors import DoorRule, Right
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.core.handover import HandOver
 from hilserver.core.leases import NOBODY, OFFERING, Leases, kind_of
-from hilserver.core.rest import Rest, is_hand
+from hilserver.core.rest import Interlock, Rest, is_hand
 from hilserver.image import ProcessImage, Row
 from hilserver.plant.layout import N_COMMANDS, N_SETPOINTS
-from hilserver.signals import MEASURED, SAMPLED, SOURCES, Signal, SignalTable, ValueType
+from hilserver.signals import (
+    AUTOMATIC,
+    MEASURED,
+    SAMPLED,
+    SOURCES,
+    Signal,
+    SignalTable,
+    ValueType,
+)
 from hilserver.signals.numbers import is_finite_number
 from hilserver.status import (
     BAD_WAITING_FOR_INITIAL_DATA,
@@ -39,6 +47,7 @@ class Refusal(StrEnum):
     QUEUE_FULL = "queue_full"
     OUTDATED = "outdated"
     NOT_AT_REST = "not_at_rest"
+    NOT_STARTED = "not_started"
     NOT_GRANTED = "not_granted"
 
 
@@ -57,8 +66,12 @@ def reasons_of(source: str, *, is_door: bool = False) -> set[Refusal]:
         # Its configuration names the signals, and only finite numbers leave a link or a scenario.
         reasons -= {Refusal.UNKNOWN_SIGNAL, Refusal.NOT_WRITABLE}
         reasons -= {Refusal.TYPE_MISMATCH, Refusal.NOT_FINITE}
+    if source == "scenario":
+        reasons.discard(Refusal.OUTDATED)  # nothing of it waits to be read
     if source not in _WITH_HANDS:
         reasons.discard(Refusal.NOT_AT_REST)
+    if kind_of(source) not in AUTOMATIC - OFFERING:
+        reasons.discard(Refusal.NOT_STARTED)  # a link that repeats itself is not counted
     if not is_door:
         reasons.discard(Refusal.NOT_GRANTED)
     return reasons
@@ -100,6 +113,8 @@ class InputGate(HandOver):
         Sources that the configuration names, for metrics; any other counts as its kind.
     doors : iterable of DoorRule
         Doors without a log-in, and what they allow.
+    waits_for_start : bool
+        Whether automatic sources wait for Start after a safe state, see `Interlock`.
     monotonic_ns : callable
         Clock that stamps incoming values.
     """
@@ -116,6 +131,7 @@ class InputGate(HandOver):
         fallback: str = NOBODY,
         named: Collection[str] = SOURCES,
         doors: Iterable[DoorRule] = (),
+        waits_for_start: bool = False,
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         super().__init__(image, events, leases, owner, priority, fallback)
@@ -129,6 +145,7 @@ class InputGate(HandOver):
             self.rejected.update({(source, reason.value): 0 for reason in reasons})
         self._table, self._now_ns = table, monotonic_ns
         self._ended_ns, self._rest = 0, Rest()
+        self.interlock = Interlock(table, image, must_wait=waits_for_start)
         self._last_ns: dict[str, int] = {}
         self._newest: dict[int, tuple[str, float]] = {}
         self._change: tuple[int, int] | None = None
@@ -136,7 +153,7 @@ class InputGate(HandOver):
         self._writing: dict[int, tuple[str, int]] = {}  # slot: who writes it, and since when last
         self._silent: set[str] = set()  # links that have nothing new to say: others may write
         self._reported: dict[tuple[str, str], str] = {}  # refused source and signal: beside whom
-        self._held: set[str] = set()  # hands told to let go first
+        self._held: set[str] = set()  # told to let go first, or that they wait for Start
         self._counted = {g for g in SAMPLED if f"internal.samples_{g}" in table}
         self._samples: Counter[str] = Counter()
 
@@ -182,17 +199,29 @@ class InputGate(HandOver):
         came_ns = now_ns if commanded_ns is None else commanded_ns
         self._silent.discard(source)
         rows, offered, refused = self._sort(source, values, came_ns < self._ended_ns, now_ns)
-        if (by_hand or is_hand(source)) and not self._lets_move(source, rows, offered, now_ns):
-            held = [name for name, found in rows.items() if found[0].slot < N_COMMANDS]
-            refused |= dict.fromkeys(held, Refusal.NOT_AT_REST)
-            rows, offered = {name: rows[name] for name in rows if name not in held}, []
+
+        by_hand = by_hand or is_hand(source)
+        is_waiting = not by_hand and self.interlock.holds(kind_of(source))
         group = offered + [row for found in rows.values() for row in found]
+        setpoints = [row.value for row in group if row.slot < N_SETPOINTS]
+        why: Refusal | None = None
+        if by_hand and setpoints and not self._rest.lets_move(source, setpoints, now_ns):
+            why = Refusal.NOT_AT_REST
+        elif is_waiting and any(setpoints):
+            why = Refusal.NOT_STARTED
+        if why is not None:
+            held = [name for name, found in rows.items() if found[0].slot < N_COMMANDS]
+            refused |= dict.fromkeys(held, why)
+            rows = {name: rows[name] for name in rows if name not in held}
+            group = [row for found in rows.values() for row in found]
+
         speaker, placed = self._speaker, self._passed_on(source, group)
-        placed += self._placed(source, group, came_ns if renews else None)
+        placed += self._placed(source, group, came_ns if renews and not is_waiting else None)
         placed += self._sampled(rows if news is None else rows.keys() & news, now_ns, age_ns)
         if placed and not self._image.push(placed):
             refused |= dict.fromkeys(rows, Refusal.QUEUE_FULL)
             rows, self._speaker = {}, speaker
+
         if rows:
             self._remember(source, rows.values(), now_ns)
         for name in rows:
@@ -260,13 +289,10 @@ class InputGate(HandOver):
         newest = (self._newest.get(slot, ("", 0.0)) for slot in range(N_SETPOINTS))
         return any(writer == speaker and value != 0.0 for writer, value in newest)
 
-    def _lets_move(
-        self, source: str, rows: Mapping[str, list[Row]], offered: list[Row], now_ns: int
-    ) -> bool:
-        """Whether what a hand commands may act, if it commands anything."""
-        commanded = offered + [row for found in rows.values() for row in found]
-        setpoints = [row.value for row in commanded if row.slot < N_SETPOINTS]
-        return not setpoints or self._rest.lets_move(source, setpoints, now_ns)
+    def renew(self, source: str, came_ns: int) -> None:
+        """Renew the lease of a source that sent something at `came_ns`, but no command."""
+        if not self.interlock.holds(kind_of(source)):
+            self.leases.renew(source, came_ns)
 
     def stamps(
         self, names: Iterable[str], time_s: float, age_s: float = 0.0, tick: int = 0
@@ -332,13 +358,13 @@ class InputGate(HandOver):
             self._tell_refused(source, name, value, reason)
             return
         is_denied = reason is Refusal.NOT_IN_CONTROL and self._denied.get(source) == self.owner
-        if is_denied and kind_of(source) in OFFERING:
-            return  # a repeated offer is kept, not lost
+        if kind_of(source) in OFFERING and (is_denied or reason is Refusal.NOT_STARTED):
+            return  # it repeats itself: an offer is kept, and after Start it says it again
         self.rejected[(self.label(source), reason.value)] += 1
-        is_held = reason is Refusal.NOT_AT_REST and source in self._held
-        if is_denied or is_held:
+        is_held_back = reason in (Refusal.NOT_AT_REST, Refusal.NOT_STARTED)
+        if is_denied or (is_held_back and source in self._held):
             return
-        if reason is Refusal.NOT_AT_REST:
+        if is_held_back:
             self._held.add(source)
         if reason is Refusal.NOT_IN_CONTROL:
             if len(self._denied) >= _MOST_DENIED:
@@ -368,6 +394,8 @@ class InputGate(HandOver):
             return "it arrived before Reset, Pause or LoadSnapshot discarded the commands"
         if reason is Refusal.NOT_AT_REST:
             return "it was held over Reset, Pause or LoadSnapshot; let go first, then drive"
+        if reason is Refusal.NOT_STARTED:
+            return "automatic sources wait for Start after a safe state: call Start"
         if reason is Refusal.OUT_OF_RANGE:
             return f"outside {self._table[name].range_text}"
         if reason is Refusal.TYPE_MISMATCH:

@@ -204,6 +204,7 @@ def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
         fallback=config.control.fallback,
         named=_named_sources(config),
         doors=config.doors,
+        waits_for_start=config.waits_for_start,
     )
     folder = assembly.folder / config.snapshots.folder
     snapshots = SnapshotStore(image, folder, dict(assembly.identity))

@@ -44,6 +44,7 @@ class Surroundings:
             "monotonic_s": time.monotonic(),  # at which all this was so
             "state": self.control.state.name.lower(),
             "reason": self.control.reason,
+            "waits_for_start": core.gate.interlock.waits,
             "speed": self.control.speed,
             "owner": core.gate.owner,
             "opcua_wrote": bool(core.gate.present),  # by a client that is still connected

@@ -12,7 +12,13 @@ from hilserver.io.arrival import Arrivals
 from hilserver.io.link_status import FaultBook, PeerStatus
 
 OFFERED_AGAIN: Final = frozenset(
-    {Refusal.NOT_IN_CONTROL, Refusal.QUEUE_FULL, Refusal.OUTDATED, Refusal.NOT_AT_REST}
+    {
+        Refusal.NOT_IN_CONTROL,
+        Refusal.QUEUE_FULL,
+        Refusal.OUTDATED,
+        Refusal.NOT_AT_REST,
+        Refusal.NOT_STARTED,
+    }
 )
 """Reasons that do not lie in the value: the next group may be accepted unchanged."""
 

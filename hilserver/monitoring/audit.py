@@ -97,6 +97,10 @@ def cgroup_cpu(root: Path) -> Grant:
         _, controllers, path = line.split(":", 2)
         if "cpu" in controllers.split(","):
             folder = next(iter(root.glob(f"sys/fs/cgroup/cpu*{path}")), root / "nowhere")
+            quota_us = _read(folder, "cpu.cfs_quota_us")
+            if quota_us and not quota_us.startswith("-"):
+                found = f"quota {quota_us} {_read(folder, 'cpu.cfs_period_us')}"
+                return _item("cgroup_cpu", False, found, wanted, "remove CPUQuota")
             runtime = _read(folder, "cpu.rt_runtime_us")
             if runtime == "0":
                 remedy = "give the group cpu.rt_runtime_us, or run in the root group"

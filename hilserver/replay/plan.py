@@ -84,8 +84,11 @@ def _inputs(
     log: Log, table: SignalTable
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
     """Return the slots of all inputs, and their values and status codes by row."""
+    known = log.columns
     inputs = [s for s in table.scalars if s.direction is Direction.IN]
-    missing = [s.name for s in inputs if s.name not in log.columns]
+    # Recordings of before a signal of the daemon existed are replayed without it.
+    inputs = [s for s in inputs if not s.is_own or s.name in known]
+    missing = [s.name for s in inputs if s.name not in known]
     if missing:
         raise LogError(
             f"{log.path}: was recorded without the input '{missing[0]}'; record all signals, or"

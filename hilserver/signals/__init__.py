@@ -9,6 +9,7 @@ wins, be it to the array or to a scalar.
 from hilserver.signals.robot import BlockOutput, Ranges, robot_table
 from hilserver.signals.table import Direction, Signal, SignalTable, ValueType
 from hilserver.signals.vocabulary import (
+    AUTOMATIC,
     LIGHTS,
     MEASURED,
     RESERVED,
@@ -19,6 +20,7 @@ from hilserver.signals.vocabulary import (
 )
 
 __all__ = [
+    "AUTOMATIC",
     "LIGHTS",
     "MEASURED",
     "RESERVED",

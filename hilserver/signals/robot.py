@@ -68,12 +68,24 @@ class _Builder:
         initial: float = 0.0,
         labels: tuple[str, ...] = (),
         hidden: bool = False,
+        is_own: bool = False,
     ) -> None:
         slots = (self.next_slot,)
         self.next_slot += 1
         self.signals.append(
             Signal(
-                name, unit, type_, direction, low, high, description, slots, initial, labels, hidden
+                name,
+                unit,
+                type_,
+                direction,
+                low,
+                high,
+                description,
+                slots,
+                initial,
+                labels,
+                hidden,
+                is_own,
             )
         )
 
@@ -280,6 +292,21 @@ def _add_estimate(b: _Builder) -> None:
     b.add("estimate.rejected", "1", out, 0, 2**53, text, type_=ValueType.INT64)
 
 
+def _add_interlock(b: _Builder) -> None:
+    """Add an input, so that recordings have it, of which nothing but the daemon decides."""
+    b.add(
+        "control.waits_for_start",
+        "1",
+        Direction.IN,
+        0,
+        1,
+        "Automatic sources wait for Start after a safe state; the daemon decides, nobody writes it",
+        type_=ValueType.BOOLEAN,
+        labels=("no", "waits"),
+        is_own=True,
+    )
+
+
 def robot_table(
     ranges: Ranges,
     blocks: Iterable[BlockOutput] = (),
@@ -325,6 +352,7 @@ def robot_table(
     for block in blocks:
         way, hidden = (Direction.IN, True) if block.is_replayed else (out, False)
         b.add(block.name, block.unit, way, block.low, block.high, block.description, hidden=hidden)
+    _add_interlock(b)  # last: the slots of all others are those of before
     b.alias("wheels.setpoints_rpm", [f"wheel.{w}.setpoint_rpm" for w in WHEELS], "All set-points")
     b.alias("wheels.speeds_rpm", [f"wheel.{w}.speed_rpm" for w in WHEELS], "All wheel speeds")
     return SignalTable(b.signals)

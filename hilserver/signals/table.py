@@ -42,6 +42,7 @@ class Signal:
     # names of the values 0, 1, ... (of a Boolean: false, true), if they have names
     labels: tuple[str, ...] = ()
     hidden: bool = False  # part of frame, log and snapshot, but not of any user interface
+    is_own: bool = False  # an input that only the daemon itself writes
 
     @property
     def is_array(self) -> bool:
@@ -59,7 +60,7 @@ class Signal:
     @property
     def writable(self) -> bool:
         """Whether a source may write it."""
-        return self.direction is Direction.IN
+        return self.direction is Direction.IN and not self.is_own
 
     @property
     def is_measured(self) -> bool:

@@ -43,6 +43,8 @@ ESTIMATE_STATES = ("no fix", "converging", "tracking", "dead reckoning")
 Source = Literal["scenario", "page", "opcua", "shield", "ros2", "peer"]
 SOURCES: tuple[Source, ...] = ("scenario", "page", "opcua", "shield", "ros2", "peer")
 """Kinds of sources that may command, in the default order of priority (highest first)."""
+AUTOMATIC = frozenset({"opcua", "shield", "ros2", "peer"})
+"""Those that drive without a person, hands among them excepted; a scenario is started."""
 
 MEASURED = "measured."  # prefix of the names of values from the real robot
 SAMPLED = ("wheel", "imu", "nav")  # groups of these whose samples are counted

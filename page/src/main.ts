@@ -3,7 +3,7 @@
 import "./style.css";
 import type { Context, View } from "./context";
 import { may } from "./context";
-import { capital, driver, isBusy, SETPOINTS } from "./driver";
+import { capital, considerate, driver, isBusy, SETPOINTS } from "./driver";
 import { call, CONFIRM_MS, get, live, type Session, type Signal } from "./net";
 import { lateness } from "./overruns";
 import { Wheel } from "./wheel";
@@ -49,7 +49,7 @@ async function emergencyStop(): Promise<void> {
   const late = window.setTimeout(() => alarm("stop", `Emergency stop sent, not confirmed: no tick shows it after ${CONFIRM_MS / 1000} s. Use the robot's own switch.`), CONFIRM_MS);
   try {
     await stopped;
-    const text = "the robot stays in the safe state until you press Reset.";
+    const text = "the robot stays in the safe state until you press Reset; a controller then waits for Start.";
     if (alarmed("stop")) alarm("stop", `Emergency stop confirmed after ${((performance.now() - begun) / 1000).toFixed(1)} s: ${text}`);
     else toast(`Emergency stop: ${text}`);
   } catch (error) {
@@ -162,20 +162,24 @@ function showAge(context: Context): void {
   const volts = live.value("battery.voltage_v");
   setText(battery, Number.isFinite(volts) ? `${number(volts)} V` : "–");
   const { board } = live.slow;
+  const waits = board.state !== "safe" && board.waits_for_start && !live.drives; // a hand needs no Start
   let text = "";
   if (live.loggedOut) text = "The page has been restarted.";
   else if (!live.connected) text = "No connection to the page's server: the values shown are old. Reconnecting …";
   else if (live.stale) text = `No answer for ${(live.silentMs / 1000).toFixed(1)} s: what is shown is old.`;
   else if (board.state === "safe") text = `Safe state: ${board.reason || "stopped"}. The drive is off.`;
+  else if (waits) text = "Waiting for Start: until then only a person drives.";
   const kind = text.replace(/[\d.]+ s/, ""); // its seconds count on, which is no new message
   if (banner.dataset.text === kind && text && banner.firstElementChild) setText(banner.firstElementChild, text);
   if (banner.dataset.text !== kind) {
     banner.dataset.text = kind;
     banner.hidden = !text;
-    banner.classList.toggle("safe", !live.stale && board.state === "safe");
+    banner.classList.toggle("safe", !live.stale && (board.state === "safe" || !!waits));
     banner.replaceChildren(h("span", {}, text));
+    const start = (): Promise<void> => considerate("Start", () => call("Start"));
     if (live.loggedOut) banner.append(h("a", { href: "./", onclick: () => location.reload() }, "Log in again"));
     else if (board.state === "safe" && !live.stale) banner.append(action("Reset", () => call("Reset"), { class: "primary" }));
+    else if (waits && !live.stale) banner.append(action("Start", start, { class: "primary", disabled: !may(context, "Start") }));
   }
 }
 

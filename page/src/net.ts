@@ -54,6 +54,7 @@ export interface Board {
   version: string;
   state: string;
   reason: string;
+  waits_for_start: boolean;
   speed: number;
   owner: string;
   opcua_wrote: boolean;

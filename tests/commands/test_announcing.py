@@ -1,5 +1,6 @@
 """What `hilserver run` shows: lines for people on a terminal, nothing but JSON elsewhere."""
 
+import io
 import json
 import math
 import os
@@ -11,7 +12,7 @@ import sys
 import time
 
 from hilserver.cache import Shelf
-from hilserver.commands import compile_progress
+from hilserver.commands import announcing, compile_progress
 from hilserver.commands.announcing import Announcer
 from hilserver.commands.compile_progress import CompileProgress
 from hilserver.compiled import cache
@@ -114,3 +115,32 @@ def test_a_terminal_shows_how_long_compiling_still_takes():
     assert progress.line == "compiling: 150 functions so far"
     progress.count, progress.expected = 210, 200
     assert progress.line == "compiling: 210 of about 210 functions, almost done"
+
+
+def said_after(seconds, processor_s, *, waits_for="its libraries"):
+    """What is said of a start that has lasted so long."""
+    stream = io.StringIO()
+    announcer = Announcer(Writer(stream), "console")
+    announcer.waits_for = waits_for
+    announcer.still_starting(seconds, processor_s)
+    return stream.getvalue()
+
+
+def test_a_long_start_says_what_it_waits_for_and_how_little_it_gets():
+    text = said_after(40.0, 2.0)
+    assert text.startswith("hilserver is still starting after 40 s: it waits for its libraries;")
+    assert "5% of a core" in text
+    assert "of a core" not in said_after(40.0, 35.0, waits_for="the embedded controller")
+
+
+def test_a_start_that_ends_in_time_says_nothing(monkeypatch):
+    monkeypatch.setattr(announcing, "LONG_START_S", 0.01)
+    stream = io.StringIO()
+    announcer = Announcer(Writer(stream), "json")
+    with announcer.patient():
+        while "still starting" not in stream.getvalue():
+            time.sleep(0.001)
+    time.sleep(0.05)  # it may be saying it just now
+    length = len(stream.getvalue())
+    time.sleep(0.05)
+    assert len(stream.getvalue()) == length

@@ -21,6 +21,7 @@ import time
 from dataclasses import asdict
 
 RENEW_S = 0.02
+TELEOP_S = 0.2
 SPEEDS_RPM = {
     "peer": 20.0,
     "opcua": 30.0,
@@ -133,6 +134,10 @@ class Teleop(Client):
     def _drive(self):
         os.write(self._master, b"\x1b[119;1:1u")
 
+    def _let_go(self):
+        os.write(self._master, b"\x1b[119;1:3u")
+        time.sleep(TELEOP_S)  # a hand needs longer before it presses again
+
     def _rest(self):
         os.kill(self.process.pid, signal.SIGSTOP)
 
@@ -201,6 +206,9 @@ class _Source:
 
     async def drive(self):
         await self.hold()
+
+    async def let_go(self):
+        await self.rest()
 
     async def hold(self):
         """Say it again and again."""
@@ -275,6 +283,14 @@ class OpcUa(_Source):
 
     async def drive(self):
         await self.say()
+
+    async def _speak(self):
+        from asyncua import ua
+
+        while True:
+            with contextlib.suppress(ua.UaStatusCodeError):  # refused, and it goes on
+                await self.say()
+            await asyncio.sleep(self.every_s)
 
     async def call(self, method, *arguments):
         from asyncua import ua

@@ -114,6 +114,7 @@ class Stage:
         """Whether the peer drives; its silence before may have stopped the robot."""
         if self.eye.now()["sim.state"][-1] == SAFE:
             self._try("Reset")
+            self._try("Start")
         return self.turns(SPEEDS_RPM["peer"])
 
     def _try(self, method, *arguments):
@@ -243,8 +244,17 @@ class Stage:
 
     def _acknowledged(self, source):
         self.rest(source)
+        self._stop()
+        return self._from_call("Reset")
+
+    def _stop(self):
         self.call("Stop")
         assert self.wait(lambda: self.eye.now()["drive.enable"][-1] == 0), "no safe state"
+
+    def _held_over(self, source):
+        if source == "opcua":  # a program that writes again and again
+            self.clients[source].do("hold")
+        self._stop()
         return self._from_call("Reset")
 
     def _restarted(self, source):
@@ -331,6 +341,28 @@ class Stage:
         wheel = self.eye.since(head).wheel_rpm[:50]
         wheel = wheel[~np.isnan(wheel)]
         assert not (np.abs(wheel) > STANDING_RPM).any(), f"it goes on with {wheel[0]:.1f} rpm"
+        self._is_driven_by(source)
+
+    def _stays(self, head):
+        """It stands, and goes on to stand, although somebody commands."""
+        time.sleep(WATCH_S)
+        wheel = self.eye.since(head).wheel_rpm
+        wheel = wheel[~np.isnan(wheel)]
+        assert len(wheel), "no tick after the safe state"
+        assert not (np.abs(wheel) > STANDING_RPM).any(), f"it drives: {self._says()}"
+
+    def _is_start(self, source, _other, head, _at_ns):
+        self._stays(head)
+        assert self.eye.now()["control.waits_for_start"][-1] == 1
+        self.call("Start")
+        assert self.wait(lambda: self.turns(SPEEDS_RPM[source])), f"{self._says()} after Start"
+        self._is_driven_by(source)
+
+    def _is_rest(self, source, _other, head, _at_ns):
+        self._stays(head)
+        self.clients[source].do("let_go")
+        self.drive(source)
+        assert self.wait(lambda: self.turns(SPEEDS_RPM[source])), f"{self._says()} after rest"
         self._is_driven_by(source)
 
     def _says(self):

@@ -20,6 +20,8 @@ OUTCOMES: Final[Mapping[str, str]] = {
     "off": "zero when its command lapses, the drive is disabled",
     "safe": "the safe state: a ramp to zero, and the drive is disabled",
     "drives": "it goes on as before",
+    "start": "zero until Start, although it goes on commanding; then it drives, and keeps control",
+    "rest": "zero until it was at rest, without Start; then it drives, and keeps control",
     "anew": "zero at first, and until it commands again, a hand once it was at rest; it keeps control",
     "forced": "the forced value, then its own again; it keeps control",
     "-": "does not exist",
@@ -42,6 +44,7 @@ EVENTS: Final[Mapping[str, str]] = {
     "overrun": "no thread of the daemon runs for 1.5 s, while it is silent",
     "forced": "Force of what it commands, and Unforce",
     "acknowledged": "Stop, and Reset, while it is silent",
+    "held over": "Stop, and Reset, while it goes on commanding",
     "restarted": "the daemon is ended and started again",
 }
 
@@ -78,6 +81,7 @@ TABLE: Final[Mapping[str, tuple[str, ...]]] = {
     "overrun":           ("safe",   "drives", "zero",   "off",    "off",    "drives", "zero",   "zero"),
     "forced":            ("forced", "forced", "forced", "forced", "forced", "forced", "forced", "forced"),
     "acknowledged":      ("anew",   "anew",   "anew",   "anew",   "anew",   "nobody", "anew",   "anew"),
+    "held over":         ("start",  "start",  "rest",   "start",  "start",  "nobody", "rest",   "rest"),
     "restarted":         ("before", "before", "before", "before", "before", "before", "before", "before"),
     "closed, fallback before": ("-", "before", "before", "-",   "-",      "-",      "-",      "before"),
     "cut, fallback before":    ("-", "before", "before", "-",   "-",      "-",      "-",      "-"),

@@ -38,12 +38,13 @@ class Pacing:
 
 
 class World:
-    def __init__(self, tmp_path):
+    def __init__(self, tmp_path, *, waits_for_start=True):
         self.table = make_table()
         self.image = make_image(self.table, live={"x": PlantState.n_words})
         self.events = EventBus()
         self.pacing = Pacing()
-        self.gate = make_gate(self.table, self.image, self.events, ramp_ticks=5, owner="opcua")
+        options = {"ramp_ticks": 5, "owner": "opcua", "waits_for_start": waits_for_start}
+        self.gate = make_gate(self.table, self.image, self.events, **options)
         snapshots = SnapshotStore(self.image, tmp_path / "snapshots", {"parameters": "abc"})
         self.control = Control(
             self.table,
@@ -151,6 +152,68 @@ def test_safe_state_disables_the_drive_after_the_ramp_and_waits_for_reset(world)
     assert world.value("internal.command") == 0.0
     assert world.value("drive.enable") == 1.0
     assert world.value("wheel.fl.setpoint_rpm") == 0.0, "an old set-point must not come back"
+
+
+HELD = {"wheel.fl.setpoint_rpm": 50.0}
+
+
+def test_after_a_stop_a_controller_drives_by_start_and_not_by_reset(world):
+    control = world.control
+    assert world.gate.write("opcua", HELD) == {}, "the first start is as before"
+    control.stop()
+    control.reset()
+    assert world.gate.write("opcua", HELD) == {"wheel.fl.setpoint_rpm": "not_started"}
+    world.latch()
+    assert (control.state, world.value("wheel.fl.setpoint_rpm")) == (State.RUNNING, 0.0)
+    assert world.value("control.waits_for_start") == 1.0
+    assert "wait for Start" in control.reason
+    assert "wait for Start" in world.events.recent[-1].message
+    control.start()
+    assert (control.state, control.reason) == (State.RUNNING, "running")
+    assert world.gate.write("opcua", HELD) == {}
+    world.latch()
+    assert world.value("wheel.fl.setpoint_rpm") == 50.0
+    assert world.value("control.waits_for_start") == 0.0
+
+
+def test_a_controller_drives_on_after_a_reset_where_it_may(tmp_path):
+    world = World(tmp_path, waits_for_start=False)
+    world.control.stop()
+    world.control.reset()
+    assert world.gate.write("opcua", HELD) == {}
+    assert "without Start" in world.events.recent[-1].message
+    world.image.close()
+
+
+def test_nothing_but_start_ends_the_wait(world):
+    control = world.control
+    control.stop()
+    control.reset()
+    world.latch()
+    control.reset()  # of the simulation, which puts every signal back
+    world.latch()
+    control.supervise()
+    world.latch()
+    assert world.value("control.waits_for_start") == 1.0
+    control.pause()
+    assert world.gate.write("opcua", HELD) == {"wheel.fl.setpoint_rpm": "not_started"}
+
+
+async def test_a_snapshot_of_before_ends_no_wait_and_one_of_a_wait_brings_it_back(world):
+    task = asyncio.create_task(latching(world))
+    control = world.control
+    await control.save_snapshot("before")
+    control.stop()
+    control.reset()
+    world.latch()
+    await control.save_snapshot("waiting")
+    await control.load_snapshot("before")
+    assert world.gate.interlock.waits
+    control.start()
+    await control.load_snapshot("waiting")
+    assert world.gate.write("opcua", HELD) == {"wheel.fl.setpoint_rpm": "not_started"}
+    assert "wait for Start" in control.reason
+    task.cancel()
 
 
 async def test_a_reset_does_not_get_into_a_snapshot_being_saved(world):

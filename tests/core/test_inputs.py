@@ -135,7 +135,8 @@ def test_names_that_clients_make_become_no_series(world):
     gate.take("page")
     before = set(gate.rejected)
     assert {reason for source, reason in before if source == "page"} == set(Refusal) - {
-        Refusal.NOT_GRANTED  # of doors without a log-in
+        Refusal.NOT_GRANTED,  # of doors without a log-in
+        Refusal.NOT_STARTED,  # of automatic sources
     }
     for visit in range(100):
         gate.write(f"page:{visit}", {"wheel.fl.setpoint_rpm": math.nan})

@@ -77,6 +77,7 @@ async def driven(daemon, peer, rpm=50.0):
         if daemon.control.state is State.SAFE:
             with contextlib.suppress(ControlRefused):
                 daemon.control.reset()
+                daemon.control.start()
         return abs(speed(daemon) - rpm) < 1.0
 
     await wait_until(follows)
@@ -123,6 +124,11 @@ async def test_ramp_is_the_safe_state_until_the_peer_is_back_and_reset_is_called
         await wait_until(reset)
         await run_ticks(daemon, 400)
         assert max(map(abs, column(daemon, "wheel.fl.speed_rpm", first))) < 1.0, "old set-point"
+        peer.set(30.0, 30.0, -30.0, -30.0)
+        await run_ticks(daemon, 400)
+        assert newest(daemon, "control.waits_for_start") == 1.0
+        assert max(map(abs, column(daemon, "wheel.fl.speed_rpm", first))) < 1.0, "without Start"
+        assert await call(client, "Start") == "Good"
         await driven(daemon, peer, 30.0)
 
 
@@ -223,4 +229,5 @@ async def test_of_two_silent_peers_both_have_to_come_back_before_reset(peer):
         peer.is_silent = False
         await wait_until(lambda: not daemon.parts_of("peers")[1].status.stale)
         daemon.control.reset()
+        daemon.control.start()
         await wait_until(lambda: speed(daemon) > 39.0 and speed(daemon, "rr") < -39.0)

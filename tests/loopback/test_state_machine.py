@@ -141,6 +141,14 @@ async def test_stop_ramps_to_zero_disables_the_drive_and_waits_for_reset(at_rest
     assert await client.read("wheel.fl.setpoint_rpm") == 0.0
     assert (await client.data_value("wheel.fl.speed_rpm")).StatusCode.is_good()
 
+    assert await client.write_doubles(wheel__fl__setpoint_rpm=12.0) == ["BadInvalidState"]
+    await wait_until(lambda: _reads(client, True, "control.waits_for_start"))
+    async with inbox(client) as box:
+        assert await call(client, "Start") == "Good"
+        await wait_until(lambda: box.has("state", "Start() by anonymous"))
+    await forward(client, 12.0)
+    await wait_until(lambda: _reads(client, False, "control.waits_for_start"))
+
 
 async def test_the_drive_stays_disabled_although_a_client_goes_on_writing(at_rest):
     daemon, client = at_rest

@@ -77,6 +77,7 @@ async def test_a_blocked_event_loop_stops_the_robot(robot):
         await wait_until(lambda: box.has("safe_state", "did not answer"))
     assert 'hil_state{state="safe"} 1.0' in await scrape(daemon)
     assert await call(client, "Reset") == "Good"
+    assert await call(client, "Start") == "Good"
     first = await run_ticks(daemon, 300)
     assert daemon.control.state is State.RUNNING
     assert set(column(daemon, "internal.command", first + 50)) == {0.0}
@@ -94,6 +95,7 @@ async def test_stop_is_obeyed_by_a_daemon_whose_event_loop_stands(robot):
     await wait_until(lambda: daemon.control.state is State.SAFE)
     assert daemon.control.reason == "stopped by command"
     assert await call(client, "Reset") == "Good"
+    assert await call(client, "Start") == "Good"
 
 
 async def test_a_pause_is_no_silence(robot):

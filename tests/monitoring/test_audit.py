@@ -52,6 +52,14 @@ SPOILED = [
         },
         "cgroup_cpu",
     ),
+    (
+        {
+            "proc/self/cgroup": "4:cpu,cpuacct:/lxc/x",
+            "sys/fs/cgroup/cpu/lxc/x/cpu.cfs_quota_us": "5000",
+            "sys/fs/cgroup/cpu/lxc/x/cpu.cfs_period_us": "100000",
+        },
+        "cgroup_cpu",
+    ),
     ({"proc/cpuinfo": "flags : fpu hypervisor sse2\n"}, "virtualised"),
     ({"proc/swaps": "Filename Type Size\n/dev/sda2 partition 100 0 -2"}, "swap"),
     ({"proc/42/timerslack_ns": "50000"}, "timer_slack"),

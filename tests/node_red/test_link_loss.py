@@ -71,6 +71,7 @@ async def seconds_to_return(daemon: Daemon) -> float:
         if daemon.control.state is State.SAFE:
             with contextlib.suppress(ControlRefused):  # late once more
                 daemon.control.reset()
+                daemon.control.start()
         return daemon.control.state is State.RUNNING and speed_rpm(daemon) > 5
 
     await wait_until(drives)

@@ -62,7 +62,8 @@ async def shadow(url, plant):
     await client.connect()
     while True:
         if plant.value("sim.state") == SAFE:  # where a busy computer holds the controller up
-            await client.call("Reset")
+            for method in ("Reset", "Start"):
+                await client.call(method)
         x, y, yaw = (plant.value(f"pose.{name}") for name in ("x_m", "y_m", "yaw_rad"))
         real = {"x_m": x + OFF_M, "y_m": y, "yaw_rad": math.remainder(yaw - OFF_RAD, math.tau)}
         await client.write_doubles(**{f"measured.pose.{k}": v for k, v in real.items()})

@@ -1,10 +1,13 @@
 """A real browser drives; what counts is what the plant has latched, and at which tick."""
 
+import asyncio
 import os
 import signal
 
 import pytest
+from asyncua import ua
 
+from tests.io.opcua_server.rig import RobotClient
 from tests.page.rig import DEADMAN_MS, page_process, page_url
 
 pytestmark = pytest.mark.page
@@ -214,6 +217,32 @@ def test_stop_from_every_view_by_key_and_gamepad(browser, url, plant, how):
     browser.do("run", script="window.pad = null")
     browser.do("click", role="button", name="Reset")
     plant.wait(lambda: plant.value("sim.state") == 1)
+
+
+def test_a_controller_drives_after_a_stop_by_start_alone(browser, url, plant, daemon):
+    source = ("control.source", "opcua", ua.VariantType.String)
+    commands = [
+        ("control.mode", 1, ua.VariantType.Byte),
+        ("twist.linear_m_s", 0.2, ua.VariantType.Double),
+    ]
+    browser.do("open", url=url)
+    with asyncio.Runner() as runner:
+        controller = RobotClient(daemon.url)
+        runner.run(controller.connect())
+        plant.wait(lambda: runner.run(controller.write(source)) == ["Good"])
+
+        browser.do("click", role="button", name="Stop emergency")
+        plant.wait(lambda: plant.value("sim.state") == 3)
+        browser.do("click", role="button", name="Reset")
+        browser.do("wait", selector=".banner", text="Waiting for Start")
+        assert "BadInvalidState" in runner.run(controller.write(*commands))
+        assert plant.value("twist.linear_m_s") == 0.0
+
+        browser.do("click", role="button", name="Start")
+        plant.wait(lambda: plant.value("control.waits_for_start") == 0)
+        assert runner.run(controller.write(*commands)) == ["Good"] * 2
+        plant.wait(lambda: plant.value("twist.linear_m_s") > 0.1)
+        runner.run(controller.disconnect())
 
 
 def test_a_socket_that_does_not_answer_does_not_keep_stop(browser, url, plant):

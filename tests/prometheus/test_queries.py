@@ -185,6 +185,7 @@ async def restart_the_peer_with_another_clock(rig: Rig) -> None:
     status = rig.daemon.parts_of("peers")[0].status
     await until(lambda: status.clock_offset_s < -1.0, 120, "the other clock is noticed")
     rig.daemon.control.reset()
+    rig.daemon.control.start()
     await asyncio.sleep(HOLD_S)
 
 

@@ -86,6 +86,8 @@ async def drive(daemon: RunningDaemon) -> None:
         assert (await client.call("Stop")).StatusCode.is_good()
         await asyncio.sleep(0.8)
         assert (await client.call("Reset")).StatusCode.is_good()  # acknowledges the safe state
+        await wander(client, 0.2)  # it waits for Start
+        assert (await client.call("Start")).StatusCode.is_good()
         await wander(client, 0.4)
         assert (await client.call("Reset")).StatusCode.is_good()  # back to tick 0
         await wander(client, 0.6)

@@ -24,6 +24,7 @@ from hilserver.time_limit import time_limit
 CONNECT_TIMEOUT_S = 2.0  # for the TCP connection and for each request
 
 OPEN_TIMEOUT_S = 6.0  # for connection, channel and session together
+OPEN_AT_MOST_S = 60.0  # where a quota or other programs leave us little time for keys
 
 CLOSE_TIMEOUT_S = 1.0
 TRUST_EVERY_S = 5.0  # how often an open session checks that the peer is still trusted
@@ -79,10 +80,11 @@ class Session:
 
     async def __aenter__(self) -> "Session":
         try:
-            async with time_limit(OPEN_TIMEOUT_S):
+            async with time_limit(OPEN_TIMEOUT_S, at_most_s=OPEN_AT_MOST_S):
                 if self._security is not None:
                     await self._security.prepare(self._client, self._ask_endpoints)
                 await self._client.connect()
+                self._client.uaclient.protocol.timeout = CONNECT_TIMEOUT_S
         except (ua.UaStatusCodeError, ConnectionError) as error:
             await self._close(graceful=False)
             raise (self._refusal(error) or error) from None
@@ -126,6 +128,7 @@ class Session:
 
         def make() -> Any:
             protocol = make_protocol()
+            protocol.timeout = OPEN_AT_MOST_S  # until it is open: what limits that counts our time
             receive = protocol.data_received
 
             def data_received(data: bytes) -> None:

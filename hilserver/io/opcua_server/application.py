@@ -10,7 +10,8 @@ BadUserAccessDenied     another source or person has control; the diagnostic tex
                         name it; of a method: one that disturbs the person who drives
 BadResourceUnavailable  the queue of the plant is full
 BadInvalidState         it arrived before Reset, Pause or LoadSnapshot discarded the commands, or
-                        a hand that was held over them has not let go since
+                        a hand that was held over them has not let go since, or an automatic
+                        source waits for Start
 BadInvalidArgument      of a method: also a value out of range
 BadInvalidState         a method that is not possible now; the diagnostic text has the reason
 BadNotImplemented       Force, Unforce, InjectFault, ClearFaults on a server without faults
@@ -58,6 +59,7 @@ STATUS_OF: dict[Refusal, int] = {
     Refusal.QUEUE_FULL: _Codes.BadResourceUnavailable,
     Refusal.OUTDATED: _Codes.BadInvalidState,
     Refusal.NOT_AT_REST: _Codes.BadInvalidState,
+    Refusal.NOT_STARTED: _Codes.BadInvalidState,
     Refusal.NOT_GRANTED: _Codes.BadUserAccessDenied,
 }
 

@@ -100,7 +100,12 @@ _NUMBER = Argument("number", ValueType.UINT32, "Number of the proposal, see reca
 _RECORDING = Argument("name", STRING, "Plain file name in folders.recordings, .mcap or .csv")
 
 METHODS = (
-    Method("Start", "Resume after a pause", lambda on: on.control.start(), disturbs=True),
+    Method(
+        "Start",
+        "Resume after a pause; after Stop and Reset, let automatic sources drive",
+        lambda on: on.control.start(),
+        disturbs=True,
+    ),
     Method("Stop", "Emergency stop: go to the safe state", lambda on: on.control.stop()),
     Method(
         "Pause",
@@ -117,7 +122,8 @@ METHODS = (
     ),
     Method(
         "Reset",
-        "Acknowledge the safe state; otherwise return the simulation to its start",
+        "Acknowledge the safe state, after which automatic sources wait for Start; otherwise"
+        " return the simulation to its start",
         lambda on: on.control.reset(),
     ),
     Method(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from hilserver.errors import ConfigError
 from hilserver.io.opcua_server.method_table import STRING
 from hilserver.io.opcua_server.units import UNECE, Unit, find_unit
-from hilserver.signals import Direction, Signal, SignalTable, ValueType
+from hilserver.signals import Signal, SignalTable, ValueType
 
 if TYPE_CHECKING:  # clients also use these names, and need no compiler
     from hilserver.parameters import Parameter
@@ -122,7 +122,7 @@ def variable_of(signal: Signal) -> Variable:
         description=signal.description,
         type_definition=type_definition,
         data_type=DATA_TYPES[signal.type],
-        writable=signal.direction is Direction.IN,
+        writable=signal.writable,
         length=len(signal.slots) if signal.is_array else None,
         eu_range=(signal.low, signal.high) if is_analog and is_ranged else None,
         unit=find_unit(signal.unit) if has_unit else None,

@@ -388,7 +388,7 @@ class Ros2Node(Part):
         status.lease_s = writer.lease_s if writer else None
         if self.config.action == "hold" and writer is not None and not self._line.is_cut:
             staleness.renew(now_ns)
-            self._world.gate.leases.renew(NAME, now_ns)
+            self._world.gate.renew(NAME, now_ns)
         if not staleness.stale:
             is_late = now_ns - status.command_ns > staleness.limit_ns
             status.command = CommandState.HELD if is_late else CommandState.FRESH

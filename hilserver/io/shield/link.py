@@ -223,7 +223,7 @@ class ShieldLink(Part):
             self._source.staleness.renew(received_ns)
             self.device.take(Request(command, data, received_ns, terminated))
         if is_new:
-            self._world.gate.leases.renew(NAME, received_ns)
+            self._world.gate.renew(NAME, received_ns)
 
     def _look(self) -> None:
         self._take_requests()  # requests that waited while the event loop stood are not silence

@@ -158,7 +158,8 @@ class Trials:
                 return
             if time.monotonic() > end_s:
                 break
-            self._try("engineer", "call", "Reset")
+            for method in ("Reset", "Start"):
+                self._try("engineer", "call", method)
             if self._reaches_speed(patience_s):
                 return
             self._take()

@@ -87,6 +87,7 @@ async def resets_until_it_drives(daemon):
         if daemon.control.state is State.SAFE:
             with suppress(ControlRefused):
                 daemon.control.reset()
+                daemon.control.start()
         return abs((value(daemon, "wheel.fl.speed_rpm") or 0.0) - 50.0) < 1.0
 
     await wait_until(drives_on, PATIENCE_S)

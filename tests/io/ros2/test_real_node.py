@@ -101,6 +101,9 @@ async def test_after_a_stop_a_held_command_does_not_come_back(domain):
         await asyncio.sleep(0.7)
         assert abs(value(daemon, "wheel.fl.speed_rpm")) < 0.5
         assert daemon.control.state is State.RUNNING
+        daemon.control.start()
+        await asyncio.sleep(0.7)
+        assert abs(value(daemon, "wheel.fl.speed_rpm")) < 0.5
         await press(20.0)
 
 
