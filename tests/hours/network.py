@@ -144,7 +144,8 @@ class MemoryTransport(asyncio.Transport):
         return self.loop.clock.now_ns + self.network.delay_ns()
 
     def _put(self, data: bytes, mark: Mark | None) -> None:
-        self._newest_ns = max(self._newest_ns, self._soon_ns())
+        if mark is None:
+            self._newest_ns = max(self._newest_ns, self._soon_ns())
         self._unsent.append((self._newest_ns, data, mark))
         self._unsent_bytes += len(data)
         self.most_unsent = max(self.most_unsent, self.get_write_buffer_size())
@@ -215,7 +216,7 @@ class _Server:
 
     def __init__(self, network: "Network", factory: Any, host: str, port: int) -> None:
         self.network, self.factory, self.name = network, factory, (host, port)
-        self.sockets = [self]
+        self.sockets, self.label = [self], ""  # label of its ends
 
     def getsockname(self) -> tuple[str, int]:
         return self.name
@@ -287,6 +288,7 @@ class Network:
         for transport, make in ((here, factory), (there, server.factory)):
             transport.protocol = make()
             self.open[transport] = None
+        there.label = server.label
         self.loop.call_soon(there.protocol.connection_made, there)
         here.protocol.connection_made(here)
         return here, here.protocol

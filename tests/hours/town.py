@@ -1,8 +1,11 @@
 """A daemon with its controller, in one process and one event loop, on a network in memory."""
 
+import asyncio
 import contextlib
 import mmap
 from collections import deque
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +31,8 @@ SAFE_RAMP_S = 0.1
 PEER_LEASE_MS, HAND_LEASE_MS, OPCUA_LEASE_MS = 500.0, 300.0, 1500.0
 STANDSTILL_MS = 1000.0
 MOST_LINES = 2000
+MOST_TASKS, MOST_NAMES = 200, 300
+MOST_UNSENT_BYTES = 2 * 256 * 1024
 
 
 def configuration(mode: str) -> dict[str, Any]:
@@ -83,7 +88,8 @@ class Town:
         self.loop = VirtualLoop(CLOCK)
         self.network = Network(self.loop)
         self.network.heard = self._heard
-        self.heard_ns: dict[str, int] = {}  # when the daemon last heard of a user
+        # called with the name of whom the daemon hears
+        self.on_heard: Callable[[str], None] = lambda _user: None
         self.lines: deque[tuple[float, dict[str, Any]]] = deque(maxlen=MOST_LINES)
         self._inject()
         config = Config.model_validate(configuration(mode))
@@ -105,20 +111,85 @@ class Town:
         return ""
 
     def _heard(self, at: MemoryTransport) -> None:
-        if OPCUA_PORT == at.names[0][1]:
-            self.heard_ns[at.other.label] = CLOCK.now_ns
-        elif PEER_PORT == at.names[1][1]:
-            self.heard_ns["peer"] = CLOCK.now_ns
+        if at.names[0][1] == OPCUA_PORT:
+            self.on_heard(at.other.label)
+        elif at.names[1][1] == PEER_PORT:
+            self.on_heard("peer")
+
+    def frame(self, name: str) -> float:
+        """Return the newest value of a signal."""
+        return float(self.reader.latest().values[self.slots[name]])
+
+    def limited(self) -> dict[str, tuple[int, int]]:
+        """Return the length of every queue, and its limit."""
+        daemon = self.daemon
+        server = daemon.part("opcua")._server.iserver
+        settings = daemon.config.opcua
+        subscriptions = server.subscription_service.subscriptions
+        return {
+            "tasks": (len(asyncio.all_tasks()), MOST_TASKS),
+            "connections": (len(server.asyncio_transports), settings.max_connections),
+            "sessions": (len(server.sessions), settings.max_sessions),
+            "subscriptions": (len(subscriptions), settings.max_subscriptions),
+            "unsent bytes": (self.network.most_unsent, MOST_UNSENT_BYTES),
+            "refused values by name": (len(daemon.gate.rejected), MOST_NAMES),
+            "errors of the loop": (len(self.loop.errors), 0),
+        }
+
+    def not_good(self) -> list[str]:
+        """Return what is not as it has to be when nothing is wrong."""
+        daemon = self.daemon
+        found = [f"peer {s.name} is not connected: {s.last_error}" for s in daemon._statuses() if not s.connected]
+        found += [f"peer {s.name} is stale" for s in daemon._statuses() if s.stale]
+        if why := daemon.core.tasks.why_down():
+            found.append(why)
+        running = {job.name for job in daemon.core.tasks.jobs if job.lasting}
+        found += [f"task '{name}' is gone" for name in sorted(self.lasting - running)]
+        return found
 
     async def start(self) -> None:
         """Start the controller and the daemon."""
         self.controller = ControllerServer(f"opc.tcp://127.0.0.1:{PEER_PORT}/UA/NodeRedAgv")
         await self.controller.__aenter__()
+        self.network.listening[PEER_PORT].label = "controller"
         self.daemon = Daemon(self.assembly)
         await self.daemon.__aenter__()
         install_dates()
+        self.lasting = {job.name for job in self.daemon.core.tasks.jobs if job.lasting}
         self.reader = ImageReader.attach("hours")
+        self.slots = {s["name"]: s["slots"][0] for s in self.reader.description["signals"]}
+        self.types = {s["name"]: s["type"] for s in self.reader.description["signals"]}
 
     async def stop(self) -> None:
         await self.daemon.__aexit__()
         await self.controller.__aexit__()
+
+    # --- its controller ---------------------------------------------------------------------------
+
+    peer_lease_ms = PEER_LEASE_MS
+
+    async def offer(self, rpm: float, sequence: int) -> None:
+        """Let the controller offer a speed."""
+        signs = {"FL": 1, "RL": 1, "FR": -1, "RR": -1}
+        speeds = {f"rpm_set_{wheel}": sign * rpm for wheel, sign in signs.items()}
+        await self.controller.offer(
+            speeds | {"enable": True, "seq": sequence}, datetime.now(UTC)
+        )
+
+    @contextlib.contextmanager
+    def peer_refuses(self) -> Iterator[None]:
+        """Let nobody listen at the controller."""
+        server = self.network.listening.pop(PEER_PORT)
+        try:
+            yield
+        finally:
+            self.network.listening[PEER_PORT] = server
+
+    @contextlib.contextmanager
+    def peer_swallows(self) -> Iterator[None]:
+        """Let the controller's computer not answer at all."""
+        self.network.swallows.add(PEER_PORT)
+        try:
+            yield
+        finally:
+            self.network.swallows.discard(PEER_PORT)
