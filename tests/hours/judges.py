@@ -4,7 +4,7 @@ A judge knows no code of the product. It knows what the wheels are to do, tick b
 users said, when that reached the computer of the daemon, and what was answered.
 """
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 
 import numpy as np
@@ -22,6 +22,7 @@ LEASE_SLACK_MS = 80
 RAMP_TICKS = round(SAFE_RAMP_S * 1000)
 STEADY_TICKS = 5  # a ramp does not stay at a speed for so long
 CONTROLLER_LAG_MS = 300  # from what a controller offers to what we read: a poll and the network
+POLL_NS = 60 * MS  # a controller is read that often
 ENDING = {"Reset", "LoadSnapshot", "Pause"}  # hands have to let go after these
 
 
@@ -111,8 +112,14 @@ class Judges:
         if not speed.said_ns:
             return []
         lag_ns = round((CONTROLLER_LAG_MS + self.holds_ms) * MS)
-        first_ns, last_ns = speed.said_ns[0], speed.said_ns[-1] + lag_ns
-        return [t for t in self.heard_ns.get("peer", ()) if first_ns <= t <= last_ns]
+        first_ns, last_ns = speed.said_ns[0], speed.said_ns[-1]
+        heard = self.heard_ns.get("peer", [])
+        found = heard[bisect_left(heard, first_ns) : bisect_right(heard, last_ns + lag_ns)]
+        if not found or found[-1] < last_ns + POLL_NS:
+            # Nobody could read it while the link was broken: it is news to whoever comes back.
+            back = bisect_right(heard, last_ns + lag_ns)
+            found = found + [t for t in heard[back:] if t <= heard[back] + lag_ns]
+        return found
 
     def _judge_hand(self, speed: Speed, first_ns: int, newest_ns: int) -> None:
         """A hand has to be at neutral after a Reset before it moves anything."""
