@@ -14,7 +14,7 @@ from hilserver.image import read_frames
 from tests.control.robot import COMMANDING, STANDING_RPM, History
 from tests.hours.ledger import Act, Ledger, Speed
 from tests.hours.loop import NS
-from tests.hours.town import RING_FRAMES, SAFE_RAMP_S, Town
+from tests.hours.town import RING_FRAMES, SAFE_RAMP_S, Town, stood_ns
 
 MS = 1_000_000
 STOP_MS = 50  # Stop acts within so long of being read by the daemon
@@ -36,11 +36,9 @@ class Judges:
         self.ticks = self.moving = self.steady = 0
         self._begun_ns = town.loop.clock.now_ns
         self._rest: tuple[NDArray[np.int64], ...] | None = None
-        # of what came from whom, and when nothing ran in the loop: filled by the life of the town
+        # when the daemon heard of whom; filled by the life of the town
         self.heard_ns: dict[str, list[int]] = {}
-        self.stalls: list[tuple[int, int]] = []
         self.owners: list[tuple[int, str, str]] = []  # when control passed, from whom, to whom
-        self.holds_ms = 0.0
         self._judged: set[int] = set()
 
     def look(self) -> None:
@@ -48,11 +46,13 @@ class Judges:
         head = self._town.reader.head
         if head - self._next > RING_FRAMES - 64:
             self.found.append("the judges looked too late")
-        if head == self._next:
+        if head <= self._next:
             return
         seen = History(read_frames(self._town.reader, self._next, head - self._next),
                        self._town.slots)
         self._next = head
+        if not len(seen):
+            return
         times_ns, rpm = seen.times_ns, seen.wheel_rpm
         self.ticks += len(rpm)
         self._judge_motion(times_ns, rpm)
@@ -73,7 +73,7 @@ class Judges:
             if speed is None:
                 unknown_ticks += last - first
                 if last - first > STEADY_TICKS or unknown_ticks > 10 * RAMP_TICKS:
-                    self._breach(times_ns[first], f"{rpm[first]:.3f} rpm, which nobody asks for")
+                    self.breach(times_ns[first], f"{rpm[first]:.3f} rpm, which nobody asks for")
                     unknown_ticks = 0
             elif last - first >= STEADY_TICKS:
                 unknown_ticks = 0
@@ -85,7 +85,7 @@ class Judges:
         said = self._said_ns(speed)
         at = bisect_right(said, first_ns + MS)
         if not at:
-            self._breach(first_ns, f"{speed.user} drives at {speed.rpm:.2f} before it was said")
+            self.breach(first_ns, f"{speed.user} drives at {speed.rpm:.2f} before it was said")
             return
         limit_ns = round((speed.lease_ms + LEASE_SLACK_MS) * MS)
         newest_ns = said[at - 1]
@@ -93,7 +93,7 @@ class Judges:
             until_ns = last_ns if next_ns is None else min(next_ns, last_ns)
             if until_ns - newest_ns > limit_ns:
                 late_ms = (until_ns - newest_ns) / MS
-                self._breach(
+                self.breach(
                     until_ns,
                     f"{speed.user} drives at {speed.rpm:.2f} rpm, {late_ms:.0f} ms after the last"
                     f" command, of which a lease has {speed.lease_ms:g}",
@@ -111,7 +111,8 @@ class Judges:
             return sorted(mark.came_ns for mark in speed.said if mark.came_ns is not None)
         if not speed.said_ns:
             return []
-        lag_ns = round((CONTROLLER_LAG_MS + self.holds_ms) * MS)
+        held_ns = max((b - a for a, b in self._town.holds), default=0)
+        lag_ns = CONTROLLER_LAG_MS * MS + held_ns
         first_ns, last_ns = speed.said_ns[0], speed.said_ns[-1]
         heard = self.heard_ns.get("peer", [])
         found = heard[bisect_left(heard, first_ns) : bisect_right(heard, last_ns + lag_ns)]
@@ -137,7 +138,7 @@ class Judges:
         rests = [mark.came_ns for mark in self._ledger.neutral[speed.user] if mark.came_ns]
         if not any(reset_ns <= rest_ns <= newest_ns for rest_ns in rests):
             name = max(ended, key=lambda act: act.sent_ns).name
-            self._breach(first_ns, f"{speed.user} drives after {name} without having let go")
+            self.breach(first_ns, f"{speed.user} drives after {name} without having let go")
 
     def _is_hand(self, speed: Speed) -> bool:
         return self.hands.get(speed.user, False)
@@ -150,7 +151,7 @@ class Judges:
             return
         back = [t for t, _, to in self.owners if to == speed.kind and t <= last_ns - RAMP_TICKS * MS]
         if back and not any(t >= back[-1] - LEASE_SLACK_MS * MS for t in said if t <= last_ns):
-            self._breach(last_ns, f"{speed.user} drives again by what it said before it lost control")
+            self.breach(last_ns, f"{speed.user} drives again by what it said before it lost control")
 
     # --- Stop within its promise ------------------------------------------------------------------
 
@@ -161,17 +162,17 @@ class Judges:
         is_disabled = seen["drive.enable"] == 0
         for act in self._stops():
             begins_ns = act.mark.read_ns + STOP_MS * MS
-            begins_ns += self._stalled_ns(act.mark.read_ns, begins_ns)
+            begins_ns += stood_ns(self._town.stalls, act.mark.read_ns, begins_ns)
             until_ns = self._reset_after(act)
             after = (times_ns >= begins_ns) & (times_ns < until_ns)
             if after.any() and not stands[after].all():
                 at = times_ns[after][np.argmin(stands[after])]
                 late_ms = (at - act.mark.read_ns) / MS
-                self._breach(at, f"it moves {late_ms:.0f} ms after {act.user}'s Stop was read")
+                self.breach(at, f"it moves {late_ms:.0f} ms after {act.user}'s Stop was read")
             ramped = after & (times_ns >= begins_ns + round(SAFE_RAMP_S * NS))
             if ramped.any() and not is_disabled[ramped].all():
                 at = times_ns[ramped][np.argmin(is_disabled[ramped])]
-                self._breach(at, f"the drive is enabled after {act.user}'s Stop")
+                self.breach(at, f"the drive is enabled after {act.user}'s Stop")
 
     def _stops(self) -> Iterator[Act]:
         for act in self._ledger.acts:
@@ -187,19 +188,15 @@ class Judges:
         ]  # fmt: skip
         return min(later, default=2**62)
 
-    def _stalled_ns(self, begin_ns: int, end_ns: int) -> int:
-        stalled = (min(b, end_ns) - max(a, begin_ns) for a, b in self.stalls)
-        return sum(ns for ns in stalled if ns > 0)
-
     # --- limits -----------------------------------------------------------------------------------
 
     def look_at_limits(self) -> None:
         """Compare every queue with its limit."""
         for name, (found, most) in self._town.limited().items():
             if found > most:
-                self._breach(self._town.loop.clock.now_ns, f"{name}: {found}, but at most {most}")
+                self.breach(self._town.loop.clock.now_ns, f"{name}: {found}, but at most {most}")
 
-    def _breach(self, at_ns: int, sentence: str) -> None:
+    def breach(self, at_ns: int, sentence: str) -> None:
         key = hash(sentence.partition(",")[0][:40])
         if key not in self._judged and len(self.found) < 20:
             self._judged.add(key)

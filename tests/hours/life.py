@@ -15,13 +15,16 @@ from tests.hours.judges import Judges
 from tests.hours.ledger import Ledger
 from tests.hours.loop import NS, run_in
 from tests.hours.town import Town
+from tests.hours.watchers import Engineer, Watcher
 from tests.hours.users import LOST, Browser, Controller, Program, Terminal, User
 
 LOOK_S = 1.0
 PEACE_S = 5.0  # within so long after the last fault everything is good again
 STALLS_S = (0.005, 0.05, 0.3, 0.8)
 HOLDS_S = (0.05, 0.4)
-KINDS = {"program": Program, "terminal": Terminal, "browser": Browser}
+KINDS = {
+    "program": Program, "terminal": Terminal, "browser": Browser, "engineer": Engineer,
+}  # fmt: skip
 
 
 @dataclass
@@ -48,6 +51,7 @@ class Life:
         self.judges = Judges(town, self.ledger)
         self.controller = Controller(town, self.ledger)
         self.users = [self._user(number) for number in range(self.chance.randint(2, 5))]
+        self.users.append(Watcher("watcher", town, self.ledger))
         self.judges.hands = {user.name: user.is_hand for user in self.users}
         self._digest = hashlib.sha256()
         self.begun_s = town.loop.time()
@@ -103,19 +107,30 @@ class Life:
                 *(user.live() for user in self.users),
             )
         ]  # fmt: skip
+        tasks.append(asyncio.ensure_future(self._note_pauses()))
+        looking = asyncio.ensure_future(self._look_on())
         until_s = town.loop.time() + self.seconds - PEACE_S
         while town.loop.time() < until_s:
             await asyncio.sleep(LOOK_S)
-            self._look()
-            for task in tasks:
+            for task in (looking, *tasks):
                 if task.done() and not task.cancelled():
                     task.result()
         await self._peace(tasks)
+        await end(looking)
         self._look()
         judges.look_at_limits()
 
+    async def _look_on(self) -> None:
+        while True:
+            self._look()
+            await asyncio.sleep(LOOK_S)
+
     def _look(self) -> None:
         self.judges.look()
+        for user in self.users:
+            for sentence in user.found:
+                self.judges.breach(self.town.loop.clock.now_ns, sentence)
+            user.found.clear()
         frame = self.town.reader.latest()
         self._digest.update(frame.values.tobytes() + frame.status.tobytes())
         self._digest.update(repr((self.town.loop.turns, frame.tick)).encode())
@@ -129,18 +144,20 @@ class Life:
         if words[0] == "control passes from ":
             self.judges.owners.append((event.monotonic_ns, words[1], words[3]))
 
+    async def _note_pauses(self) -> None:
+        while True:
+            if self.town.daemon.scheduler.paused:
+                self.town.stood_ns = self.town.loop.clock.now_ns
+            await asyncio.sleep(0.02)
+
     async def _trouble(self) -> None:
         """Let the loop stand still, and the network be slow."""
         while True:
             await asyncio.sleep(self.chance.uniform(0.1, 2.0))
             if self.chance.random() < 0.6:
-                seconds, now_ns = self.chance.choice(STALLS_S), self.town.loop.clock.now_ns
-                self.town.loop.stand_still(seconds)
-                self.judges.stalls.append((now_ns, self.town.loop.clock.now_ns))
+                self.town.stand_still(self.chance.choice(STALLS_S))
             else:
-                seconds = self.chance.choice(HOLDS_S)
-                self.judges.holds_ms = max(self.judges.holds_ms, seconds * 1e3)
-                self.town.network.hold(seconds)
+                self.town.hold(self.chance.choice(HOLDS_S))
 
     # --- peace ------------------------------------------------------------------------------------
 
@@ -171,7 +188,6 @@ class Life:
             except (*LOST, AttributeError):
                 await asyncio.sleep(0.2)
             await asyncio.sleep(0.3)
-            self._look()
             if self._moves_at(speed.rpm) and not town.not_good():
                 break
         else:

@@ -15,7 +15,7 @@ from typing import Any
 
 from tests.hours.loop import NS, VirtualLoop
 
-KERNEL_BYTES = 128 * 1024  # both buffers of a direction, beyond which a writer is held up
+KERNEL_BYTES = 32 * 1024  # both buffers of a direction, beyond which a writer is held up
 DELAY_NS = (50_000, 3_000_000)
 CONNECT_NS = (100_000, 5_000_000)
 SYN_S = 120.0
@@ -63,7 +63,6 @@ class MemoryTransport(asyncio.Transport):
         self.is_frozen = False  # its program stands still: it neither reads nor writes
         self.is_vanished = False  # its computer is gone: nobody is told
         self.reads_slowly_ns = 0
-        self.most_unsent = 0
         self._socket = _Socket(self)
         self._unsent: deque[tuple[int, bytes, Mark | None]] = deque()  # from here to the other end
         self._unsent_bytes = self._read_bytes = 0
@@ -148,7 +147,10 @@ class MemoryTransport(asyncio.Transport):
             self._newest_ns = max(self._newest_ns, self._soon_ns())
         self._unsent.append((self._newest_ns, data, mark))
         self._unsent_bytes += len(data)
-        self.most_unsent = max(self.most_unsent, self.get_write_buffer_size())
+        port = self.names[0][1]
+        self.network.most_unsent[port] = max(
+            self.network.most_unsent.get(port, 0), self.get_write_buffer_size()
+        )
         self.set_alarm()
 
     def set_alarm(self) -> None:
@@ -250,7 +252,7 @@ class Network:
         self.open: dict[MemoryTransport, None] = {}
         self.held_until_ns = 0  # nothing arrives before, anywhere
         self.swallows: set[int] = set()  # ports whose computer does not answer
-        self.most_unsent = 0
+        self.most_unsent: dict[int, int] = {}  # bytes that a server kept for a client, by port
         self.heard: Callable[[MemoryTransport], None] = lambda _at: None
         self._ports = itertools.count(40_000)
         self._thawing: dict[MemoryTransport, list[Callable[[], None]]] = {}
@@ -294,7 +296,6 @@ class Network:
         return here, here.protocol
 
     def forget(self, transport: MemoryTransport) -> None:
-        self.most_unsent = max(self.most_unsent, transport.most_unsent)
         self.open.pop(transport, None)
 
     # --- faults -----------------------------------------------------------------------------------

@@ -5,9 +5,12 @@ It stands for the thread of the product, which does not stop when the event loop
 
 from typing import Any
 
+from numba.experimental.function_type import _get_wrapper_address
+
 from hilserver.scheduler.law import PLANNED, begin
 from hilserver.scheduler.pacing import StopReason
 from hilserver.scheduler.pacing_loop import run_batch
+from hilserver.scheduler.step import STEP_TYPE
 from hilserver.scheduler.turn import ENDED, RING, STANDING
 from tests.hours.clock import CLOCK
 
@@ -23,6 +26,10 @@ class ClockPacing:
 
     async def start(self) -> list[Any]:
         self._machine.prefault()
+        step = self._machine.step
+        if not hasattr(step, "__wrapper_address__"):  # else looked up anew in every batch
+            address = _get_wrapper_address(step, STEP_TYPE.signature)
+            step.__wrapper_address__ = lambda: address
         begin(self._machine.law, CLOCK.now_ns + self._machine.base_period_ns)
         CLOCK.on_advance = self._advance
         self._loop = CLOCK.loop

@@ -26,7 +26,8 @@ from tests.hours.network import MemoryTransport, Network
 from tests.hours.pacing import ClockPacing
 
 OPCUA_PORT, PEER_PORT = 4840, 53880
-RING_FRAMES = 1 << 12
+RING_FRAMES = 1 << 13
+PUBLISH_MS = 50.0
 SAFE_RAMP_S = 0.1
 PEER_LEASE_MS, HAND_LEASE_MS, OPCUA_LEASE_MS = 500.0, 300.0, 1500.0
 STANDSTILL_MS = 1000.0
@@ -59,12 +60,17 @@ def configuration(mode: str) -> dict[str, Any]:
             }
         ],
         "scheduler": {
-            "slices": {"publish": 50.0, "supervise": 100.0},
+            "slices": {"publish": PUBLISH_MS, "supervise": 100.0},
             "limits": {"single_overrun_ms": None, "consecutive_overruns": None},
             "communication_timeout_ms": STANDSTILL_MS,
             "realtime": {"lock_memory": False, "priority": 0, "hold_latency_target": False},
         },
     }
+
+
+def stood_ns(times: list[tuple[int, int]], begin_ns: int, end_ns: int) -> int:
+    """Return how much of the time between begin and end these times cover, each by itself."""
+    return sum(max(min(b, end_ns) - max(a, begin_ns), 0) for a, b in times)
 
 
 class PrivateFile:
@@ -91,6 +97,9 @@ class Town:
         # called with the name of whom the daemon hears
         self.on_heard: Callable[[str], None] = lambda _user: None
         self.lines: deque[tuple[float, dict[str, Any]]] = deque(maxlen=MOST_LINES)
+        self.stalls: list[tuple[int, int]] = []  # when nothing ran in the loop
+        self.holds: list[tuple[int, int]] = []  # when nothing arrived
+        self.stood_ns = 0  # when the plant was last seen paused
         self._inject()
         config = Config.model_validate(configuration(mode))
         self.assembly = assemble_config(config, folder)
@@ -116,6 +125,25 @@ class Town:
         elif at.names[1][1] == PEER_PORT:
             self.on_heard("peer")
 
+    def stand_still(self, seconds: float) -> None:
+        """Hold up the event loop."""
+        now_ns = CLOCK.now_ns
+        self.loop.stand_still(seconds)
+        self.stalls.append((now_ns, CLOCK.now_ns))
+
+    def hold(self, seconds: float) -> None:
+        """Let nothing arrive for a while."""
+        self.network.hold(seconds)
+        self.holds.append((CLOCK.now_ns, self.network.held_until_ns))
+
+    def disturbed_ns(self, begin_ns: int, end_ns: int) -> int:
+        """Return for how long loop or network stood still in this time."""
+        return stood_ns(self.stalls + self.holds, begin_ns, end_ns)
+
+    def has_stood(self, since_ns: int) -> bool:
+        """Whether the plant was paused since then."""
+        return self.stood_ns >= since_ns
+
     def frame(self, name: str) -> float:
         """Return the newest value of a signal."""
         return float(self.reader.latest().values[self.slots[name]])
@@ -131,7 +159,7 @@ class Town:
             "connections": (len(server.asyncio_transports), settings.max_connections),
             "sessions": (len(server.sessions), settings.max_sessions),
             "subscriptions": (len(subscriptions), settings.max_subscriptions),
-            "unsent bytes": (self.network.most_unsent, MOST_UNSENT_BYTES),
+            "unsent bytes": (self.network.most_unsent.get(OPCUA_PORT, 0), MOST_UNSENT_BYTES),
             "refused values by name": (len(daemon.gate.rejected), MOST_NAMES),
             "errors of the loop": (len(self.loop.errors), 0),
         }

@@ -40,6 +40,7 @@ class User:
         self.is_frozen = False
         self.speed: Speed | None = None
         self.came = 0
+        self.found: list[str] = []  # what it saw that must not be
         ledger.neutral.setdefault(name, [])
 
     # --- the connection ---------------------------------------------------------------------------
