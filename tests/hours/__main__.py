@@ -22,6 +22,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=20.0, help="simulated, for each seed")
     parser.add_argument("--mode", default="poll", help="how the controller is read")
     parser.add_argument("--mutant", help="plant a fault of the product first")
+    parser.add_argument("--until-found", action="store_true", help="end with the first breach")
     parser.add_argument("--story", action="store_true", help="print what the daemon said")
     options = parser.parse_args()
     if os.environ.get("PYTHONHASHSEED") != "0":  # sets of names have an order then
@@ -55,6 +56,8 @@ def _live(town: Any, seeds: range, options: argparse.Namespace) -> int:
         bad += bool(result["found"])
         if result["found"] or len(seeds) == 1:
             print(json.dumps(result), flush=True)
+        if bad and options.until_found:
+            break
     pace = simulated_s / max(cpu_s, 1e-9)
     print(f"{len(seeds)} seeds, {bad} with a breach; {simulated_s:.0f} s simulated, {pace:.1f} per"
           " second of processor time")

@@ -47,6 +47,9 @@ class Life:
         town.loop.chance.seed(seed)
         self.town, self.seed, self.seconds = town, seed, seconds
         self.chance = town.loop.chance
+        snapshots = town.folder / f"seed {seed}"
+        snapshots.mkdir(exist_ok=True)
+        town.daemon.core.snapshots._folder = snapshots
         self.ledger = Ledger()
         self.judges = Judges(town, self.ledger)
         self.controller = Controller(town, self.ledger)
@@ -122,8 +125,8 @@ class Life:
 
     async def _look_on(self) -> None:
         while True:
-            self._look()
             await asyncio.sleep(LOOK_S)
+            self._look()
 
     def _look(self) -> None:
         self.judges.look()

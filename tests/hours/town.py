@@ -44,7 +44,11 @@ def configuration(mode: str) -> dict[str, Any]:
         "image": {"name": "hours", "ring_frames": RING_FRAMES},
         "plant": {"safe_ramp_s": SAFE_RAMP_S},
         "control": {"source": "peer", "opcua_stale_after_ms": OPCUA_LEASE_MS},
-        "opcua": {"endpoint": f"opc.tcp://127.0.0.1:{OPCUA_PORT}/h"},
+        "opcua": {
+            "endpoint": f"opc.tcp://127.0.0.1:{OPCUA_PORT}/h",
+            "max_connections": 40,
+            "max_sessions": 20,
+        },
         "metrics": {"port": 9464},
         "page": {"deadman_ms": HAND_LEASE_MS},
         "peers": [
