@@ -44,7 +44,10 @@ def main() -> int:
         if options.mutant:
             plant(options.mutant)
         run_in(town.loop, town.start())
-        return _live(town, seeds, options)
+        try:
+            return _live(town, seeds, options)
+        finally:
+            town.daemon.core.close()
 
 
 def _live(town: Any, seeds: range, options: argparse.Namespace) -> int:

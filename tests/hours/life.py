@@ -8,17 +8,20 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hilserver.io.recorder.recorder import Recorder
 from hilserver.signals import State
 from hilserver.tasks import end
 from tests.hours import clock
 from tests.hours.judges import Judges
 from tests.hours.ledger import Ledger
 from tests.hours.loop import NS, run_in
+from tests.hours.recording import difference, recorder_of
 from tests.hours.town import Town
 from tests.hours.watchers import Engineer, Watcher
 from tests.hours.users import LOST, Browser, Controller, Program, Terminal, User
 
 LOOK_S = 1.0
+RECORDED_EVERY = 5  # seeds
 PEACE_S = 5.0  # within so long after the last fault everything is good again
 STALLS_S = (0.005, 0.05, 0.3, 0.8)
 HOLDS_S = (0.05, 0.4)
@@ -56,6 +59,10 @@ class Life:
         self.users = [self._user(number) for number in range(self.chance.randint(2, 5))]
         self.users.append(Watcher("watcher", town, self.ledger))
         self.judges.hands = {user.name: user.is_hand for user in self.users}
+        self.recorder: Recorder | None = None
+        if seed % RECORDED_EVERY == 0:
+            town.is_recorded = True
+            self.recorder = recorder_of(town.image, town.folder / f"seed {seed}.mcap")
         self._digest = hashlib.sha256()
         self.begun_s = town.loop.time()
 
@@ -73,6 +80,10 @@ class Life:
             self.judges.found.append(f"{type(error).__name__}: {error}")
             if not isinstance(error, AssertionError | TimeoutError):
                 raise
+        if self.recorder is not None:
+            self.recorder.close()
+            if where := difference(self.recorder.path):
+                self.judges.found.append(f"its replay differs: {where}")
         result.found = self.judges.found
         result.simulated_s = (self.town.loop.clock.now_ns - from_ns) / NS
         result.cpu_s = time.process_time() - began_s
@@ -129,6 +140,8 @@ class Life:
             self._look()
 
     def _look(self) -> None:
+        if self.recorder is not None:
+            self.recorder.look()
         self.judges.look()
         for user in self.users:
             for sentence in user.found:

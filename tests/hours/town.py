@@ -2,7 +2,9 @@
 
 import asyncio
 import contextlib
+import fcntl
 import mmap
+import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
@@ -19,6 +21,7 @@ from hilserver.controller.server import ControllerServer
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
 from hilserver.image import ImageReader
+from hilserver.image.shared_file import path_of
 from tests.control.robot import PEER_NODES, WHEELS
 from tests.hours.clock import CLOCK, install_dates
 from tests.hours.loop import VirtualLoop
@@ -41,7 +44,7 @@ def configuration(mode: str) -> dict[str, Any]:
     nodes = {f"rpm_set_{wheel.upper()}": f"wheel.{wheel}.setpoint_rpm" for wheel in WHEELS}
     nodes["enable"] = "drive.enable"
     return {
-        "image": {"name": "hours", "ring_frames": RING_FRAMES},
+        "image": {"name": f"hours-{os.getpid()}", "ring_frames": RING_FRAMES},
         "plant": {"safe_ramp_s": SAFE_RAMP_S},
         "control": {"source": "peer", "opcua_stale_after_ms": OPCUA_LEASE_MS},
         "opcua": {
@@ -85,8 +88,13 @@ class PrivateFile:
     def __init__(self, name: str, n_bytes: int) -> None:
         flags = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS
         self.map = self.made[name] = mmap.mmap(-1, n_bytes, flags=flags)
+        self.path = path_of(name)  # locked and empty: it says that a daemon is there
+        self._fd = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o600)
+        fcntl.flock(self._fd, fcntl.LOCK_EX)
 
     def close(self) -> None:
+        self.path.unlink(missing_ok=True)
+        os.close(self._fd)
         with contextlib.suppress(BufferError):
             self.map.close()
 
@@ -103,9 +111,12 @@ class Town:
         self.lines: deque[tuple[float, dict[str, Any]]] = deque(maxlen=MOST_LINES)
         self.stalls: list[tuple[int, int]] = []  # when nothing ran in the loop
         self.holds: list[tuple[int, int]] = []  # when nothing arrived
+        self.is_recorded = False
         self.stood_ns = 0  # when the plant was last seen paused
         self._inject()
-        config = Config.model_validate(configuration(mode))
+        settings = configuration(mode)
+        self.image = settings["image"]["name"]
+        config = Config.model_validate(settings)
         self.assembly = assemble_config(config, folder)
         self.folder = folder
 
@@ -188,7 +199,7 @@ class Town:
         await self.daemon.__aenter__()
         install_dates()
         self.lasting = {job.name for job in self.daemon.core.tasks.jobs if job.lasting}
-        self.reader = ImageReader.attach("hours")
+        self.reader = ImageReader.attach(self.image)
         self.slots = {s["name"]: s["slots"][0] for s in self.reader.description["signals"]}
         self.types = {s["name"]: s["type"] for s in self.reader.description["signals"]}
 

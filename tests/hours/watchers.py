@@ -153,7 +153,9 @@ class Engineer(User):
             self.town.network.vanish(end)
 
     async def do_force(self) -> None:
-        """Hold an output at a value, which moves nothing."""
+        """Hold an output at a value, which moves nothing; a recording does not hold that."""
+        if self.town.is_recorded:
+            return
         await self.act("Force", "battery.voltage_v", 10.0)
         await asyncio.sleep(self.chance.uniform(0.1, 0.5))
         await self.act("Unforce", "battery.voltage_v")
