@@ -26,10 +26,10 @@ class ClockPacing:
 
     async def start(self) -> list[Any]:
         self._machine.prefault()
-        step = self._machine.step
-        if not hasattr(step, "__wrapper_address__"):  # else looked up anew in every batch
-            address = _get_wrapper_address(step, STEP_TYPE.signature)
-            step.__wrapper_address__ = lambda: address
+        # Otherwise the step's address is looked up anew in every batch.
+        step, signature = self._machine.step, STEP_TYPE.signature
+        address, found = _get_wrapper_address(step, signature), step.get_compile_result(signature)
+        step.__wrapper_address__, step.get_compile_result = lambda: address, lambda _: found
         begin(self._machine.law, CLOCK.now_ns + self._machine.base_period_ns)
         CLOCK.on_advance = self._advance
         self._loop = CLOCK.loop

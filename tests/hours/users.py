@@ -222,6 +222,7 @@ class Program(User):
 
     acts = (
         (4, "take"), (8, "drive"), (1, "give"), (1, "stop"), (2, "reset"), (1, "start"),
+        (3, "snapshot"),
         (1, "cut"), (1, "vanish"), (1, "freeze"), (1, "leave"),
     )  # fmt: skip
 

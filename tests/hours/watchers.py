@@ -96,25 +96,23 @@ class Engineer(User):
     )  # fmt: skip
 
     def _much(self) -> ua.ReadParameters:
-        asked = ua.ReadParameters()
-        names = list(self.town.slots)
-        asked.NodesToRead = [
-            ua.ReadValueId(NodeId=ua.NodeId(names[i % len(names)], self.index),
-                           AttributeId=ua.AttributeIds.Value)
-            for i in range(MANY)
-        ]  # fmt: skip
+        """Return a request whose answer is long."""
+        asked, node = ua.ReadParameters(), ua.ReadValueId()
+        node.NodeId = ua.NodeId(ua.ObjectIds.Server_NamespaceArray)
+        node.AttributeId = ua.AttributeIds.Value
+        asked.NodesToRead = MANY * [node]
         return asked
 
     async def do_flood(self) -> None:
         """Ask many things at once."""
         session, asked = self._client.uaclient.session, self._much()
-        await asyncio.gather(*(session.read(asked) for _ in range(8)), return_exceptions=True)
+        await asyncio.gather(*(session.read(asked) for _ in range(4)), return_exceptions=True)
 
     async def do_deaf(self) -> None:
         """Ask for much and read nothing of it; some time later, or never, read on."""
         session, asked, transport = self._client.uaclient.session, self._much(), self.transport
         transport.pause_reading()
-        questions = [asyncio.ensure_future(session.read(asked)) for _ in range(40)]
+        questions = [asyncio.ensure_future(session.read(asked)) for _ in range(20)]
         await asyncio.sleep(self.chance.choice([1.0, 3.0]))
         if self.chance.random() < 0.5:
             transport.resume_reading()
