@@ -1,6 +1,7 @@
 """Lives of the town from the command line: ``python -m tests.hours 17`` repeats seed 17.
 
 ``python -m tests.hours 0:1000`` lives a thousand; the town is built once, and forked for each.
+With ``--journal FILE`` it goes on where it was interrupted.
 """
 
 import argparse
@@ -22,12 +23,16 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=20.0, help="simulated, for each seed")
     parser.add_argument("--mode", default="poll", help="how the controller is read")
     parser.add_argument("--mutant", help="plant a fault of the product first")
+    parser.add_argument("--journal", type=Path, help="keep results here; what is there is done")
     parser.add_argument("--until-found", action="store_true", help="end with the first breach")
     parser.add_argument("--story", action="store_true", help="print what the daemon said")
     options = parser.parse_args()
     if os.environ.get("PYTHONHASHSEED") != "0":  # sets of names have an order then
-        os.execve(sys.executable, [sys.executable, "-m", "tests.hours", *sys.argv[1:]],
-                  os.environ | {"PYTHONHASHSEED": "0"})
+        os.execve(
+            sys.executable,
+            [sys.executable, "-m", "tests.hours", *sys.argv[1:]],
+            os.environ | {"PYTHONHASHSEED": "0"},
+        )
     first, _, last = options.seeds.partition(":")
     seeds = range(int(first), int(last) if last else int(first) + 1)
 
@@ -52,9 +57,16 @@ def main() -> int:
 
 def _live(town: Any, seeds: range, options: argparse.Namespace) -> int:
     simulated_s = cpu_s = 0.0
-    bad = 0
+    bad, journal = 0, options.journal
+    done: dict[int, dict[str, Any]] = {}
+    if journal is not None and journal.exists():
+        results = map(json.loads, journal.read_text(encoding="utf-8").splitlines())
+        done = {result["seed"]: result for result in results}
     for seed in seeds:
-        result = _forked(town, seed, options)
+        result = done.get(seed) or _forked(town, seed, options)
+        if journal is not None and seed not in done:
+            with journal.open("a", encoding="utf-8") as file:
+                print(json.dumps(result), file=file)
         simulated_s, cpu_s = simulated_s + result["simulated_s"], cpu_s + result["cpu_s"]
         bad += bool(result["found"])
         if result["found"] or len(seeds) == 1:
@@ -62,8 +74,10 @@ def _live(town: Any, seeds: range, options: argparse.Namespace) -> int:
         if bad and options.until_found:
             break
     pace = simulated_s / max(cpu_s, 1e-9)
-    print(f"{len(seeds)} seeds, {bad} with a breach; {simulated_s:.0f} s simulated, {pace:.1f} per"
-          " second of processor time")
+    print(
+        f"{len(seeds)} seeds, {bad} with a breach; {simulated_s:.0f} s simulated, {pace:.1f} per"
+        " second of processor time"
+    )
     return min(bad, 1)
 
 
@@ -76,7 +90,11 @@ def _forked(town: Any, seed: int, options: argparse.Namespace) -> dict[str, Any]
         with os.fdopen(reading, "rb") as pipe:
             data = pipe.read()
         os.waitpid(child, 0)
-        return pickle.loads(data) if data else {"seed": seed, "found": ["died"], "simulated_s": 0, "cpu_s": 0}
+        return (
+            pickle.loads(data)
+            if data
+            else {"seed": seed, "found": ["died"], "simulated_s": 0, "cpu_s": 0}
+        )
     try:
         os.close(reading)
         from tests.hours.life import Life  # noqa: PLC0415
@@ -90,7 +108,7 @@ def _forked(town: Any, seed: int, options: argparse.Namespace) -> dict[str, Any]
                 print(f"{at_s - life.begun_s:.3f} {line}", file=sys.stderr)
             for line in life.story():
                 print(line, file=sys.stderr)
-    except BaseException:
+    except BaseException:  # noqa: BLE001 - a fork must never go on as its parent
         traceback.print_exc()
     finally:
         sys.stderr.flush()

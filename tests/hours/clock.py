@@ -103,6 +103,6 @@ class Dates(metaclass=_TypeOfDates):
 def install_dates(packages: tuple[str, ...] = ("hilserver", "asyncua", "tests")) -> None:
     """Let the modules of these packages that are loaded by now read the virtual time of day."""
     for name, module in tuple(sys.modules.items()):
-        if name.partition(".")[0] in packages and isinstance(module, ModuleType):
-            if vars(module).get("datetime") is datetime.datetime:
-                module.datetime = Dates
+        is_ours = name.partition(".")[0] in packages and isinstance(module, ModuleType)
+        if is_ours and vars(module).get("datetime") is datetime.datetime:
+            module.datetime = Dates

@@ -33,6 +33,7 @@ class Judges:
         self._town, self._ledger = town, ledger
         self._next = town.reader.head
         self.found: list[str] = []
+        self.hands: set[str] = set()  # users who drive by hand
         self.ticks = self.moving = self.steady = 0
         self._begun_ns = town.loop.clock.now_ns
         self._rest: tuple[NDArray[np.int64], ...] | None = None
@@ -48,8 +49,9 @@ class Judges:
             self.found.append("the judges looked too late")
         if head <= self._next:
             return
-        seen = History(read_frames(self._town.reader, self._next, head - self._next),
-                       self._town.slots)
+        seen = History(
+            read_frames(self._town.reader, self._next, head - self._next), self._town.slots
+        )
         self._next = head
         if not len(seen):
             return
@@ -124,9 +126,7 @@ class Judges:
 
     def _judge_hand(self, speed: Speed, first_ns: int, newest_ns: int) -> None:
         """A hand has to be at neutral after a Reset before it moves anything."""
-        if speed.user not in self._ledger.neutral or speed.kind == "peer" or not speed.said:
-            return
-        if not self._is_hand(speed):
+        if speed.user not in self.hands:
             return
         ended = [
             act for act in self._ledger.acts
@@ -140,25 +140,24 @@ class Judges:
             name = max(ended, key=lambda act: act.sent_ns).name
             self.breach(first_ns, f"{speed.user} drives after {name} without having let go")
 
-    def _is_hand(self, speed: Speed) -> bool:
-        return self.hands.get(speed.user, False)
-
-    hands: dict[str, bool] = {}
-
     def _judge_return(self, speed: Speed, first_ns: int, last_ns: int, said: list[int]) -> None:
         """What somebody said before another took control must not act when control returns."""
         if speed.kind == "peer":
             return
-        back = [t for t, _, to in self.owners if to == speed.kind and t <= last_ns - RAMP_TICKS * MS]
+        back = [
+            t for t, _, to in self.owners if to == speed.kind and t <= last_ns - RAMP_TICKS * MS
+        ]
         if back and not any(t >= back[-1] - LEASE_SLACK_MS * MS for t in said if t <= last_ns):
-            self.breach(last_ns, f"{speed.user} drives again by what it said before it lost control")
+            self.breach(
+                last_ns, f"{speed.user} drives again by what it said before it lost control"
+            )
 
     # --- Stop within its promise ------------------------------------------------------------------
 
     def _judge_stops(self, times_ns: NDArray[np.int64], seen: History) -> None:
         """After Stop the robot is in the safe state until somebody has asked for Reset."""
         stands = seen["internal.command"] > COMMANDING
-        stands |= (np.abs(np.nan_to_num(seen.wheel_rpm)) < STANDING_RPM)
+        stands |= np.abs(np.nan_to_num(seen.wheel_rpm)) < STANDING_RPM
         is_disabled = seen["drive.enable"] == 0
         for act in self._stops():
             begins_ns = act.mark.read_ns + STOP_MS * MS

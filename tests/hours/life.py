@@ -17,8 +17,8 @@ from tests.hours.ledger import Ledger
 from tests.hours.loop import NS, run_in
 from tests.hours.recording import difference, recorder_of
 from tests.hours.town import Town
-from tests.hours.watchers import Engineer, Watcher
 from tests.hours.users import LOST, Browser, Controller, Program, Terminal, User
+from tests.hours.watchers import Engineer, Watcher
 
 LOOK_S = 1.0
 RECORDED_EVERY = 5  # seeds
@@ -58,7 +58,7 @@ class Life:
         self.controller = Controller(town, self.ledger)
         self.users = [self._user(number) for number in range(self.chance.randint(2, 5))]
         self.users.append(Watcher("watcher", town, self.ledger))
-        self.judges.hands = {user.name: user.is_hand for user in self.users}
+        self.judges.hands = {user.name for user in self.users if user.is_hand}
         self.recorder: Recorder | None = None
         if seed % RECORDED_EVERY == 0:
             town.is_recorded = True
@@ -76,7 +76,7 @@ class Life:
         result = Result(self.seed)
         try:
             run_in(self.town.loop, self._run())
-        except Exception as error:  # noqa: BLE001 - whatever it is, this seed shows it
+        except Exception as error:
             self.judges.found.append(f"{type(error).__name__}: {error}")
             if not isinstance(error, AssertionError | TimeoutError):
                 raise
@@ -103,7 +103,8 @@ class Life:
 
         for act in self.ledger.acts:
             where = (at(act.mark.came_ns), at(act.mark.read_ns)) if act.mark else ()
-            yield f"{at(act.sent_ns)} {act.user}: {act.name} {act.is_accepted} {where} {at(act.done_ns)}"
+            said = f"{act.user}: {act.name} {act.is_accepted}"
+            yield f"{at(act.sent_ns)} {said} {where} {at(act.done_ns)}"
         for speed in self.ledger.speeds.values():
             said = [at(mark.came_ns) for mark in speed.said] or [at(t) for t in speed.said_ns[::9]]
             yield f"{speed.user} {speed.rpm:.3f}: {' '.join(said)}"

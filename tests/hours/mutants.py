@@ -1,4 +1,5 @@
-"""Faults of the product that are planted on purpose: the judges, who do not know them, must see them.
+# ruff: noqa: PLC0415 - the product may be loaded only after the clock was replaced
+"""Faults of the product that are planted on purpose, for judges who do not know them.
 
 Each stands for one that the product really had, or for its kind. ``python -m tests.hours.mutants``
 counts how many are found, and within how many seeds.
@@ -12,7 +13,6 @@ from collections.abc import AsyncIterator, Callable
 from typing import Any
 
 MOST_SEEDS = 1000
-PIECE = 20
 
 
 def _peer_link_dies() -> None:

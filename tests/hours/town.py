@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import structlog
 
@@ -83,7 +83,7 @@ def stood_ns(times: list[tuple[int, int]], begin_ns: int, end_ns: int) -> int:
 class PrivateFile:
     """Memory of this process in place of a shared file: a fork has its own."""
 
-    made: dict[str, mmap.mmap] = {}
+    made: ClassVar[dict[str, mmap.mmap]] = {}
 
     def __init__(self, name: str, n_bytes: int) -> None:
         flags = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS
@@ -125,9 +125,7 @@ class Town:
         hilserver.scheduler.scheduler.ThreadPacing = ClockPacing
         hilserver.image.process_image.SharedFile = PrivateFile
         hilserver.image.reader.map_read_only = PrivateFile.made.__getitem__
-        structlog.configure(
-            processors=[self._log], logger_factory=structlog.ReturnLoggerFactory()
-        )
+        structlog.configure(processors=[self._log], logger_factory=structlog.ReturnLoggerFactory())
         install_dates()
 
     def _log(self, _logger: Any, level: str, entry: dict[str, Any]) -> str:
@@ -182,7 +180,11 @@ class Town:
     def not_good(self) -> list[str]:
         """Return what is not as it has to be when nothing is wrong."""
         daemon = self.daemon
-        found = [f"peer {s.name} is not connected: {s.last_error}" for s in daemon._statuses() if not s.connected]
+        found = [
+            f"peer {s.name} is not connected: {s.last_error}"
+            for s in daemon._statuses()
+            if not s.connected
+        ]
         found += [f"peer {s.name} is stale" for s in daemon._statuses() if s.stale]
         if why := daemon.core.tasks.why_down():
             found.append(why)
@@ -215,9 +217,7 @@ class Town:
         """Let the controller offer a speed."""
         signs = {"FL": 1, "RL": 1, "FR": -1, "RR": -1}
         speeds = {f"rpm_set_{wheel}": sign * rpm for wheel, sign in signs.items()}
-        await self.controller.offer(
-            speeds | {"enable": True, "seq": sequence}, datetime.now(UTC)
-        )
+        await self.controller.offer(speeds | {"enable": True, "seq": sequence}, datetime.now(UTC))
 
     @contextlib.contextmanager
     def peer_refuses(self) -> Iterator[None]:

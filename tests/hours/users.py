@@ -293,7 +293,9 @@ class Controller:
         """Change, stand still, break off, start again."""
         while True:
             await asyncio.sleep(self.chance.uniform(0.2, 2.0))
-            what = self.chance.choice(["change"] * 6 + ["silent", "frozen", "cut", "refuse", "gone"])
+            what = self.chance.choice(
+                ["change"] * 6 + ["silent", "frozen", "cut", "refuse", "gone"]
+            )
             if what == "change":
                 self.change()
             elif what == "silent":

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import itertools
 from typing import Any
 
 from asyncua import ua
@@ -82,9 +83,11 @@ class Watcher(User):
             self.found.append(f"{self.name} has seen nothing new for {age_s:.1f} s")
         ticks = seen.ticks[-20:]
         if len(ticks) == 20 and not disturbed_ns and not self.town.has_stood(now_ns - 8 * NS):
-            steps = sorted(b - a for a, b in zip(ticks, ticks[1:], strict=False))
+            steps = sorted(b - a for a, b in itertools.pairwise(ticks))
             if steps[10] > 2 * PUBLISH_MS:
-                self.found.append(f"{self.name} sees only every {steps[10]} ms of a queue of {QUEUE}")
+                self.found.append(
+                    f"{self.name} sees only every {steps[10]} ms of a queue of {QUEUE}"
+                )
 
 
 class Engineer(User):
