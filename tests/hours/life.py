@@ -171,10 +171,21 @@ class Life:
         """Let the loop stand still, and the network be slow."""
         while True:
             await asyncio.sleep(self.chance.uniform(0.1, 2.0))
-            if self.chance.random() < 0.6:
+            if self.chance.random() < 0.5:
                 self.town.stand_still(self.chance.choice(STALLS_S))
+            elif self.chance.random() < 0.5:
+                await self._stand_still_over_a_limit()
             else:
                 self.town.hold(self.chance.choice(HOLDS_S))
+
+    async def _stand_still_over_a_limit(self) -> None:
+        """Stand still while somebody's time is up, so that the answer may come in the same turn."""
+        loop = self.town.loop
+        limits = [timer.when() for timer in loop.limits()]
+        if not limits:
+            return
+        await asyncio.sleep(max(self.chance.choice(limits) - loop.time() - 0.01, 0.0))
+        self.town.stand_still(self.chance.uniform(0.02, 0.3))
 
     # --- peace ------------------------------------------------------------------------------------
 

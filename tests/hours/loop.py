@@ -81,6 +81,12 @@ class VirtualLoop(asyncio.BaseEventLoop):
         """Hold up the loop, as a call that does not return; the plant goes on meanwhile."""
         self.clock.advance_to(self.clock.now_ns + round(seconds * NS))
 
+    def limits(self) -> list[asyncio.TimerHandle]:
+        """Return the timers of time limits."""
+        names = ("Timeout._on_timeout", "_release_waiter")
+        timers = [timer for timer in self._scheduled if not timer._cancelled]
+        return [t for t in timers if getattr(t._callback, "__qualname__", "") in names]
+
     # --- one turn ---------------------------------------------------------------------------------
 
     def _run_once(self) -> None:

@@ -144,7 +144,8 @@ class MemoryTransport(asyncio.Transport):
 
     def _put(self, data: bytes, mark: Mark | None) -> None:
         if mark is None:
-            self._newest_ns = max(self._newest_ns, self._soon_ns())
+            lag_ns = self.network.lags_ns.get(self.names[0][1], 0)
+            self._newest_ns = max(self._newest_ns, self._soon_ns() + lag_ns)
         self._unsent.append((self._newest_ns, data, mark))
         self._unsent_bytes += len(data)
         port = self.names[0][1]
@@ -251,6 +252,7 @@ class Network:
         self.listening: dict[int, _Server] = {}
         self.open: dict[MemoryTransport, None] = {}
         self.held_until_ns = 0  # nothing arrives before, anywhere
+        self.lags_ns: dict[int, int] = {}  # how much later what a server at a port says arrives
         self.swallows: set[int] = set()  # ports whose computer does not answer
         self.most_unsent: dict[int, int] = {}  # bytes that a server kept for a client, by port
         self.heard: Callable[[MemoryTransport], None] = lambda _at: None

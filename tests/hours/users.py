@@ -16,8 +16,9 @@ from hilserver.time_limit import time_limit
 from tests.control.clients import M_S_PER_RPM
 from tests.hours.clock import CLOCK
 from tests.hours.ledger import Act, Ledger, Speed
+from tests.hours.loop import NS
 from tests.hours.network import Mark, MemoryTransport
-from tests.hours.town import HAND_LEASE_MS, OPCUA_LEASE_MS, OPCUA_PORT, Town
+from tests.hours.town import HAND_LEASE_MS, OPCUA_LEASE_MS, OPCUA_PORT, PEER_PORT, Town
 
 URL = f"opc.tcp://127.0.0.1:{OPCUA_PORT}/h"
 ANSWER_S = 2.0
@@ -294,7 +295,7 @@ class Controller:
         while True:
             await asyncio.sleep(self.chance.uniform(0.2, 2.0))
             what = self.chance.choice(
-                ["change"] * 6 + ["silent", "frozen", "cut", "refuse", "gone"]
+                ["change"] * 6 + ["silent", "frozen", "cut", "refuse", "gone", "slow"]
             )
             if what == "change":
                 self.change()
@@ -328,6 +329,16 @@ class Controller:
         await self._cut()
         with self.town.peer_refuses():
             await asyncio.sleep(self.chance.uniform(0.2, 3.0))
+
+    async def _slow(self) -> None:
+        """Its computer is busy: each answer comes late, but comes."""
+        lags_ns = self.town.network.lags_ns
+        await self._cut()
+        lags_ns[PEER_PORT] = round(self.chance.uniform(0.8, 1.9) * NS)
+        try:
+            await asyncio.sleep(self.chance.uniform(2.0, 12.0))
+        finally:
+            del lags_ns[PEER_PORT]
 
     async def _gone(self) -> None:
         """Its computer is off the network; what it has said stays unanswered."""
