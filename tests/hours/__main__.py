@@ -69,6 +69,7 @@ def _live(town: Any, seeds: range, options: argparse.Namespace) -> int:
                 print(json.dumps(result), file=file)
         simulated_s, cpu_s = simulated_s + result["simulated_s"], cpu_s + result["cpu_s"]
         bad += bool(result["found"])
+        print(f"seed {seed} {result.get('digest', '')}", flush=True)
         if result["found"] or len(seeds) == 1:
             print(json.dumps(result), flush=True)
         if bad and options.until_found:

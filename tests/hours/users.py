@@ -185,14 +185,17 @@ class User:
 
     async def do_drive(self) -> None:
         """Hold a stick for a while."""
+        await self._hold_stick(self.chance.randint(1, 12))
+        if self.is_hand and self.chance.random() < 0.7:
+            await self.command(0.0)
+
+    async def _hold_stick(self, times: int) -> None:
         if self.is_hand and self.chance.random() < 0.7:
             await self.command(0.0)
         self.speed = self.ledger.new_speed(self.name, self.kind, self.lease_ms)
-        for _ in range(self.chance.randint(1, 12)):
+        for _ in range(times):
             await self.command(self.speed.rpm)
             await asyncio.sleep(self.every_s * self.chance.uniform(0.5, 1.2))
-        if self.is_hand and self.chance.random() < 0.7:
-            await self.command(0.0)
 
     async def do_stop(self) -> None:
         await self.act("Stop")
@@ -212,10 +215,15 @@ class User:
         await self.act("Start")
 
     async def do_snapshot(self) -> None:
+        """Save while it drives, load when it is silent, and see what moves then."""
         name = f"s{self.chance.randint(1, 3)}"
+        if self.chance.random() < 0.8:
+            await self.do_take()
+            await self._hold_stick(3)
         await self.act("SaveSnapshot", name)
         await asyncio.sleep(self.chance.uniform(0.0, 1.0))
         await self.act("LoadSnapshot", name)
+        await asyncio.sleep(self.chance.choice([0.1, 2.5]))
 
 
 class Program(User):
