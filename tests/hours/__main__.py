@@ -5,6 +5,7 @@ With ``--journal FILE`` it goes on where it was interrupted.
 """
 
 import argparse
+import gc
 import json
 import os
 import pickle
@@ -39,6 +40,7 @@ def main() -> int:
     from tests.hours import clock  # noqa: PLC0415 - before everything else
 
     clock.install()
+    gc.disable()  # its callbacks look at the clock, and it comes when memory says so
     from tests.hours.loop import run_in  # noqa: PLC0415
     from tests.hours.mutants import plant  # noqa: PLC0415
     from tests.hours.town import Town  # noqa: PLC0415

@@ -23,6 +23,8 @@ RAMP_TICKS = round(SAFE_RAMP_S * 1000)
 STEADY_TICKS = 5  # a ramp does not stay at a speed for so long
 CONTROLLER_LAG_MS = 300  # from what a controller offers to what we read: a poll and the network
 POLL_NS = 60 * MS  # a controller is read that often
+DONE_NS = 20 * MS
+JUMPING = {"Reset", "LoadSnapshot"}  # the plant, to another state
 ENDING = {"Reset", "LoadSnapshot", "Pause"}  # hands have to let go after these
 
 
@@ -105,6 +107,7 @@ class Judges:
                 break
             newest_ns = next_ns
         self._judge_hand(speed, first_ns, newest_ns)
+        self._judge_outdated(speed, last_ns, said)
         self._judge_return(speed, first_ns, last_ns, said)
 
     def _said_ns(self, speed: Speed) -> list[int]:
@@ -139,6 +142,15 @@ class Judges:
         if not any(reset_ns <= rest_ns <= newest_ns for rest_ns in rests):
             name = max(ended, key=lambda act: act.sent_ns).name
             self.breach(first_ns, f"{speed.user} drives after {name} without having let go")
+
+    def _judge_outdated(self, speed: Speed, last_ns: int, said: list[int]) -> None:
+        """What somebody said before a Reset or LoadSnapshot must not act when that is done."""
+        if speed.kind == "peer":
+            return
+        for act in self._ledger.acts:
+            is_done = act.name in JUMPING and act.is_accepted and act.done_ns < last_ns - DONE_NS
+            if is_done and not any(act.sent_ns <= t <= last_ns for t in said):
+                self.breach(last_ns, f"{speed.user} drives on by what it said before {act.name}")
 
     def _judge_return(self, speed: Speed, first_ns: int, last_ns: int, said: list[int]) -> None:
         """What somebody said before another took control must not act when control returns."""

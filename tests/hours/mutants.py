@@ -120,7 +120,7 @@ def _stale_snapshot() -> None:
     load = SnapshotStore.load
 
     async def adopting(self: Any, name: str, **_: Any) -> int:
-        return await load(self, name, ends_leases=False)
+        return await load(self, name)
 
     SnapshotStore.load = adopting
 
