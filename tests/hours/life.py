@@ -64,14 +64,15 @@ class Life:
             town.is_recorded = True
             self.recorder = recorder_of(town.image, town.folder / f"seed {seed}.mcap")
         self._digest = hashlib.sha256()
-        self.begun_s = town.loop.time()
+        self.begun_s, self._until_found = town.loop.time(), False
 
     def _user(self, number: int) -> User:
         kind = self.chance.choice(list(KINDS))
         return KINDS[kind](f"{kind} {number}", self.town, self.ledger)
 
-    def run(self) -> Result:
-        """Live, and judge."""
+    def run(self, *, until_found: bool = False) -> Result:
+        """Live, and judge; to the first breach only, if nothing else is asked for."""
+        self._until_found = until_found
         began_s, from_ns = time.process_time(), self.town.loop.clock.now_ns
         result = Result(self.seed)
         try:
@@ -96,11 +97,13 @@ class Life:
         return result
 
     def story(self) -> Iterator[str]:
-        """Yield what users did: when, and when that came and was read."""
+        """Yield what the daemon said, and what users did: when, and when that came and was read."""
 
         def at(ns: int | None) -> str:
             return "-" if ns is None else f"{ns / NS - self.begun_s:.3f}"
 
+        for at_s, line in self.town.lines:
+            yield f"{at_s - self.begun_s:.3f} {line}"
         for act in self.ledger.acts:
             where = (at(act.mark.came_ns), at(act.mark.read_ns)) if act.mark else ()
             said = f"{act.user}: {act.name} {act.is_accepted}"
@@ -127,6 +130,8 @@ class Life:
         until_s = town.loop.time() + self.seconds - PEACE_S
         while town.loop.time() < until_s:
             await asyncio.sleep(LOOK_S)
+            if judges.found and self._until_found:
+                return
             for task in (looking, *tasks):
                 if task.done() and not task.cancelled():
                     task.result()

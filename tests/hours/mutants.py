@@ -1,21 +1,17 @@
 # ruff: noqa: PLC0415 - the product may be loaded only after the clock was replaced
 """Faults of the product that are planted on purpose, for judges who do not know them.
 
-Each stands for one that the product really had, or for its kind. ``python -m tests.hours.mutants``
-counts how many are found, and within how many seeds.
+Each stands for one that the product really had, or for its kind. They are planted in a town that
+runs; ``python -m tests.hours 0:1000 --mutant all --until-found`` tells how many are found, and how soon.
 """
 
 import asyncio
 import contextlib
-import subprocess
-import sys
 from collections.abc import AsyncIterator, Callable
 from typing import Any
 
-MOST_SEEDS = 1000
 
-
-def _peer_link_dies() -> None:
+def _peer_link_dies(town: Any) -> None:
     """A foreign cancellation ends the task of a link for good, and nobody says so."""
     from hilserver import tasks
     from hilserver.io.opcua_client import session
@@ -34,23 +30,26 @@ def _peer_link_dies() -> None:
             ended(self, task)
 
     tasks.SupervisedTask._ended = _ended
+    for job in town.daemon.core.tasks.jobs:
+        job.task.remove_done_callback(ended.__get__(job))
+        job.task.add_done_callback(job._ended)
 
 
-def _reset_restarts() -> None:
+def _reset_restarts(_town: Any) -> None:
     """A stick that is held drives again after a Reset."""
     from hilserver.core.rest import Rest
 
     Rest.lets_move = lambda *_: True
 
 
-def _life_in_cycles() -> None:
+def _life_in_cycles(_town: Any) -> None:
     """A subscription may live for any number of cycles, however long a cycle is."""
     from hilserver.opcua import subscriptions
 
     subscriptions.LONGEST_PUBLISHING_MS = 1e13
 
 
-def _take_over_keeps_the_lease() -> None:
+def _take_over_keeps_the_lease(_town: Any) -> None:
     """Whoever loses control keeps command and lease for when it returns."""
     from hilserver.core.handover import HandOver
     from hilserver.core.leases import OFFERING, kind_of
@@ -73,7 +72,7 @@ def _take_over_keeps_the_lease() -> None:
     HandOver.take = keeping
 
 
-def _filter_kills_the_loop() -> None:
+def _filter_kills_the_loop(_town: Any) -> None:
     """An event filter that cannot be evaluated ends the turns of everybody."""
     from hilserver.opcua import monitored_items, rotation
 
@@ -98,7 +97,7 @@ def _filter_kills_the_loop() -> None:
     rotation.Rotation._run = fragile
 
 
-def _queues_of_one() -> None:
+def _queues_of_one(_town: Any) -> None:
     """Subscriptions keep only the newest value."""
     from hilserver.opcua.items import ValueItem
 
@@ -113,7 +112,7 @@ def _queues_of_one() -> None:
     ValueItem.sample = newest
 
 
-def _stale_snapshot() -> None:
+def _stale_snapshot(_town: Any) -> None:
     """What a snapshot commanded drives again when it is loaded."""
     from hilserver.core.snapshot import SnapshotStore
 
@@ -125,7 +124,7 @@ def _stale_snapshot() -> None:
     SnapshotStore.load = adopting
 
 
-def _slow_reader_holds_all() -> None:
+def _slow_reader_holds_all(_town: Any) -> None:
     """While one client does not read, nobody gets new values."""
     from hilserver.io.opcua_server.server import OpcUaServer
 
@@ -140,7 +139,7 @@ def _slow_reader_holds_all() -> None:
     OpcUaServer.publish = waiting
 
 
-def _half_open_keep_their_places() -> None:
+def _half_open_keep_their_places(_town: Any) -> None:
     """Connections that say nothing are never closed and make no room."""
     from hilserver.opcua.transport import Connection, Listener
 
@@ -148,20 +147,13 @@ def _half_open_keep_their_places() -> None:
     Listener.make_room = lambda self, _address: len(self.clients) < self.iserver.max_connections
 
 
-def _dead_man_never_ends() -> None:
+def _dead_man_never_ends(town: Any) -> None:
     """A stick whose computer is gone drives on."""
-    from hilserver.core.leases import Leases
-
-    limit = Leases.limit
-
-    def unlimited(self: Any, source: str, limit_ms: float | None) -> None:
-        limit(self, source, None if source in ("page", "opcua:teleop") else limit_ms)
-
-    Leases.limit = unlimited
+    for source in ("page", "opcua:teleop"):
+        town.daemon.gate.leases.limit(source, None)
 
 
 MUTANTS = {
-    "peer link dies": _peer_link_dies,
     "reset restarts a held stick": _reset_restarts,
     "life in cycles": _life_in_cycles,
     "take-over keeps the lease": _take_over_keeps_the_lease,
@@ -171,24 +163,12 @@ MUTANTS = {
     "slow reader holds all": _slow_reader_holds_all,
     "half-open keep their places": _half_open_keep_their_places,
     "dead-man never ends": _dead_man_never_ends,
+    "peer link dies": _peer_link_dies,
 }
 
 
-def plant(name: str) -> None:
-    """Plant one of the faults; before the town is started."""
-    if name not in MUTANTS:
+def named(name: str | None) -> Callable[[Any], None] | None:
+    """Return what plants a fault in a town; None for none."""
+    if name is not None and name not in MUTANTS:
         raise SystemExit(f"there is no mutant '{name}'; there are {', '.join(MUTANTS)}")
-    MUTANTS[name]()
-
-
-def first_seed(name: str, most: int = MOST_SEEDS) -> tuple[int, str] | None:
-    """Return the first seed that shows a mutant, and what the judges say of it."""
-    command = [sys.executable, "-m", "tests.hours", f"0:{most}", "--mutant", name, "--until-found"]
-    text = subprocess.run(command, capture_output=True, text=True, check=False).stdout
-    found = [line for line in text.splitlines() if line.startswith("{")]
-    return None if not found else (text.count("\n"), found[0])
-
-
-if __name__ == "__main__":
-    for mutant in sys.argv[1:] or MUTANTS:
-        print(mutant, first_seed(mutant), flush=True)
+    return None if name is None else MUTANTS[name]
