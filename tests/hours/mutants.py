@@ -2,7 +2,8 @@
 """Faults of the product that are planted on purpose, for judges who do not know them.
 
 Each stands for one that the product really had, or for its kind. They are planted in a town that
-runs; ``python -m tests.hours 0:1000 --mutant all --until-found`` tells how many are found, and how soon.
+runs; ``python -m tests.hours 0:1000 --mutant all --until-found`` tells how many are found, and how
+soon.
 """
 
 import asyncio
@@ -54,7 +55,7 @@ def _take_over_keeps_the_lease(_town: Any) -> None:
     from hilserver.core.handover import HandOver
     from hilserver.core.leases import OFFERING, kind_of
     from hilserver.image import Row
-    from hilserver.plant.layout import N_SETPOINTS
+    from hilserver.plant.layout import N_COMMANDS
 
     take = HandOver.take
 
@@ -63,7 +64,7 @@ def _take_over_keeps_the_lease(_town: Any) -> None:
         kept = [
             Row(self.leases.place(before, slot), value)
             for slot, (source, value) in self._newest.items()
-            if slot < N_SETPOINTS and kind_of(source) == before and before not in OFFERING
+            if slot < N_COMMANDS and kind_of(source) == before and before not in OFFERING
         ]
         take(self, kind, holder)
         if kept and self.owner != before:
