@@ -92,8 +92,8 @@ def _filter_kills_the_loop(_town: Any) -> None:
         rotation.log = type("Log", (), {"warning": lambda *_, **said: failed.append(said)})
         run(self)
         rotation.log = type("Log", (), {"warning": before})
-        if failed and self._handle is not None:
-            self._handle.cancel()  # nobody turns any more, and nobody begins again
+        if failed:
+            self.add = self._run = lambda *_: None  # nobody turns any more
 
     rotation.Rotation._run = fragile
 
