@@ -164,12 +164,14 @@ class Town:
     def limited(self) -> dict[str, tuple[int, int]]:
         """Return the length of every queue, and its limit."""
         daemon = self.daemon
-        server = daemon.part("opcua")._server.iserver
+        listener, server = (
+            getattr(daemon.part("opcua")._server, n) for n in ("bserver", "iserver")
+        )
         settings = daemon.config.opcua
         subscriptions = server.subscription_service.subscriptions
         return {
             "tasks": (len(asyncio.all_tasks()), MOST_TASKS),
-            "connections": (len(server.asyncio_transports), settings.max_connections),
+            "connections": (len(listener.clients), settings.max_connections),
             "sessions": (len(server.sessions), settings.max_sessions),
             "subscriptions": (len(subscriptions), settings.max_subscriptions),
             "unsent bytes": (self.network.most_unsent.get(OPCUA_PORT, 0), MOST_UNSENT_BYTES),
