@@ -155,7 +155,7 @@ class Control:
                 self._events.publish(Event(EventKind.STATE, 200, "daemon", DRIVING_ON))
             return
         self._snapshots.reset()
-        self._gate.outdate()
+        self._gate.end_waiting()
         for callback in self.on_reset:
             callback()
         self._events.publish(Event(EventKind.STATE, 200, "daemon", "simulation reset"))
@@ -217,8 +217,9 @@ class Control:
     async def load_snapshot(self, name: str) -> None:
         """Continue from a saved state; version, kernels, signals and parameters have to match."""
         self._next(Command.LOAD_SNAPSHOT)
-        await self._snapshots.load(name, ends_leases=True)
-        self._gate.outdate()
+        # Twice: for what came before the plant has jumped, and for what comes until we notice it.
+        await self._snapshots.load(name, end_commands=self._gate.end_waiting)
+        self._gate.end_waiting()
 
     def set_speed(self, factor: float) -> None:
         """Run at `factor` times real time (0.01 .. 100)."""

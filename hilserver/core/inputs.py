@@ -435,6 +435,16 @@ class InputGate(HandOver):
         for slot in range(N_SETPOINTS):
             self._newest.pop(slot, None)
 
+    def end_waiting(self) -> None:
+        """Outdate commands, also those that the plant will latch after it has ended its leases.
+
+        Those of a scenario stay: it may begin anew in the same tick.
+        """
+        self.outdate()
+        if self.owner in _CHOOSING:
+            places = (self.leases.place(self.owner, slot) for slot in range(N_SETPOINTS))
+            self._image.push([Row(place, 0.0) for place in places])
+
     def outdate(self) -> None:
         """Refuse commands that have come in before now and still wait to be read."""
         self._ended_ns = self._now_ns() - _GRAIN_NS

@@ -93,7 +93,10 @@ class Leases:
 
     def renewal(self, source: str, came_ns: int) -> list[Row]:
         """Return the row that renews the lease of `source` at `came_ns`, if it has one."""
-        place = self._places.get(source) or self._places.get(kind_of(source))
+        # Pages and terminals have a number each, and share a lease.
+        shared = source.rpartition(":")[0]
+        places = self._places
+        place = places.get(source) or places.get(shared) or places.get(kind_of(source))
         age_ns = max(self.now_ns() - came_ns, 0)
         return [] if place is None else [Row(self._slot(place), float(age_ns))]
 

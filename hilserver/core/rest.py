@@ -45,7 +45,12 @@ class Rest:
 
 def is_hand(source: str) -> bool:
     """Whether a person drives by this source: the page, a terminal, Foxglove."""
-    return kind_of(source) == "page" or source == TELEOP
+    return kind_of(source) == "page" or is_terminal(source)
+
+
+def is_terminal(source: str) -> bool:
+    """Whether it is a teleoperation in a terminal; each has a number: ``opcua:teleop:1``."""
+    return source.startswith(TELEOP)
 
 
 class Interlock:

@@ -102,8 +102,10 @@ class SnapshotStore:
             raise ControlRefused(f"{path}: cannot be written: {error.strerror}") from None
         return path
 
-    async def load(self, name: str, *, ends_leases: bool = False) -> int:
+    async def load(self, name: str, *, end_commands: Callable[[], None] | None = None) -> int:
         """Continue from a saved state; return its tick.
+
+        `end_commands` is called before the plant jumps, which ends every lease; None: they go on.
 
         ControlRefused if the file is absent, damaged, or of a run that differs.
         """
@@ -116,7 +118,7 @@ class SnapshotStore:
             )
         if state.shape != self._image.shadow.shape:
             raise ControlRefused(f"snapshot '{name}' holds a state of a different size")
-        await self.restore(state, int(meta["tick"]), ends_leases=ends_leases)
+        await self.restore(state, int(meta["tick"]), end_commands=end_commands)
         return int(meta["tick"])
 
     async def capture(self) -> int:
@@ -126,9 +128,9 @@ class SnapshotStore:
             return self._image.control.request_tick
 
     async def restore(
-        self, state: NDArray[np.int64], tick: int, *, ends_leases: bool = False
+        self, state: NDArray[np.int64], tick: int, *, end_commands: Callable[[], None] | None = None
     ) -> None:
-        """Continue from `state`, as held by a snapshot or a recording, at `tick`.
+        """Continue from `state`, as held by a snapshot or a recording, at `tick`; see `load`.
 
         ControlRefused if the plant could not continue from it.
         """
@@ -139,7 +141,9 @@ class SnapshotStore:
             self.is_restoring = True
             try:
                 self._image.shadow[:] = state
-                await self._serve(REQUEST_RESTART if ends_leases else REQUEST_LOAD, tick)
+                if end_commands is not None:
+                    end_commands()
+                await self._serve(REQUEST_LOAD if end_commands is None else REQUEST_RESTART, tick)
                 for follow in self.restored:
                     follow()
             finally:

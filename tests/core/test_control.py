@@ -330,6 +330,36 @@ async def test_snapshot_holds_values_and_tick_and_comes_back(world):
     assert (world.image.frame_values[20], world.pacing.tick) == (3.5, 77)
 
 
+def test_what_waits_to_be_latched_does_not_survive_a_reset(world):
+    """Before, a command of the same millisecond drove for another lease."""
+    world.gate.take("page")
+    world.latch()
+    assert world.gate.write("page:1", {"control.mode": 1, "twist.linear_m_s": 0.4}) == {}
+    world.control.reset()
+    for _ in range(10):
+        world.latch()
+        assert world.value("twist.linear_m_s") == 0.0
+
+
+async def test_a_hand_that_drives_while_a_snapshot_is_loaded_has_to_let_go(world):
+    """Before, a command that came between the plant's jump and our notice of it still acted."""
+    task = asyncio.create_task(latching(world))
+    await world.control.save_snapshot("first")
+    task.cancel()
+    world.gate.take("page")
+    held = {"control.mode": 1, "twist.linear_m_s": 0.4}
+    assert world.gate.write("page:1", held) == {}
+    before = world.image.control.request
+    loading = asyncio.create_task(world.control.load_snapshot("first"))
+    while world.image.control.request == before:  # noqa: ASYNC110 - a word of shared memory
+        await asyncio.sleep(0)
+    world.latch()
+    assert world.gate.write("page:1", held) == dict.fromkeys(held, "not_at_rest")
+    await loading
+    world.latch()
+    assert world.value("twist.linear_m_s") == 0.0
+
+
 @pytest.mark.parametrize("name", ["../x", "/etc/passwd", "", "a/b", ".hidden", "x" * 200])
 async def test_snapshot_names_are_no_paths(world, name):
     with pytest.raises(ControlRefused, match="plain file name"):

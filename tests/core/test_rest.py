@@ -57,6 +57,17 @@ def test_a_hand_was_not_at_rest_by_what_it_sent_before_or_without_control(world)
     assert latched(image, "twist.linear_m_s") == 0.0
 
 
+def test_a_terminal_lets_go_for_itself_only(world):
+    """Before, all terminals were one: another one at rest let a held stick drive after a Reset."""
+    gate, image, _, _ = world
+    gate.take("opcua")
+    assert gate.write("opcua:teleop:1", HELD) == {}
+    gate.end()
+    assert gate.write("opcua:teleop:2", AT_REST) == {}
+    assert gate.write("opcua:teleop:1", HELD) == REFUSED
+    assert latched(image, "twist.linear_m_s") == 0.0
+
+
 def test_foxglove_sends_nothing_at_rest(world):
     gate, _, _, clock = world
     gate.end()

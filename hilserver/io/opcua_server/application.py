@@ -32,7 +32,7 @@ from asyncua import ua
 from hilserver.core.events import Event, EventKind
 from hilserver.core.inputs import InputGate, Refusal
 from hilserver.core.leases import NOBODY, TELEOP, kind_of
-from hilserver.core.rest import is_hand
+from hilserver.core.rest import is_hand, is_terminal
 from hilserver.errors import ControlRefused, UserError
 from hilserver.image import ProcessImage
 from hilserver.io.arrival import came_ns
@@ -68,7 +68,7 @@ STATUS_OF: dict[Refusal, int] = {
 class RobotVisitor(Visitor):
     """A client of the robot."""
 
-    # name under which its writes reach the plant: ``opcua``, or ``page:<number>``
+    # under which its writes reach the plant: ``opcua``, ``opcua:teleop:<n>`` or ``page:<n>``
     source: str = SOURCE
     # control is passed on when it ends; False for the shell, whose sessions last one command
     may_hold_control: bool = True
@@ -96,7 +96,7 @@ class RobotApplication(Application):
         self._methods = {ua.NodeId(m.node_id, namespace_index): m for m in METHODS}
         # marks sessions of the operator page, as the first word of their session name
         self.page_secret = secrets.token_hex(32)
-        self._page_numbers = itertools.count(1)
+        self._numbers = itertools.count(1)
 
     # --- clients ----------------------------------------------------------------------------------
 
@@ -108,9 +108,10 @@ class RobotApplication(Application):
         """
         first, _, rest = session_name.partition(" ")
         if secrets.compare_digest(first.encode(), self.page_secret.encode()):
-            user_address, source = rest.partition(" ")[0], f"page:{next(self._page_numbers)}"
+            user_address, source = rest.partition(" ")[0], f"page:{next(self._numbers)}"
             return RobotVisitor(user_address, has_own_place=True, source=source)
-        source = TELEOP if first == "teleop" else SOURCE
+        # One number each: two terminals neither share a rest nor mix their set-points.
+        source = f"{TELEOP}:{next(self._numbers)}" if first == "teleop" else SOURCE
         return RobotVisitor(address, source=source, may_hold_control=first != SHELL)
 
     def left(self, session: Any) -> None:
@@ -243,7 +244,7 @@ class RobotApplication(Application):
             return ""
         if holder is None or holder is session or not is_hand(holder.visitor.source):
             return ""
-        by = "a terminal" if holder.visitor.source == TELEOP else "the page"
+        by = "a terminal" if is_terminal(holder.visitor.source) else "the page"
         return f"{_name_of(holder)} drives by {by}: take control first"
 
     # --- calls ------------------------------------------------------------------------------------

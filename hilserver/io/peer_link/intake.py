@@ -37,6 +37,7 @@ class Intake:
         self._source, self._status = source, source.status
         self._staleness, self._faults = source.staleness, source.faults
         self._utc_ns = utc_ns
+        self._counted: int | None = None  # newest number of the counter, of whichever session
         self.begin_session()
 
     def begin_session(self) -> None:
@@ -130,17 +131,20 @@ class Intake:
             sentence = f"{self._counter}: {value!r} is not a counter value"
             self._faults.report(FaultKind.SEQUENCE_JUMP, str(self._counter), sentence, now_ns)
             return False
-        before = self.sequence.last
-        step = self.sequence.observe(int(value) % self._modulus)
+        before, number = self.sequence.last, int(value) % self._modulus
+        # A controller that hangs says the same again in every session: nothing of it is new.
+        is_old = before is None and number == self._counted
+        self._counted = number
+        step = self.sequence.observe(number)
         if step.fault is not None:
             sentence = f"the sequence counter jumped from {before} to {int(value)}"
             self._faults.report(step.fault, str(self._counter), sentence, now_ns)
-        if step.advanced:
+        if step.advanced and not is_old:
             self._status.sequence_received += 1
             self._status.sequence_missed += step.missed
             if self._sends_sequence:
                 self._picture[SEQUENCE_SIGNAL] = int(value) % 2**32
-        return step.advanced
+        return step.advanced and not is_old
 
     def _judge_stamp(self, node: str, verdict: Verdict, now_ns: int) -> None:
         stamp_ns = verdict.stamp_ns

@@ -106,7 +106,7 @@ def test_a_new_session_remembers_no_value_of_the_old_one():
     bench = Bench()
     bench.receive((FL, 1.0), (SEQ, 1))
     bench.intake.begin_session()
-    bench.receive((SEQ, 1))
+    bench.receive((SEQ, 2))
     assert "wheel.fl.setpoint_rpm" not in bench.gate.groups[-1]
 
 
@@ -145,3 +145,23 @@ def test_how_old_samples_are_follows_from_the_stamp_of_the_number():
         bench.intake.receive([(FL, Verdict(value=float(k))), (SEQ, verdict)], bench.now_ns)
     # the first proves nothing, then 10, 15 and 20 ms; one is older, the last one from the future
     assert bench.gate.ages_ns == [0, 10_000_000, 15_000_000, 20_000_000, 0, 0]
+
+
+def test_a_controller_that_hangs_says_nothing_new_in_another_session():
+    """Before, each reconnection let the robot drive by the old set-points until they were stale."""
+    bench = Bench()
+    bench.receive((FL, 20.0), (RR, 20.0), (SEQ, 7))
+    bench.receive((FL, 20.0), (RR, 20.0), (SEQ, 8))
+    bench.intake.begin_session()
+    handed_over = len(bench.gate.groups)
+    bench.receive((FL, 20.0), (RR, 20.0), (SEQ, 8))
+    assert len(bench.gate.groups) == handed_over
+    bench.intake.begin_session()  # and once more without a word in between
+    bench.intake.begin_session()
+    bench.receive((FL, 20.0), (RR, 20.0), (SEQ, 8))
+    assert len(bench.gate.groups) == handed_over
+    bench.receive((FL, 20.0), (RR, 20.0), (SEQ, 9))
+    assert bench.gate.groups[-1]["input.sequence"] == 9
+    bench.intake.begin_session()  # it has started again
+    bench.receive((FL, 20.0), (RR, 20.0), (SEQ, 0))
+    assert bench.gate.groups[-1]["input.sequence"] == 0

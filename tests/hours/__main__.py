@@ -1,0 +1,130 @@
+"""Lives of the town from the command line: ``python -m tests.hours 17`` repeats seed 17.
+
+``python -m tests.hours 0:1000`` lives a thousand; the town is built once, and forked for each.
+With ``--journal FILE`` it goes on where it was interrupted.
+"""
+
+import argparse
+import gc
+import json
+import os
+import pickle
+import sys
+import tempfile
+import traceback
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+
+def main() -> int:
+    """Live the seeds asked for; return 1 if the judges found something."""
+    parser = argparse.ArgumentParser(prog="python -m tests.hours")
+    parser.add_argument("seeds", help="one number, or first:end")
+    parser.add_argument("--seconds", type=float, default=20.0, help="simulated, for each seed")
+    parser.add_argument("--mode", default="poll", help="how the controller is read")
+    parser.add_argument("--mutant", help="plant a fault of the product first; all: one by one")
+    parser.add_argument("--journal", type=Path, help="keep results here; what is there is done")
+    parser.add_argument("--until-found", action="store_true", help="end with the first breach")
+    parser.add_argument("--story", action="store_true", help="print what the daemon said")
+    options = parser.parse_args()
+    if os.environ.get("PYTHONHASHSEED") != "0":  # sets of names have an order then
+        os.execve(
+            sys.executable,
+            [sys.executable, "-m", "tests.hours", *sys.argv[1:]],
+            os.environ | {"PYTHONHASHSEED": "0"},
+        )
+    first, _, last = options.seeds.partition(":")
+    seeds = range(int(first), int(last) if last else int(first) + 1)
+
+    from tests.hours import clock  # noqa: PLC0415 - before everything else
+
+    clock.install()
+    gc.disable()  # its callbacks look at the clock, and it comes when memory says so
+    from tests.hours.life import Life  # noqa: PLC0415
+    from tests.hours.loop import run_in  # noqa: PLC0415
+    from tests.hours.mutants import MUTANTS, named  # noqa: PLC0415
+    from tests.hours.town import Town  # noqa: PLC0415
+
+    with tempfile.TemporaryDirectory() as folder:
+        clock.seed(0)
+        town = Town(Path(folder), options.mode)
+        run_in(town.loop, town.start())
+        lives = _Lives(partial(Life, town, seconds=options.seconds), options)
+        try:
+            if options.mutant != "all":
+                return lives.live(seeds, named(options.mutant))
+            found = {name: lives.live(seeds, plant) for name, plant in MUTANTS.items()}
+            print(f"{sum(found.values())} of {len(found)} mutants found")
+            return 0
+        finally:
+            town.daemon.core.close()
+
+
+class _Lives:
+    """Lives seeds, each in a fork of this process."""
+
+    def __init__(self, begin: Callable[[int], Any], options: argparse.Namespace) -> None:
+        self._begin, self._options = begin, options
+
+    def live(self, seeds: range, plant: Callable[[Any], None] | None) -> int:
+        """Live seeds; return 1 if the judges found something."""
+        options, journal = self._options, self._options.journal
+        simulated_s = cpu_s = 0.0
+        n_seeds = bad = 0
+        done: dict[int, dict[str, Any]] = {}
+        if journal is not None and journal.exists():
+            results = map(json.loads, journal.read_text(encoding="utf-8").splitlines())
+            done = {result["seed"]: result for result in results}
+        for seed in seeds:
+            result = done.get(seed) or self._forked(seed, plant)
+            if journal is not None and seed not in done:
+                with journal.open("a", encoding="utf-8") as file:
+                    print(json.dumps(result), file=file)
+            simulated_s, cpu_s = simulated_s + result["simulated_s"], cpu_s + result["cpu_s"]
+            n_seeds, bad = n_seeds + 1, bad + bool(result["found"])
+            print(f"seed {seed} {result.get('digest', '')}", flush=True)
+            if result["found"] or len(seeds) == 1:
+                print(json.dumps(result), flush=True)
+            if bad and options.until_found:
+                break
+        pace = simulated_s / max(cpu_s, 1e-9)
+        print(
+            f"{n_seeds} seeds, {bad} with a breach; {simulated_s:.0f} s simulated, {pace:.1f} per"
+            " second of processor time",
+            flush=True,
+        )
+        return min(bad, 1)
+
+    def _forked(self, seed: int, plant: Callable[[Any], None] | None) -> dict[str, Any]:
+        """Live one seed in a process of its own."""
+        reading, writing = os.pipe()
+        child = os.fork()
+        if child:
+            os.close(writing)
+            with os.fdopen(reading, "rb") as pipe:
+                data = pipe.read()
+            os.waitpid(child, 0)
+            died = {"seed": seed, "found": ["died"], "simulated_s": 0, "cpu_s": 0}
+            return pickle.loads(data) if data else died
+        try:
+            os.close(reading)
+            life = self._begin(seed)
+            if plant is not None:
+                plant(life.town)
+            result = life.run(until_found=self._options.until_found)
+            with os.fdopen(writing, "wb") as pipe:
+                pickle.dump(vars(result), pipe)
+            if self._options.story:
+                for line in life.story():
+                    print(line, file=sys.stderr)
+        except BaseException:  # noqa: BLE001 - a fork must never go on as its parent
+            traceback.print_exc()
+        finally:
+            sys.stderr.flush()
+            os._exit(0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

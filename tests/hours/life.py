@@ -1,0 +1,242 @@
+"""Some seconds in the life of the town: users, faults, then peace, and what the judges say."""
+
+import asyncio
+import hashlib
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hilserver.io.recorder.recorder import Recorder
+from hilserver.signals import State
+from hilserver.tasks import end
+from tests.hours import clock
+from tests.hours.judges import Judges
+from tests.hours.ledger import Ledger
+from tests.hours.loop import NS, run_in
+from tests.hours.recording import difference, recorder_of
+from tests.hours.town import Town
+from tests.hours.users import LOST, Browser, Controller, Program, Terminal, User
+from tests.hours.watchers import Engineer, Watcher
+
+LOOK_S = 1.0
+RECORDED_EVERY = 5  # seeds
+PEACE_S = 5.0  # within so long after the last fault everything is good again
+STALLS_S = (0.005, 0.05, 0.3, 0.8)
+HOLDS_S = (0.05, 0.4)
+KINDS = {
+    "program": Program, "terminal": Terminal, "browser": Browser, "engineer": Engineer,
+}  # fmt: skip
+
+
+@dataclass
+class Result:
+    """What became of a seed."""
+
+    seed: int
+    found: list[str] = field(default_factory=list)
+    simulated_s: float = 0.0
+    cpu_s: float = 0.0
+    figures: dict[str, int] = field(default_factory=dict)
+    digest: str = ""
+
+
+class Life:
+    """One seed in one town."""
+
+    def __init__(self, town: Town, seed: int, seconds: float) -> None:
+        clock.seed(seed)
+        town.loop.chance.seed(seed)
+        self.town, self.seed, self.seconds = town, seed, seconds
+        self.chance = town.loop.chance
+        snapshots = town.folder / f"seed {seed}"
+        snapshots.mkdir(exist_ok=True)
+        town.daemon.core.snapshots._folder = snapshots
+        self.ledger = Ledger()
+        self.judges = Judges(town, self.ledger)
+        self.controller = Controller(town, self.ledger)
+        self.users = [self._user(number) for number in range(self.chance.randint(2, 5))]
+        self.users.append(Watcher("watcher", town, self.ledger))
+        self.judges.hands = {user.name for user in self.users if user.is_hand}
+        self.recorder: Recorder | None = None
+        if seed % RECORDED_EVERY == 0:
+            town.is_recorded = True
+            self.recorder = recorder_of(town.image, town.folder / f"seed {seed}.mcap")
+        self._digest = hashlib.sha256()
+        self.begun_s, self._until_found = town.loop.time(), False
+
+    def _user(self, number: int) -> User:
+        kind = self.chance.choice(list(KINDS))
+        return KINDS[kind](f"{kind} {number}", self.town, self.ledger)
+
+    def run(self, *, until_found: bool = False) -> Result:
+        """Live, and judge; to the first breach only, if nothing else is asked for."""
+        self._until_found = until_found
+        began_s, from_ns = time.process_time(), self.town.loop.clock.now_ns
+        result = Result(self.seed)
+        try:
+            run_in(self.town.loop, self._run())
+        except Exception as error:
+            self.judges.found.append(f"{type(error).__name__}: {error}")
+            if not isinstance(error, AssertionError | TimeoutError):
+                raise
+        if self.recorder is not None:
+            self.recorder.close()
+            if where := difference(self.recorder.path):
+                self.judges.found.append(f"its replay differs: {where}")
+        result.found = self.judges.found
+        result.simulated_s = (self.town.loop.clock.now_ns - from_ns) / NS
+        result.cpu_s = time.process_time() - began_s
+        result.figures = {
+            "ticks": self.judges.ticks, "moving": self.judges.moving, "steady": self.judges.steady,
+            "acts": len(self.ledger.acts), "came": sum(user.came for user in self.users),
+            "turns": self.town.loop.turns,
+        }  # fmt: skip
+        result.digest = self._digest.hexdigest()[:16]
+        return result
+
+    def story(self) -> Iterator[str]:
+        """Yield what the daemon said, and what users did: when, and when that came and was read."""
+
+        def at(ns: int | None) -> str:
+            return "-" if ns is None else f"{ns / NS - self.begun_s:.3f}"
+
+        for at_s, line in self.town.lines:
+            yield f"{at_s - self.begun_s:.3f} {line}"
+        for act in self.ledger.acts:
+            where = (at(act.mark.came_ns), at(act.mark.read_ns)) if act.mark else ()
+            said = f"{act.user}: {act.name} {act.is_accepted}"
+            yield f"{at(act.sent_ns)} {said} {where} {at(act.done_ns)}"
+        for speed in self.ledger.speeds.values():
+            said = [at(mark.came_ns) for mark in speed.said] or [at(t) for t in speed.said_ns[::9]]
+            yield f"{speed.user} {speed.rpm:.3f}: {' '.join(said)}"
+        for user, marks in self.ledger.neutral.items():
+            yield f"{user} 0: {' '.join(at(mark.came_ns) for mark in marks)}"
+
+    async def _run(self) -> None:
+        town, judges = self.town, self.judges
+        town.on_heard = self._heard
+        town.daemon.events.subscribe(self._passed)
+        tasks = [
+            asyncio.ensure_future(work)
+            for work in (
+                self.controller.offer(), self.controller.live(), self._trouble(),
+                *(user.live() for user in self.users),
+            )
+        ]  # fmt: skip
+        tasks.append(asyncio.ensure_future(self._note_pauses()))
+        looking = asyncio.ensure_future(self._look_on())
+        until_s = town.loop.time() + self.seconds - PEACE_S
+        while town.loop.time() < until_s:
+            await asyncio.sleep(LOOK_S)
+            if judges.found and self._until_found:
+                return
+            for task in (looking, *tasks):
+                if task.done() and not task.cancelled():
+                    task.result()
+        await self._peace(tasks)
+        await end(looking)
+        self._look()
+        judges.look_at_limits()
+
+    async def _look_on(self) -> None:
+        while True:
+            await asyncio.sleep(LOOK_S)
+            self._look()
+
+    def _look(self) -> None:
+        if self.recorder is not None:
+            self.recorder.look()
+        self.judges.look()
+        for user in self.users:
+            for sentence in user.found:
+                self.judges.breach(self.town.loop.clock.now_ns, sentence)
+            user.found.clear()
+        frame = self.town.reader.latest()
+        self._digest.update(frame.values.tobytes() + frame.status.tobytes())
+        self._digest.update(repr((self.town.loop.turns, frame.tick)).encode())
+        self.judges.look_at_limits()
+
+    def _heard(self, user: str) -> None:
+        self.judges.heard_ns.setdefault(user, []).append(self.town.loop.clock.now_ns)
+
+    def _passed(self, event: object) -> None:
+        words = event.message.split("'")
+        if words[0] == "control passes from ":
+            self.judges.owners.append((event.monotonic_ns, words[1], words[3]))
+
+    async def _note_pauses(self) -> None:
+        while True:
+            if self.town.daemon.scheduler.paused:
+                self.town.stood_ns = self.town.loop.clock.now_ns
+            await asyncio.sleep(0.02)
+
+    async def _trouble(self) -> None:
+        """Let the loop stand still, and the network be slow."""
+        while True:
+            await asyncio.sleep(self.chance.uniform(0.1, 2.0))
+            if self.chance.random() < 0.5:
+                self.town.stand_still(self.chance.choice(STALLS_S))
+            elif self.chance.random() < 0.5:
+                await self._stand_still_over_a_limit()
+            else:
+                self.town.hold(self.chance.choice(HOLDS_S))
+
+    async def _stand_still_over_a_limit(self) -> None:
+        """Stand still while somebody's time is up, so that the answer may come in the same turn."""
+        loop = self.town.loop
+        limits = [timer.when() for timer in loop.limits()]
+        if not limits:
+            return
+        await asyncio.sleep(max(self.chance.choice(limits) - loop.time() - 0.01, 0.0))
+        self.town.stand_still(self.chance.uniform(0.02, 0.3))
+
+    # --- peace ------------------------------------------------------------------------------------
+
+    async def _peace(self, tasks: list[asyncio.Task]) -> None:
+        """End all faults: soon every link is good, and whoever comes can drive and stop."""
+        town, judges = self.town, self.judges
+        offering, *others = tasks
+        await end(*others)
+        for old in self.users:
+            await old.go()
+        for transport in tuple(town.network.open):
+            town.network.thaw(transport)
+        self.controller.is_silent = False
+        begun_s = town.loop.time()
+        self.controller.change()
+        user = Browser("the last", town, self.ledger)  # outranks all that may still be there
+        speed = self.controller.speed
+        while town.loop.time() < begun_s + PEACE_S:
+            try:
+                if not user.came:
+                    await user.come()
+                state = int(town.frame("sim.state"))
+                if state in (State.PAUSED, State.SAFE):
+                    await user.act("Start" if state == State.PAUSED else "Reset")
+                elif town.daemon.gate.owner != "peer":
+                    await user.write({"control.source": "page"})
+                    await user.write({"control.source": "peer"})
+            except (*LOST, AttributeError):
+                await asyncio.sleep(0.2)
+            await asyncio.sleep(0.3)
+            if self._moves_at(speed.rpm) and not town.not_good():
+                break
+        else:
+            state = f"{town.daemon.gate.owner} has control, {town.daemon.control.reason}"
+            judges.found += [
+                f"{PEACE_S:g} s after the last fault: {what}" for what in town.not_good()
+            ] or [f"{PEACE_S:g} s after the last fault the controller does not drive: {state}"]
+            return
+        await user.act("Stop")
+        await asyncio.sleep(0.4)
+        judges.look()
+        stop = self.ledger.acts[-1]
+        if not stop.is_accepted:
+            judges.found.append("in peace, Stop is not accepted")
+        await end(offering)
+        await user.go()
+
+    def _moves_at(self, rpm: float) -> bool:
+        return bool(np.isclose(self.town.frame("wheel.fl.setpoint_rpm"), rpm))

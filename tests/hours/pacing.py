@@ -1,0 +1,70 @@
+"""Paces the plant by the virtual clock: whenever time passes, the ticks that were due have run.
+
+It stands for the thread of the product, which does not stop when the event loop does.
+"""
+
+from typing import Any
+
+from numba.experimental.function_type import _get_wrapper_address
+
+from hilserver.scheduler.law import PLANNED, begin
+from hilserver.scheduler.pacing import StopReason
+from hilserver.scheduler.pacing_loop import run_batch
+from hilserver.scheduler.step import STEP_TYPE
+from hilserver.scheduler.turn import ENDED, RING, STANDING
+from tests.hours.clock import CLOCK
+
+
+class ClockPacing:
+    """A back end of the scheduler, made as `ThreadPacing` is."""
+
+    thread_id = 0
+
+    def __init__(self, machine: Any, _settings: Any, rung: Any, ended: Any) -> None:
+        self._machine, self._rung, self._ended = machine, rung, ended
+        self._is_rung = self._is_over = False
+
+    async def start(self) -> list[Any]:
+        self._machine.prefault()
+        # Otherwise the step's address is looked up anew in every batch.
+        step, signature = self._machine.step, STEP_TYPE.signature
+        address, found = _get_wrapper_address(step, signature), step.get_compile_result(signature)
+        step.__wrapper_address__, step.get_compile_result = lambda: address, lambda _: found
+        begin(self._machine.law, CLOCK.now_ns + self._machine.base_period_ns)
+        CLOCK.on_advance = self._advance
+        self._loop = CLOCK.loop
+        return []
+
+    async def stop(self) -> None:
+        CLOCK.on_advance = lambda _now_ns: None
+        self._end(StopReason.STOPPED)
+
+    def wake(self) -> None:
+        """Look at the control words now."""
+        self._advance(CLOCK.now_ns)
+
+    def _advance(self, now_ns: int) -> None:
+        law, machine = self._machine.law, self._machine
+        while not self._is_over and (late_ns := now_ns - int(law[PLANNED])) >= 0:
+            due = late_ns // machine.base_period_ns + 1
+            flags = run_batch(machine.step, machine.loop, due)
+            if flags & RING:
+                self._ring()
+            if flags & ENDED:
+                self._end(StopReason.OVERRUN)
+            if flags & STANDING and law[PLANNED] <= now_ns:
+                law[PLANNED] = now_ns + machine.base_period_ns
+
+    def _ring(self) -> None:
+        if not self._is_rung:
+            self._is_rung = True
+            self._loop.arrive(CLOCK.now_ns, self._answer)
+
+    def _answer(self) -> None:
+        self._is_rung = False
+        self._rung()
+
+    def _end(self, reason: StopReason) -> None:
+        if not self._is_over:
+            self._is_over = True
+            self._ended(reason)

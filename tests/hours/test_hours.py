@@ -1,0 +1,55 @@
+"""Simulated hours: lives of a daemon with its users, in one process and from one seed each."""
+
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+from tests.hours.mutants import MUTANTS
+
+SEEDS, SECONDS = 20, 20
+LIMIT_S = 850
+CAMPAIGN, PIECE = 10_000, 100
+
+
+def lives(seeds, *options, seconds=SECONDS):
+    """Live seeds in a process of their own, which has no clock but ours; return what it says."""
+    command = [sys.executable, "-m", "tests.hours", seeds, "--seconds", str(seconds), *options]
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    run = subprocess.run(
+        command, capture_output=True, text=True, timeout=LIMIT_S, env=env, check=False
+    )
+    assert "simulated" in run.stdout, run.stdout + run.stderr
+    return run.stdout
+
+
+@pytest.mark.parametrize("mode", ["poll", "subscribe"])
+def test_nobody_finds_anything_and_a_seed_is_the_same_life_every_time(mode):
+    first = 0 if mode == "poll" else SEEDS // 2
+    said = lives(f"{first}:{first + SEEDS // 2}", "--mode", mode)
+    print(said)  # seconds simulated per second of processor time
+    again = f"python -m tests.hours SEED --mode {mode} --story"
+    assert " 0 with a breach" in said, f"repeat one with: {again}\n{said}"
+    if mode == "poll":
+        assert digests(lives(str(first + 1)))[0] == digests(said)[1]
+
+
+def digests(said):
+    return re.findall(r"^seed \d+ (\w+)", said, re.MULTILINE)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", MUTANTS)
+def test_every_planted_fault_is_found(name):
+    said = lives("0:1000", "--mutant", name, "--until-found")
+    print(name, said)
+    assert " 1 with a breach" in said
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("piece", range(0, CAMPAIGN, PIECE))
+def test_a_campaign(piece):
+    said = lives(f"{piece}:{piece + PIECE}", "--mode", ("poll", "subscribe")[piece // PIECE % 2])
+    assert " 0 with a breach" in said, said
