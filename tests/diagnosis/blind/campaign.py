@@ -10,6 +10,7 @@ are not counted. The secret is the hash of all of these: changed sources get log
 import hashlib
 import itertools
 from collections import Counter
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from tests.diagnosis.blind.drawing import (
     LENGTH_S,
     MAKERS,
     Hidden,
+    Shown,
     kind_of,
     pair,
     seed_of,
@@ -103,11 +105,11 @@ def _nulls(made, maker, number, results):
     able = [made.drive_of(cause) for cause in CAUSES if made.can_hide(cause)]
     drives = {f"{number}/{maker}/null/{drive.kind}": drive for drive in dict.fromkeys(able)}
     for key in drives.keys() & results.records.keys():
-        made.sizes[drives[key]] = results.records[key]["sizes"]
+        made.shown[drives[key]] = Shown(**results.records[key]["shown"])
     for log, said in made.measure(drives.values()):
         key = f"{number}/{maker}/null/{log.drive.kind}"
-        sizes = {"sizes": made.sizes[log.drive]}
-        results.add(_record(key, "null", maker, log, said) | sizes)
+        shown = {"shown": asdict(made.shown[log.drive])}
+        results.add(_record(key, "null", maker, log, said) | shown)
     return list(drives)
 
 

@@ -20,7 +20,7 @@ from hilserver_injector.make import make
 from tests.diagnosis.blind import second
 
 FIRST, SECOND = MAKERS = ("first", "second")
-SHORT_S = {"drive": 60.0, "bench": 8.0, "mecanum": 45.0, "launches": 60.0}
+SHORT_S = {"drive": 75.0, "bench": 8.0, "mecanum": 45.0}
 LENGTH_S = {"drive": 120.0, "bench": 15.0, "mecanum": 90.0, "launches": 120.0}
 SHOWN_BY = {"roller_slip": "mecanum", "acceleration_slip": "launches"}
 """Drives that show what neither the mixed drive nor the bench does."""
@@ -45,6 +45,8 @@ TOGETHER = {
 }
 """By cause: the twin that one log cannot tell from it, so that they have to be one group."""
 STATED_AS = {"traction_slip": "nav_scale"}
+FAR_M = 100.0
+"""An edge beyond is none."""
 BOTH_SIGNS = frozenset({"controller_gains"})
 
 
@@ -115,6 +117,22 @@ class Hidden:
         return table
 
 
+@dataclass(frozen=True)
+class Shown:
+    """What a drive shows: known from a log of it with nothing hidden."""
+
+    sizes: Mapping[str, float]  # that a diagnosis states: the smallest detectable one of each cause
+    middle_m: tuple[float, float]  # medians of x and y; NaN on the bench
+
+
+def middle_m(table):
+    """The medians of a log's positions: half of the drive lies on either side."""
+    return tuple(
+        float(np.nanmedian(table.columns[name])) if name in table.columns else math.nan
+        for name in ("nav.x_m", "nav.y_m")
+    )
+
+
 def null(drive, seed):
     """Nothing hidden."""
     return Hidden(drive, "nothing", {}, seed, Answer(verdict="nothing_found"))
@@ -125,14 +143,8 @@ def kind_of(cause):
     return SHOWN_BY.get(cause, CAUSES[cause].kind)
 
 
-def size(cause, sizes, rng):
+def size(cause, shown, rng):
     """The parameters of a cause, log-uniform from twice what would just show to a large size.
-
-    Parameters
-    ----------
-    sizes : mapping of str to float
-        What a diagnosis states of a log of the same drive with nothing hidden: the smallest
-        detectable size of every cause.
 
     Returns
     -------
@@ -140,7 +152,7 @@ def size(cause, sizes, rng):
         None: this drive shows it only where it is larger than any machine has it.
     """
     one = CAUSES[cause]
-    smallest = sizes.get(STATED_AS.get(cause, cause))
+    smallest = shown.sizes.get(STATED_AS.get(cause, cause))
     if smallest is None:
         least = UNSTATED
     elif cause == "setpoint_rate_limit":  # the smaller the limit the larger the effect
@@ -151,15 +163,19 @@ def size(cause, sizes, rng):
     if least >= most:
         return None
     values = one.draw(rng, math.exp(rng.uniform(math.log(least), math.log(most))))
+    if cause == "surface_change":  # a robot that never crosses the edge has another constant
+        for axis, middle in zip("xy", shown.middle_m, strict=True):
+            edges = [f"{cause}.{axis}_min", f"{cause}.{axis}_max"]
+            values |= {edge: middle for edge in edges if abs(values[edge]) < FAR_M}
     if cause in BOTH_SIGNS and rng.random() < 0.5:
         values = {name: -value for name, value in values.items()}
     return values
 
 
-def hidden(cause, drive, sizes, seed, fault=False):
+def hidden(cause, drive, shown, seed, fault=False):
     """A log with one cause, perhaps beside a fault; None where the drive cannot show it."""
     rng = np.random.default_rng(seed)
-    values = size(cause, sizes, rng)
+    values = size(cause, shown, rng)
     if values is None:
         return None
     scored = {CAUSES[cause].parameter: values[CAUSES[cause].parameter]}

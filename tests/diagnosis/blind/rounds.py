@@ -2,7 +2,7 @@
 
 from hilserver_injector import CAUSES
 
-from tests.diagnosis.blind.drawing import Drive, hidden, kind_of, null, seed_of
+from tests.diagnosis.blind.drawing import Drive, Shown, hidden, kind_of, middle_m, null, seed_of
 from tests.diagnosis.blind.judging import diagnosed, told
 
 
@@ -23,7 +23,7 @@ class Round:
         self.secret = secret
         self.makers = makers  # by kind of drive, like the lengths of its logs
         self.lengths_s = lengths_s
-        self.sizes = {}  # of every drive, by cause
+        self.shown = {}  # by drive
 
     def can_hide(self, cause):
         """Whether there is a drive that shows a cause, and its generator can hide it."""
@@ -39,16 +39,17 @@ class Round:
 
     def measure(self, drives):
         """Judge a log of each drive with nothing hidden; return logs and answers of new drives."""
-        new = [drive for drive in dict.fromkeys(drives) if drive not in self.sizes]
+        new = [drive for drive in dict.fromkeys(drives) if drive not in self.shown]
         logs = [null(drive, seed_of(self.secret, drive.seed, "null")) for drive in new]
         answers = []
-        for drive, (said, findings) in zip(new, judged(logs), strict=True):
-            answers.append(said)
-            self.sizes[drive] = {d.cause: d.size for d in findings.smallest_detectable}
-        return list(zip(logs, answers, strict=True))
+        for log, (said, findings) in zip(logs, judged(logs), strict=True):
+            answers.append((log, said))
+            sizes = {d.cause: d.size for d in findings.smallest_detectable}
+            self.shown[log.drive] = Shown(sizes, middle_m(log.log()))
+        return answers
 
     def hidden(self, cause, number=0, fault=False):
         """A log with a cause; None where its drive cannot show it."""
         drive = self.drive_of(cause)
         seed = seed_of(self.secret, drive.seed, cause, number)
-        return hidden(cause, drive, self.sizes[drive], seed, fault)
+        return hidden(cause, drive, self.shown[drive], seed, fault)

@@ -15,11 +15,11 @@ def rotation(secret):
     """A round, and what it hides: drives of one generator and benches of the other."""
     rng = np.random.default_rng(seed_of(secret, "rotation"))
     makers = dict(zip(("drive", "bench"), rng.permutation((FIRST, SECOND)).tolist(), strict=True))
-    made = Round(secret, {"mecanum": FIRST, "launches": FIRST} | makers, SHORT_S)
+    made = Round(secret, {"mecanum": FIRST} | makers, SHORT_S)
     order = rng.permutation(sorted(CAUSES.keys() - UNNAMED)).tolist()
     left = [cause for cause in order if made.can_hide(cause)]
     logs, nulls = [], []
-    while len(logs) < HOW_MANY:
+    while left and len(logs) < HOW_MANY:
         some, left = left[: HOW_MANY - len(logs)], left[HOW_MANY - len(logs) :]
         nulls += made.measure(made.drive_of(cause) for cause in some)
         for cause in some:
