@@ -87,22 +87,26 @@ def names(finding: Finding) -> frozenset[str]:
     return frozenset(bare(cause) for cause in finding.causes)
 
 
+def loud(findings: Findings) -> list[Finding]:
+    """Return the findings that claim anything."""
+    return [finding for finding in findings.findings if finding.verdict not in _SILENT]
+
+
 def score(case: Case, findings: Findings) -> Score:
     """Compare the findings on a case's log with its answer."""
-    answer = case.answer
-    loud = [finding for finding in findings.findings if finding.verdict not in _SILENT]
+    answer, said = case.answer, loud(findings)
     result = Score(
         outcome="missed",
-        wrong=["|".join(sorted(names(f))) for f in loud if _is_wrong(f, answer)],
-        found=[f"{finding.verdict}:{'|'.join(sorted(names(finding)))}" for finding in loud],
+        wrong=["|".join(sorted(names(f))) for f in said if _is_wrong(f, answer)],
+        found=[f"{finding.verdict}:{'|'.join(sorted(names(finding)))}" for finding in said],
     )
     if answer.verdict == "nothing_found":
-        result.outcome = "false_alarm" if loud else "right"
+        result.outcome = "false_alarm" if said else "right"
     elif answer.verdict == Verdict.STRUCTURE_NOT_IN_LIBRARY:
-        result.outcome = _outside(loud, answer, result.wrong)
+        result.outcome = _outside(said, answer, result.wrong)
     else:
-        result.outcome = _worst([_one(loud, wanted, answer) for wanted in answer.causes])
-        result.values = _values(loud, answer)
+        result.outcome = _worst([_one(said, wanted, answer) for wanted in answer.causes])
+        result.values = _values(said, answer)
         if findings.joint is not None and len(result.values) == len(answer.values):
             result.ellipsoid = ellipsoid_of(findings.joint, answer.values)
     return result

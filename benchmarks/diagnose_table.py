@@ -77,6 +77,10 @@ def rows(records: Sequence[Record]) -> list[Row]:
         ),
         row("ordinary sensors: more than their faults", "sensors", _more_than_faults, most=0.0),
         row("right name, single cause", "single", _right, least=0.9),
+        row("named alone", "single", lambda r: named_how(r) == "alone"),
+        row("named in a group of two", "single", lambda r: named_how(r) == "group of two"),
+        row("named in a larger group", "single", lambda r: named_how(r) == "larger group"),
+        row("named beside another finding", "single", lambda r: named_how(r) == "beside another"),
         row("missed: structure or nothing instead of a name", "single", _missed, most=0.05),
         Row("value within its ci95", sum(v["in_ci95"] for v in judged), len(judged), least=0.9),
         Row("value within 20 %", sum(v["within_20"] for v in values), len(values), least=0.9),
@@ -94,6 +98,17 @@ def rows(records: Sequence[Record]) -> list[Row]:
         row("scenarios of the thesis", "scenario", _right, least=0.95),
         Row("found at 1 x smallest size", sum(map(_right, sized)), len(sized), 0.7, 0.95),
     ]
+
+
+def named_how(record: Record) -> str:
+    """Return how the truth of a log with one cause was named; empty if it was not."""
+    if not _right(record) or not record["found"]:
+        return ""
+    groups = [found.partition(":")[2].split("|") for found in record["found"]]
+    holding = [group for group in groups if record["name"] in group]
+    if len(holding) < len(groups):
+        return "beside another"
+    return {1: "alone", 2: "group of two"}.get(max(map(len, holding)), "larger group")
 
 
 def _alarmed(record: Record) -> bool:

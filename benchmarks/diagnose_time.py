@@ -46,7 +46,7 @@ def time_spent(duration_s: float | None, jobs: int) -> list[Result]:
 def _spent_s(causes: Mapping[str, float], length_s: float, jobs: int) -> dict[str, float]:
     """Return the CPU time of each part of a diagnosis, by its reported stage."""
     recipe = Recipe(seed=1, causes=causes, duration_s=length_s)
-    log, assembly = measured(make(recipe)[0], recipe), assemble(None)
+    log, assembly = measured(make(recipe)[0]), assemble(None)
     spent: dict[str, float] = {}
     doing, since = "", time.process_time()
 

@@ -23,6 +23,10 @@ from hilserver.scenarios import scenario
 from reference.scenarios.judging import causes_of, judge
 
 
+ENGINE_SEED: Final = 0
+"""Of the diagnosis's own draws, as the command has it: it never learns the seed of a log."""
+
+
 class Diagnose(Protocol):
     """The engine, as the campaign calls it."""
 
@@ -38,15 +42,18 @@ def _engine() -> tuple[Diagnose, Assembly]:
     return engine, assemble(None)
 
 
-def measured(table: Table, recipe: Recipe) -> MeasuredLog:
-    """Return the log as the reader would: empty cells are not samples."""
+def measured(table: Table) -> MeasuredLog:
+    """Return the log as the reader would: empty cells are not samples.
+
+    It says nothing of what it was made from: every log has the same name.
+    """
     channels = {}
     for name, values in table.columns.items():
         there = np.isfinite(values)
         span = np.zeros(int(there.sum()), dtype=np.int64)
         channels[name] = Channel(table.t_s[there], values[there], span)
     span_of_log = Span(0, None, float(table.t_s[0]), float(table.t_s[-1]))
-    source = Source(f"{recipe.kind}-{recipe.seed}.csv", "0" * 64)
+    source = Source("log.csv", "0" * 64)
     return MeasuredLog((source,), channels, (span_of_log,))
 
 
@@ -124,7 +131,7 @@ def work(case: Case | Staged | Drawn, *, with_rivals: bool = False) -> dict[str,
     logs, against = _logs(case)
     begin, smallest, gain, worse = time.perf_counter(), {}, {}, []
     try:
-        diagnosis = _diagnosis(logs, against, seed)
+        diagnosis = _diagnosis(logs, against)
         found, worse = diagnosis.findings, made_worse(diagnosis)
         result = _judged(case, found)
         gain = {quantity: one.ratio for quantity, one in found.total_gain.items()}
@@ -153,27 +160,28 @@ def _logs(case: Case | Staged | Drawn) -> tuple[MeasuredLog, MeasuredLog | None]
     if isinstance(case, Drawn):
         return case.log(), None
     if not isinstance(case, Staged):
-        return measured(make(case.recipe)[0], case.recipe), None
+        return measured(make(case.recipe)[0]), None
     drive = scenario(case.name).draw(case.seed)
     return _pooled(drive.logs), _pooled(drive.against) if drive.against else None
 
 
-def _diagnosis(log: MeasuredLog, against: MeasuredLog | None, seed: int) -> Diagnosis:
+def _diagnosis(log: MeasuredLog, against: MeasuredLog | None) -> Diagnosis:
     engine, assembly = _engine()
     if against is None:
-        return engine(log, assembly, seed=seed, jobs=1, progress=None)
+        return engine(log, assembly, seed=ENGINE_SEED, jobs=1, progress=None)
     compare = import_module("hilserver.diagnosis.engine").compare
-    compared: Diagnosis = compare(log, against, assembly, seed=seed, jobs=1, progress=None)
+    how: Any = {"seed": ENGINE_SEED, "jobs": 1, "progress": None}
+    compared: Diagnosis = compare(log, against, assembly, **how)
     return compared
 
 
-def _findings(log: MeasuredLog, against: MeasuredLog | None, seed: int) -> Findings:
-    return _diagnosis(log, against, seed).findings
+def _findings(log: MeasuredLog, against: MeasuredLog | None) -> Findings:
+    return _diagnosis(log, against).findings
 
 
 def _pooled(recipes: Mapping[str, Recipe]) -> MeasuredLog:
     """Return several logs of one machine as one, as the reader does."""
-    logs = [measured(make(recipe)[0], recipe) for recipe in recipes.values()]
+    logs = [measured(make(recipe)[0]) for recipe in recipes.values()]
     channels = {}
     for name in logs[0].channels:
         parts = [log[name] for log in logs]

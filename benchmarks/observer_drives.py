@@ -80,9 +80,7 @@ class Known:
     late_s: float = 0.0  # delay of the navigation's time stamps
 
 
-def diagnosed(
-    folder: Path, log: Callable[[], MeasuredLog], config: Config, seed: int, jobs: int = 1
-) -> Known:
+def diagnosed(folder: Path, log: Callable[[], MeasuredLog], config: Config, jobs: int = 1) -> Known:
     """Return what is known about a robot.
 
     Parameters
@@ -94,7 +92,7 @@ def diagnosed(
         folder.mkdir(parents=True, exist_ok=True)
         with Progress(lambda: "stopped before it was measured") as progress:
             assembly = assemble_config(config)
-            result = diagnose(log(), assembly, seed=seed, jobs=jobs, progress=progress)
+            result = diagnose(log(), assembly, jobs=jobs, progress=progress)
         for name, text in documents(result).items():
             if name.endswith((".json", ".yaml")):
                 (folder / name).write_text(text, encoding="utf-8")
@@ -119,7 +117,7 @@ def angle(values: Array) -> Array:
 def scored(one: Robot) -> list[Score]:
     """Diagnose a robot, and return the results of its drives."""
     recipe, folder = one.recipe, one.keep / sources() / one.key
-    known = diagnosed(folder, lambda: measured(make(recipe)[0], recipe), Config(), recipe.seed)
+    known = diagnosed(folder, lambda: measured(make(recipe)[0]), Config())
     return [score(one.key, recipe, known, number) for number in range(one.n_drives)]
 
 
@@ -127,7 +125,7 @@ def score(key: str, recipe: Recipe, known: Known, number: int) -> Score:
     """Return the results of drive `number` of a diagnosed robot."""
     again = replace(recipe, seed=recipe.seed + 1000 * (number + 1), duration_s=DRIVE_S)
     table, truth = make(again)
-    log = measured(table, again)
+    log = measured(table)
     series = without_navigation(series_of(log, 0, known.robot, known.late_s), CUT_S)
     course, t = run(pack(known.robot), known.constants, series), series.wheels[:, 0]
     true = np.stack([np.interp(t, truth.dense[:, 0], truth.dense[:, k]) for k in (1, 2, 3)], axis=1)

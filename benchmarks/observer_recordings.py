@@ -91,7 +91,7 @@ def _drives(one: Machine, root: Path, keep: Path, jobs: int) -> Iterator[Drive]:
     log = read_measured(learned, mapping)
     config = machine_config(log, Config())
     print(f"{one.folder}: diagnosed once into {keep}, then {len(driven)} logs observed", flush=True)
-    known = diagnosed(keep / sources() / one.folder, lambda: log, config, 0, jobs)
+    known = diagnosed(keep / sources() / one.folder, lambda: log, config, jobs)
     plain = assemble_config(config).robot
     for file in driven:
         log = read_measured([file], mapping)

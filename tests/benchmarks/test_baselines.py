@@ -33,7 +33,7 @@ RECIPE = Recipe(
 
 def prepared_for(duration_s):
     recipe = replace(RECIPE, duration_s=duration_s)
-    log = measured(make(recipe)[0], recipe)
+    log = measured(make(recipe)[0])
     slim = replace(log, channels={n: log[n] for n in log.channels if "duty" not in n})
     return prepare_all(slim, assemble(None).robot, 1, Tracker())[0]["pose"]
 

@@ -14,7 +14,7 @@ from hilserver_injector.cases import CLASSES, Answer, Case, cases
 from benchmarks import diagnose, diagnose_results, diagnose_time, diagnose_worker
 from benchmarks.binomial import clopper_pearson
 from benchmarks.diagnose_scoring import ellipsoid_of, score
-from benchmarks.diagnose_table import Row, rows
+from benchmarks.diagnose_table import Row, named_how, rows
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.schema.findings import (
     Detectable,
@@ -360,3 +360,21 @@ def test_a_hidden_cause_without_a_name_is_missed(outcome, missed):
     record = {"group": "single", "outcome": outcome, "wrong": [], "values": {}, "found": []}
     (row,) = [row for row in rows([record]) if row.name.startswith("missed")]
     assert (row.count, row.trials) == (missed, 1)
+
+
+@pytest.mark.parametrize(
+    ("found", "how"),
+    [
+        (["named:gyro_bias"], "alone"),
+        (["named_group:gyro_bias|gyro_scale"], "group of two"),
+        (["named_group:gyro_bias|gyro_scale|rotation_gain"], "larger group"),
+        (["named:gyro_bias", "structure_not_in_library:"], "beside another"),
+        (["named:gyro_scale"], ""),
+    ],
+)
+def test_how_a_cause_was_named_is_counted(found, how):
+    outcome = "right" if how else "missed"
+    record = {"group": "single", "name": "gyro_bias", "outcome": outcome, "wrong": [], "values": {}}
+    assert named_how(record | {"found": found}) == how
+    counted = {row.name: row.count for row in rows([record | {"found": found}])}
+    assert sum(counted[name] for name in counted if name.startswith("named ")) == bool(how)

@@ -27,7 +27,7 @@ ALL = frozenset({"ahead", "aside", "turn", "gyro"})
 @pytest.fixture(scope="module")
 def prepared():
     recipe = Recipe(seed=3, causes={"rotation_gain": -0.3}, duration_s=60.0)
-    log = measured(make(recipe)[0], recipe)
+    log = measured(make(recipe)[0])
     slim = replace(log, channels={n: log[n] for n in log.channels if "duty" not in n})
     return prepare_all(slim, assemble(None).robot, 1, Tracker())[0]["pose"]
 

@@ -40,5 +40,5 @@ def test_nothing_is_fitted_that_the_log_cannot_show():
     """Outliers have no column in the replay."""
     case = next(singles(1, names=("nav_outliers",)))
     recipe = replace(case.recipe, duration_s=12.0)
-    log = diagnose_worker.measured(make(recipe)[0], recipe)
+    log = diagnose_worker.measured(make(recipe)[0])
     assert sysid.fitted(case, log, diagnose_worker._engine()[1].robot) == {}

@@ -25,7 +25,7 @@ def test_linear_algebra_keeps_to_one_thread_and_gives_the_others_back():
     with threadpool_limits(2, "blas"):
         before = blas_threads()
         diagnose(
-            measured(make(recipe)[0], recipe),
+            measured(make(recipe)[0]),
             assemble(None),
             progress=lambda text, share: seen.update(blas_threads()),
         )
@@ -44,7 +44,7 @@ class Worse(Explained):
 def test_no_patch_is_written_where_a_reported_quantity_is_worse(monkeypatch):
     """Columns without a name are reported, too, and stand in no patch: both gains count."""
     recipe = Recipe(seed=1, causes={"rotation_gain": -0.3}, duration_s=45.0)
-    log, assembly = measured(make(recipe)[0], recipe), assemble(None)
+    log, assembly = measured(make(recipe)[0]), assemble(None)
     assert diagnose(log, assembly, jobs=1).evidence.extension
 
     def worse(*args):

@@ -13,7 +13,7 @@ from collections import Counter, defaultdict
 import pytest
 
 from hilserver.bench.report import loop_s
-from hilserver.compiled.cache import cache_dir
+from hilserver.compiled.cache import shelf
 
 COLUMNS = ("tests", "CPU, loops", "CPU, s", "wall, s", "steps compiled", "processes")
 ROOMS: dict[str, Counter[str]] = defaultdict(Counter)
@@ -31,7 +31,7 @@ def _cpu_s() -> float:
 
 
 def _steps() -> int:
-    return len(list(cache_dir().glob("step_*.py")))
+    return len(list(shelf().folder.glob("step_*.py")))
 
 
 class _Counted(subprocess.Popen):

@@ -19,7 +19,7 @@ def limited(made, limit, seconds=60.0):
 
 
 def found(made):
-    log = check(measured(make(made)[0], made), assembly().robot).log
+    log = check(measured(make(made)[0]), assembly().robot).log
     return limited_duty.find(log, assembly().robot)
 
 

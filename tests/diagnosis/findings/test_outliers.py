@@ -20,7 +20,7 @@ POSITION = ("nav.x_m", "nav.y_m")
 def drive():
     """A problem and its point on a short drive without an effect."""
     recipe = Recipe(seed=5, duration_s=40.0)
-    problem = Problem(stages_of(measured(make(recipe)[0], recipe), assembly().robot)["pose"])
+    problem = Problem(stages_of(measured(make(recipe)[0]), assembly().robot)["pose"])
     poses = problem.start_poses({})
     problem.estimate_noise(problem.residual(problem.predict({}, poses)))
     return problem, problem.point(Model(), poses)

@@ -67,7 +67,7 @@ class Case:
             name: Recipe(seed=2 * (77_000 + self.number) + k, causes=causes, duration_s=SECONDS)
             for k, (name, causes) in enumerate(self.truth.items())
         }
-        return {name: measured(make(one)[0], one) for name, one in recipes.items()}
+        return {name: measured(make(one)[0]) for name, one in recipes.items()}
 
 
 def is_right(case, findings):

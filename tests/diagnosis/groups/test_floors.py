@@ -28,7 +28,7 @@ def diagnosed(*, differ: bool):
     for number, (name, floor) in enumerate(FLOORS.items()):
         causes = MACHINE | (floor if differ else FLOORS["sand"])
         made = replace(recipe("nothing drive", 31 + number, 40.0), causes=causes, recorder=POSE)
-        logs[name] = measured(make(made)[0], made)
+        logs[name] = measured(make(made)[0])
     return diagnose_groups(logs, assembly(), jobs=1)
 
 

@@ -28,7 +28,7 @@ def recipe(cause: str, seed: int, duration_s: float) -> Recipe:
 
 def judged(made: Recipe, *, jobs: int = 1, seed: int = 0) -> Diagnosis:
     """Make a log and diagnose it."""
-    return diagnose(measured(make(made)[0], made), assembly(), seed=seed, jobs=jobs)
+    return diagnose(measured(make(made)[0]), assembly(), seed=seed, jobs=jobs)
 
 
 @cache
@@ -39,6 +39,6 @@ def diagnosis(cause: str, seed: int, duration_s: float) -> Diagnosis:
 
 def prepared(made: Recipe, robot: RobotParameters) -> dict[str, Prepared]:
     """Make a log and return its stages, ready to be judged: hundreds of megabytes if it is long."""
-    stages = stages_of(measured(make(made)[0], made), robot)
+    stages = stages_of(measured(make(made)[0]), robot)
     found = {name: prepare(stage, 1, lambda *_: None)[0] for name, stage in stages.items()}
     return {name: p for name, p in found.items() if p is not None}

@@ -18,16 +18,15 @@ def test_a_speed_that_only_the_log_has_too_large_is_no_difference_of_radii():
     made = recipe("nothing drive", 51, DURATION_S)
     table = make(made)[0]
     table.columns["wheel.fl.speed_rpm"] *= 1.1
-    (finding,) = diagnose(measured(table, made), assembly()).findings.findings
+    (finding,) = diagnose(measured(table), assembly()).findings.findings
     assert (finding.verdict, finding.causes) == (Verdict.DATA_FAULT, ("unit_error",))
     factor = finding.parameters["unit_error.wheel.fl.speed_rpm"]
     assert factor.value == pytest.approx(1.1, rel=0.002)
     assert "wheel.fl.speed_rpm" in finding.explanation
 
 
-@pytest.mark.parametrize(
-    ("wheel", "scale"), [pytest.param(0, 0.05, marks=pytest.mark.long), (3, -0.05)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("wheel", "scale"), [(0, 0.05), (3, -0.05)])
 def test_an_encoder_that_its_loop_believes_is_named_with_its_wheel(wheel, scale):
     causes = {"encoder_scale.a": scale, "encoder_scale.wheel": float(wheel)}
     found = judged(replace(recipe("nothing drive", 52, DURATION_S), causes=causes))

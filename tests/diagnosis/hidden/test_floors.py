@@ -14,7 +14,7 @@ from reference.scenarios.judging import judge
 def test_the_floors_differ_where_they_do(name, seed):
     """At seed 0 all runs restart the clock; at seed 1 the runs on one floor hardly scatter."""
     logs, against = _logs(Staged(name, seed))
-    findings = _findings(logs, against, seed)
+    findings = _findings(logs, against)
     judged = judge(SCENARIOS[name].draw(seed).expectation, findings)
     assert judged.right, judged.missing
     if name == "surface_real":

@@ -28,13 +28,13 @@ from tests.diagnosis.hidden.logs import assembly, recipe
 @cache
 def sound():
     made = recipe("nothing drive", 1, 45.0)
-    return measured(make(made)[0], made)
+    return measured(make(made)[0])
 
 
 @cache
 def long():
     made = recipe("nothing drive", 1, 240.0)
-    return measured(make(made)[0], made)
+    return measured(make(made)[0])
 
 
 def judged(log):
@@ -207,7 +207,7 @@ def test_channels_without_noise_overflow_nothing(value):
 def test_a_recording_of_seconds_has_no_unknown_structure(seed, duration_s):
     """Its noise is hardly known: what looks like a gross misfit is not."""
     made = recipe("nothing drive", seed, duration_s)
-    findings = judged(measured(make(made)[0], made))
+    findings = judged(measured(make(made)[0]))
     assert findings.verdict == Overall.NOTHING_FOUND, said(findings)
 
 

@@ -17,7 +17,7 @@ from hilserver.plant.parameters import RobotParameters
 @pytest.mark.parametrize("seed", [700, 3003])
 def test_no_reading_is_truer_than_its_rounding(seed):
     (recipe,) = [c.recipe for c in cases("sensors", range(seed, seed + 1)) if c.name == "stand"]
-    log = measured(make(recipe)[0], recipe).without([*DUTIES, *SETPOINTS])
+    log = measured(make(recipe)[0]).without([*DUTIES, *SETPOINTS])
     still = {name: log[name].with_values(np.zeros(len(log[name]))) for name in SPEEDS}
     log = log.with_channels(still)
     problem = Problem(stages_of(log, RobotParameters())["pose"])

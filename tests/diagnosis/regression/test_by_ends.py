@@ -24,7 +24,7 @@ RECIPE = Recipe(seed=3, causes={CAUSE: -0.3}, duration_s=120.0)
 
 @pytest.fixture(scope="module")
 def prepared():
-    log = measured(make(RECIPE)[0], RECIPE)
+    log = measured(make(RECIPE)[0])
     slim = log.without([n for n in log.channels if "duty" in n])
     stage = stages_of(slim, assemble(None).robot)["pose"]
     return prepare(stage, 1, Tracker(), frozenset(CAUSES) - {CAUSE})[0]

@@ -18,7 +18,7 @@ class Cause:
     Attributes
     ----------
     kind : str
-        Log it shows in: drive or bench.
+        Log it shows in: drive, bench, or drive on mecanum wheels.
     size : float
         Reference size of `parameter`.
     signed : bool
@@ -150,6 +150,7 @@ _TABLE = (
         required=False, shape=_fixed("nav_position_bias.wavelength", 5.0),
     ),
     Cause("backlash", "drive", "backlash", 0.2, signed=False, required=False),
+    Cause("roller_slip", "mecanum", "roller_slip", 0.1, signed=False, required=False),
 )  # fmt: skip
 CAUSES: Mapping[str, Cause] = {cause.name: cause for cause in _TABLE}
 REQUIRED = tuple(cause.name for cause in _TABLE if cause.required)
@@ -168,7 +169,9 @@ TWINS: tuple[frozenset[str], ...] = (
 def single(name: str, seed: int, scale: float = 1.0) -> Recipe:
     """Return the recipe of a log with one cause at `scale` times its reference size."""
     cause = CAUSES[name]
-    recipe = Recipe(kind="drive" if cause.kind == "drive" else "bench", seed=seed)
+    recipe = Recipe(kind="bench" if cause.kind == "bench" else "drive", seed=seed)
+    if cause.kind == "mecanum":
+        recipe = replace(recipe, drive="mecanum", manoeuvre="omni")
     return replace(recipe, causes=cause.draw(recipe.generator(f"cause {name}"), scale))
 
 

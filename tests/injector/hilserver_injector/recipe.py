@@ -8,6 +8,8 @@ from typing import Literal
 import numpy as np
 
 WHEELS = ("fl", "rl", "fr", "rr")
+OF_THE_DRIVER = frozenset({"manoeuvre", "charge"})
+"""What `Recipe.manoeuvre_seed` draws."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,6 +80,9 @@ class Recipe:
         ``cause`` or ``cause.part``: the parameters of spec "Diagnosis", and of `causes.OUTSIDE`.
     drive : str
         skid, or mecanum with a manoeuvre of `manoeuvres.TABLES`.
+    manoeuvre_seed : int or None
+        Of what the driver does and how full the battery is, for logs of one drive with several
+        noises; None: `seed`.
     drift_from : mapping of str to float or None
         Values at the start of the log, when `causes` are those at its end.
     faults : mapping of str to object
@@ -95,6 +100,7 @@ class Recipe:
     faults: Mapping[str, object] = field(default_factory=dict)
     duration_s: float | None = None
     manoeuvre: str = "mixed"
+    manoeuvre_seed: int | None = None
     in_the_air: bool = False
     noise: Noise = field(default_factory=Noise)
     recorder: Recorder | None = None
@@ -117,4 +123,7 @@ class Recipe:
 
     def generator(self, purpose: str) -> np.random.Generator:
         """Return the random numbers for one purpose; independent of all others."""
-        return np.random.default_rng([self.seed, *purpose.encode()])
+        seed = self.seed
+        if self.manoeuvre_seed is not None and purpose in OF_THE_DRIVER:
+            seed = self.manoeuvre_seed
+        return np.random.default_rng([seed, *purpose.encode()])
