@@ -113,6 +113,11 @@ INSTEAD_LEAST_GAIN: Final = 20.0  # deviance that a change or an anchor in a cau
 LEAST_USEFUL: Final = 0.001  # share of the samples' variance; less is useless
 DOMINANCE: Final = 4.0  # times what structure explains; less leaves a cause in doubt
 
+# What predicts without a name (specification)
+EFFECTIVE_BLOCKS: Final = 8  # fewer show no gain
+EFFECTIVE_LEVEL: Final = 0.01  # of the paired test of its gain over the blocks, one-sided
+ONE_SIZE: Final = 0.05  # p of Cochran's Q below which its size differs along the log
+
 # Drift and comparison
 COMPARE_LEVEL: Final = 0.01  # family-wise error (specification)
 COMPARE_INEXACT: Final = 0.2  # share of a difference by which it may exceed what is possible
