@@ -63,6 +63,7 @@ LIMITED_BEYOND: Final = 0.05  # share of a limit by which the turn exceeds it on
 # Data checks: sign, unit, frame, rest
 SIGN_SURE: Final = 0.7  # least correlation at which a sign is believed
 SIGN_AHEAD: Final = 0.1  # largest sideways share at which the course counts as heading
+AXIS_SURE: Final = 0.9  # least concentration of heading minus course that is an angle of its own
 LARGEST_SKEW_RAD: Final = 0.3  # rad between heading and course that needs no other frame
 UNIT_ALIKE: Final = 0.8  # least correlation at which a factor is believed
 UNIT_CLOSE: Final = 1.6  # factor by which a ratio may differ from that of two units
