@@ -28,17 +28,13 @@ INEXACT: Final = 0.005  # of what causes explain, or of a value, lost by their i
 
 # Used in several rooms: sizes
 FAR_SD: Final = 5.0  # deviations beyond which a value is not plain noise, or impossible
-OUTLIER_SD: Final = 6.0  # deviations beyond which a position is left out, or a clock is off
+OUTLIER_SD: Final = 6.0  # deviations beyond which a position is left out
 BLOCK_S: Final = 1.0  # s: the shortest stretch that is drawn or flipped as one
 COMMAND_SLOWEST_S: Final = 0.5  # s: longest delay of a set-point, and longest time between messages
 SLOWEST_TURN_RAD_S: Final = 0.03  # rad/s: slower turns are noise of the wheel speeds
 TURNS_RAD_S: Final = 0.1  # rad/s from which a robot turns, and is not blocked
 LARGE_STEP_RPM: Final = 4.0  # rpm: a larger change of a wheel's speed is clear
 UNITY: Final = 4.0  # real effects change a channel, or the top speed, by less than this factor
-
-# Data checks: clocks
-CLOCK_LEAST_S: Final = 0.06  # s: a smaller offset is a latency; slower wheel samples hide one
-CLOCK_FEWEST_CHUNKS: Final = 6  # stretches; fewer show no offset
 
 # Data checks: rounded speeds inside the robot (comb of their spectrum)
 COMB_FEWEST: Final = 500  # samples; fewer have no spectrum
