@@ -28,6 +28,8 @@ LARGEST_S: Final = 1.0  # largest offset that is searched for
 CHUNK_S: Final = 30.0  # stretch of the log with its own offset
 BASELINE_S: Final = 1.0  # distance and turn are compared over this time
 GRID_S: Final = 0.02
+STRETCH_SAMPLES: Final = 50  # of a stretch
+MOST_LEFT: Final = 0.5  # share of the variance that the best delay may leave
 SPAN_S: Final = 1e6  # longer than any span, so that the stamps of two spans differ
 
 
@@ -77,10 +79,13 @@ def wheel_motion(log: MeasuredLog, robot: RobotParameters) -> tuple[Channel, Cha
     first = log[sides[0][0]]
     if _period_s(first) > CLOCK_SLOWEST_S:
         return None
-    left, right = (
-        np.mean([_at(first, log[name], log[name].values) for name in side], axis=0)
-        for side in sides
-    )
+
+    def mean(side: list[str]) -> Array:
+        """Return the mean speed of a side at the stamps of the first wheel."""
+        speeds = [_at(first, log[name], log[name].values) for name in side]
+        return np.asarray(np.mean(speeds, axis=0))
+
+    left, right = map(mean, sides)
     forward = first.with_values((left - right) * RAD_S_PER_RPM)
     turning = first.with_values(-(left + right) * RAD_S_PER_RPM)
     return forward, turning
@@ -108,21 +113,30 @@ def integral(channel: Channel | None) -> Channel | None:
     """Return the integral of a rate; between spans it stands still."""
     if channel is None or len(channel) < 2:
         return None
-    step = np.diff(channel.t_s) * (channel.values[1:] + channel.values[:-1]) / 2.0
-    step[np.diff(channel.span) != 0] = 0.0
-    return channel.with_values(np.concatenate(([0.0], np.cumsum(step))))
+    middle = (channel.values[1:] + channel.values[:-1]) / 2.0
+    step = np.diff(channel.t_s) * middle
+    return channel.with_values(_summed(step, channel))
 
 
 def path_of(log: MeasuredLog) -> Channel | None:
     """Return the distance that the tag has moved along the heading."""
     if not log.has(*TAG):
         return None
-    x, y, yaw = (log[f"nav.{what}"] for what in ("x_m", "y_m", "yaw_rad"))
+    x, y, yaw = (log[name] for name in TAG)
     heading = _at(x, yaw, np.unwrap(yaw.values))
     middle = (heading[1:] + heading[:-1]) / 2.0
-    step = np.diff(x.values) * np.cos(middle) + np.diff(_at(x, y, y.values)) * np.sin(middle)
-    step[np.diff(x.span) != 0] = 0.0
-    return x.with_values(np.concatenate(([0.0], np.cumsum(step))))
+
+    along_x = np.diff(x.values)
+    along_y = np.diff(_at(x, y, y.values))
+    step = along_x * np.cos(middle) + along_y * np.sin(middle)
+    return x.with_values(_summed(step, x))
+
+
+def _summed(step: Array, channel: Channel) -> Array:
+    """Return the sum of the steps of a channel, of which none crosses two spans."""
+    inside = np.diff(channel.span) == 0
+    total = np.cumsum(np.where(inside, step, 0.0))
+    return np.concatenate(([0.0], total))
 
 
 def lag_behind(rate: Channel, path: Channel | None, *, is_angle: bool) -> Lag | None:
@@ -176,19 +190,25 @@ def _delay(t_rate: Array, s_rate: Array, t: Array, s: Array, begin: float, end: 
     """Return the delay with which distances over a second fit best; NaN without motion."""
     first, last = np.searchsorted(t, [begin, end])
     times = t[first:last]
-    if len(times) < 50:
+    if len(times) < STRETCH_SAMPLES:
         return float("nan")
     way = s[first:last] - np.interp(times - BASELINE_S, t, s)
+
     tries = np.arange(-LARGEST_S, LARGEST_S + GRID_S / 2, GRID_S)
     at = times - tries[:, None]
-    left = _unexplained(
-        way, np.interp(at, t_rate, s_rate) - np.interp(at - BASELINE_S, t_rate, s_rate)
-    )
+    ends = np.interp(at, t_rate, s_rate)
+    begins = np.interp(at - BASELINE_S, t_rate, s_rate)
+    left = _unexplained(way, ends - begins)
+
     best = int(np.argmin(left))
-    if not 0 < best < len(tries) - 1 or left[best] > 0.5:
+    is_inside = 0 < best < len(tries) - 1
+    if not is_inside or left[best] > MOST_LEFT:
         return float("nan")
+
+    # the lowest point of the parabola through three tries
     a, b, c = left[best - 1 : best + 2]
-    return float(tries[best] + GRID_S * 0.5 * (a - c) / max(a - 2 * b + c, 1e-12))
+    bend = max(a - 2 * b + c, 1e-12)
+    return float(tries[best] + GRID_S * 0.5 * (a - c) / bend)
 
 
 def _unexplained(y: Array, x: Array) -> Array:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Final
 
 import numpy as np
 
@@ -30,6 +31,9 @@ from hilserver.diagnosis.thresholds import BLOCK_S, HALF, SAME
 from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
+
+SHOWN: Final = {Need.POSITION: "position", Need.YAW: "heading", Need.GYRO: "turn rate"}
+"""What shows the motion of a robot."""
 
 
 @dataclass
@@ -89,10 +93,13 @@ def foretold(log: MeasuredLog, robot: RobotParameters) -> str:
         cannot.append(f"the drive ({missing['drive']})")
 
     if PoseStage.judges(log, robot, driven=known and DriveStage.replays(log)):
-        shown = {Need.POSITION: "position", Need.YAW: "heading", Need.GYRO: "turn rate"}
-        there = [words for need, words in shown.items() if HOLDS[need](log)]
+        there: list[str] = []
+        for need, words in SHOWN.items():
+            if HOLDS[need](log):
+                there.append(words)
+            else:
+                cannot.append(f"its {words} ({need})")
         can.append(f"the motion by {', '.join(there)}")
-        cannot += [f"its {words} ({need})" for need, words in shown.items() if not HOLDS[need](log)]
     else:
         cannot.append(f"the motion ({missing['pose']})")
 
