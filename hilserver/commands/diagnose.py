@@ -101,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
         groups=tuple(args.group or ()),
     )
     with Progress(lambda: STOPPED) as progress:
-        outcome = diagnose(task, progress)
+        outcome = diagnose(task, progress, lambda line: progress.say(line, sys.stderr))
     if outcome.error:
         raise _ERRORS.get(outcome.exit_code, FailedError)(outcome.error + _aid(args, outcome))
     write(args.out, outcome.files)

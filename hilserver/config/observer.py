@@ -20,6 +20,7 @@ DEFAULT_SLICE = "observer"
 DEFAULT_PERIOD_MS = 10.0
 MOST_READ_BYTES = 10_000_000
 NAV_CLOCK = "clock_offset.nav"
+OLDER = "hilserver.diagnosis/1"
 NAMELESS = ("structure_not_in_library", "drift")
 """Verdicts that the model is wrong in a way that no constant describes."""
 
@@ -98,7 +99,7 @@ class _Finding(_Read):
 class Found(_Read):
     """The findings of a diagnosis that the observer uses."""
 
-    schema_: Literal["hilserver.diagnosis/1"] = Field(alias="schema")
+    schema_: Literal["hilserver.diagnosis/2"] = Field(alias="schema")
     noise: dict[str, _Noise] = Field(default_factory=dict)
     joint: _Joint | None = None
     smallest_detectable: tuple[_Detectable, ...] = ()
@@ -119,6 +120,9 @@ def load_found(path: Path) -> Found:
         raise ConfigError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
     except (ValueError, RecursionError):
         raise ConfigError(f"{path}: is not JSON; name the findings.json of a diagnosis") from None
+    schema = data.get("schema") if isinstance(data, dict) else None
+    if schema == OLDER:
+        raise ConfigError(f"{path}: is of schema {OLDER}; run 'hilserver diagnose' again")
     try:
         return Found.model_validate(data)
     except ValidationError as error:

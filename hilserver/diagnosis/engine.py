@@ -113,11 +113,12 @@ def judge(
     tracker.timed("halves")
     tracker("measuring the gain", 0.0)
     own = [answer.explained.gains(HORIZON_S, rng) for answer in answers]
-    patch = _all_of(a.named.gains(HORIZON_S, rng, a.named.corrected) for a in answers)
-    total, notices, patches = _all_of(own), member.log.notices, [patch]
+    total = _all_of(a.patch.gains(HORIZON_S, rng, a.patch.corrected) for a in answers)
+    possible = _all_of(answer.possible(HORIZON_S, rng) for answer in answers)
+    notices, patches = member.log.notices, [total]
     if test is not None:
-        total, patch = _on_other_logs(member, test, rng)
-        patches.append(patch)
+        total, possible = _on_other_logs(member, answers, test, rng), {}
+        patches.append(total)
         files = ", ".join(s.file for s in test.sources)
         notices = (*notices, *test.notices, f"{ON_OTHER_LOGS}{files}")
     # the gain of all that predicts is that of a single cause if nothing else predicts
@@ -137,10 +138,10 @@ def judge(
         answers,
         found,
         fitted,
-        worsened(total, *patches),
+        worsened(*patches),
         tracker,
         total_gain=total,
-        patch_gain=patch,
+        possible_gain=possible,
         seed=seed,
         config_sha256=config_sha256,
         ceiling=ceiling,
@@ -189,7 +190,7 @@ def diagnose_groups(
         worsened(total, *by_group.values()),
         tracker,
         total_gain=total,
-        patch_gain=_all_of(a.named.gains(HORIZON_S, rng, a.named.corrected) for a in answers),
+        possible_gain={},
         seed=seed,
         config_sha256=assembly.config.sha256,
         smallest_detectable=tuple(sizes),
@@ -251,14 +252,12 @@ def _of_both(first: Sequence[Finding], second: Sequence[Finding]) -> list[Findin
 
 
 def _on_other_logs(
-    member: Member, test: MeasuredLog, rng: np.random.Generator
-) -> tuple[dict[str, Gain], dict[str, Gain]]:
-    """Return the gain on other logs, of all that predicts and of what has a name."""
-    log, stages = one_topic.checked(test, member.robot).log, member.judged.items()
-    whole = {stage: j.whole.model for stage, j in stages}
-    named = {stage: j.point.model for stage, j in stages}
-    predicted = gain_on(log, member.robot, whole, HORIZON_S, rng)
-    return predicted, gain_on(log, member.robot, named, HORIZON_S, rng, of_patch=True)
+    member: Member, answers: Sequence[Answer], test: MeasuredLog, rng: np.random.Generator
+) -> dict[str, Gain]:
+    """Return the gain of the patch on other logs."""
+    log = one_topic.checked(test, member.robot).log
+    patch = {stage: a.model for stage, a in zip(member.judged, answers, strict=True)}
+    return gain_on(log, member.robot, patch, HORIZON_S, rng, of_patch=True)
 
 
 def _collected(
@@ -317,7 +316,7 @@ def _diagnosis(
     tracker: Tracker,
     *,
     total_gain: Mapping[str, Gain],
-    patch_gain: Mapping[str, Gain],
+    possible_gain: Mapping[str, Gain],
     notices: tuple[str, ...],
     smallest_detectable: tuple[Detectable, ...],
     **fields: Any,
@@ -331,7 +330,6 @@ def _diagnosis(
     fields
         Of `Findings`.
     """
-    predicts = any(part.judged.whole.model.fitted for a in answers for part in a.explained.parts)
     terms = extension(found, fitted) if refusal is None else ()
     holds = bool(terms) and any(answer.model.of_the_machine for answer in answers)
     findings = _findings(
@@ -339,8 +337,9 @@ def _diagnosis(
         verdict=overall(found, is_judged=bool(smallest_detectable)),
         baseline={key: gain.before for key, gain in total_gain.items()},
         findings=tuple(found),
-        total_gain=dict(total_gain) if found and predicts else {},
-        patch_gain=dict(patch_gain) if holds else {},
+        total_gain=dict(total_gain) if holds else {},
+        patch_gain=dict(total_gain) if holds else {},
+        possible_gain=dict(possible_gain) if holds else {},
         smallest_detectable=smallest_detectable,
         joint=joint([answer.estimate for answer in answers]),
         notices=notices if refusal is None else (*notices, refusal),

@@ -1,6 +1,6 @@
 """One diagnosis from files to documents, in this process: what a worker runs."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -9,11 +9,13 @@ from hilserver.diagnosis.engine import compare, diagnose, diagnose_groups
 from hilserver.diagnosis.memory import reuse_memory
 from hilserver.diagnosis.output import documents
 from hilserver.diagnosis.progress import Report
+from hilserver.diagnosis.regression.stages import foretold
 from hilserver.diagnosis.report.summary import one_line, summary
 from hilserver.diagnosis.schema.evidence import Diagnosis
 from hilserver.errors import EXIT_DONE, LogError, UserError
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.frames import Sampling
+from hilserver.measured.machine import machine
 from hilserver.measured.proposal import FILE as PROPOSAL
 from hilserver.measured.proposal import ForeignLog
 from hilserver.measured.reading import read_measured
@@ -49,8 +51,15 @@ class Outcome:
     files: dict[str, str] = field(default_factory=dict)
 
 
-def judge(task: Task, progress: Report | None = None) -> Diagnosis:
+def judge(
+    task: Task, progress: Report | None = None, say: Callable[[str], None] | None = None
+) -> Diagnosis:
     """Read, check and judge the logs of a task.
+
+    Parameters
+    ----------
+    say : callable, optional
+        Called with a line on what each set of logs can show, before it is judged.
 
     Raises
     ------
@@ -61,11 +70,19 @@ def judge(task: Task, progress: Report | None = None) -> Diagnosis:
     """
     assembly = assemble(task.config)
     sampling = Sampling.of(assembly.config)
+
+    def read_in(paths: Sequence[Path], name: str = "") -> MeasuredLog:
+        found = read_measured(paths, task.mapping, sampling)
+        if say is not None:
+            begin = f"{name}: " if name else ""
+            say(begin + foretold(found, machine(found, assembly.robot)))
+        return found
+
     if task.groups:
-        read = {name: read_measured(p, task.mapping, sampling) for name, p in task.groups}
+        read = {name: read_in(paths, name) for name, paths in task.groups}
         refuse_twice(read)
         return diagnose_groups(read, assembly, seed=task.seed, jobs=task.jobs, progress=progress)
-    log = read_measured(task.logs, task.mapping, sampling)
+    log = read_in(task.logs)
     if task.against:
         other = read_measured(task.against, task.mapping, sampling)
         return compare(log, other, assembly, seed=task.seed, jobs=task.jobs, progress=progress)
@@ -87,11 +104,13 @@ def refuse_twice(groups: Mapping[str, MeasuredLog]) -> None:
             seen[source.sha256] = (name, source.file)
 
 
-def run(task: Task, progress: Report | None = None) -> Outcome:
-    """Judge a task; an error that the user can fix becomes a sentence."""
+def run(
+    task: Task, progress: Report | None = None, say: Callable[[str], None] | None = None
+) -> Outcome:
+    """Judge a task, see `judge`; an error that the user can fix becomes a sentence."""
     reuse_memory()
     try:
-        diagnosis = judge(task, progress)
+        diagnosis = judge(task, progress, say)
     except ForeignLog as error:
         files = {PROPOSAL: error.proposal} if error.proposal else {}
         return Outcome(error.exit_code, str(error), files=files)

@@ -28,17 +28,13 @@ INEXACT: Final = 0.005  # of what causes explain, or of a value, lost by their i
 
 # Used in several rooms: sizes
 FAR_SD: Final = 5.0  # deviations beyond which a value is not plain noise, or impossible
-OUTLIER_SD: Final = 6.0  # deviations beyond which a position is left out, or a clock is off
+OUTLIER_SD: Final = 6.0  # deviations beyond which a position is left out
 BLOCK_S: Final = 1.0  # s: the shortest stretch that is drawn or flipped as one
 COMMAND_SLOWEST_S: Final = 0.5  # s: longest delay of a set-point, and longest time between messages
 SLOWEST_TURN_RAD_S: Final = 0.03  # rad/s: slower turns are noise of the wheel speeds
 TURNS_RAD_S: Final = 0.1  # rad/s from which a robot turns, and is not blocked
 LARGE_STEP_RPM: Final = 4.0  # rpm: a larger change of a wheel's speed is clear
 UNITY: Final = 4.0  # real effects change a channel, or the top speed, by less than this factor
-
-# Data checks: clocks
-CLOCK_LEAST_S: Final = 0.06  # s: a smaller offset is a latency; slower wheel samples hide one
-CLOCK_FEWEST_CHUNKS: Final = 6  # stretches; fewer show no offset
 
 # Data checks: rounded speeds inside the robot (comb of their spectrum)
 COMB_FEWEST: Final = 500  # samples; fewer have no spectrum
@@ -63,6 +59,7 @@ LIMITED_BEYOND: Final = 0.05  # share of a limit by which the turn exceeds it on
 # Data checks: sign, unit, frame, rest
 SIGN_SURE: Final = 0.7  # least correlation at which a sign is believed
 SIGN_AHEAD: Final = 0.1  # largest sideways share at which the course counts as heading
+AXIS_SURE: Final = 0.9  # least concentration of heading minus course that is an angle of its own
 LARGEST_SKEW_RAD: Final = 0.3  # rad between heading and course that needs no other frame
 UNIT_ALIKE: Final = 0.8  # least correlation at which a factor is believed
 UNIT_CLOSE: Final = 1.6  # factor by which a ratio may differ from that of two units
@@ -112,6 +109,11 @@ REST_LEAST_GAIN: Final = 40.0  # deviance that it must save, of structure on hel
 INSTEAD_LEAST_GAIN: Final = 20.0  # deviance that a change or an anchor in a cause's place must save
 LEAST_USEFUL: Final = 0.001  # share of the samples' variance; less is useless
 DOMINANCE: Final = 4.0  # times what structure explains; less leaves a cause in doubt
+
+# What predicts without a name (specification)
+EFFECTIVE_BLOCKS: Final = 8  # fewer show no gain
+EFFECTIVE_LEVEL: Final = 0.01  # of the paired test of its gain over the blocks, one-sided
+ONE_SIZE: Final = 0.05  # p of Cochran's Q below which its size differs along the log
 
 # Drift and comparison
 COMPARE_LEVEL: Final = 0.01  # family-wise error (specification)

@@ -17,12 +17,12 @@ from hilserver.identify.estimates import Estimate, blocks_of, regress
 from hilserver.identify.wheels import at, files, need, per_span, present, side_sum_rpm
 from hilserver.measured.channels import GYRO, IMU_YAW, YAW
 from hilserver.measured.data import MeasuredLog
+from hilserver.measured.lag import LARGEST_S, integral, lag_behind, wheel_motion
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RAD_S_PER_RPM
 
 YAW_RATES: Final = (GYRO, IMU_YAW, YAW)
-_LAGS_S: Final = (-0.2, 0.6)
 _LAG_STEP_S: Final = 0.02
 _LAG_SMALLEST_S: Final = 0.005
 _SLOPE_S: Final = 0.01
@@ -54,7 +54,7 @@ class _Samples:
     """Both sides of the equation from a log: yaw rate, and wheel speeds at any lag."""
 
     def __init__(self, log: MeasuredLog, robot: RobotParameters, channel: str) -> None:
-        self.log, self.channel = log, channel
+        self.log, self.robot, self.channel = log, robot, channel
         self._factor = robot.yaw_sign * robot.wheel_radius_m * RAD_S_PER_RPM
         if channel.endswith("yaw_rad"):
             starts, ends, rate, span = _increments(log, channel)
@@ -65,6 +65,17 @@ class _Samples:
             self.t_s, self.y, self.span = source.t_s, source.values, source.span
             self._before_s = np.zeros(len(self.t_s))
         self.block = blocks_of(self.t_s, self.span)
+
+    def lag_s(self) -> float | None:
+        """Return the yaw rate's lag as a diagnosis finds it; None if the log is too short."""
+        wheels = wheel_motion(self.log, self.robot)
+        if wheels is None:
+            return None
+        is_angle = self.channel.endswith("yaw_rad")
+        source = self.log[self.channel]
+        angle = source if is_angle else integral(source)
+        found = lag_behind(wheels[1], angle, is_angle=is_angle)
+        return None if found is None else found.offset_s
 
     def u(self, lag_s: float = 0.0) -> Array:
         """Return yaw_sign r (w_L + w_R) [m/s] at the stamps minus the lag; NaN without speeds."""
@@ -198,8 +209,11 @@ def _lag(data: _Samples) -> tuple[Estimate | None, Estimate | None]:
         gain = float(u[good] @ data.y[good] / (u[good] @ u[good]))
         return float(np.mean(np.square(data.y[good] - gain * u[good])))
 
-    grid = np.arange(_LAGS_S[0], _LAGS_S[1] + 1e-9, _LAG_STEP_S)
-    best = float(grid[int(np.argmin([misfit(lag_s) for lag_s in grid]))])
+    robust_s = data.lag_s()
+    if robust_s is None:
+        grid = np.arange(-LARGEST_S, LARGEST_S + 1e-9, _LAG_STEP_S)
+        robust_s = float(grid[int(np.argmin([misfit(lag_s) for lag_s in grid]))])
+    best = robust_s
     near = (best - _LAG_STEP_S, best + _LAG_STEP_S)
     best = float(minimize_scalar(misfit, bounds=near, method="bounded").x)
     u, later, sooner = data.u(best), data.u(best + _SLOPE_S), data.u(best - _SLOPE_S)

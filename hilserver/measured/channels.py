@@ -12,6 +12,8 @@ DUTY_COMMANDS: Final = tuple(f"wheel.{w}.duty_command_pct" for w in WHEELS)
 TWIST: Final = ("twist.linear_m_s", "twist.angular_rad_s")
 OF_MODE: Final = (SETPOINTS, (*TWIST, "twist.lateral_m_s"), DUTY_COMMANDS)
 """The set-points in force, by the value of `MODE`."""
+ODOM_LINEAR: Final = "odom.linear_m_s"
+ODOM_ANGULAR: Final = "odom.angular_rad_s"
 MODE: Final = "control.mode"
 NAV_X: Final = "nav.x_m"
 NAV_Y: Final = "nav.y_m"

@@ -12,7 +12,7 @@ from hilserver.config.plant import PlantConfig
 from hilserver.config.section import Section
 from hilserver.errors import ConfigError, LogError, meant
 from hilserver.logs.reading import refuse_others
-from hilserver.measured.names import conversion, known_signals, units_of
+from hilserver.measured.names import conversion, mapped_units, units_of
 
 DATED = "iso"
 PER_SECOND = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, DATED: 1e-9}
@@ -76,6 +76,13 @@ class ChannelMap(Section):
         return self
 
 
+class OdometryMap(Section):
+    """The dimensions with which a driver made odometry of its wheels' speeds."""
+
+    track_m: float | None = Field(None, gt=0, description="null: unknown")
+    wheel_radius_m: float | None = Field(None, gt=0, description="null: unknown")
+
+
 class LogMapping(Section):
     """A mapping file."""
 
@@ -87,6 +94,10 @@ class LogMapping(Section):
     plant: PlantConfig = Field(
         default_factory=PlantConfig,
         description="keys of the plant configuration that describe this machine",
+    )
+    odom: OdometryMap = Field(
+        default_factory=OdometryMap,
+        description="for odom.linear_m_s and odom.angular_rad_s, which stand for wheel speeds",
     )
     channels: dict[str, ChannelMap] = Field(min_length=1, description="by signal name")
 
@@ -112,7 +123,7 @@ class LogMapping(Section):
     def factor(self, signal: str) -> float:
         """Return the factor for the numbers of a channel."""
         channel = self.channels[signal]
-        wanted = known_signals()[signal].unit
+        wanted = mapped_units()[signal]
         unit = wanted if channel.unit in (None, ANY_NUMBER) else str(channel.unit)
         factor = conversion(unit, wanted)
         if factor is None:
@@ -166,11 +177,11 @@ def _load(path: Path) -> LogMapping:
 
 def _complaint(name: str, channel: ChannelMap) -> tuple[tuple[str, ...], str] | None:
     """Return key and sentence of an error in a channel, or None."""
-    known = known_signals()
+    known = mapped_units()
     if name not in known:
         hint = meant(name, known, "see 'hilserver signals' for the names")
         return (), f"there is no such signal; {hint}"
-    wanted = known[name].unit
+    wanted = known[name]
     if channel.unit == ANY_NUMBER and channel.scale is not None:
         return None
     if channel.unit is not None and conversion(channel.unit, wanted) is None:

@@ -17,6 +17,7 @@ from hilserver.measured.channels import DEMANDS, DUTY_COMMANDS, MODE, SETPOINTS,
 from hilserver.measured.data import Channel, MeasuredLog, Source, Span
 from hilserver.measured.frames import Sampling
 from hilserver.measured.mapping import LogMapping, load_mapping
+from hilserver.measured.odometry import with_wheels
 from hilserver.measured.pauses import cut_at_pauses, without_jumps
 from hilserver.measured.tables import (
     Recording,
@@ -71,7 +72,7 @@ def read_measured(
         notices=tuple(notice for recording in recordings for notice in recording.notices),
         on_ticks=any(recording.on_ticks for recording in recordings),
     )
-    pooled = without_jumps(cut_at_pauses(_pool(log, recordings)))
+    pooled = with_wheels(without_jumps(cut_at_pauses(_pool(log, recordings))), table)
     _refuse_lengths(paths[0], [span.end_s - span.start_s for span in pooled.spans])
     for path, recording in zip(paths, recordings, strict=True):
         _refuse_slow(path, recording)

@@ -26,3 +26,9 @@ SHORTEST_SEGMENT_S: Final = 0.5  # s
 FEWEST_READINGS: Final = 100  # fewer have no resolution
 STEP_EXACT: Final = 0.02  # share of a step by which readings may miss multiples: files round
 STEP_OFTEN: Final = 0.5  # different values per sample; with more, the step is far below the noise
+
+# Clocks: how late one source is behind another
+CLOCK_LEAST_S: Final = 0.06  # s: a smaller offset is a latency
+CLOCK_SLOWEST_S: Final = 0.25  # s between samples of the wheels; slower ones hide any offset
+CLOCK_FEWEST_CHUNKS: Final = 6  # stretches; fewer show no offset
+CLOCK_SURE_SD: Final = 6.0  # deviations beyond which a clock is off

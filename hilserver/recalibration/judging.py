@@ -42,6 +42,7 @@ REFINED: Final = 3  # the same for both models, or the difference would be that 
 HARMLESS: Final = frozenset({"dropouts", "limited_channel", "missed_ticks"})
 """Data faults that leave the remaining samples true: reported, but no reason to stop."""
 PROPOSABLE: Final = (Verdict.NAMED, Verdict.NAMED_GROUP)
+UNPROPOSED: Final = (Verdict.DRIFT, Verdict.EFFECTIVE)
 
 
 class Judge:
@@ -171,10 +172,13 @@ def sentence_of(findings: Sequence[Finding]) -> str:
 
 
 def steady(diagnosis: Diagnosis) -> list[FittedTerm]:
-    """Return the terms with one value for the whole window: those that drift have none."""
-    found = diagnosis.findings.findings
-    drifting = {name for f in found if f.verdict is Verdict.DRIFT for name in f.parameters}
-    return [fitted for fitted in diagnosis.evidence.extension if fitted.name not in drifting]
+    """Return the terms with a name and one value for the whole window: a drift has none.
+
+    What only acts like a cause is for an engineer to judge.
+    """
+    found = [f for f in diagnosis.findings.findings if f.verdict in UNPROPOSED]
+    barred = {name for f in found for name in f.parameters}
+    return [fitted for fitted in diagnosis.evidence.extension if fitted.name not in barred]
 
 
 def proposed(found: Iterable[FittedTerm], loaded: Values, least_change: float) -> dict[str, Term]:

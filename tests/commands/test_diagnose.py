@@ -40,6 +40,8 @@ def stages(monkeypatch, tmp_path):
     monkeypatch.setattr(pipeline, "read_measured", read)
     monkeypatch.setattr(pipeline, "diagnose", judge)
     monkeypatch.setattr(pipeline, "compare", compare)
+    monkeypatch.setattr(pipeline, "machine", lambda log, robot: robot)
+    monkeypatch.setattr(pipeline, "foretold", lambda *_: "It shows the drive.")
     monkeypatch.chdir(tmp_path)
     return asked
 
@@ -54,7 +56,8 @@ def test_several_logs_are_one_machine(stages, tmp_path, capsys):
     said = capsys.readouterr()
     assert "turns 47" in said.out
     assert "The report is out/report.html" in said.out
-    assert said.err == "", "no bar where there is no terminal"
+    # no bar where there is no terminal
+    assert said.err == "It shows the drive.\n", "before it is judged"
 
 
 def test_a_bad_log_is_one_sentence_exit_2_and_no_file(stages, tmp_path, capsys):
@@ -70,7 +73,7 @@ def test_a_signal_ends_it_at_once_with_a_sentence_and_no_file(
 ):
     monkeypatch.setattr(pipeline, "diagnose", lambda *_, **__: os.kill(os.getpid(), number))
     assert main(["diagnose", "a.csv", "-o", "out"]) == 0
-    (line,) = capsys.readouterr().err.splitlines()
+    *_, line = capsys.readouterr().err.splitlines()
     assert line == "hilserver: stopped before the diagnosis was finished: no report was written"
     assert not (tmp_path / "out").exists()
 
@@ -85,7 +88,7 @@ def test_a_signal_that_a_compiler_turns_into_an_error_of_its_own_is_a_sentence_t
 
     monkeypatch.setattr(pipeline, "diagnose", broken)
     assert main(["diagnose", "a.csv", "-o", "out"]) == 0
-    (line,) = capsys.readouterr().err.splitlines()
+    *_, line = capsys.readouterr().err.splitlines()
     assert line == "hilserver: stopped before the diagnosis was finished: no report was written"
 
 

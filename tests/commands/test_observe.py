@@ -14,7 +14,7 @@ from hilserver.measured.names import known_columns
 
 WHEELS = [f"wheel.{wheel}.speed_rpm" for wheel in ("fl", "rl", "fr", "rr")]
 FOUND = {
-    "schema": "hilserver.diagnosis/1",
+    "schema": "hilserver.diagnosis/2",
     "noise": {
         **{name: {"white_sd": 0.12} for name in WHEELS},
         "imu.gyro_z_rad_s": {"white_sd": 0.006},
@@ -104,6 +104,7 @@ def test_without_a_position_only_speeds_are_known(tmp_path, capsys):
     ("text", "words"),
     [
         ("no json", "is not JSON"),
+        ('{"schema": "hilserver.diagnosis/1"}', "run 'hilserver diagnose' again"),
         ("{}", "schema: field required"),
         (json.dumps(FOUND | {"noise": {"nav.x_m": {"white_sd": -1}}}), "noise.nav.x_m.white_sd"),
         (

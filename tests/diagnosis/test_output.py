@@ -43,7 +43,7 @@ def test_a_patch_has_no_key_of_the_second_schema():
 def test_the_findings_come_back_as_they_were(tmp_path):
     write(tmp_path, documents(Diagnosis(findings(), evidence(500))))
     data = json.loads((tmp_path / "findings.json").read_text(encoding="utf-8"))
-    assert data["schema"] == "hilserver.diagnosis/1"
+    assert data["schema"] == "hilserver.diagnosis/2"
     read = Findings.model_validate(data)
     assert findings_text(read) == (tmp_path / "findings.json").read_text(encoding="utf-8")
     for key, gain in findings().total_gain.items():

@@ -2,10 +2,12 @@
 
 The order of the questions matters: the wheels are judged by their set-points, the heading by the
 course over ground, and only then whether the remaining channels turn the same way. A base whose
-yaw runs against the measurement is a matter of sign, never of K_om.
+yaw runs against the measurement is a matter of sign, never of K_om. A heading that stands askew
+to the course is that of a rigid body whose axis is not the robot's: it is turned back by its angle.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +27,7 @@ from hilserver.diagnosis.checks.motion import (
 from hilserver.diagnosis.checks.support import data_fault, listed
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import (
+    AXIS_SURE,
     FEWEST_PIECES,
     LARGEST_SKEW_RAD,
     SIGN_AHEAD,
@@ -36,6 +39,7 @@ from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
 from hilserver.plant.parameters import RobotParameters
 
+SIDES = (LEFT_WHEELS, RIGHT_WHEELS)
 MIRROR = dict(zip(WHEELS, RIGHT_WHEELS + LEFT_WHEELS, strict=True))
 Found = tuple[MeasuredLog, list[Finding]]
 
@@ -43,7 +47,7 @@ Found = tuple[MeasuredLog, list[Finding]]
 def find(log: MeasuredLog, robot: RobotParameters) -> Found:
     """Find wrong signs and swapped sides, and correct them."""
     findings: list[Finding] = []
-    for judge in (_wheels_by_setpoints, _frame, _wheels_by_navigation, _turning):
+    for judge in (_wheels_by_setpoints, _frame, _axis, _wheels_by_navigation, _turning):
         log, found = judge(log, robot)
         findings += found
     return log, findings
@@ -130,7 +134,16 @@ def _one_weight(y: Array, x: Array, size: Array) -> tuple[float, float] | None:
     return (found.slope, 0.0) if mirrored < 0 else None
 
 
-def _course(log: MeasuredLog, robot: RobotParameters) -> tuple[Array, Array, Array] | None:
+class _Course(NamedTuple):
+    """Motion of the tag in the windows in which course and heading belong together."""
+
+    course: Array  # over ground [rad]
+    yaw: Array  # [rad]
+    speed: Array  # [m/s]
+    rolled: Array  # speed forward by the wheels, up to a factor; NaN without them
+
+
+def _course(log: MeasuredLog, robot: RobotParameters) -> _Course | None:
     """Return course over ground, heading and speed in each window where they belong together."""
     moved, windows = _moved(log), windows_of(log)
     lateral = (
@@ -142,8 +155,15 @@ def _course(log: MeasuredLog, robot: RobotParameters) -> tuple[Array, Array, Arr
     good = finite(dx, dy, cosine) & (np.hypot(dx, dy) > 0.1)
     good &= robot.wheel_radius_m * np.abs(lateral) * dt < SIGN_AHEAD * np.hypot(dx, dy)
     good &= np.hypot(cosine, sine) > 0.9  # did not turn much in the window
+
+    rolled = np.full(len(windows), np.nan)
+    left, right = (side_mean(log, side, "speed_rpm", windows) for side in SIDES)
+    if left is not None and right is not None:
+        rolled = left - right
+
     course = np.arctan2(dy, dx)[good]
-    return course, np.arctan2(sine, cosine)[good], (np.hypot(dx, dy) / dt)[good]
+    yaw = np.arctan2(sine, cosine)[good]
+    return _Course(course, yaw, (np.hypot(dx, dy) / dt)[good], rolled[good])
 
 
 def _moved(log: MeasuredLog) -> tuple[Array, Array, Array, Array, Array] | None:
@@ -165,9 +185,9 @@ def _frame(log: MeasuredLog, robot: RobotParameters) -> Found:
     The angles are doubled, so that driving backwards counts the same.
     """
     found = _course(log, robot)
-    if found is None or len(found[0]) < FEWEST_PIECES:
+    if found is None or len(found.course) < FEWEST_PIECES:
         return log, []
-    course, yaw, speed = found
+    course, yaw, speed, _ = found
     alike = _resultant(2.0 * (course - yaw), speed)
     mirrored = _resultant(2.0 * (course + yaw), speed)
     if mirrored < SIGN_SURE or mirrored < alike + 0.3:
@@ -180,6 +200,39 @@ def _frame(log: MeasuredLog, robot: RobotParameters) -> Found:
         return _flipped(log, [NAV_Y], mirrored, text)
     text = "the heading turns opposite to the course over ground"
     return _flipped(log, [YAW], mirrored, text)
+
+
+def _axis(log: MeasuredLog, robot: RobotParameters) -> Found:
+    """Turn back the heading of a rigid body whose axis is not the robot's.
+
+    Small angles are left to the fit; a body that looks backward, to the wheels' own check.
+    """
+    found = _course(log, robot)
+    if found is None or len(found.course) < FEWEST_PIECES:
+        return log, []
+    off = found.yaw - found.course + np.where(found.rolled < 0.0, np.pi, 0.0)
+    toward = np.exp(1j * off)
+
+    # the mean is where most are; the median of what is left of it is moved by no wild one
+    mean = float(np.angle((found.speed * toward).sum()))
+    away = np.angle(toward * np.exp(-1j * mean))
+    askew_rad = float(np.angle(np.exp(1j * (mean + np.median(away)))))
+    spread = np.abs(away - np.median(away))
+    of_axis = abs(np.sin(askew_rad)) > np.sin(LARGEST_SKEW_RAD)
+    if not of_axis or _resultant(off, found.speed) < AXIS_SURE:
+        return log, []
+
+    half = 1.96 * 1.4826 * float(np.median(spread)) / np.sqrt(len(spread))
+    yaw = log[YAW]
+    turned_back = np.angle(np.exp(1j * (yaw.values - askew_rad)))
+    text = (
+        f"The heading stands askew to the course by {np.degrees(askew_rad):.1f} degrees: the axis"
+        " of the tracked rigid body is not that of the robot. The heading was turned back; turn"
+        " the body's frame in the tracking system."
+    )
+    interval = (askew_rad - half, askew_rad + half)
+    finding = data_fault("nav_frame_yaw", [YAW], askew_rad, interval, "rad", text)
+    return log.with_channels({YAW: yaw.with_values(turned_back)}), [finding]
 
 
 def _resultant(angle: Array, weight: Array) -> float:
@@ -204,8 +257,8 @@ def _wheels_by_navigation(log: MeasuredLog, robot: RobotParameters) -> Found:
     kinds = [k for k in ("speed_rpm", "setpoint_rpm", "duty_pct") if f"wheel.fl.{k}" in log]
     if found is None or not kinds:
         return log, []
-    windows, sides = windows_of(log), (LEFT_WHEELS, RIGHT_WHEELS)
-    own = sides if robot.is_mecanum else [(w,) for w in WHEELS if f"wheel.{w}.{kinds[0]}" in log]
+    windows = windows_of(log)
+    own = SIDES if robot.is_mecanum else [(w,) for w in WHEELS if f"wheel.{w}.{kinds[0]}" in log]
     signs: dict[tuple[str, ...], tuple[float, float]] = {}
     for wheels in own:
         w = side_mean(log, wheels, kinds[0], windows)
@@ -231,9 +284,9 @@ def _wheels_by_navigation(log: MeasuredLog, robot: RobotParameters) -> Found:
 def _is_aligned(log: MeasuredLog, robot: RobotParameters) -> bool:
     """Return whether the heading lies along the course, forward or backward."""
     found = _course(log, robot)
-    if found is None or len(found[0]) < FEWEST_PIECES:
+    if found is None or len(found.course) < FEWEST_PIECES:
         return False
-    course, yaw, speed = found
+    course, yaw, speed, _ = found
     return bool(abs(np.angle((speed * np.exp(2j * (course - yaw))).sum())) < 2.0 * LARGEST_SKEW_RAD)
 
 

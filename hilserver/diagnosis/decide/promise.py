@@ -3,11 +3,12 @@
 from typing import Final
 
 import numpy as np
+from scipy import stats
 
 from hilserver.diagnosis.regression.gain import HORIZON_S, Pair, crossed, errors, held_out
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.schema.decisions import Action, Decision
-from hilserver.diagnosis.thresholds import NEGLIGIBLE
+from hilserver.diagnosis.thresholds import EFFECTIVE_LEVEL, NEGLIGIBLE
 
 CLEARLY_SE: Final = 2.0
 """Standard errors over the blocks beyond which an error has clearly grown (specification)."""
@@ -45,6 +46,11 @@ class Step:
         """Whether a reported error falls clearly."""
         return any(_grows(Pair(p.after, p.before, p.horizon_s)) for p in self._pairs.values())
 
+    @property
+    def earns(self) -> bool:
+        """Whether a reported error falls, as `effective` items must."""
+        return any(map(falls, self._pairs.values()))
+
 
 def left_out(
     problem: Problem, before: Point, after: Point, action: Action, reason: str
@@ -55,11 +61,18 @@ def left_out(
     return [Decision(cause, action, gain, reason) for cause in gone]
 
 
-def _grows(pair: Pair) -> bool:
+def falls(pair: Pair) -> bool:
+    """Return whether an error falls by more than chance, on a paired t test over the blocks."""
+    blocks = len(np.unique(pair.before.block))
+    clear_se = float(stats.t.isf(EFFECTIVE_LEVEL, max(blocks - 1, 1)))
+    return _grows(Pair(pair.after, pair.before, pair.horizon_s), clear_se)
+
+
+def _grows(pair: Pair, clear_se: float = CLEARLY_SE) -> bool:
     more = pair.after.values - pair.before.values
     block = pair.before.block
     count = np.bincount(block)
     of_block = np.bincount(block, weights=more)[count > 0]
     scatter = of_block - count[count > 0] * more.mean()
-    clear = more.sum() > CLEARLY_SE * float(np.sqrt((scatter**2).sum()))
+    clear = more.sum() > clear_se * float(np.sqrt((scatter**2).sum()))
     return bool(clear and more.mean() > NEGLIGIBLE * pair.before.values.mean())

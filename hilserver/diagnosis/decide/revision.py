@@ -9,6 +9,7 @@ import numpy as np
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.decide.anchors import Anchor, anchor_off, scale_or_anchor
 from hilserver.diagnosis.decide.drift import changing_alike, with_drift
+from hilserver.diagnosis.decide.effective import with_effective
 from hilserver.diagnosis.decide.identifiability import Rival, prune, with_best_rivals
 from hilserver.diagnosis.decide.predicting import before_settling, halfway, with_nameless
 from hilserver.diagnosis.decide.promise import Step, left_out
@@ -43,7 +44,7 @@ class Judged:
 
     prepared: Prepared
     selected: Selected
-    point: Point  # the causes that have a name
+    point: Point  # what a patch can hold: causes with a name, and effective items
     whole: Point
     """What predicts: these, and columns of causes that proved right but lost their names."""
     ties: Mapping[str, list[Rival]]
@@ -54,6 +55,7 @@ class Judged:
     anchor: tuple[Anchor, float] | None = None  # an anchor that is off, and its p
     in_doubt: Anchor | None = None
     """An anchor that could replace an accepted scale of the navigation."""
+    effective: frozenset[str] = frozenset()  # items of `point` that assert no cause
 
     @property
     def lasting(self) -> Model:
@@ -96,13 +98,16 @@ def revised(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     }
     scores = p.library.scores(p.base)
     whole = before_settling(problem, point, (weighed, selected.point), rows)
+    effective: frozenset[str] = frozenset()
     if not drift:
         whole = with_nameless(p, whole, rows)
-    named = halfway(problem, point)
-    whole = named if whole is point else halfway(problem, whole)
+        point, effective = with_effective(p, point, whole, rng, rows)
+    patched = halfway(problem, point)
+    whole = patched if whole is point else halfway(problem, whole)
     return Judged(
-        p, selected, named, whole, kept, unknown, drift, scores, scrubbed, anchor, in_doubt
-    )
+        p, selected, patched, whole, kept, unknown, drift, scores, scrubbed, anchor, in_doubt,
+        effective,
+    )  # fmt: skip
 
 
 def _remaining(

@@ -89,6 +89,9 @@ def explain_finding(finding: Finding) -> str:
     if not finding.causes:
         return "The simulation deviates from the measurement, but no cause can be named."
     text = explain(finding.causes, finding.parameters)
+    if finding.verdict is Verdict.EFFECTIVE:
+        alike = _lower(text.rstrip("."))
+        return f"It acts as if this were so: {alike}; what is behind it, these data do not tell."
     if finding.verdict is Verdict.DRIFT:
         return f"Not constant over the recording: {_lower(text)}"
     return text

@@ -5,20 +5,24 @@ chosen causes for what is chance there.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from hilserver.arrays import Array
+from hilserver.diagnosis.decide.effective import has_one_size, same_sign
 from hilserver.diagnosis.decide.predicting import halfway
+from hilserver.diagnosis.decide.promise import falls
 from hilserver.diagnosis.decide.revision import Judged, revised
 from hilserver.diagnosis.decide.selection import select
 from hilserver.diagnosis.findings.estimate import estimate_of
 from hilserver.diagnosis.findings.outcome import named_findings
 from hilserver.diagnosis.findings.worth import Answer, Explained, Part, Predictions
 from hilserver.diagnosis.regression.fitting import fit_without
-from hilserver.diagnosis.regression.gain import of_halves
+from hilserver.diagnosis.regression.gain import HORIZON_S, of_halves
 from hilserver.diagnosis.regression.stages import without
-from hilserver.diagnosis.replay.model import Model
+from hilserver.diagnosis.replay.model import Fitted, Model
+from hilserver.diagnosis.schema.decisions import Decision
 from hilserver.diagnosis.schema.findings import Finding
 
 Halves = Sequence[Judged | None]
@@ -28,16 +32,65 @@ Halves = Sequence[Judged | None]
 def answers_of(judged: Mapping[str, Judged], seed: int, jobs: int) -> list[Answer]:
     """Return the answer of each stage of one member."""
     halves, answers = judged_by_halves(judged, seed, jobs), []
-    for name, j in judged.items():
-        mine, problem = halves.get(name, ()), j.prepared.problem
-        before = problem.point(Model(), j.point.poses).predicted
-        whole = named = cross_validated(j, mine, before)
-        if any(half is not None and half.whole is not half.point for half in mine):
-            named = cross_validated(j, mine, before, named=True)
+    for name, one in judged.items():
+        mine, problem = halves.get(name, ()), one.prepared.problem
+        before = problem.point(Model(), one.point.poses).predicted
+        j = confirmed(one, mine, before)
+        whole = patched = cross_validated(j, mine, before)
+        found = [half for half in mine if half is not None]
+        if any(half.whole is not half.point or half.effective for half in found):
+            patched = cross_validated(j, mine, before, patched=True)
         estimate = estimate_of(problem, j.point)
-        found = tuple(in_halves(finding, mine) for finding in named_findings(j))
-        answers.append(Answer(whole, named, j.point.model, found, estimate))
+        findings = tuple(in_halves(finding, mine) for finding in named_findings(j))
+        answers.append(Answer(whole, patched, j.point.model, findings, estimate))
     return answers
+
+
+def confirmed(j: Judged, halves: Halves, configured: Array) -> Judged:
+    """Return a stage with those effective items that each half finds and both together confirm.
+
+    The others stay in what predicts, without a claim.
+    """
+    if not j.effective:
+        return j
+    problem = j.prepared.problem
+    whole = cross_validated(j, halves, configured)
+    gone: list[int] = []
+    for index, f in enumerate(j.point.model.fitted):
+        cause = f.candidate.cause
+        why = None
+        if cause not in j.effective:
+            continue
+        if not _is_found(f, halves):
+            why = "one half of the log does not find it"
+        elif not has_one_size(problem, j.point, index):
+            why = "its size changes along the log"
+        elif not _gains(index, whole):
+            why = "it gains nothing where it was not fitted"
+        if why is not None:
+            gone.append(index)
+            j.selected.rows.append(Decision(cause, "dropped", None, f"no claim: {why}"))
+    if not gone:
+        return j
+    point = fit_without(problem, j.point, *gone)
+    return replace(j, point=point, effective=j.effective & {*point.model.causes})
+
+
+def _is_found(f: Fitted, halves: Halves) -> bool:
+    """Return whether each half of the log finds an item, with the same sign."""
+    found = []
+    for half in halves:
+        theirs = half.whole.model if half is not None else Model()
+        found += [other for other in theirs.fitted if other.candidate.cause == f.candidate.cause]
+    return bool(found) and len(found) == len(halves) and same_sign((f, *found))
+
+
+def _gains(index: int, whole: Explained) -> bool:
+    """Return whether an item makes predictions better where it had no part in selection and fit."""
+    (without,) = whole.without(frozenset({index}))
+    (part,) = whole.parts
+    pairs = part.errors(without, HORIZON_S)
+    return any(map(falls, pairs.values()))
 
 
 def in_halves(finding: Finding, halves: Halves) -> Finding:
@@ -71,7 +124,7 @@ def judged_by_halves(judged: Mapping[str, Judged], seed: int, jobs: int) -> dict
 
 
 def cross_validated(
-    j: Judged, halves: Halves, configured: Array, *, named: bool = False
+    j: Judged, halves: Halves, configured: Array, *, patched: bool = False
 ) -> Explained:
     """Return what the causes of a stage explain of blocks that had no part in choosing them.
 
@@ -79,8 +132,8 @@ def cross_validated(
     ----------
     configured : ndarray, shape (n,)
         What the configured plant predicts.
-    named : bool
-        Only the causes that have a name, fitted without the others.
+    patched : bool
+        Only what the patch holds that each half forms by itself.
     """
     problem, poses = j.prepared.problem, j.point.poses
     names = [
@@ -88,9 +141,20 @@ def cross_validated(
         for f in j.point.model.fitted
     ]
 
+    def of_half(half: Judged | None, barred: set[str]) -> Model:
+        if half is None:
+            return Model()
+        point, gone = half.whole, barred
+        if patched:  # nobody gets what only one half takes for effective
+            point, gone = half.point, barred | (half.effective - {*j.point.model.causes})
+        left = [i for i, cause in enumerate(point.model.causes) if cause in gone]
+        if not left:
+            return point.model
+        own = half.prepared.problem
+        return halfway(own, fit_without(own, point, *left)).model
+
     def by_halves(barred: set[str]) -> list[Model]:
-        both = halves or (None, None)
-        return [Model() if half is None else _model(half, barred, named) for half in both]
+        return [of_half(half, barred) for half in halves or (None, None)]
 
     def predicted(models: Sequence[Model]) -> Array:
         each = [
@@ -106,13 +170,3 @@ def cross_validated(
     of_log = [model.without(*model.of_the_machine) for model in found]
     part = Part("", j, configured, predicted(of_log), predicted(found))
     return Explained((part,), without_some)
-
-
-def _model(half: Judged, barred: set[str], named: bool) -> Model:
-    """Return what a half found, refitted without some causes."""
-    point = half.point if named else half.whole
-    gone = [i for i, cause in enumerate(point.model.causes) if cause in barred]
-    if not gone:
-        return point.model
-    problem = half.prepared.problem
-    return halfway(problem, fit_without(problem, point, *gone)).model

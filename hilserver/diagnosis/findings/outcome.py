@@ -82,7 +82,7 @@ def _wave(f: Fitted, shown: Array) -> dict[str, Parameter]:
 
 
 def named_findings(j: Judged) -> tuple[Finding, ...]:
-    """Return one finding for every accepted cause, in its group; plausible ones come first."""
+    """Return one finding for every item of a patch, in its group; plausible ones come first."""
     problem, point = j.prepared.problem, j.point
     if not point.model.fitted:
         return ()
@@ -91,6 +91,9 @@ def named_findings(j: Judged) -> tuple[Finding, ...]:
     for i, f in enumerate(point.model.fitted):
         cause = f.candidate.cause
         values = dict(own[i])
+        if cause in j.effective:
+            found.append(effective(cause, values, chance(j, cause)))
+            continue
         causes, behind = [cause], {cause} if implausible(f) else set()
         for rival in j.ties.get(cause, ()):
             if rival.candidate.cause in causes:
@@ -158,6 +161,11 @@ def fitted_finding(
     verdict = Verdict.DRIFT if drifts else alone if one else Verdict.NAMED_GROUP
     experiment = None if one else separating_experiment(causes)
     return _finding(verdict, causes, block, p, parameters=values, separating_experiment=experiment)
+
+
+def effective(cause: str, values: dict[str, Parameter], p: float) -> Finding:
+    """Return the finding of an item that acts like a cause."""
+    return _finding(Verdict.EFFECTIVE, (cause,), CAUSES[cause].block, p, parameters=values)
 
 
 def _finding(

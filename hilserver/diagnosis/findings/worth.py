@@ -88,12 +88,20 @@ def _ratio(before: float, after: float) -> float:
 class Answer:
     """The answer of one stage of all members."""
 
-    # with all causes, and with the named ones alone: a patch has no others
+    # with all that predicts, and with what a patch holds alone
     explained: Explained
-    named: Explained
-    model: Model  # the causes with a name
+    patch: Explained
+    model: Model  # what a patch holds
     findings: tuple[Finding, ...]  # one per cause, in the order of the model
     estimate: Estimate  # all parameters of the model
+
+    def possible(self, horizon_s: float, rng: np.random.Generator) -> dict[str, Gain]:
+        """Return what predicts without any claim adds to the patch, by quantity that it changes."""
+        if self.explained is self.patch:
+            return {}
+        patched = tuple(part.after for part in self.patch.parts)
+        beside = self.explained.gains(horizon_s, rng, patched)
+        return {key: gain for key, gain in beside.items() if gain.before != gain.after}
 
     def with_worth(
         self, horizon_s: float, rng: np.random.Generator, total: dict[str, Gain] | None = None

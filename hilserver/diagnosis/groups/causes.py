@@ -63,6 +63,8 @@ def _of(j: Judged, groups: int) -> list[Cause]:
     out = []
     for f in j.point.model.fitted:
         cause = f.candidate.cause
+        if cause in j.effective:
+            continue  # it asserts nothing that another group could share
         rivals = {
             r.candidate.cause: r.fitted for r in j.ties.get(cause, ()) if r.candidate.cause != cause
         }

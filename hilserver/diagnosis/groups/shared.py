@@ -72,10 +72,10 @@ def gains_in_groups(
     total: dict[str, Gain] = {}
     by_group: dict[str, dict[str, Gain]] = {}
     for answer in answers:
-        for part in answer.explained.parts:
-            own = pooled_gains([part.errors(part.before, horizon_s)], rng)
+        for part in answer.patch.parts:
+            own = pooled_gains([part.errors(part.corrected, horizon_s)], rng)
             by_group[part.member] = by_group.get(part.member, {}) | own
-        total |= answer.explained.gains(horizon_s, rng)
+        total |= answer.patch.gains(horizon_s, rng, answer.patch.corrected)
     return total, by_group
 
 

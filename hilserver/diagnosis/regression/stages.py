@@ -4,10 +4,12 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Final
 
 import numpy as np
 
 from hilserver.arrays import Array, Columns
+from hilserver.diagnosis.catalogue.traits import Need
 from hilserver.diagnosis.catalogue.vocabulary import SPEED_STEP
 from hilserver.diagnosis.checks.comb import coarse_step
 from hilserver.diagnosis.progress import Report
@@ -15,7 +17,13 @@ from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.encoders import as_turned, driven
-from hilserver.diagnosis.replay.judgeable import LOST_SETPOINTS, judged_candidates, splits
+from hilserver.diagnosis.replay.judgeable import (
+    HOLDS,
+    LOST_SETPOINTS,
+    absent,
+    judged_candidates,
+    splits,
+)
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.replay.stage import Stage
@@ -23,6 +31,9 @@ from hilserver.diagnosis.thresholds import BLOCK_S, HALF, SAME
 from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
+
+SHOWN: Final = {Need.POSITION: "position", Need.YAW: "heading", Need.GYRO: "turn rate"}
+"""What shows the motion of a robot."""
 
 
 @dataclass
@@ -67,6 +78,33 @@ def stages_of(
         turned, block_s = as_turned(log, robot, drive_terms), block_length(total_s, 3.0, 5.0, 72)
         stages[PoseStage.name] = PoseStage(turned, robot, known, block_s=block_s, jobs=jobs)
     return stages
+
+
+def foretold(log: MeasuredLog, robot: RobotParameters) -> str:
+    """Return in one line what can be judged with the channels of a log, and what cannot."""
+    missing = absent(log)
+    known = log.drive_is_known
+    can: list[str] = []
+    cannot: list[str] = []
+
+    if known and DriveStage.judges(log):
+        can.append("the drive")
+    else:
+        cannot.append(f"the drive ({missing['drive']})")
+
+    if PoseStage.judges(log, robot, driven=known and DriveStage.replays(log)):
+        there: list[str] = []
+        for need, words in SHOWN.items():
+            if HOLDS[need](log):
+                there.append(words)
+            else:
+                cannot.append(f"its {words} ({need})")
+        can.append(f"the motion by {', '.join(there)}")
+    else:
+        cannot.append(f"the motion ({missing['pose']})")
+
+    yes = f"This log shows {' and '.join(can)}" if can else "This log shows nothing to judge"
+    return f"{yes}; not judged: {', '.join(cannot)}." if cannot else f"{yes}."
 
 
 def prepare_all(

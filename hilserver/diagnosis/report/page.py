@@ -53,7 +53,7 @@ def render(findings: Findings, evidence: Evidence) -> str:
             headline=words.headline(findings),
             best=words.best(gains),
             held_out=words.held_out(findings),
-            understated=words.understated(findings) if findings.patch_gain else "",
+            understated=words.understated(findings) if findings.total_gain else "",
             changed=[g for g in gains if not words.is_unchanged(g.gain)],
             unchanged=[g for g in gains if words.is_unchanged(g.gain)],
             causes=[f for f in findings.findings if f.verdict is not Verdict.DATA_FAULT],

@@ -28,7 +28,7 @@ def summary(findings: Findings) -> str:
         for g in words.gains(findings)
         if not words.is_unchanged(g.gain)
     ]
-    if findings.patch_gain and (text := words.understated(findings)):
+    if findings.total_gain and (text := words.understated(findings)):
         lines.append(f"  {text}")
     if findings.verdict is Overall.NOTHING_FOUND and findings.smallest_detectable:
         lines.append("  The report shows how large an effect must be to be detected.")

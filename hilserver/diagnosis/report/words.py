@@ -22,6 +22,7 @@ from hilserver.diagnosis.schema.findings import (
 BADGES = {
     Verdict.NAMED: "Cause found",
     Verdict.NAMED_GROUP: "One of several causes",
+    Verdict.EFFECTIVE: "Acts like",
     Verdict.STRUCTURE_NOT_IN_LIBRARY: "No known cause",
     Verdict.DRIFT: "Changes over time",
     Verdict.INSUFFICIENT_EXCITATION: "Too little motion to tell",
@@ -36,6 +37,10 @@ MOST_TIMES = 1000
 """Largest factor of an error that is shown; beyond it, the error before or after is almost zero."""
 FREE_RUNS = ("position_m", "yaw_rad")
 """Quantities whose error is taken at the end of a free run; for the others it is the mean."""
+BEHIND = (
+    "The patch contains it, and the robot needs no change for that. Another cause may be behind it:"
+    " 'hilserver plan' finds the manoeuvre that shows more."
+)
 COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
 
 
@@ -157,14 +162,11 @@ class Change:
 
 
 def gains(findings: Findings) -> list[Gained]:
-    """Return the gain of every quantity with the patch: first position, last what sensors show.
-
-    What predicts without a name is in no patch, and nobody gets its gain.
-    """
+    """Return the gain of every quantity with the patch: first position, last what sensors show."""
     order = list(QUANTITIES)
     return [
         Gained(*QUANTITIES[key], when(key, gain), gain, findings.ceiling.get(key))
-        for key, gain in sorted(findings.patch_gain.items(), key=lambda item: order.index(item[0]))
+        for key, gain in sorted(findings.total_gain.items(), key=lambda item: order.index(item[0]))
     ]
 
 
@@ -249,6 +251,8 @@ def steps(findings: Findings) -> list[Step]:
             items.append(Step(_label(item, "Find out which"), item.separating_experiment))
         elif item.verdict is Verdict.STRUCTURE_NOT_IN_LIBRARY:
             items.append(Step(_label(item, "Find the cause"), signals=tuple(item.regressors)))
+        elif item.verdict is Verdict.EFFECTIVE:
+            items.append(Step(_label(item, "Find out what is behind it"), BEHIND))
         elif item.verdict is not Verdict.NO_DIFFERENCE:
             is_patched = findings.model_patch is not None
             items += [

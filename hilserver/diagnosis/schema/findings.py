@@ -9,16 +9,21 @@ from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler
 
 from hilserver.diagnosis.schema.decisions import Decision
 
-SCHEMA: Final = "hilserver.diagnosis/1"
+SCHEMA: Final = "hilserver.diagnosis/2"
 ON_OTHER_LOGS: Final = "the gain was measured on other logs: "
 """Beginning of the notice that says where the total gain comes from."""
 
 
 class Verdict(StrEnum):
-    """What a finding is; each has exactly one."""
+    """What a finding is; each has exactly one.
+
+    The first three are the rungs of a ladder, with `STRUCTURE_NOT_IN_LIBRARY` below them: what is
+    asserted of a cause differs, what predicts does not.
+    """
 
     NAMED = "named"
     NAMED_GROUP = "named_group"
+    EFFECTIVE = "effective"
     STRUCTURE_NOT_IN_LIBRARY = "structure_not_in_library"
     DRIFT = "drift"
     INSUFFICIENT_EXCITATION = "insufficient_excitation"
@@ -177,9 +182,19 @@ class GroupOfLogs(_Model):
 
 
 class Findings(_Model):
-    """``findings.json``."""
+    """``findings.json``.
 
-    schema_: Literal["hilserver.diagnosis/1"] = Field(default=SCHEMA, alias="schema")
+    Attributes
+    ----------
+    total_gain : dict of str to Gain
+        Of the patch that each half of the log forms by itself, on the other half.
+    patch_gain : dict of str to Gain
+        The same, for readers of version 1.
+    possible_gain : dict of str to Gain
+        What items without any claim would add to it; no patch holds them.
+    """
+
+    schema_: Literal["hilserver.diagnosis/2"] = Field(default=SCHEMA, alias="schema")
     verdict: Overall
     logs: tuple[LogFile, ...]
     seed: int
@@ -190,6 +205,7 @@ class Findings(_Model):
     findings: tuple[Finding, ...] = ()
     total_gain: dict[str, Gain] = Field(default_factory=dict)
     patch_gain: dict[str, Gain] = Field(default_factory=dict)
+    possible_gain: dict[str, Gain] = Field(default_factory=dict)
     ceiling: dict[str, float] = Field(default_factory=dict)
     joint: Joint | None = None
     noise: dict[str, Noise] = Field(default_factory=dict)

@@ -20,6 +20,8 @@ from hilserver.diagnosis.checks import (
     units,
 )
 from hilserver.diagnosis.checks.motion import Line
+from hilserver.measured import lag as late
+from hilserver.measured import thresholds as of_files
 from hilserver.measured.channels import GYRO, SETPOINTS, SPEEDS
 from hilserver.measured.data import Channel
 from tests.diagnosis.checks.samples import ROBOT, log_of
@@ -114,7 +116,7 @@ def blocked_way(way_m):
 
 
 def lag(offset_s=0.0, offset_sd_s=1e-4, drift=0.0, drift_sd=1e-9):
-    return clocks.Lag(offset_s, offset_sd_s, drift, drift_sd, 300.0, 600.0)
+    return late.Lag(offset_s, offset_sd_s, drift, drift_sd, 300.0, 600.0)
 
 
 def one_drifting_clock(sd):
@@ -125,7 +127,7 @@ def one_drifting_clock(sd):
 
 def clock_line(chunks):
     n = round(chunks)
-    return clocks._line_through(np.arange(n) * 30.0, np.full(n, 0.2), 600.0) is not None
+    return late._line_through(np.arange(n) * 30.0, np.full(n, 0.2), 600.0, 0.06) is not None
 
 
 def factor_known(ratio=1e3, correlation=0.99):
@@ -177,15 +179,16 @@ def combed(samples):
         ),
         pytest.param(spell, at.BLOCKED_FEWEST, at.BLOCKED_FEWEST - 1, id="BLOCKED_FEWEST"),
         pytest.param(
-            lambda s: lag(s).is_off, MORE * at.CLOCK_LEAST_S, LESS * at.CLOCK_LEAST_S,
+            lambda s: lag(s).is_off, MORE * of_files.CLOCK_LEAST_S, LESS * of_files.CLOCK_LEAST_S,
             id="CLOCK_LEAST_S",
         ),
         pytest.param(
-            lambda sd: lag(-0.1 * sd, 0.1).is_early, MORE * at.OUTLIER_SD, LESS * at.OUTLIER_SD,
-            id="OUTLIER_SD",
+            lambda sd: lag(-0.1 * sd, 0.1).is_early,
+            MORE * of_files.CLOCK_SURE_SD, LESS * of_files.CLOCK_SURE_SD,
+            id="CLOCK_SURE_SD",
         ),
         pytest.param(
-            clock_line, at.CLOCK_FEWEST_CHUNKS, at.CLOCK_FEWEST_CHUNKS - 1,
+            clock_line, of_files.CLOCK_FEWEST_CHUNKS, of_files.CLOCK_FEWEST_CHUNKS - 1,
             id="CLOCK_FEWEST_CHUNKS",
         ),
         pytest.param(
@@ -212,5 +215,5 @@ def test_a_check_decides_at_its_number(decides, holds, fails):
 
 def test_two_drifts_of_one_clock_agree_unless_clearly_apart():
     """What 11 stretches of a position say of a drift is off by four deviations now and then."""
-    assert one_drifting_clock(LESS * at.OUTLIER_SD)
-    assert not one_drifting_clock(MORE * at.OUTLIER_SD)
+    assert one_drifting_clock(LESS * of_files.CLOCK_SURE_SD)
+    assert not one_drifting_clock(MORE * of_files.CLOCK_SURE_SD)

@@ -76,7 +76,7 @@ NULL = {
         7, sent_hz=12.5, lag_s=2e-3
     ),
     "set-points sent at 5 Hz, slow wheels": lambda rng, t, c: drive(8, sent_hz=5.0, lag_s=0.2),
-    "tag looks left": lambda rng, t, c: (t, {**c, NAV[2]: wrapped(c[NAV[2]] + 1.5)}),
+    "tag looks a little left": lambda rng, t, c: (t, {**c, NAV[2]: wrapped(c[NAV[2]] + 0.2)}),
     "late tag": lambda rng, t, c: (
         t,
         {n: late(v, 10) if n in NAV[:2] else v for n, v in c.items()},

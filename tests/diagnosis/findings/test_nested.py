@@ -125,7 +125,7 @@ def test_a_column_without_a_name_predicts_and_is_in_no_patch():
     less = fit(problem, j.point.model.without(0), j.point)
     nameless = replace(j, point=less, whole=j.point)
     whole = cross_validated(nameless, (nameless, nameless), base)
-    patch = cross_validated(nameless, (nameless, nameless), base, named=True)
+    patch = cross_validated(nameless, (nameless, nameless), base, patched=True)
     assert np.allclose(whole.parts[0].after, j.point.predicted)
     assert np.allclose(patch.parts[0].after, less.predicted)
     assert whole.gains(5.0, np.random.default_rng(0))["speed_rpm"].ratio > 1.5

@@ -4,14 +4,44 @@ import random
 
 import hypothesis
 import hypothesis.strategies as st
+import pytest
 
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
+from hilserver.diagnosis.regression.stages import foretold
 from hilserver.diagnosis.replay.judgeable import (
     NO_STAGE,
     UNSEEN,
     WITHOUT_CANDIDATE,
     vocabulary_reasons,
 )
+from tests.diagnosis.checks.samples import ROBOT, drive, log_of
+
+
+@pytest.mark.parametrize(
+    ("lacks", "line"),
+    [
+        ((), "This log shows the drive and the motion by position, heading, turn rate."),
+        (
+            ("setpoint",),
+            "This log shows the motion by position, heading, turn rate; not judged: the drive (no"
+            " set-points in the log).",
+        ),
+        (
+            ("nav.yaw", "imu."),
+            "This log shows the drive and the motion by position; not judged: its heading (no"
+            " navigation yaw in the log), its turn rate (no turn rate in the log).",
+        ),
+        (
+            ("wheel.",),
+            "This log shows nothing to judge; not judged: the drive (no set-points in the log, no"
+            " wheel speed in the log), the motion (no wheel speed on both sides).",
+        ),
+    ],
+)
+def test_a_line_says_beforehand_what_a_log_can_show(lacks, line):
+    t, columns = drive(length_s=20.0)
+    kept = {name: v for name, v in columns.items() if not any(part in name for part in lacks)}
+    assert foretold(log_of(t, kept), ROBOT) == line
 
 
 @hypothesis.given(st.integers(0, 10**6), st.sets(st.sampled_from(sorted(CAUSES))))

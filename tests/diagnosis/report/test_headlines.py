@@ -4,9 +4,9 @@ import pytest
 
 from hilserver.diagnosis.report import render
 from hilserver.diagnosis.report.summary import summary
-from hilserver.diagnosis.report.words import headline
+from hilserver.diagnosis.report.words import headline, steps
 from hilserver.diagnosis.schema.evidence import Evidence
-from hilserver.diagnosis.schema.findings import Finding, NotJudged
+from hilserver.diagnosis.schema.findings import Finding, NotJudged, Verdict
 from tests.diagnosis.sample import findings, nothing_found
 
 FAULT = findings().findings[3]
@@ -77,3 +77,13 @@ def test_faults_of_two_sets_are_no_difference():
 def test_a_patch_is_advised_where_there_is_one(name):
     page = render(findings(findings=(CAUSE,), model_patch=name), Evidence())
     assert ("apply the patch" in page) == (name is not None)
+
+
+def test_what_only_acts_like_a_cause_is_said_so():
+    """It asserts nothing about the robot, so it asks for no repair."""
+    one = CAUSE.model_copy(update={"verdict": Verdict.EFFECTIVE, "explanation": ""})
+    found = findings(findings=(one,))
+    assert headline(found).startswith("It acts as if this were so: the robot turns 47")
+    assert "what is behind it, these data do not tell" in headline(found)
+    (step,) = steps(found)
+    assert "no change" in step.text

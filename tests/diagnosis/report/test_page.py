@@ -163,7 +163,7 @@ def test_a_size_that_nothing_can_have_is_not_shown():
 
 
 def test_an_error_that_grows_is_called_larger():
-    worse = findings(patch_gain={"speed_rpm": gain(1.0, 2.0, 0.4, 0.8)})
+    worse = findings(total_gain={"speed_rpm": gain(1.0, 2.0, 0.4, 0.8)})
     page = render(worse, Evidence())
     assert "2&times; <small>worse, 1.2 to 2.5</small>" in page
     assert str(Change.of(gain(1.0, 2.0, 0.4, 0.8))) == "2 times larger, 95\u00a0% 1.2 to 2.5"
@@ -197,7 +197,7 @@ def test_every_cell_says_its_column_for_a_phone(page):
 
 
 def test_an_error_that_stays_is_not_called_better():
-    stays = findings(patch_gain={"speed_rpm": gain(0.096, 0.0961, 0.99, 1.0)})
+    stays = findings(total_gain={"speed_rpm": gain(0.096, 0.0961, 0.99, 1.0)})
     text = Reader(render(stays, Evidence())).text
     assert "Unchanged: wheel speed." in text
     assert "better" not in text.split("What is wrong")[0]
@@ -227,7 +227,7 @@ def test_the_page_begins_with_where_the_robot_is_not_with_the_largest_ratio(page
 
 
 def test_what_is_not_clearly_better_is_not_the_headline():
-    unsure = findings(patch_gain={
+    unsure = findings(total_gain={
         "position_m": gain(0.3, 0.25, 1.18, 1.22), "gyro_z_rad_s": gain(0.8, 0.1, 6.0, 9.0),
     })  # fmt: skip
     text = Reader(render(unsure, Evidence())).text
@@ -245,7 +245,7 @@ def test_a_decision_stands_beside_what_was_found_in_the_end(page):
 
 
 def test_the_gain_of_a_model_that_nobody_gets_is_not_said():
-    given = findings(patch_gain={}, model_patch=None, findings=findings().findings[2:3])
+    given = findings(total_gain={}, model_patch=None, findings=findings().findings[2:3])
     for said in (Reader(render(given, Evidence())).text, summary(given)):
         assert "smaller" not in said
         assert "better" not in said
@@ -290,7 +290,7 @@ def as_halves_show(*halves):
         f.model_copy(update={"halves": n, "gain": {"yaw_rad": same}})
         for f, n in zip(causes, halves, strict=True)
     )
-    return given.model_copy(update={"findings": shown, "patch_gain": {"yaw_rad": same}})
+    return given.model_copy(update={"findings": shown, "total_gain": {"yaw_rad": same}})
 
 
 def test_what_no_half_shows_is_not_called_unchanged():

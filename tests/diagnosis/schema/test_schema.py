@@ -17,7 +17,7 @@ from tests.diagnosis.sample import evidence, findings, nothing_found
 ROOT = Path(__file__).parents[3]
 FINDINGS, PATCH = (json.loads(schema_text(model)) for model in (Findings, ModelPatch))
 EXAMPLE = json.loads("""
-{"schema": "hilserver.diagnosis/1", "verdict": "findings",
+{"schema": "hilserver.diagnosis/2", "verdict": "findings",
  "logs": [{"file": "run1.csv", "sha256": "..."}], "seed": 0, "version": "...",
  "config_sha256": "...",
  "baseline": {"position_m": 0.31, "yaw_rad": 0.12, "speed_rpm": 1.4, "duty_pct": 2.0,
@@ -58,7 +58,7 @@ def test_what_is_written_fits_its_schema(found):
 
 @pytest.mark.parametrize(
     "change",
-    [{"verdict": "perhaps"}, {"schema": "hilserver.diagnosis/2"}, {"more": 1}, {"seed": "none"}],
+    [{"verdict": "perhaps"}, {"schema": "hilserver.diagnosis/1"}, {"more": 1}, {"seed": "none"}],
 )
 def test_the_schema_refuses_what_is_wrong(change):
     with pytest.raises(jsonschema.ValidationError):

@@ -1,0 +1,121 @@
+"""The rung below a name: what makes held-out predictions better and asserts no cause.
+
+A cause loses its name where much error remains that it does not explain, or where something else
+explains as much. That casts doubt on the word, not on the prediction: "acts like a rotation gain
+22 % larger; what is behind it, these data do not tell". Such an item must pass the screen of a
+name, predict blocks left out of its fit, and be possible in a machine. The whole log decides last:
+each half must find it, with one sign, and predict the other better by it, see `findings.nested`;
+and it must have one size along the log.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from scipy import stats
+
+from hilserver.arrays import Indices
+from hilserver.diagnosis.decide.promise import Step
+from hilserver.diagnosis.decide.trial import at_bound, implausible, wald, worth_a_name
+from hilserver.diagnosis.regression.fitting import fit_without
+from hilserver.diagnosis.regression.linear import orthogonal
+from hilserver.diagnosis.regression.problem import Point, Problem, apart
+from hilserver.diagnosis.regression.screen import critical, null_maxima
+from hilserver.diagnosis.regression.stages import Prepared
+from hilserver.diagnosis.replay.model import Fitted
+from hilserver.diagnosis.schema.decisions import Decision
+from hilserver.diagnosis.thresholds import EFFECTIVE_BLOCKS, FEWEST_BLOCKS, ONE_SIZE
+
+ACTS: Final = "predicts better on held-out blocks, and asserts no cause"
+STRETCHES: Final = 8
+"""Parts of the log, each of several blocks, in which an effective item must have one size."""
+
+
+def with_effective(
+    p: Prepared, named: Point, whole: Point, rng: np.random.Generator, rows: list[Decision]
+) -> tuple[Point, frozenset[str]]:
+    """Return the model of named and effective items, and which of them are effective.
+
+    Parameters
+    ----------
+    named : Point
+        The causes that have a name.
+    whole : Point
+        All that predicts, with the named causes.
+    """
+    problem = p.problem
+    causes = whole.model.causes
+    known = frozenset(named.model.causes)
+    nameless = [index for index, cause in enumerate(causes) if cause not in known]
+
+    few = problem.stack.n_blocks < EFFECTIVE_BLOCKS
+    if few or not nameless or not known.issubset(causes):
+        return named, frozenset()
+
+    limit = critical(null_maxima([p.library.scores(whole)], rng))
+    left = [index for index in nameless if not _earns(problem, whole, index, limit)]
+    effective = frozenset(causes) - known - {causes[index] for index in left}
+    if not effective:
+        return named, effective
+
+    rows += [Decision(cause, "taken", None, ACTS) for cause in sorted(effective)]
+    point = fit_without(problem, whole, *left) if left else whole
+    return point, effective
+
+
+def _earns(problem: Problem, whole: Point, index: int, limit: float) -> bool:
+    """Return whether an item of a model is effective, as far as its own blocks show.
+
+    Parameters
+    ----------
+    limit : float
+        The deviate that an effect must exceed, as for a name.
+    """
+    f = whole.model.fitted[index]
+    if at_bound(f) or implausible(f) or not worth_a_name(f):
+        return False
+    if wald(problem, whole, index) <= limit:
+        return False
+    step = Step(problem, fit_without(problem, whole, index), whole)
+    return step.earns and not step.harms
+
+
+def has_one_size(problem: Problem, point: Point, index: int) -> bool:
+    """Return whether the size of an item does not differ between parts of the log.
+
+    Notes
+    -----
+    Cochran's Q of consecutive parts. On a real log a block's own error does not follow from its
+    samples, so the scatter of the blocks within the parts is the unit: an F test.
+    """
+    columns = problem.accepted(point)
+    assert columns is not None
+    others, _ = apart(point, columns, index)
+    own = orthogonal(problem.effect(point, index), others)
+    information = problem.stack.block_sums(own**2)
+    scores = problem.stack.block_sums(own * point.left)
+
+    shows = np.flatnonzero(information > 1e-9 * information.sum())
+    count = min(STRETCHES, len(shows) // FEWEST_BLOCKS)
+    if count < 2:
+        return True
+
+    def saved(blocks: Indices) -> float:
+        """Return the deviance that a size of their own would save."""
+        return float(scores[blocks].sum() ** 2 / information[blocks].sum())
+
+    parts = np.array_split(shows, count)
+    between = sum(map(saved, parts))
+    each = float((scores[shows] ** 2 / information[shows]).sum())
+
+    freedom = len(shows) - count
+    within = max(each - between, 1e-300) / freedom
+    f = (between - saved(shows)) / (count - 1) / within
+    return bool(stats.f.sf(f, count - 1, freedom) > ONE_SIZE)
+
+
+def same_sign(fitted: Sequence[Fitted]) -> bool:
+    """Return whether all fits of an item point the same way from no effect."""
+    away = [np.subtract(f.theta, f.candidate.null) for f in fitted]
+    along = np.array(away) @ away[0]
+    return bool((along > 0.0).all())
