@@ -22,7 +22,6 @@ from hilserver.measured.reading import read_measured
 from hilserver.scenarios import scenario
 from reference.scenarios.judging import causes_of, judge
 
-
 ENGINE_SEED: Final = 0
 """Of the diagnosis's own draws, as the command has it: it never learns the seed of a log."""
 
