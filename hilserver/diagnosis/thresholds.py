@@ -56,6 +56,16 @@ SPARSE_BETTER: Final = 0.7  # misfit of straight lines over that of stairs, if i
 SPARSE_USUAL_SHARE: Final = 0.2  # share of the set-points that last as long as the usual one
 LIMITED_BEYOND: Final = 0.05  # share of a limit by which the turn exceeds it on average
 
+# Data checks: wheels mapped as set-points and as speeds from one topic
+# s: turns are compared over this time: longer than a loop needs (70 ms), so that it is still on its
+# way, and short enough that the slow error of a heading hardly changes
+ONE_TOPIC_TURN_S: Final = 0.1
+ONE_TOPIC_PIECE_S: Final = 3.0  # s: a piece counts as one; a tag's yaw error is forgotten in 2 s
+# share of the way from speeds (0) to set-points (1); below, neither fits: a source comes earlier
+# than any drive's delay explains
+ONE_TOPIC_LEAST: Final = -1.5
+ONE_TOPIC_MOST: Final = 2.5  # the same share; above, neither fits: a source comes too late
+
 # Data checks: sign, unit, frame, rest
 SIGN_SURE: Final = 0.7  # least correlation at which a sign is believed
 SIGN_AHEAD: Final = 0.1  # largest sideways share at which the course counts as heading

@@ -12,7 +12,7 @@ from hilserver.plant.parameters import RobotParameters
 
 
 def machine(log: MeasuredLog, robot: RobotParameters) -> RobotParameters:
-    """Return the plant of a log.
+    """Return the plant of a log, whose wheels its drive turns: a replay has no body.
 
     Raises
     ------
@@ -25,7 +25,7 @@ def machine(log: MeasuredLog, robot: RobotParameters) -> RobotParameters:
         if isinstance(given.get(key), Mapping):
             given[key] = replace(getattr(robot, key), **given[key])
     try:
-        return replace(robot, **given)
+        return replace(robot, **given, body_wheels=False)
     except PlantError as error:
         raise LogError(f"{log.sources[0].file}: plant section of its mapping: {error}") from None
 

@@ -1,14 +1,20 @@
 """The machine of a mapping: one for the diagnosis, the single figures and the replay."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
+from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.errors import LogError
+from hilserver.measured.channels import SETPOINTS
 from hilserver.measured.data import MeasuredLog, Source
 from hilserver.measured.machine import machine, machine_config
 from hilserver.measured.mapping import LogMapping
 from hilserver.plant.parameters import RobotParameters
+from tests.diagnosis.checks.samples import log_of
 
 OWN = RobotParameters(rotation_gain="carpet_hard", icr_offset_m=0.03)
 
@@ -67,3 +73,11 @@ def test_a_machine_that_does_not_fit_is_one_sentence():
         LogError, match=r"^log.csv: plant section of its mapping: plant.icr_offset_m"
     ):
         machine(log_with(track_m=0.05, wheelbase_m=0.03), OWN)
+
+
+def test_set_points_turn_the_wheels_of_a_log_though_a_body_turns_those_of_the_robot():
+    t = np.arange(0.0, 3.0, 0.02)
+    log = log_of(t, {name: np.full(len(t), 30.0) for name in SETPOINTS})
+    robot = machine(log, replace(RobotParameters(), body_wheels=True))
+    speed, _, _ = DriveStage(log, robot, block_s=1.0).simulate({})
+    assert abs(speed[-1, 0] - 30.0) < 0.5

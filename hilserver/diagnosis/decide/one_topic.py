@@ -5,7 +5,7 @@ speeds move the robot at once.
 """
 
 from dataclasses import replace
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,18 +13,21 @@ from hilserver.arrays import Array
 from hilserver.diagnosis.checks import Checked, check
 from hilserver.diagnosis.checks.support import along, largest, slope_of
 from hilserver.diagnosis.replay.drive_stage import DriveStage
-from hilserver.diagnosis.thresholds import BLOCK_S, FEWEST_BLOCKS, FEWEST_SAMPLES, RIVAL_CLEAR_Z
+from hilserver.diagnosis.thresholds import (
+    BLOCK_S,
+    FEWEST_BLOCKS,
+    FEWEST_SAMPLES,
+    ONE_TOPIC_LEAST,
+    ONE_TOPIC_MOST,
+    ONE_TOPIC_PIECE_S,
+    ONE_TOPIC_TURN_S,
+    RIVAL_CLEAR_Z,
+)
 from hilserver.measured.channels import GYRO, SETPOINTS, SPEEDS, YAW
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RAD_S_PER_RPM
-
-COMPARED_OVER_S: Final = (
-    0.1  # turns are compared over this time, in which a loop is still on its way
-)
-JUDGED_PIECE_S: Final = 3.0  # pieces of the log that count as one, each
-BOTH: Final = (-1.5, 2.5)  # shares beyond these fit neither reading: a source is late or early
 
 
 class Leaning(NamedTuple):
@@ -41,7 +44,7 @@ class Leaning(NamedTuple):
         """The reading that is nearer if the other is clearly wrong; None if neither is clear."""
         nearer = 1 if self.value > 0.5 else 0
         is_clear = abs(self.value - (1 - nearer)) > RIVAL_CLEAR_Z * self.sd
-        return nearer if is_clear and BOTH[0] < self.value < BOTH[1] else None
+        return nearer if is_clear and ONE_TOPIC_LEAST < self.value < ONE_TOPIC_MOST else None
 
 
 def checked(log: MeasuredLog, robot: RobotParameters) -> Checked:
@@ -107,10 +110,12 @@ def _share(shown: MeasuredLog, sent: MeasuredLog, robot: RobotParameters) -> Lea
     source, at = shown[name], along(shown[name])
     measured = np.unwrap(source.values) if name == YAW else _turned(source)
     start_s = np.array([span.start_s for span in shown.spans])
-    inside = source.t_s - COMPARED_OVER_S > start_s[source.span]
+    inside = source.t_s - ONE_TOPIC_TURN_S > start_s[source.span]
 
     def turns(stamps: Array, path: Array) -> Array:
-        return (np.interp(at, stamps, path) - np.interp(at - COMPARED_OVER_S, stamps, path))[inside]
+        return (np.interp(at, stamps, path) - np.interp(at - ONE_TOPIC_TURN_S, stamps, path))[
+            inside
+        ]
 
     turn, speeds, setpoints = (
         turns(at, measured),
@@ -120,7 +125,7 @@ def _share(shown: MeasuredLog, sent: MeasuredLog, robot: RobotParameters) -> Lea
     apart, left = slope * (setpoints - speeds), turn - slope * speeds
     # wild samples count no more than the largest others
     left = np.clip(left, -largest(left), largest(left))
-    _, piece = np.unique((at[inside] / JUDGED_PIECE_S).astype(np.int64), return_inverse=True)
+    _, piece = np.unique((at[inside] / ONE_TOPIC_PIECE_S).astype(np.int64), return_inverse=True)
     weight, seen = np.bincount(piece, apart**2), np.bincount(piece, apart * left)
     n = len(weight)
     if n < 2 * FEWEST_BLOCKS or not weight.sum():
