@@ -115,6 +115,7 @@ def _queues_of_one(_town: Any) -> None:
 
 def _stale_snapshot(_town: Any) -> None:
     """What a snapshot commanded drives again when it is loaded."""
+    from hilserver.core.inputs import InputGate
     from hilserver.core.snapshot import SnapshotStore
 
     load = SnapshotStore.load
@@ -123,6 +124,7 @@ def _stale_snapshot(_town: Any) -> None:
         return await load(self, name)
 
     SnapshotStore.load = adopting
+    InputGate.end_waiting = InputGate.outdate
 
 
 def _slow_reader_holds_all(_town: Any) -> None:
