@@ -191,9 +191,10 @@ def hidden(cause, drive, shown, seed, fault=False):
     return with_fault(made, rng) if fault else made
 
 
-OF_WHEELS = ("sign of a wheel", "swapped sides", "rpm as rad/s")
-OF_MOTION = ("sign of the gyro", "sign of the heading", "deg/s as rad/s")
-"""Faults that leave everything in the log, so that a cause shows as well as without them."""
+OF_WHEELS = ("sign of a wheel", "rpm as rad/s")
+OF_MOTION = ("swapped sides", "sign of the gyro", "sign of the heading", "deg/s as rad/s")
+"""Faults that leave everything in the log, so that a cause shows as well as without them. On the
+bench both sides may do the same, and nobody sees that they are swapped."""
 
 
 def with_fault(made, rng):

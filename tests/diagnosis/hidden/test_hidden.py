@@ -129,7 +129,9 @@ def test_what_a_bench_cannot_tell_apart_is_one_group(name):
     the_value_is_right(findings, parameter, value, TERMS[parameter].null or 0.0)
 
 
-@pytest.mark.parametrize("cause", ["process_gain", "time_constant"])
+@pytest.mark.parametrize(
+    "cause", ["process_gain", pytest.param("time_constant", marks=pytest.mark.long)]
+)
 def test_of_small_steps_the_truth_is_among_what_is_named(cause):
     """Steps below 5 rpm say little, and never more than they can."""
     made = replace(recipe(cause, 4, 30.0), manoeuvre="small_steps")
@@ -203,6 +205,7 @@ def test_a_gain_that_grows_along_the_log_is_no_part_of_the_floor():
     assert (finding.verdict, finding.causes) == (Verdict.DRIFT, ("rotation_gain",))
 
 
+@pytest.mark.long
 def test_half_the_turn_without_scrubbing_is_the_rotation_gain_alone():
     made = replace(recipe("rotation_gain", 32, 120.0), causes={"rotation_gain": -0.46})
     the_cause_is_named(judged(made).findings, "rotation_gain")
