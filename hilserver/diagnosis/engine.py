@@ -113,7 +113,9 @@ def judge(
     tracker.timed("halves")
     tracker("measuring the gain", 0.0)
     own = [answer.explained.gains(HORIZON_S, rng) for answer in answers]
-    total = _all_of(a.patch.gains(HORIZON_S, rng, a.patch.corrected) for a in answers)
+    total = _all_of(
+        answer.patch_gains(HORIZON_S, rng, gain) for answer, gain in zip(answers, own, strict=True)
+    )
     possible = _all_of(answer.possible(HORIZON_S, rng) for answer in answers)
     notices, patches = member.log.notices, [total]
     if test is not None:

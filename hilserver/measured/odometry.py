@@ -39,10 +39,11 @@ def with_wheels(log: MeasuredLog, mapping: LogMapping | None) -> MeasuredLog:
     radius_m, track_m, unknown = _dimensions(mapping.odom, log, file)
     linear, angular = log[ODOM_LINEAR], log[ODOM_ANGULAR]
     at, other = (channel.t_s + SPAN_S * channel.span for channel in (linear, angular))
-    half = 0.5 * track_m * np.interp(at, other, angular.values)
-    per_m_s = 1.0 / (radius_m * RAD_S_PER_RPM)
-    left = linear.with_values((linear.values - half) * per_m_s)
-    right = linear.with_values(-(linear.values + half) * per_m_s)
+    turn = np.interp(at, other, angular.values)
+    half = 0.5 * track_m * turn
+    m_s_per_rpm = radius_m * RAD_S_PER_RPM
+    left = linear.with_values((linear.values - half) / m_s_per_rpm)
+    right = linear.with_values(-(linear.values + half) / m_s_per_rpm)
 
     made = dict(zip(SPEEDS, (left, left, right, right), strict=True))
     note = "the wheel speeds were computed from the odometry"

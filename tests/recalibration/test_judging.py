@@ -6,11 +6,12 @@ from hilserver_injector.make import make
 from hilserver_injector.recipe import Recipe
 
 from hilserver.diagnosis.replay.drive_stage import DriveStage
-from hilserver.diagnosis.schema.evidence import FittedTerm
-from hilserver.diagnosis.schema.findings import Parameter
+from hilserver.diagnosis.schema.evidence import Diagnosis, Evidence, FittedTerm
+from hilserver.diagnosis.schema.findings import Finding, Parameter, Verdict
 from hilserver.measured.channels import DUTIES
-from hilserver.recalibration.judging import Judge, proposed, values_of
+from hilserver.recalibration.judging import Judge, proposed, steady, values_of
 from hilserver.recalibration.orders import Todo
+from tests.diagnosis.sample import findings
 from tests.recalibration.windows import order, record, stopped, write
 
 HIDDEN = {"rotation_gain": 0.06}
@@ -262,3 +263,21 @@ def test_what_no_operator_would_thank_for_is_not_proposed(tmp_path, loaded, verd
     path = write(tmp_path / "window.csv", {"wheel_radius": 0.003}, seed=5)
     look = judged(path, Todo(2, loaded, look=True)).look
     assert (look.verdict, look.terms) == (verdict, {})
+
+
+def test_what_only_acts_like_a_cause_is_not_proposed():
+    """It needs an engineer's tick; a drift has no single value."""
+    value = Parameter(value=0.1, ci95=(0.05, 0.15), unit="1")
+    found = [
+        Finding(verdict=verdict, causes=(name,), block="kinematics", parameters={name: value})
+        for name, verdict in (
+            ("rotation_gain", Verdict.NAMED),
+            ("wheel_radius", Verdict.NAMED_GROUP),
+            ("nav_scale", Verdict.EFFECTIVE),
+            ("gyro_scale", Verdict.DRIFT),
+        )
+    ]
+    terms = tuple(FittedTerm(f.causes[0], value) for f in found)
+    given = findings().model_copy(update={"findings": tuple(found)})
+    kept = steady(Diagnosis(given, Evidence(extension=terms)))
+    assert [term.name for term in kept] == ["rotation_gain", "wheel_radius"]

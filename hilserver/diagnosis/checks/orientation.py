@@ -152,8 +152,11 @@ def _course(log: MeasuredLog, robot: RobotParameters) -> _Course | None:
     if moved is None or lateral is None:
         return None
     dx, dy, dt, cosine, sine = moved
-    good = finite(dx, dy, cosine) & (np.hypot(dx, dy) > 0.1)
-    good &= robot.wheel_radius_m * np.abs(lateral) * dt < SIGN_AHEAD * np.hypot(dx, dy)
+    way_m = np.hypot(dx, dy)
+    aside_m = robot.wheel_radius_m * np.abs(lateral) * dt
+    good = finite(dx, dy, cosine)
+    good &= way_m > 0.1
+    good &= aside_m < SIGN_AHEAD * way_m
     good &= np.hypot(cosine, sine) > 0.9  # did not turn much in the window
 
     rolled = np.full(len(windows), np.nan)
@@ -161,9 +164,10 @@ def _course(log: MeasuredLog, robot: RobotParameters) -> _Course | None:
     if left is not None and right is not None:
         rolled = left - right
 
-    course = np.arctan2(dy, dx)[good]
-    yaw = np.arctan2(sine, cosine)[good]
-    return _Course(course, yaw, (np.hypot(dx, dy) / dt)[good], rolled[good])
+    course = np.arctan2(dy, dx)
+    yaw = np.arctan2(sine, cosine)
+    speed = way_m / dt
+    return _Course(course[good], yaw[good], speed[good], rolled[good])
 
 
 def _moved(log: MeasuredLog) -> tuple[Array, Array, Array, Array, Array] | None:
@@ -210,14 +214,16 @@ def _axis(log: MeasuredLog, robot: RobotParameters) -> Found:
     found = _course(log, robot)
     if found is None or len(found.course) < FEWEST_PIECES:
         return log, []
-    off = found.yaw - found.course + np.where(found.rolled < 0.0, np.pi, 0.0)
+    backward = np.where(found.rolled < 0.0, np.pi, 0.0)
+    off = found.yaw - found.course + backward
     toward = np.exp(1j * off)
 
     # the mean is where most are; the median of what is left of it is moved by no wild one
     mean = float(np.angle((found.speed * toward).sum()))
     away = np.angle(toward * np.exp(-1j * mean))
-    askew_rad = float(np.angle(np.exp(1j * (mean + np.median(away)))))
-    spread = np.abs(away - np.median(away))
+    middle = float(np.median(away))
+    askew_rad = float(np.angle(np.exp(1j * (mean + middle))))
+    spread = np.abs(away - middle)
     of_axis = abs(np.sin(askew_rad)) > np.sin(LARGEST_SKEW_RAD)
     if not of_axis or _resultant(off, found.speed) < AXIS_SURE:
         return log, []

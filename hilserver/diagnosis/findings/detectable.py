@@ -1,6 +1,7 @@
 """The smallest effect of every cause that these data would have shown."""
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from hilserver.diagnosis.thresholds import (
     HOPELESS,
     LEAST_GAIN,
 )
+
+BEYOND: Final = 10.0
+"""Times the hopeless size beyond which a number tells nobody anything."""
 
 
 def smallest_of(
@@ -62,7 +66,7 @@ def smallest(
         hopeless = np.inf if part.reference is None else HOPELESS * abs(part.reference)
         if size > min(largest, hopeless):
             reason = f"hardly excited: below {number(size, part.unit)} it would not be detected"
-            if size > largest:  # more than any machine can have
+            if size > min(largest, BEYOND * hopeless):  # more than any machine can have
                 reason = UNSEEN
             not_judged.append(NotJudged(cause=cause, reason=reason))
         else:

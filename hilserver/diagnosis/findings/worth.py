@@ -95,6 +95,23 @@ class Answer:
     findings: tuple[Finding, ...]  # one per cause, in the order of the model
     estimate: Estimate  # all parameters of the model
 
+    def patch_gains(
+        self, horizon_s: float, rng: np.random.Generator, whole: dict[str, Gain]
+    ) -> dict[str, Gain]:
+        """Return the gain of the patch, against the configured plant with the log corrected.
+
+        Parameters
+        ----------
+        whole : dict of str to Gain
+            That of all that predicts: the same if it is all in the patch and corrects no log.
+        """
+        corrected = self.patch.corrected
+        before = [part.before for part in self.patch.parts]
+        same = all(map(np.array_equal, corrected, before))
+        if same and self.patch is self.explained:
+            return whole
+        return self.patch.gains(horizon_s, rng, corrected)
+
     def possible(self, horizon_s: float, rng: np.random.Generator) -> dict[str, Gain]:
         """Return what predicts without any claim adds to the patch, by quantity that it changes."""
         if self.explained is self.patch:
