@@ -221,9 +221,12 @@ class Life:
             except (*LOST, AttributeError):
                 await asyncio.sleep(0.2)
             await asyncio.sleep(0.3)
-            if self._moves_at(speed.rpm) and not town.not_good():
+            if user.came and self._moves_at(speed.rpm) and not town.not_good():
                 break
         else:
+            if not user.came:
+                judges.found.append(f"{PEACE_S:g} s after the last fault nobody gets in")
+                return
             state = f"{town.daemon.gate.owner} has control, {town.daemon.control.reason}"
             judges.found += [
                 f"{PEACE_S:g} s after the last fault: {what}" for what in town.not_good()
