@@ -42,14 +42,13 @@ class Worse(Explained):
 
 
 def test_no_patch_is_written_where_a_reported_quantity_is_worse(monkeypatch):
-    """Columns without a name are reported, too, and stand in no patch: both gains count."""
+    """What is reported is the patch; what else predicts is nobody's."""
     recipe = Recipe(seed=1, causes={"rotation_gain": -0.3}, duration_s=45.0)
     log, assembly = measured(make(recipe)[0]), assemble(None)
     assert diagnose(log, assembly, jobs=1).evidence.extension
 
     def worse(*args):
-        return [replace(a, explained=Worse(a.explained.parts, a.explained.without))
-                for a in answers_of(*args)]  # fmt: skip
+        return [replace(a, patch=Worse(a.patch.parts, a.patch.without)) for a in answers_of(*args)]
 
     monkeypatch.setattr(engine, "answers_of", worse)
     found = diagnose(log, assembly, jobs=1)

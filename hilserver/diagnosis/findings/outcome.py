@@ -290,14 +290,14 @@ def extension(findings: Iterable[Finding], fitted: Mapping[int, Fitted]) -> tupl
     return tuple(out)
 
 
-def worsened(total: Mapping[str, Gain], *patches: Mapping[str, Gain]) -> str | None:
+def worsened(*patches: Mapping[str, Gain]) -> str | None:
     """Return why no extension is written, or None.
 
-    It is not if the whole interval of a quantity that the patch changes is a loss, with the patch
-    alone or with all that predicts.
+    It is not if the whole interval of a quantity that the patch changes is a loss, wherever its
+    gain was measured.
     """
     changed = {key for gains in patches for key, gain in gains.items() if gain.ratio != 1.0}
-    for key, gain in (item for some in (total, *patches) for item in some.items()):
+    for key, gain in (item for some in patches for item in some.items()):
         if key in changed and gain.ci95 is not None and gain.ci95[1] < 1.0:
             low, high = gain.ci95
             return (

@@ -47,7 +47,8 @@ def test_an_extension_that_makes_a_quantity_worse_is_refused():
     better, open_ = gain(2.0, (1.5, 2.5)), gain(0.95, (0.9, 1.02))
     worse = gain(0.61, (0.46, 0.84))
     assert worsened({"yaw_rad": better, "position_m": open_}, {}) is None
-    assert worsened({"position_m": worse}, {"position_m": gain(1.0, (1.0, 1.0))}) is None
+    assert worsened({"position_m": gain(1.0, (1.0, 1.0))}) is None
+    assert worsened({"position_m": worse}) is not None
     said = worsened({"yaw_rad": better}, {"position_m": worse})
     assert said is not None
     assert "position_m" in said
