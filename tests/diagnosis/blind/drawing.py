@@ -51,8 +51,11 @@ BOTH_SIGNS = frozenset({"controller_gains"})
 
 
 def commit():
-    """The secret of this tree: its commit; the same for all trees that are no checkout."""
-    words = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"]
+    """The secret of this commit: the hash of its package, so that documents do not redraw.
+
+    The same for all trees that are no checkout.
+    """
+    words = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD:hilserver"]
     try:
         run = subprocess.run(words, capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):
