@@ -291,7 +291,7 @@ class InputGate(HandOver):
 
     def renew(self, source: str, came_ns: int) -> None:
         """Renew the lease of a source that sent something at `came_ns`, but no command."""
-        if not self.interlock.holds(kind_of(source)):
+        if is_hand(source) or not self.interlock.holds(kind_of(source)):
             self.leases.renew(source, came_ns)
 
     def stamps(

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.image import read_frames
+from hilserver.signals import AUTOMATIC
 from tests.control.robot import COMMANDING, STANDING_RPM, History
 from tests.hours.ledger import Act, Ledger, Speed
 from tests.hours.loop import NS
@@ -107,6 +108,7 @@ class Judges:
                 break
             newest_ns = next_ns
         self._judge_hand(speed, first_ns, newest_ns)
+        self._judge_automatic(speed, last_ns)
         self._judge_outdated(speed, last_ns, said)
         self._judge_return(speed, first_ns, last_ns, said)
 
@@ -142,6 +144,25 @@ class Judges:
         if not any(reset_ns <= rest_ns <= newest_ns for rest_ns in rests):
             name = max(ended, key=lambda act: act.sent_ns).name
             self.breach(first_ns, f"{speed.user} drives after {name} without having let go")
+
+    def _judge_automatic(self, speed: Speed, last_ns: int) -> None:
+        """After Stop and Reset, what is no hand drives only once somebody has asked for Start."""
+        if speed.user in self.hands or speed.kind not in AUTOMATIC:
+            return
+        acts = self._ledger.acts
+        for reset in acts:
+            if not (reset.name == "Reset" and reset.is_accepted and reset.done_ns < last_ns):
+                continue
+            # Where another act came between, the Reset may have acknowledged nothing.
+            before = [act for act in acts if act.sent_ns < reset.sent_ns]
+            if not before or before[-1].name != "Stop" or not before[-1].is_accepted:
+                continue
+            if before[-1].done_ns < reset.sent_ns and not any(
+                act.name == "Start" and act.is_accepted is not False
+                for act in acts
+                if reset.sent_ns <= act.sent_ns <= last_ns
+            ):
+                self.breach(last_ns, f"{speed.user} drives after {reset.user}'s Reset, not started")
 
     def _judge_outdated(self, speed: Speed, last_ns: int, said: list[int]) -> None:
         """What somebody said before a Reset or LoadSnapshot must not act when that is done."""

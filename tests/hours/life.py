@@ -213,8 +213,10 @@ class Life:
                 if not user.came:
                     await user.come()
                 state = int(town.frame("sim.state"))
-                if state in (State.PAUSED, State.SAFE):
-                    await user.act("Start" if state == State.PAUSED else "Reset")
+                if state == State.SAFE:
+                    await user.act("Reset")
+                elif state == State.PAUSED or town.frame("control.waits_for_start"):
+                    await user.act("Start")
                 elif town.daemon.gate.owner != "peer":
                     await user.write({"control.source": "page"})
                     await user.write({"control.source": "peer"})

@@ -43,6 +43,13 @@ def _reset_restarts(_town: Any) -> None:
     Rest.lets_move = lambda *_: True
 
 
+def _reset_starts_controllers(_town: Any) -> None:
+    """A controller drives on after a Reset, without a Start."""
+    from hilserver.core.rest import Interlock
+
+    Interlock.engage = lambda _: None
+
+
 def _life_in_cycles(_town: Any) -> None:
     """A subscription may live for any number of cycles, however long a cycle is."""
     from hilserver.opcua import subscriptions
@@ -158,6 +165,7 @@ def _dead_man_never_ends(town: Any) -> None:
 
 MUTANTS = {
     "reset restarts a held stick": _reset_restarts,
+    "reset starts controllers": _reset_starts_controllers,
     "life in cycles": _life_in_cycles,
     "take-over keeps the lease": _take_over_keeps_the_lease,
     "filter kills the loop": _filter_kills_the_loop,
