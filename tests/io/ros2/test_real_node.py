@@ -45,12 +45,20 @@ async def test_a_real_node_drives_and_reads_the_sensors(domain):
         node.process.kill()
 
 
+async def is_ready_for_one_message(node, daemon):
+    """Wait until both sides know each other: what comes before our reader knows the writer is lost."""
+    await node.is_ready()
+    found = [e for name, e in daemon.part("ros2")._endpoints() if name.startswith("/rpm")]
+    assert len(found) == 2
+    await wait_until(lambda: all(endpoint.matched for endpoint in found), PATIENCE_S)
+
+
 @asynccontextmanager
 async def driven_by_keys(domain):
     """The node of the thesis's software in the loop: one message per key press, none between."""
     node = RosNode(domain, {"/rpm": FLOATS}, {"/rpm/return": FLOATS}, name="iotbot_motion_control")
     async with robot(domain, flavour="thesis_sil", stale_after_ms=200.0) as daemon, node:
-        await node.is_ready()
+        await is_ready_for_one_message(node, daemon)
 
         async def press(rpm):
             node.publish("/rpm", data=[rpm, rpm, -rpm, -rpm])
@@ -77,9 +85,10 @@ async def test_what_a_key_commanded_stands_while_its_node_is_there(domain):
         # Started again, the node drives after Reset by a new key, not by the one pressed before it.
         again = RosNode(node.domain, {"/rpm": FLOATS}, {"/rpm/return": FLOATS})
         async with again:
-            await again.is_ready()
+            await is_ready_for_one_message(again, daemon)
             again.publish("/rpm", data=[20.0, 20.0, -20.0, -20.0])
             await wait_until(lambda: may_reset(daemon), PATIENCE_S)
+            daemon.control.start()
             await asyncio.sleep(0.7)
             assert abs(value(daemon, "wheel.fl.speed_rpm")) < 0.5
             again.publish("/rpm", data=[30.0, 30.0, -30.0, -30.0])

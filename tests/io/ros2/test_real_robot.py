@@ -26,6 +26,7 @@ steps:
   - {at_s: 7.0, write: {wheels.setpoints_rpm: [0, 0, 0, 0]}}
 """
 SHADOW = {"limits": {"imu.gyro_z_rad_s": 0.03}, "after_s": 0.5}
+TRACKING = 2.0  # of estimate.state
 BESIDE = {
     "shadow": SHADOW,
     "observer": {"enabled": True, "source": "measured"},
@@ -73,12 +74,16 @@ async def test_gap_alarm_and_estimate_come_over_ros_2_alone(domain, drive):
         (text,) = told(daemon, "model gap: imu.gyro_z_rad_s", "limit 0.03")
         assert "measured minus simulated" in text
 
+        def is_tracked_and_not_simulated():
+            real = value(daemon, "measured.nav.yaw_rad")
+            seen, simulated = (
+                abs(math.remainder(value(daemon, name) - real, math.tau))
+                for name in ("estimate.yaw_rad", "pose.yaw_rad")
+            )
+            return value(daemon, "estimate.state") == TRACKING and seen < 0.05 < 0.1 < simulated
+
+        await wait_until(is_tracked_and_not_simulated, PATIENCE_S)
         assert await node.answers("played")
-        real, seen = (value(daemon, name) for name in ("measured.nav.yaw_rad", "estimate.yaw_rad"))
-        assert value(daemon, "estimate.state") == 2.0, "tracking"
-        assert abs(math.remainder(seen - real, math.tau)) < 0.1
-        simulated = value(daemon, "pose.yaw_rad")
-        assert abs(math.remainder(simulated - real, math.tau)) > 0.05
 
         figures = daemon.parts_of("ros2")[1].status
         assert figures.connected
@@ -166,7 +171,8 @@ async def test_two_robots_under_one_namespace_give_nothing(domain):
         assert "ros2.measured.namespace" in text
         name = "measured.wheel.fl.speed_rpm"
         await wait_until(lambda: status(daemon, name) == UNCERTAIN_LAST_USABLE_VALUE, PATIENCE_S)
-        assert value(daemon, name) == 10.0
+        # one that pauses leaves the topic to the other, so on a busy computer it may be either
+        assert value(daemon, name) in (10.0, 20.0)
 
 
 async def test_a_node_in_another_domain_is_named_by_its_domain(domain, monkeypatch):

@@ -25,18 +25,18 @@ async def test_set_points_come_in_and_outputs_go_back_in_whatever_order_the_side
     async with Link(port) as link:
         await wait_until(lambda: link.status.failed_attempts > 1)
         assert link.status.last_error == "nothing is listening there"
-        for speed in (20.0, -7.5):
-            await come_and_go(link, port, speed)
+        for number, speed in ((7, 20.0), (8, -7.5)):
+            await come_and_go(link, port, number, speed)
         assert link.status.reconnects >= 1
 
 
-async def come_and_go(link, port, speed):
+async def come_and_go(link, port, number, speed):
     link.outputs["wheel.fl.speed_rpm"] = speed
     with controller(port) as plc:
-        plc.offer(7, 7, speed, -speed)
+        plc.offer(number, number, speed, -speed)
         await wait_until(lambda: newest(link).get("wheel.fr.setpoint_rpm") == -speed)
         assert newest(link)["wheel.fl.setpoint_rpm"] == speed
-        assert newest(link)["input.sequence"] == 7
+        assert newest(link)["input.sequence"] == number
         await wait_until(lambda: struct.unpack_from(">f", plc.going, 4) == (speed,))
         assert link.status.state is LinkState.CONNECTED
         await wait_until(lambda: not link.status.stale)
