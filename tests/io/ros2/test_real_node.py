@@ -46,7 +46,7 @@ async def test_a_real_node_drives_and_reads_the_sensors(domain):
 
 
 async def is_ready_for_one_message(node, daemon):
-    """Wait until both sides know each other: what comes before our reader knows the writer is lost."""
+    """Wait until both sides know each other: a reader loses what an unknown writer sends."""
     await node.is_ready()
     found = [e for name, e in daemon.part("ros2")._endpoints() if name.startswith("/rpm")]
     assert len(found) == 2
