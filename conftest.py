@@ -24,7 +24,9 @@ hypothesis.settings.register_profile("fresh", deadline=None, print_blob=True)
 hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
 _INSTALLED = any(point.name == "hilserver" for point in entry_points(group="pytest11"))
-pytest_plugins = ["pytester"] if _INSTALLED else ["pytester", "hilserver.testing.plugin"]
+pytest_plugins = (
+    ["pytester"] if _INSTALLED else ["pytester", "hilserver.testing.plugin"]
+)
 
 
 @pytest.fixture(autouse=True)

@@ -20,7 +20,9 @@ from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_py import build_py
 
 is_editable = "editable_wheel" in sys.argv
-injector = ("" if is_editable else "hilserver.scenarios.installed.") + "hilserver_injector"
+injector = (
+    "" if is_editable else "hilserver.scenarios.installed."
+) + "hilserver_injector"
 objects = os.environ.get("HILSERVER_OBJECTS") if "bdist_wheel" in sys.argv else None
 
 
@@ -49,7 +51,9 @@ class Tagged(bdist_wheel):
     def get_tag(self) -> tuple[str, str, str]:
         """Return interpreter, its interface, and the platforms of numba's own wheel."""
         interpreter, interface, _ = super().get_tag()
-        made_with = json.loads((Path(objects) / "made_with.json").read_text(encoding="utf-8"))
+        made_with = json.loads(
+            (Path(objects) / "made_with.json").read_text(encoding="utf-8")
+        )
         return interpreter, interface, made_with["platform"]
 
     def write_wheelfile(self, folder: str, *words: str, **named: str) -> None:
@@ -61,7 +65,9 @@ class Tagged(bdist_wheel):
         about = Path(folder) / "METADATA"
         text = about.read_text(encoding="utf-8")
         line = "License-File: LICENSE\n"
-        about.write_text(text.replace(line, f"{line}License-File: LICENSE.numba\n", 1), "utf-8")
+        about.write_text(
+            text.replace(line, f"{line}License-File: LICENSE.numba\n", 1), "utf-8"
+        )
 
 
 with_objects = {

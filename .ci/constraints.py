@@ -46,7 +46,13 @@ class Closure:
 if __name__ == "__main__":
     project = tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]
     closure = Closure(project)
-    for requirement in project["dependencies"] + project["optional-dependencies"]["dev"]:
+    for requirement in (
+        project["dependencies"] + project["optional-dependencies"]["dev"]
+    ):
         closure.add(requirement)
     print("# Versions that passed the tests: make keeps to them, .ci/run renews them.")
-    print("\n".join(f"{name}=={version}" for name, version in sorted(closure.versions.items())))
+    print(
+        "\n".join(
+            f"{name}=={version}" for name, version in sorted(closure.versions.items())
+        )
+    )

@@ -97,16 +97,24 @@ class Density:
 
     def add(self, file: File, function: Function) -> None:
         """Add a function."""
-        body = function.body[1:] if ast.get_docstring(function) is not None else function.body
+        body = (
+            function.body[1:]
+            if ast.get_docstring(function) is not None
+            else function.body
+        )
         if not body:
             return
         rows = file.text.splitlines()[body[0].lineno - 1 : function.end_lineno]
-        self.code_lines += sum(1 for row in rows if row.strip() and row.strip()[0] != "#")
+        self.code_lines += sum(
+            1 for row in rows if row.strip() and row.strip()[0] != "#"
+        )
         for node in (inner for statement in body for inner in ast.walk(statement)):
             self.nodes += 1
             if isinstance(node, ast.stmt):
                 self.statements += 1
-                whole = [n for n in ast.iter_child_nodes(node) if isinstance(n, ast.expr)]
+                whole = [
+                    n for n in ast.iter_child_nodes(node) if isinstance(n, ast.expr)
+                ]
                 self.expressions += len(whole)
                 self.dense += sum(1 for expression in whole if size(expression) > DENSE)
 
@@ -177,7 +185,11 @@ def imported(file: File, rooms: set[str]) -> set[str]:
 def comments(file: File) -> int:
     """Return the lines that hold a comment and no code."""
     tokens = tokenize.generate_tokens(io.StringIO(file.text).readline)
-    return sum(1 for t in tokens if t.type == tokenize.COMMENT and t.line.lstrip().startswith("#"))
+    return sum(
+        1
+        for t in tokens
+        if t.type == tokenize.COMMENT and t.line.lstrip().startswith("#")
+    )
 
 
 @dataclass(frozen=True)
@@ -211,7 +223,9 @@ def measure(root: Path) -> House:
         for name, literal in constants(file):
             values[name].add(literal)
     long = [name for f in files for name in long_functions(f)]
-    two_values = {name: found for name, found in sorted(values.items()) if len(found) > 1}
+    two_values = {
+        name: found for name, found in sorted(values.items()) if len(found) > 1
+    }
     several = {name: count for name, count in names.most_common() if count > 1}
     joined = sum(1 for pair in pairs if frozenset(pair) in arrows)
     lines = sum(f.lines for f in files)
@@ -241,7 +255,11 @@ def worse(now: dict[str, float], before: dict[str, float]) -> list[str]:
         f"{name} is {now[name]:g}, it was {before[name]:g}"
         for name in before
         if name in now
-        and (now[name] < before[name] if name in MORE_IS_BETTER else now[name] > before[name])
+        and (
+            now[name] < before[name]
+            if name in MORE_IS_BETTER
+            else now[name] > before[name]
+        )
     ]
 
 
@@ -252,10 +270,15 @@ def show(house: House, before: dict[str, float]) -> None:
     found = {
         "functions over 50 lines": house.long,
         "names with two values": [
-            f"{name}: {', '.join(sorted(values))}" for name, values in house.two_values.items()
+            f"{name}: {', '.join(sorted(values))}"
+            for name, values in house.two_values.items()
         ],
-        "names of several classes": [f"{n}: {c}" for n, c in house.several_classes.items()],
-        "private functions used once, by room": [f"{r}: {c}" for r, c in house.once.most_common()],
+        "names of several classes": [
+            f"{n}: {c}" for n, c in house.several_classes.items()
+        ],
+        "private functions used once, by room": [
+            f"{r}: {c}" for r, c in house.once.most_common()
+        ],
     }
     for title, rows in found.items():
         print(f"\n{title}", *(f"  {row:.96}" for row in rows), sep="\n")
@@ -264,14 +287,18 @@ def show(house: House, before: dict[str, float]) -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Print, check or write; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--check", action="store_true", help="fail where a number is worse")
+    parser.add_argument(
+        "--check", action="store_true", help="fail where a number is worse"
+    )
     parser.add_argument("--write", action="store_true", help="make these the baseline")
     parser.add_argument("--reason", default="", help="why a number may be worse")
     parser.add_argument("--root", type=Path, default=HERE.parent)
     parser.add_argument("--baseline", type=Path, default=BASELINE)
     args = parser.parse_args(arguments)
     house = measure(args.root)
-    known = json.loads(args.baseline.read_text("utf-8")) if args.baseline.exists() else {}
+    known = (
+        json.loads(args.baseline.read_text("utf-8")) if args.baseline.exists() else {}
+    )
     before: dict[str, float] = known.get("numbers", {})
     found = worse(house.numbers, before)
     if args.write:

@@ -26,7 +26,9 @@ LIMIT_S = 1800.0
 
 def dependencies() -> str:
     """Return the hash of what we require and of the versions that make installs."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[
+        "project"
+    ]
     required = json.dumps([project["requires-python"], project["dependencies"]])
     constraints = (ROOT / "constraints.txt").read_text(encoding="utf-8")
     return hashlib.sha256((required + constraints).encode()).hexdigest()[:16]
@@ -34,9 +36,15 @@ def dependencies() -> str:
 
 def find(name: str) -> str | None:
     """Return the first interpreter of this name that starts; a shim of pyenv may not."""
-    folders = [Path(folder) for folder in os.environ.get("PATH", "").split(os.pathsep) if folder]
+    folders = [
+        Path(folder)
+        for folder in os.environ.get("PATH", "").split(os.pathsep)
+        if folder
+    ]
     pyenv = Path(os.environ.get("PYENV_ROOT") or Path.home() / ".pyenv")
-    folders += sorted(pyenv.glob(f"versions/{name.removeprefix('python')}*/bin"), reverse=True)
+    folders += sorted(
+        pyenv.glob(f"versions/{name.removeprefix('python')}*/bin"), reverse=True
+    )
     for path in (folder / name for folder in folders):
         if path.exists() and succeeds([str(path), "-c", "import ensurepip"]):
             return str(path)
@@ -45,7 +53,10 @@ def find(name: str) -> str | None:
 
 def succeeds(command: list[str]) -> bool:
     """Return whether a command ends with exit code 0; what it prints is dropped."""
-    return subprocess.run(command, check=False, capture_output=True, timeout=60).returncode == 0  # noqa: S603
+    return (
+        subprocess.run(command, check=False, capture_output=True, timeout=60).returncode  # noqa: S603
+        == 0
+    )
 
 
 def trial(python: str, versions: str) -> str | None:
@@ -62,10 +73,29 @@ def trial(python: str, versions: str) -> str | None:
     environment.pop("PYTHONPATH", None)  # it is what was installed that is tested
     for command in (
         [python, "-m", "venv", str(folder / "venv")],
-        [*uv, "pip", "compile", "--quiet", *wheels, "--output-file", required, "pyproject.toml"],
+        [
+            *uv,
+            "pip",
+            "compile",
+            "--quiet",
+            *wheels,
+            "--output-file",
+            required,
+            "pyproject.toml",
+        ],
         [*uv, "pip", "install", "--quiet", "--python", inner, "-r", required, *TESTS],
         [*uv, "pip", "install", "--quiet", "--python", inner, "--no-deps", "."],
-        [inner, "-m", "pytest", "-q", "-m", "long", "-p", "no:cacheprovider", "tests/pythons"],
+        [
+            inner,
+            "-m",
+            "pytest",
+            "-q",
+            "-m",
+            "long",
+            "-p",
+            "no:cacheprovider",
+            "tests/pythons",
+        ],
     ):
         done = subprocess.run(  # noqa: S603 (the commands are ours)
             command,
@@ -86,8 +116,12 @@ def trial(python: str, versions: str) -> str | None:
 def main() -> int:
     """Run all trials, as many at once as there are cores; print a line for each."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--unchanged", action="store_true", help="only compare the stamp")
-    parser.add_argument("only", nargs="*", help="interpreters, such as python3.12; default: all")
+    parser.add_argument(
+        "--unchanged", action="store_true", help="only compare the stamp"
+    )
+    parser.add_argument(
+        "only", nargs="*", help="interpreters, such as python3.12; default: all"
+    )
     args = parser.parse_args()
     stamp = dependencies()
     if args.unchanged:
@@ -99,7 +133,9 @@ def main() -> int:
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         outputs = list(pool.map(lambda t: trial(str(found[t[0]]), t[1]), trials))
     for (name, versions), output in zip(trials, outputs, strict=True):
-        print(f"{name}, {versions} versions: {'passed' if output is None else 'failed'}")
+        print(
+            f"{name}, {versions} versions: {'passed' if output is None else 'failed'}"
+        )
         if output is not None:
             print(output)
     absent = [name for name in names if not found[name]]
@@ -109,7 +145,9 @@ def main() -> int:
     failed = any(output is not None for output in outputs)
     if not failed and not absent and not args.only:
         STAMP.write_text(stamp + "\n", "utf-8")
-        print(f"{STAMP.relative_to(ROOT)} says that these dependencies have passed: commit it")
+        print(
+            f"{STAMP.relative_to(ROOT)} says that these dependencies have passed: commit it"
+        )
     return 1 if failed or not trials else 0
 
 

@@ -24,14 +24,23 @@ from hilserver.fmu.export import export
 from hilserver.plant.reference.cases import cases
 
 HERE: Final = Path(__file__).parent
-PLUGIN, IMPORTER = HERE / "count_instructions.c", HERE.parent / "tests" / "fmu" / "importer.c"
+PLUGIN, IMPORTER = (
+    HERE / "count_instructions.c",
+    HERE.parent / "tests" / "fmu" / "importer.c",
+)
 MACHINES: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = {
     "x86_64": ("gcc", ("qemu-x86_64",)),
-    "aarch64": ("aarch64-linux-gnu-gcc", ("qemu-aarch64", "-L", "/usr/aarch64-linux-gnu")),
+    "aarch64": (
+        "aarch64-linux-gnu-gcc",
+        ("qemu-aarch64", "-L", "/usr/aarch64-linux-gnu"),
+    ),
 }
 ROBOTS: Final[Mapping[str, Mapping[str, Any]]] = {
     "default": {},
-    "all_terms": {"plant": {"terms": cases()["everything"]}, "sensors": {"nav": {"enabled": True}}},
+    "all_terms": {
+        "plant": {"terms": cases()["everything"]},
+        "sensors": {"nav": {"enabled": True}},
+    },
 }
 TICKS_PER_CALL, SHORT, LONG = 10, 100, 600
 SPEEDS: Final = {"fl": 40.0, "rl": 40.0, "fr": -30.0, "rr": -30.0}
@@ -51,7 +60,15 @@ def run(_args: argparse.Namespace) -> list[Result]:
         about = "x86-64"
         ratio = found["aarch64"] / other
         results.append(
-            Result(f"instructions_{name}", found["aarch64"], "1", other, about, ratio, found)
+            Result(
+                f"instructions_{name}",
+                found["aarch64"],
+                "1",
+                other,
+                about,
+                ratio,
+                found,
+            )
         )
     return results
 
@@ -59,7 +76,9 @@ def run(_args: argparse.Namespace) -> list[Result]:
 def _per_tick(folder: Path, config: Config) -> dict[str, float]:
     assembly = assemble_config(config)
     fmu, platforms = folder / "robot.fmu", [f"{machine}-linux" for machine in MACHINES]
-    export(fmu, assembly.composition, assembly.robot, assembly.base_period_ns, 3, platforms)
+    export(
+        fmu, assembly.composition, assembly.robot, assembly.base_period_ns, 3, platforms
+    )
     said = read_model_description(str(fmu))
     reference = {v.name: v.valueReference for v in said.modelVariables}
     rows = [(0, reference[f"wheel.{w}.setpoint_rpm"], rpm) for w, rpm in SPEEDS.items()]
@@ -75,9 +94,20 @@ def _per_tick(folder: Path, config: Config) -> dict[str, float]:
             library.write_bytes(packed.read(f"binaries/{machine}-linux/robot.so"))
         counts = []
         for calls in (SHORT, LONG):
-            log, step_s = folder / "log", TICKS_PER_CALL * assembly.base_period_ns * 1e-9
+            log, step_s = (
+                folder / "log",
+                TICKS_PER_CALL * assembly.base_period_ns * 1e-9,
+            )
             counting = ("-plugin", plugin, "-d", "plugin", "-D", log)
-            asked = (library, said.guid, calls, step_s, len(rows), folder / "rows", folder / "out")
+            asked = (
+                library,
+                said.guid,
+                calls,
+                step_s,
+                len(rows),
+                folder / "rows",
+                folder / "out",
+            )
             _run(*emulator, *counting, importer, *asked)
             counts.append(int(log.read_text(encoding="utf-8").split()[-1]))
         found[machine] = (counts[1] - counts[0]) / (TICKS_PER_CALL * (LONG - SHORT))
@@ -86,8 +116,12 @@ def _per_tick(folder: Path, config: Config) -> dict[str, float]:
 
 def _run(*words: object) -> None:
     try:
-        subprocess.run(list(map(str, words)), check=True, capture_output=True, timeout=600)  # noqa: S603 -- words of this file
+        subprocess.run(  # noqa: S603
+            list(map(str, words)), check=True, capture_output=True, timeout=600
+        )
     except FileNotFoundError:
-        raise FailedError(f"{words[0]} is not installed: 'make test-tools' installs it") from None
+        raise FailedError(
+            f"{words[0]} is not installed: 'make test-tools' installs it"
+        ) from None
     except subprocess.CalledProcessError as error:
         raise FailedError(f"{words[0]}: {error.stderr.decode()[-500:]}") from None

@@ -57,14 +57,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the size of the attack."""
     parser.add_argument("--packets", type=int, default=20_000, help="malformed packets")
     parser.add_argument("--seed", type=int, default=1, help="of the generator")
-    parser.add_argument("--idle-s", type=float, default=5.0, help="length of an idle block")
-    parser.add_argument("--flood-s", type=float, default=5.0, help="length of a flood")
-    parser.add_argument("--rounds", type=int, default=3, help="how often each flood comes")
     parser.add_argument(
-        "--no-control", action="store_true", help="without the same load on a second daemon"
+        "--idle-s", type=float, default=5.0, help="length of an idle block"
+    )
+    parser.add_argument("--flood-s", type=float, default=5.0, help="length of a flood")
+    parser.add_argument(
+        "--rounds", type=int, default=3, help="how often each flood comes"
     )
     parser.add_argument(
-        "--anywhere", action="store_true", help="leave it to the system which core runs what"
+        "--no-control",
+        action="store_true",
+        help="without the same load on a second daemon",
+    )
+    parser.add_argument(
+        "--anywhere",
+        action="store_true",
+        help="leave it to the system which core runs what",
     )
 
 
@@ -81,7 +89,9 @@ async def send_packets(url: str, some: Iterator[Packet], campaign: Campaign) -> 
                     await _send(url, packet, campaign)
                     break
                 except (OSError, TimeoutError, ua.UaError):
-                    await asyncio.sleep(0.1)  # no connection free for the valid part before it
+                    await asyncio.sleep(
+                        0.1
+                    )  # no connection free for the valid part before it
             else:
                 campaign.not_sent += 1
 
@@ -129,7 +139,9 @@ def _pieces(args: argparse.Namespace) -> Iterator[tuple[str, Work]]:
 
     def sending(first: int) -> Work:
         async def send(url: str, campaign: Campaign) -> None:
-            some = itertools.islice(packets(args.packets, args.seed), first, first + _PER_BLOCK)
+            some = itertools.islice(
+                packets(args.packets, args.seed), first, first + _PER_BLOCK
+            )
             await send_packets(url, some, campaign)
 
         return send
@@ -137,7 +149,9 @@ def _pieces(args: argparse.Namespace) -> Iterator[tuple[str, Work]]:
     def flooding(flood: Callable[[str, float], Awaitable[None]]) -> Work:
         return lambda url, _: flood(url, time.monotonic() + args.flood_s)
 
-    parts = [("packets", sending(first)) for first in range(0, args.packets, _PER_BLOCK)]
+    parts = [
+        ("packets", sending(first)) for first in range(0, args.packets, _PER_BLOCK)
+    ]
     floods = [(name, flooding(flood)) for name, flood in FLOODS.items()] * args.rounds
     for pair in itertools.zip_longest(parts, floods):
         yield from (piece for piece in pair if piece is not None)
@@ -152,7 +166,11 @@ async def attack(args: argparse.Namespace) -> Campaign:
 
     async with contextlib.AsyncExitStack() as stack:
         subject = await stack.enter_async_context(running_target(campaign.plant_core))
-        other = None if args.no_control else await stack.enter_async_context(running_control())
+        other = (
+            None
+            if args.no_control
+            else await stack.enter_async_context(running_control())
+        )
         campaign.pacing_priority = subject.pacing_priority
         # The attacker represents another computer: it must not itself take the plant's core.
         os.nice(_ATTACKER_NICENESS)
@@ -192,7 +210,17 @@ async def _block(
     reads_ms = await asyncio.to_thread(subject.reads_ms)
     safe_ticks = subject.peer.safe_ticks - safe_ticks
     campaign.blocks.append(
-        Block(kind, name, duration_s, missed, reads_ms, peak_mb, stolen_s, ages_ms, safe_ticks)
+        Block(
+            kind,
+            name,
+            duration_s,
+            missed,
+            reads_ms,
+            peak_mb,
+            stolen_s,
+            ages_ms,
+            safe_ticks,
+        )
     )
 
 

@@ -94,30 +94,61 @@ def results(campaign: Campaign) -> list[Result]:
     found = [
         Result("malformed_packets", sum(campaign.sent.values()), "1", raw=raw),
         Result("unanswered_packets", campaign.outcomes.get(NO_ANSWER, 0), "1"),
-        Result("slowest_answer_s", campaign.slowest_s, "s", READ_DEADLINE_S, "read deadline"),
-        Result("memory_growth_mb", growth, "MB", campaign.baseline_mb, "before the attack"),
+        Result(
+            "slowest_answer_s",
+            campaign.slowest_s,
+            "s",
+            READ_DEADLINE_S,
+            "read deadline",
+        ),
+        Result(
+            "memory_growth_mb", growth, "MB", campaign.baseline_mb, "before the attack"
+        ),
     ]
     for percent in (50, 99):
-        value = _percentile([ms for block in busy for ms in block.reads_ms], percent / 100)
-        reference = _percentile([ms for block in idle for ms in block.reads_ms], percent / 100)
+        value = _percentile(
+            [ms for block in busy for ms in block.reads_ms], percent / 100
+        )
+        reference = _percentile(
+            [ms for block in idle for ms in block.reads_ms], percent / 100
+        )
         ratio = value / reference if reference else None
         found.append(
-            Result(f"healthy_read_p{percent}_ms", value, "ms", reference, "idle blocks", ratio)
+            Result(
+                f"healthy_read_p{percent}_ms",
+                value,
+                "ms",
+                reference,
+                "idle blocks",
+                ratio,
+            )
         )
     ages = [[ms for block in blocks for ms in block.ages_ms] for blocks in (busy, idle)]
     value, reference = (_percentile(rows, 0.99) for rows in ages)
     ratio = value / reference if reference else None
-    found.append(Result("peer_age_p99_ms", value, "ms", reference, "idle blocks", ratio))
-    found.append(Result("safe_ticks", sum(block.safe_ticks for block in campaign.blocks), "1"))
+    found.append(
+        Result("peer_age_p99_ms", value, "ms", reference, "idle blocks", ratio)
+    )
+    found.append(
+        Result("safe_ticks", sum(block.safe_ticks for block in campaign.blocks), "1")
+    )
     placement = {"plant_core": campaign.plant_core, "policy": "SCHED_FIFO"}
-    found.append(Result("pacing_priority", campaign.pacing_priority, "1", raw=placement))
+    found.append(
+        Result("pacing_priority", campaign.pacing_priority, "1", raw=placement)
+    )
     found += _missed("missed_ticks", busy, idle, "idle blocks")
     if control:
-        found += _missed("missed_ticks_to_load", busy, control, "the same load elsewhere")
+        found += _missed(
+            "missed_ticks_to_load", busy, control, "the same load elsewhere"
+        )
     # No priority regains time that the hypervisor takes, and it takes more from a busy computer.
-    calm_busy, calm_idle = ([b for b in blocks if b.stolen_s == 0] for blocks in (busy, idle))
+    calm_busy, calm_idle = (
+        [b for b in blocks if b.stolen_s == 0] for blocks in (busy, idle)
+    )
     if calm_busy and calm_idle:
-        found += _missed("missed_ticks_unstolen", calm_busy, calm_idle, "idle, nothing stolen")
+        found += _missed(
+            "missed_ticks_unstolen", calm_busy, calm_idle, "idle, nothing stolen"
+        )
     return found
 
 
@@ -129,7 +160,9 @@ def _missed(
     Ticks may be missed in bursts, which is no Poisson process: the wider of the exact interval for
     Poisson rates and the bootstrap interval over blocks is given.
     """
-    rows = [[(b.missed_ticks, b.duration_s) for b in blocks] for blocks in (busy, reference)]
+    rows = [
+        [(b.missed_ticks, b.duration_s) for b in blocks] for blocks in (busy, reference)
+    ]
     (count, time_s), (ref_count, ref_s) = [
         (sum(missed for missed, _ in row), sum(time for _, time in row)) for row in rows
     ]
@@ -146,7 +179,13 @@ def _missed(
     interval = "95 % interval"
     return [
         Result(
-            f"{name}_per_s", count / time_s, "1/s", ref_count / ref_s, reference_name, ratio, raw
+            f"{name}_per_s",
+            count / time_s,
+            "1/s",
+            ref_count / ref_s,
+            reference_name,
+            ratio,
+            raw,
         ),
         Result(f"{name}_rate_ratio_low", low, "1", 1.0, interval),
         Result(f"{name}_rate_ratio_high", min(high, 1e9), "1", 1.0, interval),

@@ -77,7 +77,9 @@ async def publishing_interval_zero(url: str, end_s: float) -> None:
             made = await wire.ask(request, ua.CreateSubscriptionResponse)
             items = ua.CreateMonitoredItemsRequest()
             items.Parameters.SubscriptionId = made.Parameters.SubscriptionId
-            item = ua.MonitoredItemCreateRequest(MonitoringMode=ua.MonitoringMode.Reporting)
+            item = ua.MonitoredItemCreateRequest(
+                MonitoringMode=ua.MonitoringMode.Reporting
+            )
             item.ItemToMonitor = ua.ReadValueId(
                 NodeId=ua.NodeId("sim.tick", 2), AttributeId=ua.AttributeIds.Value
             )
@@ -164,7 +166,9 @@ async def monitored_items(url: str, end_s: float) -> None:
             for number in itertools.cycle(numbers):
                 items = ua.CreateMonitoredItemsRequest()
                 items.Parameters.SubscriptionId = number
-                items.Parameters.ItemsToCreate = [_item(name, 1000) for name in _WATCHED] * 5
+                items.Parameters.ItemsToCreate = [
+                    _item(name, 1000) for name in _WATCHED
+                ] * 5
                 made = await wire.ask(items, ua.CreateMonitoredItemsResponse)
                 if not made.Results[-1].StatusCode.is_good():
                     break
@@ -206,7 +210,13 @@ async def _subscribe(wire: Wire, interval_ms: float = 1000.0) -> int:
     return int(made.Parameters.SubscriptionId)
 
 
-_WATCHED = ("sim.tick", "sim.time_s", "pose.x_m", "pose.yaw_rad", "imu.gyro_z_rad_s") * 20
+_WATCHED = (
+    "sim.tick",
+    "sim.time_s",
+    "pose.x_m",
+    "pose.yaw_rad",
+    "imu.gyro_z_rad_s",
+) * 20
 
 
 def _item(name: str, queue_size: int) -> ua.MonitoredItemCreateRequest:

@@ -60,18 +60,26 @@ def requests() -> list[object]:
     write = ua.WriteRequest()
     matrix = ua.Variant([[1.0, 2.0], [3.0, 4.0]], ua.VariantType.Double)
     write.Parameters.NodesToWrite = [
-        ua.WriteValue(NodeId=node, AttributeId=value, Value=ua.DataValue(ua.Variant(content)))
+        ua.WriteValue(
+            NodeId=node, AttributeId=value, Value=ua.DataValue(ua.Variant(content))
+        )
         for content in (1.5, [1.0, 2.0], "text", [ua.Variant(1)], ua.LocalizedText("a"))
     ] + [ua.WriteValue(NodeId=node, AttributeId=value, Value=ua.DataValue(matrix))]
     call = ua.CallRequest()
-    method = ua.CallMethodRequest(ua.NodeId("methods", 2), ua.NodeId("methods.SetPose", 2))
+    method = ua.CallMethodRequest(
+        ua.NodeId("methods", 2), ua.NodeId("methods.SetPose", 2)
+    )
     method.InputArguments = [ua.Variant(0.0)] * 3
     call.Parameters.MethodsToCall = [method]
     browse = ua.BrowseRequest()
-    browse.Parameters.NodesToBrowse = [ua.BrowseDescription(NodeId=node, ResultMask=63)] * 2
+    browse.Parameters.NodesToBrowse = [
+        ua.BrowseDescription(NodeId=node, ResultMask=63)
+    ] * 2
     browse.Parameters.View.Timestamp = _CAPTURED
     path = ua.BrowsePath(StartingNode=node)
-    path.RelativePath.Elements = [ua.RelativePathElement(TargetName=ua.QualifiedName("EURange"))]
+    path.RelativePath.Elements = [
+        ua.RelativePathElement(TargetName=ua.QualifiedName("EURange"))
+    ]
     translate = ua.TranslateBrowsePathsToNodeIdsRequest()
     translate.Parameters.BrowsePaths = [path]
     subscribe = ua.CreateSubscriptionRequest()
@@ -84,11 +92,15 @@ def requests() -> list[object]:
     events.RequestedParameters.Filter = ua.EventFilter()
     items.Parameters.ItemsToCreate = [item, events]
     publish = ua.PublishRequest()
-    publish.Parameters.SubscriptionAcknowledgements = [ua.SubscriptionAcknowledgement(1, 2)]
+    publish.Parameters.SubscriptionAcknowledgements = [
+        ua.SubscriptionAcknowledgement(1, 2)
+    ]
     add = ua.AddNodesRequest()
     add.Parameters.NodesToAdd = [ua.AddNodesItem()]
     activate = ua.ActivateSessionRequest()
-    activate.Parameters.UserIdentityToken = ua.UserNameIdentityToken("p", "admin", b"x", "")
+    activate.Parameters.UserIdentityToken = ua.UserNameIdentityToken(
+        "p", "admin", b"x", ""
+    )
     register = ua.RegisterServerRequest()
     register.Server.ServerNames = [ua.LocalizedText("x")]
     return [
@@ -146,7 +158,9 @@ def _insert(rng: random.Random, data: bytearray, start: int, _: list[bytes]) -> 
     _fix_size(data)
 
 
-def _splice(rng: random.Random, data: bytearray, start: int, valid: list[bytes]) -> None:
+def _splice(
+    rng: random.Random, data: bytearray, start: int, valid: list[bytes]
+) -> None:
     other = rng.choice(valid)
     data[_place(rng, data, start) :] = other[rng.randrange(len(other)) :]
     _fix_size(data)
@@ -165,7 +179,9 @@ def _header(rng: random.Random, data: bytearray, _: int, __: list[bytes]) -> Non
 
 
 def _size(rng: random.Random, data: bytearray, _: int, __: list[bytes]) -> None:
-    size = rng.choice((0, 7, 8, 9, 12, 24, len(data) - 1, len(data) + 1, 65_536, 2**31 - 1))
+    size = rng.choice(
+        (0, 7, 8, 9, 12, 24, len(data) - 1, len(data) + 1, 65_536, 2**31 - 1)
+    )
     data[4:8] = struct.pack("<I", max(size, 0))
 
 

@@ -56,7 +56,10 @@ class PeerWatch:
             if frame is None:
                 continue
             if frame.values[self._sequence] != self._last:
-                self._last, self._changed_ns = frame.values[self._sequence], frame.planned_ns
+                self._last, self._changed_ns = (
+                    frame.values[self._sequence],
+                    frame.planned_ns,
+                )
             ages.append((frame.planned_ns - self._changed_ns) / 1e6)
             self.safe_ticks += int(frame.values[self._state] == _SAFE)
         self._number = head
@@ -107,7 +110,9 @@ class Target:
     def check(self) -> None:
         """Raise FailedError if the daemon is gone."""
         if self.daemon.poll() is not None:
-            raise FailedError(f"the daemon ended with code {self.daemon.returncode}: a crash")
+            raise FailedError(
+                f"the daemon ended with code {self.daemon.returncode}: a crash"
+            )
 
 
 def _pipes(process: "subprocess.Popen[str]") -> tuple[IO[str], IO[str]]:
@@ -123,10 +128,14 @@ async def running_target(cpu: int | None) -> AsyncIterator[Target]:
     settings = {"scheduler": {"policy": "skip", "realtime": {"cpu": cpu}}}
     image = f"bench-attack-{os.getpid()}"
     async with running_daemon(settings, image, "--demo") as (url, daemon):
-        with piped(python("-m", "benchmarks.attack_probe", url), name="the probe") as probe:
+        with piped(
+            python("-m", "benchmarks.attack_probe", url), name="the probe"
+        ) as probe:
             reader = ImageReader.attach(image)
             _, words = reader.region("statistics")
-            subject = Target(url, daemon, probe, Statistics.attach(words), PeerWatch(reader))
+            subject = Target(
+                url, daemon, probe, Statistics.attach(words), PeerWatch(reader)
+            )
             await asyncio.sleep(1.0)
             subject.reads_ms()
             yield subject

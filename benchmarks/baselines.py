@@ -16,7 +16,13 @@ from benchmarks.sindy import sindy
 from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.regression.fitting import fit
-from hilserver.diagnosis.regression.gain import HORIZON_S, held_out, missed, of_halves, windows
+from hilserver.diagnosis.regression.gain import (
+    HORIZON_S,
+    held_out,
+    missed,
+    of_halves,
+    windows,
+)
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.replay.pose_stage import PoseStage
@@ -30,7 +36,9 @@ MOST_RUNS: Final = 40
 
 def applies(problem: Problem) -> bool:
     """Return whether the rivals can be compared on a stage: position and heading were measured."""
-    return isinstance(problem.stage, PoseStage) and problem.stage.log.has(*POSITION, YAW)
+    return isinstance(problem.stage, PoseStage) and problem.stage.log.has(
+        *POSITION, YAW
+    )
 
 
 class NineTerms:
@@ -46,7 +54,9 @@ class NineTerms:
     def __init__(self, problem: Problem) -> None:
         assert isinstance(problem.stage, PoseStage)
         self.stage, self.stack, stage = problem.stage, problem.stack, problem.stage
-        per_rpm = stage.robot.wheel_radius_m * np.pi / 60.0  # the sides are sums of two wheels
+        per_rpm = (
+            stage.robot.wheel_radius_m * np.pi / 60.0
+        )  # the sides are sums of two wheels
         left, right = stage.left * per_rpm, -stage.right * per_rpm
         self.v, self.om = 0.5 * (left + right), stage.robot.k_om * (right - left)
         self.fold = self.stack.fold[self.stack.block]
@@ -60,7 +70,12 @@ class NineTerms:
         yaw = self._integral(turn)
         place = self._integral((ahead + 1j * aside) * np.exp(1j * yaw))
         out = np.zeros(len(self.stack))
-        sources = {POSITION[0]: place.real, POSITION[1]: place.imag, YAW: yaw, GYRO: turn}
+        sources = {
+            POSITION[0]: place.real,
+            POSITION[1]: place.imag,
+            YAW: yaw,
+            GYRO: turn,
+        }
         for name, source in sources.items():
             if name in self.stack.edges:
                 late_s = 0.0 if name == GYRO else theta[8]
@@ -98,16 +113,22 @@ class NineTerms:
     def fitted(self, test: int | None = None) -> Array:
         """Return the nine values, fitted to all samples or to those outside one fold."""
         x, y, yaw = (self.stack.edges[name] for name in (*POSITION, YAW))
-        own = [np.concatenate([self.fold[x], self.fold[y]]) != test, self.fold[yaw] != test]
+        own = [
+            np.concatenate([self.fold[x], self.fold[y]]) != test,
+            self.fold[yaw] != test,
+        ]
         theta = np.array(self.NULL)
         for _ in range(2):  # metres and radians, each scaled by its residual
             scales = [
-                _rms(m[k]) for m, k in zip(self.missed(self.predict(theta)), own, strict=True)
+                _rms(m[k])
+                for m, k in zip(self.missed(self.predict(theta)), own, strict=True)
             ]
 
             def residual(theta: Array, scales: list[float] = scales) -> Array:
                 parts = zip(self.missed(self.predict(theta)), own, scales, strict=True)
-                return np.concatenate([missed[keep] / scale for missed, keep, scale in parts])
+                return np.concatenate(
+                    [missed[keep] / scale for missed, keep, scale in parts]
+                )
 
             theta = least_squares(residual, theta, max_nfev=MOST_RUNS).x
         return np.asarray(theta)
@@ -127,7 +148,9 @@ def _mean(values: NDArray[Any], owner: NDArray[np.int64], n: int) -> NDArray[Any
 def nine_terms(prepared: Prepared) -> Array:
     """Return the held-out prediction of `NineTerms`."""
     rival = NineTerms(prepared.problem)
-    return held_out(prepared.problem, [rival.predict(rival.fitted(test)) for test in (0, 1)])
+    return held_out(
+        prepared.problem, [rival.predict(rival.fitted(test)) for test in (0, 1)]
+    )
 
 
 class EndErrors(NineTerms):
@@ -149,7 +172,11 @@ class EndErrors(NineTerms):
 
     def fitted(self, test: int | None = None) -> Array:
         """Return the nine values, fitted to the runs outside one half."""
-        start, end, edge = self.runs.start[YAW], self.runs.end[YAW], self.stack.edges[YAW]
+        start, end, edge = (
+            self.runs.start[YAW],
+            self.runs.end[YAW],
+            self.stack.edges[YAW],
+        )
         half = self.stack.half[self.stack.block[edge]]
         keep = (half[start] != test) & (half[end] != test)
 
@@ -181,7 +208,9 @@ class EndErrors(NineTerms):
 def nine_terms_by_end(prepared: Prepared) -> Array:
     """Return the held-out prediction of `EndErrors`."""
     rival = EndErrors(prepared.problem)
-    return of_halves(prepared.problem, [rival.predict(rival.fitted(test)) for test in (0, 1)])
+    return of_halves(
+        prepared.problem, [rival.predict(rival.fitted(test)) for test in (0, 1)]
+    )
 
 
 def stepwise(prepared: Prepared) -> Array:
@@ -204,7 +233,13 @@ def _stepwise(prepared: Prepared, test: int) -> Point:
 
     while len(point.model.fitted) < MOST_CAUSES:
         trials = [
-            fit(problem, point.model.plus(c, c.beginning), point, rows=rows, iterations=4)
+            fit(
+                problem,
+                point.model.plus(c, c.beginning),
+                point,
+                rows=rows,
+                iterations=4,
+            )
             for c in _most_promising(prepared, point, rows)
         ]
         best = min(trials, key=criterion, default=point)
@@ -214,7 +249,9 @@ def _stepwise(prepared: Prepared, test: int) -> Point:
     return point
 
 
-def _most_promising(prepared: Prepared, point: Point, rows: NDArray[np.bool_]) -> list[Candidate]:
+def _most_promising(
+    prepared: Prepared, point: Point, rows: NDArray[np.bool_]
+) -> list[Candidate]:
     """Return the candidates that would reduce the loss most if linear, one of each cause."""
     library, order = prepared.library, prepared.library.blocks.order
     keep = rows[prepared.problem.stack.block][order]

@@ -3,7 +3,9 @@
 from scipy.stats import beta
 
 
-def clopper_pearson(count: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
+def clopper_pearson(
+    count: int, trials: int, confidence: float = 0.95
+) -> tuple[float, float]:
     """Return the exact interval of a share (Clopper and Pearson 1934); (0, 1) without trials."""
     tail = (1.0 - confidence) / 2.0
     low = float(beta.ppf(tail, count, trials - count + 1)) if count > 0 else 0.0

@@ -76,7 +76,9 @@ class BodyVelocities:
         for name in self.names:
             edge = stack.edges[name]
             mine = stack.segment[edge] == segment
-            found.append(edge.start + np.flatnonzero(mine & self._kept[edge] if kept else mine))
+            found.append(
+                edge.start + np.flatnonzero(mine & self._kept[edge] if kept else mine)
+            )
         return found
 
     def _sampled(self, name: str, values: Array) -> Array:
@@ -100,7 +102,9 @@ class BodyVelocities:
     def _smooth(self, values: Array, order: int = 0) -> Array:
         out = np.empty_like(values)
         for _, part in self.parts:
-            out[part] = savgol_filter(values[part], WINDOW, ORDER, deriv=order, delta=STEP_S)
+            out[part] = savgol_filter(
+                values[part], WINDOW, ORDER, deriv=order, delta=STEP_S
+            )
         return out
 
     def rate(self, values: Array) -> Array:

@@ -69,4 +69,6 @@ def scored(case: Case, groups: Sequence[Sequence[str]]) -> Score:
         outcome = "right" if len(wrong) < len(groups) else "missed"
     else:
         outcome = "false_alarm" if groups else "right"
-    return Score(outcome, wrong=wrong, found=["|".join(sorted(group)) for group in groups])
+    return Score(
+        outcome, wrong=wrong, found=["|".join(sorted(group)) for group in groups]
+    )

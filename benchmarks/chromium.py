@@ -42,7 +42,9 @@ class Tab:
     @classmethod
     async def open(cls, session: aiohttp.ClientSession, port: int) -> Self:
         """Open an empty tab."""
-        async with session.put(f"http://127.0.0.1:{port}/json/new?about:blank") as answer:
+        async with session.put(
+            f"http://127.0.0.1:{port}/json/new?about:blank"
+        ) as answer:
             address = (await answer.json())["webSocketDebuggerUrl"]
         return cls(await session.ws_connect(address, max_msg_size=0))
 
@@ -56,7 +58,9 @@ class Tab:
         """
         number = next(self._numbers)
         answer = self._answers[number] = asyncio.get_running_loop().create_future()
-        await self._socket.send_json({"id": number, "method": method, "params": parameters})
+        await self._socket.send_json(
+            {"id": number, "method": method, "params": parameters}
+        )
         try:
             async with asyncio.timeout(ANSWER_WITHIN_S):
                 found = await answer
@@ -73,7 +77,9 @@ class Tab:
             "Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True
         )
         if "exceptionDetails" in found:
-            raise FailedError(f"chromium: {found['exceptionDetails']['text']}: {script:.80}")
+            raise FailedError(
+                f"chromium: {found['exceptionDetails']['text']}: {script:.80}"
+            )
         return found["result"].get("value")
 
     async def wait_for(self, condition: str) -> None:
@@ -132,9 +138,16 @@ async def browser() -> AsyncIterator[tuple[aiohttp.ClientSession, int]]:
     """
     program = shutil.which("chromium") or shutil.which("chromium-browser")
     if program is None:
-        raise FailedError("chromium is needed: install the package chromium, or use --no-browser")
-    with tempfile.TemporaryDirectory(prefix="hilserver-", ignore_cleanup_errors=True) as folder:
-        quiet = {"stdout": asyncio.subprocess.DEVNULL, "stderr": asyncio.subprocess.DEVNULL}
+        raise FailedError(
+            "chromium is needed: install the package chromium, or use --no-browser"
+        )
+    with tempfile.TemporaryDirectory(
+        prefix="hilserver-", ignore_cleanup_errors=True
+    ) as folder:
+        quiet = {
+            "stdout": asyncio.subprocess.DEVNULL,
+            "stderr": asyncio.subprocess.DEVNULL,
+        }
         command = [program, *_ARGUMENTS, f"--user-data-dir={folder}", "about:blank"]
         async with started(command, name="chromium", stop_limit_s=10.0, **quiet):
             port = await _port(Path(folder) / "DevToolsActivePort")

@@ -26,7 +26,14 @@ def cluster(workers: int) -> Iterator[str]:
         scheduler = python("-m", "distributed.cli.dask_scheduler", "--no-dashboard")
         scheduler += ["--host", address]
         worker = python("-m", "distributed.cli.dask_worker", address, "--no-dashboard")
-        worker += ["--nworkers", str(workers), "--nthreads", "1", "--local-directory", folder]
+        worker += [
+            "--nworkers",
+            str(workers),
+            "--nthreads",
+            "1",
+            "--local-directory",
+            folder,
+        ]
         with (
             piped(scheduler, name="dask scheduler", **quiet),
             piped(worker, name="dask worker", **quiet),

@@ -41,7 +41,12 @@ def _run(
         dt = wheels[k, 0] - wheels[k - 1, 0] if k else 0.0
         cos, sin = math.cos(x[2]), math.sin(x[2])
         f = np.eye(5)
-        f[0, 2], f[0, 3], f[1, 2], f[1, 3] = -x[3] * sin * dt, cos * dt, x[3] * cos * dt, sin * dt
+        f[0, 2], f[0, 3], f[1, 2], f[1, 3] = (
+            -x[3] * sin * dt,
+            cos * dt,
+            x[3] * cos * dt,
+            sin * dt,
+        )
         f[2, 4] = dt
         x[0] += x[3] * cos * dt
         x[1] += x[3] * sin * dt

@@ -42,10 +42,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--class", dest="groups", default=",".join(GROUPS), metavar="A,B",
         help=f"classes of cases: {', '.join(GROUPS)}; default: all",
     )  # fmt: skip
-    parser.add_argument("--only", default="", metavar="NAME,..", help="only cases of these names")
-    parser.add_argument("--seeds", type=int, default=20, metavar="N", help="seeds; default 20")
-    parser.add_argument("--first-seed", type=int, default=0, metavar="N", help="default 0")
-    parser.add_argument("--jobs", type=int, default=2, help="worker processes; default 2")
+    parser.add_argument(
+        "--only", default="", metavar="NAME,..", help="only cases of these names"
+    )
+    parser.add_argument(
+        "--seeds", type=int, default=20, metavar="N", help="seeds; default 20"
+    )
+    parser.add_argument(
+        "--first-seed", type=int, default=0, metavar="N", help="default 0"
+    )
+    parser.add_argument(
+        "--jobs", type=int, default=2, help="worker processes; default 2"
+    )
     parser.add_argument(
         "--duration", type=float, metavar="S", help="shorter logs, for a quick look"
     )
@@ -63,7 +71,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="results so far, of the present sources: the campaign goes on from them and adds to"
         " them; default %(default)s",
     )  # fmt: skip
-    parser.add_argument("--out", type=Path, metavar="FILE", help="write the tables as Markdown")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help="write the tables as Markdown"
+    )
     parser.add_argument(
         "--recordings", nargs="+", type=_recordings, metavar="MAPPING=LOG,..",
         help="instead of hidden causes: the gain on these recordings, beside simple rivals",
@@ -153,9 +163,13 @@ def _wanted(
     seeds = range(args.first_seed, args.first_seed + args.seeds)
     only = {word for word in args.only.split(",") if word}
     if group == "scenario":
-        yield from (Staged(n, s) for n in SCENARIOS if not only or n in only for s in seeds)
+        yield from (
+            Staged(n, s) for n in SCENARIOS if not only or n in only for s in seeds
+        )
         return
-    found = _at_smallest_size(records, seeds) if group == "size" else cases(group, seeds)
+    found = (
+        _at_smallest_size(records, seeds) if group == "size" else cases(group, seeds)
+    )
     for case in found:
         if not only or only & set(case.name.split("+")):
             yield changed(case, args.duration, args.measured_noise)
@@ -165,7 +179,9 @@ def _at_smallest_size(records: Iterable[Record], seeds: range) -> Iterator[Case]
     """Yield every required cause at the median of the sizes that null logs of its kind state."""
     nulls = [r for r in records if r["group"] == "null"]
     if not nulls:
-        msg = "--class size needs the sizes that null logs state: run --class null,size."
+        msg = (
+            "--class size needs the sizes that null logs state: run --class null,size."
+        )
         raise FailedError(msg)
     for name in REQUIRED:
         cause = CAUSES[name]
@@ -195,7 +211,10 @@ def _work_off(args: argparse.Namespace, results: Results) -> list[str]:
                 if now - shown > PROGRESS_EVERY_S or done == len(todo):
                     shown = now
                     left = now / done * (len(todo) - done)
-                    print(f"{group}: {done} of {len(todo)}, {left:.0f} s left", file=sys.stderr)
+                    print(
+                        f"{group}: {done} of {len(todo)}, {left:.0f} s left",
+                        file=sys.stderr,
+                    )
     return asked
 
 
@@ -211,7 +230,9 @@ def _commit() -> str:
     commit = git("rev-parse", "--short=10", "HEAD")
     if not commit:
         return f"version-{__version__}"
-    changed = git("status", "--porcelain", "--untracked-files=no", "--", ".", "../hilserver")
+    changed = git(
+        "status", "--porcelain", "--untracked-files=no", "--", ".", "../hilserver"
+    )
     return f"{commit}-changed" if changed else commit
 
 
@@ -221,5 +242,7 @@ def _heading(results: Results) -> list[str]:
     made = f"commit `{_commit()}`, sources `{results.stamp['sources']}`, {today}"
     lines = ["# Campaign of the diagnosis", "", f"`{words}`, {made}."]
     if results.others:
-        lines[-1] += f" {results.others} results of other sources or settings are not counted."
+        lines[-1] += (
+            f" {results.others} results of other sources or settings are not counted."
+        )
     return lines

@@ -77,7 +77,9 @@ class Recording:
         return f"{self.mapping}={self.file}"
 
 
-def measure(mapped: Iterable[tuple[str, Sequence[Path]]], resume: Path, jobs: int) -> list[Result]:
+def measure(
+    mapped: Iterable[tuple[str, Sequence[Path]]], resume: Path, jobs: int
+) -> list[Result]:
     """Diagnose every recording by itself, print the table, return its figures.
 
     Parameters
@@ -99,7 +101,9 @@ def measure(mapped: Iterable[tuple[str, Sequence[Path]]], resume: Path, jobs: in
                 results.add(record)
                 print(f"{record['key']}: {done} of {len(todo)}", file=sys.stderr)
     finally:
-        found = [results.records[one.key] for one in asked if one.key in results.records]
+        found = [
+            results.records[one.key] for one in asked if one.key in results.records
+        ]
         rows = [Row.model_validate(row) for record in found for row in record["rows"]]
         print(_table(rows))
     return list(_figures(rows))
@@ -109,7 +113,9 @@ def measure(mapped: Iterable[tuple[str, Sequence[Path]]], resume: Path, jobs: in
 def work(one: Recording) -> dict[str, Any]:
     """Return the record of one recording: a line of the file of results."""
     begin = time.perf_counter()
-    rows = against_rivals(one.file.stem, read_measured([one.file], one.mapping), _robot())
+    rows = against_rivals(
+        one.file.stem, read_measured([one.file], one.mapping), _robot()
+    )
     plain = [row.model_dump(mode="json") for row in rows]
     return {"key": one.key, "rows": plain, "seconds": time.perf_counter() - begin}
 
@@ -130,11 +136,15 @@ def _table(rows: Sequence[Row]) -> str:
         for gain in (row.ahead[rival] for rival in NINE_TERMS):
             low, high = gain.ci95 or (float("nan"), float("nan"))
             cells.append(f"{gain.ratio:.3f} ({low:.2f} to {high:.2f})")
-        lines.append(f"| {row.name} | {row.quantity} | {row.engine:.2f} | {' | '.join(cells)} |")
+        lines.append(
+            f"| {row.name} | {row.quantity} | {row.engine:.2f} | {' | '.join(cells)} |"
+        )
     return "\n".join(lines)
 
 
-def against_rivals(name: str, log: MeasuredLog, robot: RobotParameters) -> Iterator[Row]:
+def against_rivals(
+    name: str, log: MeasuredLog, robot: RobotParameters
+) -> Iterator[Row]:
     """Yield the gains of the diagnosis and its rivals on one log."""
     rng = np.random.default_rng(0)
     judged = examine(log, robot, rng, 1, Tracker()).judged
@@ -144,7 +154,11 @@ def against_rivals(name: str, log: MeasuredLog, robot: RobotParameters) -> Itera
         return
     problem, before = prepared["pose"].problem, prepared["pose"].base.predicted
     halves = judged_by_halves(judged, 0, 1).get("pose", ())
-    after = cross_validated(judged["pose"], halves, before).parts[0].after if halves else before
+    after = (
+        cross_validated(judged["pose"], halves, before).parts[0].after
+        if halves
+        else before
+    )
     engine = gains(problem, before, after, HORIZON_S, rng)
     ahead = {
         rival: gains(problem, predict(prepared["pose"]), after, HORIZON_S, rng)
@@ -160,11 +174,17 @@ def _figures(rows: Sequence[Row]) -> Iterator[Result]:
         mine = [row for row in rows if row.quantity == quantity]
         if not mine:
             continue
-        bar = max(NINE_TERMS, key=lambda rival: _mean([row.gain(rival) for row in mine]))
+        bar = max(
+            NINE_TERMS, key=lambda rival: _mean([row.gain(rival) for row in mine])
+        )
         ratios = {row.name: row.ahead[bar].ratio for row in mine}
         mean, reference = _mean(list(ratios.values())), f"gain of {bar}"
-        yield Result(f"{quantity}: geometric mean", mean, "1", 1.0, reference, raw=ratios)
-        yield Result(f"{quantity}: worst", min(ratios.values()), "1", 0.85, "bound", raw=ratios)
+        yield Result(
+            f"{quantity}: geometric mean", mean, "1", 1.0, reference, raw=ratios
+        )
+        yield Result(
+            f"{quantity}: worst", min(ratios.values()), "1", 0.85, "bound", raw=ratios
+        )
 
 
 def _mean(values: Sequence[float]) -> float:

@@ -32,7 +32,9 @@ def sources(own: Sequence[str] = OWN, more: Sequence[str] = ()) -> str:
         Further rooms of the package, besides those of the engine.
     """
     package = Path(hilserver.__file__).parent
-    folders = [package / r for r in (*ROOMS, *more)] + [Path(hilserver_injector.__file__).parent]
+    folders = [package / r for r in (*ROOMS, *more)] + [
+        Path(hilserver_injector.__file__).parent
+    ]
     files = [file for folder in folders for file in folder.rglob("*.py")]
     files += [Path(__file__).with_name(f"{part}.py") for part in own]
     total = hashlib.sha256()

@@ -19,12 +19,19 @@ def rival_table(records: Sequence[Record]) -> list[str]:
     if not mine:
         return []
     rivals = list(mine[0]["gains"])
-    lines = [f"| measure | logs | {DIAGNOSIS} | {' | '.join(rivals)} |", "|---" * (len(rivals) + 3)]
+    lines = [
+        f"| measure | logs | {DIAGNOSIS} | {' | '.join(rivals)} |",
+        "|---" * (len(rivals) + 3),
+    ]
     lines[1] += "|"
     for group, measure, hit in (
         ("single", "right name, and no other", _right),
         ("single", "a wrong name", lambda answer: bool(answer["wrong"])),
-        ("null", "findings without an effect", lambda answer: answer["outcome"] == "false_alarm"),
+        (
+            "null",
+            "findings without an effect",
+            lambda answer: answer["outcome"] == "false_alarm",
+        ),
     ):
         some = [record for record in mine if record["group"] == group]
         if some:
@@ -39,11 +46,14 @@ def rival_table(records: Sequence[Record]) -> list[str]:
         for key, quantity in QUANTITIES.items():
             columns = [[record["gain"].get(key, 1.0) for record in some]]
             columns += [
-                [record["gains"][rival].get(key, 1.0) for record in some] for rival in rivals
+                [record["gains"][rival].get(key, 1.0) for record in some]
+                for rival in rivals
             ]
             if some:
                 cells = [f"{np.exp(np.mean(np.log(column))):.2f}" for column in columns]
-                lines.append(f"| gain in {quantity}, {title} | {len(some)} | {' | '.join(cells)} |")
+                lines.append(
+                    f"| gain in {quantity}, {title} | {len(some)} | {' | '.join(cells)} |"
+                )
     return [*lines, ""]
 
 

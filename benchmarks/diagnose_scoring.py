@@ -18,7 +18,13 @@ WITHIN: Final = 0.2
 SHARE: Final = 0.9
 """Probability of the joint ellipsoid."""
 _NAMES: Final = frozenset(
-    {Verdict.NAMED, Verdict.NAMED_GROUP, Verdict.DRIFT, Verdict.DATA_FAULT, Verdict.DIFFERS}
+    {
+        Verdict.NAMED,
+        Verdict.NAMED_GROUP,
+        Verdict.DRIFT,
+        Verdict.DATA_FAULT,
+        Verdict.DIFFERS,
+    }
 )
 _SILENT: Final = frozenset({Verdict.INSUFFICIENT_EXCITATION, Verdict.NO_DIFFERENCE})
 
@@ -98,14 +104,18 @@ def score(case: Case, findings: Findings) -> Score:
     result = Score(
         outcome="missed",
         wrong=["|".join(sorted(names(f))) for f in said if _is_wrong(f, answer)],
-        found=[f"{finding.verdict}:{'|'.join(sorted(names(finding)))}" for finding in said],
+        found=[
+            f"{finding.verdict}:{'|'.join(sorted(names(finding)))}" for finding in said
+        ],
     )
     if answer.verdict == "nothing_found":
         result.outcome = "false_alarm" if said else "right"
     elif answer.verdict == Verdict.STRUCTURE_NOT_IN_LIBRARY:
         result.outcome = _outside(said, answer, result.wrong)
     else:
-        result.outcome = _worst([_one(said, wanted, answer) for wanted in answer.causes])
+        result.outcome = _worst(
+            [_one(said, wanted, answer) for wanted in answer.causes]
+        )
         result.values = _values(said, answer)
         if findings.joint is not None and len(result.values) == len(answer.values):
             result.ellipsoid = ellipsoid_of(findings.joint, answer.values)
@@ -129,7 +139,10 @@ def _one(loud: Sequence[Finding], wanted: frozenset[str], answer: Answer) -> str
     for finding in holding:
         if len(finding.causes) > LARGEST_GROUP:
             continue
-        if answer.verdict == Verdict.NAMED_GROUP and len(names(finding) & answer.together) < 2:
+        if (
+            answer.verdict == Verdict.NAMED_GROUP
+            and len(names(finding) & answer.together) < 2
+        ):
             continue  # one of two twins alone is a coin toss
         if answer.verdict in {Verdict.DRIFT, Verdict.DATA_FAULT} and (
             finding.verdict != answer.verdict
@@ -169,7 +182,9 @@ def _values(loud: Sequence[Finding], answer: Answer) -> dict[str, Value]:
     return scored
 
 
-def value_of(name: str, true: float, fitted: float, ci95: tuple[float, float] | None) -> Value:
+def value_of(
+    name: str, true: float, fitted: float, ci95: tuple[float, float] | None
+) -> Value:
     """Return a fitted value and the true one; nearness is relative to the size of the effect."""
     null = TERMS[_full(name)].null or 0.0
     return Value(

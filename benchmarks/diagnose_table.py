@@ -50,7 +50,14 @@ class Row:
         """Return the row as the bench writes it."""
         bound = self.least if self.least is not None else self.most
         raw = {"count": self.count, "trials": self.trials, "ci95": self.interval}
-        return Result(self.name, 100.0 * self.share, "%", bound and 100.0 * bound, "bound", raw=raw)
+        return Result(
+            self.name,
+            100.0 * self.share,
+            "%",
+            bound and 100.0 * bound,
+            "bound",
+            raw=raw,
+        )
 
 
 def rows(records: Sequence[Record]) -> list[Row]:
@@ -63,31 +70,74 @@ def rows(records: Sequence[Record]) -> list[Row]:
         least: float | None = None,
         most: float | None = None,
     ) -> Row:
-        trials = [r for r in records if group in {r["group"], "any"} and r["group"] != "size"]
+        trials = [
+            r for r in records if group in {r["group"], "any"} and r["group"] != "size"
+        ]
         return Row(name, sum(map(hit, trials)), len(trials), least, most)
 
-    values = [v for r in records if r["group"] == "single" for v in r["values"].values()]
+    values = [
+        v for r in records if r["group"] == "single" for v in r["values"].values()
+    ]
     judged = [v for v in values if v["in_ci95"] is not None]
     held = [r["ellipsoid"]["inside"] for r in records if r.get("ellipsoid")]
     rival = [v for r in records for v in r.get("sysid", {}).values()]
     sized = [r for r in records if r["group"] == "size"]
     return [
         row(
-            "findings without an effect", "null", lambda r: r["outcome"] == "false_alarm", most=0.0
+            "findings without an effect",
+            "null",
+            lambda r: r["outcome"] == "false_alarm",
+            most=0.0,
         ),
-        row("ordinary sensors: more than their faults", "sensors", _more_than_faults, most=0.0),
+        row(
+            "ordinary sensors: more than their faults",
+            "sensors",
+            _more_than_faults,
+            most=0.0,
+        ),
         row("right name, single cause", "single", _right, least=0.9),
         row("named alone", "single", lambda r: named_how(r) == "alone"),
-        row("named in a group of two", "single", lambda r: named_how(r) == "group of two"),
-        row("named in a larger group", "single", lambda r: named_how(r) == "larger group"),
-        row("named beside another finding", "single", lambda r: named_how(r) == "beside another"),
-        row("missed: structure or nothing instead of a name", "single", _missed, most=0.05),
-        Row("value within its ci95", sum(v["in_ci95"] for v in judged), len(judged), least=0.9),
-        Row("value within 20 %", sum(v["within_20"] for v in values), len(values), least=0.9),
+        row(
+            "named in a group of two",
+            "single",
+            lambda r: named_how(r) == "group of two",
+        ),
+        row(
+            "named in a larger group",
+            "single",
+            lambda r: named_how(r) == "larger group",
+        ),
+        row(
+            "named beside another finding",
+            "single",
+            lambda r: named_how(r) == "beside another",
+        ),
+        row(
+            "missed: structure or nothing instead of a name",
+            "single",
+            _missed,
+            most=0.05,
+        ),
+        Row(
+            "value within its ci95",
+            sum(v["in_ci95"] for v in judged),
+            len(judged),
+            least=0.9,
+        ),
+        Row(
+            "value within 20 %",
+            sum(v["within_20"] for v in values),
+            len(values),
+            least=0.9,
+        ),
         Row("ellipsoid of 90 % holds the truth", sum(held), len(held), 0.85, 0.95),
         Row("mujoco.sysid: in its ci95", sum(v["in_ci95"] for v in rival), len(rival)),
-        Row("mujoco.sysid: within 20 %", sum(v["within_20"] for v in rival), len(rival)),
-        row("confidently wrong, all tests", "any", lambda r: bool(r["wrong"]), most=0.02),
+        Row(
+            "mujoco.sysid: within 20 %", sum(v["within_20"] for v in rival), len(rival)
+        ),
+        row(
+            "confidently wrong, all tests", "any", lambda r: bool(r["wrong"]), most=0.02
+        ),
         row("a patch makes a quantity worse, all logs", "any", _worse, most=0.0),
         row("diagnosis broke off, all tests", "any", _broken, most=0.0),
         row("outside the library flagged", "outside", _right, least=0.7),
@@ -96,7 +146,9 @@ def rows(records: Sequence[Record]) -> list[Row]:
         row("faults of the data named", "fault", _right, least=0.9),
         row("drift named", "drift", _right, least=0.9),
         row("scenarios of the thesis", "scenario", _right, least=0.95),
-        Row("found at 1 x smallest size", sum(map(_right, sized)), len(sized), 0.7, 0.95),
+        Row(
+            "found at 1 x smallest size", sum(map(_right, sized)), len(sized), 0.7, 0.95
+        ),
     ]
 
 
@@ -117,7 +169,9 @@ def _alarmed(record: Record) -> bool:
 
 def _more_than_faults(record: Record) -> bool:
     """Return whether more than the true faults was found in a sound machine's log."""
-    return bool(record["wrong"]) or any("data_fault:" not in found for found in record["found"])
+    return bool(record["wrong"]) or any(
+        "data_fault:" not in found for found in record["found"]
+    )
 
 
 def _worse(record: Record) -> bool:
@@ -165,10 +219,14 @@ def _seconds(records: Sequence[Record]) -> list[str]:
     taken = sorted(record["seconds"] for record in records)
     if not taken:
         return []
-    lines = [f"Time per log: median {taken[len(taken) // 2]:.2f} s, longest {taken[-1]:.2f} s."]
+    lines = [
+        f"Time per log: median {taken[len(taken) // 2]:.2f} s, longest {taken[-1]:.2f} s."
+    ]
     widths = [r["ellipsoid"]["width"] for r in records if r.get("ellipsoid")]
     if widths:
-        lines[0] += f" Ellipsoids: median half axis {100 * median(widths):.1f} % of the effect."
+        lines[0] += (
+            f" Ellipsoids: median half axis {100 * median(widths):.1f} % of the effect."
+        )
     return lines
 
 
@@ -199,11 +257,15 @@ def _inside(records: Sequence[Record], by: str) -> str:
 def _confusion(records: Sequence[Record]) -> list[str]:
     """Return the findings for each single cause, most frequent first."""
     lines = ["| hidden | said (times) |", "|---|---|"]
-    for name in sorted({r["name"] for r in records if r["group"] in {"single", "outside"}}):
+    for name in sorted(
+        {r["name"] for r in records if r["group"] in {"single", "outside"}}
+    ):
         said: Counter[str] = Counter()
         for record in records:
             if record["name"] == name and record["group"] in {"single", "outside"}:
                 said.update(record["found"] or ["nothing"])
-        answers = ", ".join(f"{what.replace('|', ' = ')} ({n})" for what, n in said.most_common(8))
+        answers = ", ".join(
+            f"{what.replace('|', ' = ')} ({n})" for what, n in said.most_common(8)
+        )
         lines.append(f"| {name} | {answers} |")
     return lines

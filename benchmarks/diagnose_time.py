@@ -43,7 +43,9 @@ def time_spent(duration_s: float | None, jobs: int) -> list[Result]:
     return found
 
 
-def _spent_s(causes: Mapping[str, float], length_s: float, jobs: int) -> dict[str, float]:
+def _spent_s(
+    causes: Mapping[str, float], length_s: float, jobs: int
+) -> dict[str, float]:
     """Return the CPU time of each part of a diagnosis, by its reported stage."""
     recipe = Recipe(seed=1, causes=causes, duration_s=length_s)
     log, assembly = measured(make(recipe)[0]), assemble(None)

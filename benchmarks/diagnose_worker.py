@@ -30,7 +30,13 @@ class Diagnose(Protocol):
     """The engine, as the campaign calls it."""
 
     def __call__(
-        self, log: MeasuredLog, assembly: Assembly, *, seed: int, jobs: int, progress: None
+        self,
+        log: MeasuredLog,
+        assembly: Assembly,
+        *,
+        seed: int,
+        jobs: int,
+        progress: None,
     ) -> Diagnosis:
         """Return the diagnosis of a log."""
 
@@ -98,7 +104,9 @@ class Drawn:
     def log(self) -> MeasuredLog:
         """Return the drawn blocks (or segments, if the recording has no blocks)."""
         whole = read_measured([self.file], self.mapping)
-        blocks = np.array([k if s.block is None else s.block for k, s in enumerate(whole.spans)])
+        blocks = np.array(
+            [k if s.block is None else s.block for k, s in enumerate(whole.spans)]
+        )
         rng = np.random.default_rng([self.seed, zlib.crc32(self.name.encode())])
         names = np.unique(blocks)
         drawn = rng.choice(names, size=max(round(DRAWN * len(names)), 1), replace=False)
@@ -108,7 +116,9 @@ class Drawn:
             rows = np.isin(channel.span, kept)
             span = np.searchsorted(kept, channel.span[rows])
             channels[name] = Channel(channel.t_s[rows], channel.values[rows], span)
-        return replace(whole, channels=channels, spans=tuple(whole.spans[k] for k in kept))
+        return replace(
+            whole, channels=channels, spans=tuple(whole.spans[k] for k in kept)
+        )
 
 
 def work(case: Case | Staged | Drawn, *, with_rivals: bool = False) -> dict[str, Any]:
@@ -122,7 +132,9 @@ def work(case: Case | Staged | Drawn, *, with_rivals: bool = False) -> dict[str,
         Also record the answers of rivals.
     """
     seed, kind = (
-        (case.recipe.seed, case.recipe.kind) if isinstance(case, Case) else (case.seed, case.kind)
+        (case.recipe.seed, case.recipe.kind)
+        if isinstance(case, Case)
+        else (case.seed, case.kind)
     )
     record = {
         "key": case.key, "group": case.group, "name": case.name, "seed": seed, "kind": kind,
@@ -151,7 +163,11 @@ def made_worse(diagnosis: Diagnosis) -> list[str]:
     if not diagnosis.evidence.extension:
         return []
     gains = diagnosis.findings.total_gain
-    return [key for key, gain in gains.items() if gain.ci95 is not None and gain.ci95[1] < 1.0]
+    return [
+        key
+        for key, gain in gains.items()
+        if gain.ci95 is not None and gain.ci95[1] < 1.0
+    ]
 
 
 def _logs(case: Case | Staged | Drawn) -> tuple[MeasuredLog, MeasuredLog | None]:
@@ -201,7 +217,9 @@ def _judged(case: Case | Staged | Drawn, found: Findings) -> Score:
         return Score("unscored", found=said)
     verdict = judge(scenario(case.name).draw(case.seed).expectation, found)
     said = [f"{f.verdict}:{'|'.join(sorted(causes_of(f)))}" for f in found.findings]
-    return Score("right" if verdict.right else "missed", wrong=list(verdict.wrong), found=said)
+    return Score(
+        "right" if verdict.right else "missed", wrong=list(verdict.wrong), found=said
+    )
 
 
 def changed(case: Case, duration_s: float | None, measured_noise: bool) -> Case:

@@ -43,14 +43,23 @@ from tests.fmu.rig import make
 BLOCKS, STEPS, MOST = 401, 4_000, 1.2
 DT_S = 0.001
 SPEEDS: Final = {"fl": 60.0, "rl": 55.0, "fr": -40.0, "rr": -45.0}
-MISCHIEF: Final = {"divides by zero": 2, "segfaults": 3, "loops for ever": 4, "exits": 6}
+MISCHIEF: Final = {
+    "divides by zero": 2,
+    "segfaults": 3,
+    "loops for ever": 4,
+    "exits": 6,
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
     parser.add_argument("--models", type=Path, metavar="FOLDER", help="FMUs of others")
-    parser.add_argument("--seconds", type=float, default=5.0, help="of every drive (default 5)")
-    parser.add_argument("--priority", type=int, default=80, help="SCHED_FIFO (default 80)")
+    parser.add_argument(
+        "--seconds", type=float, default=5.0, help="of every drive (default 5)"
+    )
+    parser.add_argument(
+        "--priority", type=int, default=80, help="SCHED_FIFO (default 80)"
+    )
 
 
 def run(args: argparse.Namespace) -> list[Result]:
@@ -62,7 +71,15 @@ def run(args: argparse.Namespace) -> list[Result]:
 
 @kernel()
 def _daemon(
-    p: Any, x: Any, u: Any, y: Any, q: Any, hall: Any, every: Any, first: int, ticks: int
+    p: Any,
+    x: Any,
+    u: Any,
+    y: Any,
+    q: Any,
+    hall: Any,
+    every: Any,
+    first: int,
+    ticks: int,
 ) -> None:
     for tick in range(first, first + ticks):
         robot_step(p, x, u, y, q)
@@ -79,7 +96,10 @@ def _daemon(
 
 
 def _cost(folder: Path) -> Result:
-    sections = {"plant": {"terms": cases()["everything"]}, "sensors": {"nav": {"enabled": True}}}
+    sections = {
+        "plant": {"terms": cases()["everything"]},
+        "sensors": {"nav": {"enabled": True}},
+    }
     assembly = assemble_config(Config.model_validate(sections))
     path = folder / "robot.fmu"
     base_ns = assembly.base_period_ns
@@ -93,7 +113,9 @@ def _cost(folder: Path) -> Result:
             samples[name].append((time.perf_counter_ns() - start_ns) / STEPS)
     pairs = np.array([samples["fmu"][1:], samples["daemon"][1:]])
     fmu, daemon = np.median(pairs, axis=1)
-    ratio = float(np.median(pairs[0] / pairs[1]))  # of neighbours: other load affects both
+    ratio = float(
+        np.median(pairs[0] / pairs[1])
+    )  # of neighbours: other load affects both
     text = f"the daemon's kernels; at most {MOST}"
     return Result("fmu_step_ns", float(fmu), "ns", float(daemon), text, ratio, samples)
 
@@ -117,9 +139,13 @@ def _exported(path: Path) -> Callable[[int], None]:
 def _own(assembly: Assembly) -> Callable[[int], None]:
     """Return a function that runs a block of the daemon's kernels, as its slices do."""
     made = assembly.composition
-    ticks = {n: round(s * 1e9 / assembly.base_period_ns) for n, s in made.periods_s.items()}
+    ticks = {
+        n: round(s * 1e9 / assembly.base_period_ns) for n, s in made.periods_s.items()
+    }
     of_part = {part.name: ticks[part.slice] for part in made.parts}
-    every = np.array([of_part[name] for name in ("imu", "battery", "shield", "tof", "nav")])
+    every = np.array(
+        [of_part[name] for name in ("imu", "battery", "shield", "tof", "nav")]
+    )
     u, y, q = Inputs.zeros(), Outputs.zeros(), Status.zeros()
     u.enable = 1.0
     u.setpoint[:] = list(SPEEDS.values())
@@ -131,7 +157,11 @@ async def _drives(args: argparse.Namespace, folder: Path) -> list[Result]:
     """Drive with every model; return the missed ticks, compared with a drive without a model."""
     setup_logging("ERROR")
     idle = await beside(None, folder, args.seconds, args.priority)
-    results, asked, progress = [], [], Progress(lambda: "stopped before it was measured")
+    results, asked, progress = (
+        [],
+        [],
+        Progress(lambda: "stopped before it was measured"),
+    )
     models = sorted(args.models.rglob("*.fmu")) if args.models else []
     models.append(make(folder / "lag.fmu", 3))
     for number, path in enumerate(models):
@@ -140,7 +170,9 @@ async def _drives(args: argparse.Namespace, folder: Path) -> list[Result]:
             name = f"{'.'.join(path.parts[-2:])}_{'beside' if process else 'here'}"
             model = Model(path, process=process)
             try:
-                drive = await beside(model, folder, args.seconds, args.priority, replay=True)
+                drive = await beside(
+                    model, folder, args.seconds, args.priority, replay=True
+                )
             except ConfigError as error:
                 results.append(Result(f"{name}_refused", 1, "1", None, str(error)))
                 continue
@@ -151,14 +183,20 @@ async def _drives(args: argparse.Namespace, folder: Path) -> list[Result]:
         model = Model(folder / "lag.fmu", True, {"mischief": mischief, "atStep": 1000})
         drive = await beside(model, folder, args.seconds, args.priority)
         if drive.state != "safe":
-            raise FailedError(f"one that {words} has not led to the safe state: {drive.reason}")
+            raise FailedError(
+                f"one that {words} has not led to the safe state: {drive.reason}"
+            )
         results.append(_missed(words.replace(" ", "_"), drive, idle))
     able = asked.count("equal") + asked.count("differs")
-    text = f"recordings; {asked.count('late')} with late answers, which are not replayed"
+    text = (
+        f"recordings; {asked.count('late')} with late answers, which are not replayed"
+    )
     equal = asked.count("equal")
     return [*results, Result("fmu_replayed_to_the_bit", equal, "1", able, text)]
 
 
 def _missed(name: str, drive: Drive, idle: Drive) -> Result:
     text = f"without it; {drive.ticks} ticks, {drive.replayed or drive.reason}"
-    return Result(f"{name}_missed", drive.missed, "1", idle.missed, text, None, vars(drive))
+    return Result(
+        f"{name}_missed", drive.missed, "1", idle.missed, text, None, vars(drive)
+    )

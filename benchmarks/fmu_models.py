@@ -42,7 +42,12 @@ class Drive:
 
 
 async def beside(
-    model: Model | None, folder: Path, seconds: float, priority: int, *, replay: bool = False
+    model: Model | None,
+    folder: Path,
+    seconds: float,
+    priority: int,
+    *,
+    replay: bool = False,
 ) -> Drive:
     """Drive for some seconds at 1 kHz with a recorder; replay the recording if asked to.
 
@@ -60,12 +65,19 @@ async def beside(
         await asyncio.sleep(seconds)
         missed = statistics.tick.missed_ticks - before
         ticks, control = daemon.scheduler.tick - first, daemon.control
-        state, reason = control.state.name.lower(), control.reason if control.state else ""
+        state, reason = (
+            control.state.name.lower(),
+            control.reason if control.state else "",
+        )
         events = [e.message for e in daemon.events.recent]
     replayed = ""
     if model is not None and replay:
         is_late = any("its outputs keep" in text for text in events)
-        replayed = "late" if is_late else await asyncio.to_thread(_replayed, model, log, folder)
+        replayed = (
+            "late"
+            if is_late
+            else await asyncio.to_thread(_replayed, model, log, folder)
+        )
     process = model is not None and model.process
     return Drive(process, ticks, missed, state, reason, events, replayed)
 

@@ -39,7 +39,9 @@ def _ros2(_: Place) -> dict[str, Any]:
 
 def _computed(section: str, settings: Mapping[str, Any], words: str) -> Companion:
     """Return a companion without another end."""
-    return Companion(section, lambda _: settings, lambda _: contextlib.nullcontext(words))
+    return Companion(
+        section, lambda _: settings, lambda _: contextlib.nullcontext(words)
+    )
 
 
 @contextlib.contextmanager
@@ -74,7 +76,10 @@ def _peer(place: Place) -> Iterator[str]:
     wheels = ("front_left_rpm", "front_right_rpm", "rear_left_rpm", "rear_right_rpm")
     cdr = types.encode(types.make(RPM, **dict.fromkeys(wheels, 20.0)))
     with piped(command, name="the ROS 2 host", stdout=subprocess.DEVNULL) as process:
-        _say(process.stdin, f"0 {cdr.hex()} {LONGEST_S * RATE_HZ} {1_000_000 // RATE_HZ}\n")
+        _say(
+            process.stdin,
+            f"0 {cdr.hex()} {LONGEST_S * RATE_HZ} {1_000_000 // RATE_HZ}\n",
+        )
         yield f"a ROS 2 host that reads {len(topics)} topics and commands at {RATE_HZ} Hz"
         _still(process, "the ROS 2 host")
 
@@ -112,7 +117,9 @@ def chosen(text: str) -> tuple[Companion, ...]:
     """
     names = tuple(dict.fromkeys(name for name in text.split(",") if name))
     if unknown := [name for name in names if name not in COMPANY]:
-        raise argparse.ArgumentTypeError(f"'{unknown[0]}' is none of {', '.join(COMPANY)}")
+        raise argparse.ArgumentTypeError(
+            f"'{unknown[0]}' is none of {', '.join(COMPANY)}"
+        )
     return tuple(COMPANY[name] for name in names)
 
 
@@ -139,5 +146,7 @@ def _wait_for(condition: Callable[[], bool], name: str) -> None:
     deadline_s = time.monotonic() + START_WITHIN_S
     while not condition():
         if time.monotonic() > deadline_s:
-            raise FailedError(f"{name} of the daemon did not start within {START_WITHIN_S:.0f} s")
+            raise FailedError(
+                f"{name} of the daemon did not start within {START_WITHIN_S:.0f} s"
+            )
         time.sleep(0.05)

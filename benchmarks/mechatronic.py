@@ -35,8 +35,12 @@ DRAWS = 2000
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add ``--pairs``, ``--block-s`` and ``--priority``."""
-    parser.add_argument("--pairs", type=int, default=20, help="rounds of latency; 0: none")
-    parser.add_argument("--block-s", type=float, default=5.0, help="length of a block [s]")
+    parser.add_argument(
+        "--pairs", type=int, default=20, help="rounds of latency; 0: none"
+    )
+    parser.add_argument(
+        "--block-s", type=float, default=5.0, help="length of a block [s]"
+    )
     parser.add_argument("--priority", type=int, default=80, help="SCHED_FIFO; 0: none")
 
 
@@ -102,7 +106,8 @@ async def _latencies(pairs: int, block_s: float, priority: int) -> list[Result]:
     idle = assemble_config(Config())
     body = assemble_config(Config.model_validate({"mechatronic": {"enabled": True}}))
     rows = [
-        [await _p99_us(who, block_s, priority) for who in (idle, body, idle)] for _ in range(pairs)
+        [await _p99_us(who, block_s, priority) for who in (idle, body, idle)]
+        for _ in range(pairs)
     ]
     p99 = np.array(rows)
     results = []
@@ -112,7 +117,15 @@ async def _latencies(pairs: int, block_s: float, priority: int) -> list[Result]:
         raw = {"p99_us": p99[:, (0, column)].tolist(), "ratio_ci95": _interval(ratios)}
         ratio = float(np.median(ratios))
         results.append(
-            Result(name, float(value), "us", float(reference), "without the body", ratio, raw)
+            Result(
+                name,
+                float(value),
+                "us",
+                float(reference),
+                "without the body",
+                ratio,
+                raw,
+            )
         )
     return results
 

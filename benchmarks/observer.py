@@ -24,7 +24,13 @@ from hilserver.bench.report import Result
 from hilserver.compiled import part
 from hilserver.compiled.records import record_at
 from hilserver.config.observer import constants_of
-from hilserver.observer.filter import add_position, add_yaw, close_moment, moment, open_moment
+from hilserver.observer.filter import (
+    add_position,
+    add_yaw,
+    close_moment,
+    moment,
+    open_moment,
+)
 from hilserver.observer.layout import N_FILTER
 from hilserver.plant.layout import PARAMETERS
 from hilserver.plant.packing import pack
@@ -36,9 +42,13 @@ STEPS, PERIOD_S = 2000, 0.01
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the kind and number of drives, and the folder where they are kept."""
-    parser.add_argument("--diagnoses", type=int, default=200, help="robots, each diagnosed once")
+    parser.add_argument(
+        "--diagnoses", type=int, default=200, help="robots, each diagnosed once"
+    )
     parser.add_argument("--drives", type=int, default=5, help="drives of each")
-    parser.add_argument("--jobs", type=int, default=2, help="worker processes; default 2")
+    parser.add_argument(
+        "--jobs", type=int, default=2, help="worker processes; default 2"
+    )
     parser.add_argument(
         "--keep", type=Path, default=Path("build/observer"),
         help="folder of diagnoses and drives: an interrupted row goes on from them",
@@ -87,10 +97,18 @@ def figures(scores: list[Score]) -> list[Result]:
     rival = float(np.median([s.default_m for s in scores]))
     return [
         Result("NEES of the pose, mean", float(nees.mean()), "1", 3.0, "three states"),
-        Result("NEES of the pose, median", float(np.median(nees)), "1", 2.366, "chi-squared"),
+        Result(
+            "NEES of the pose, median",
+            float(np.median(nees)),
+            "1",
+            2.366,
+            "chi-squared",
+        ),
         _share("pose inside 95 %", inside, n),
         _share("after 60 s alone: inside 95 %", ended, n),
-        Result("error then", ours, "m", wheels, "wheels alone, unpatched", wheels / ours),
+        Result(
+            "error then", ours, "m", wheels, "wheels alone, unpatched", wheels / ours
+        ),
         Result("error then", ours, "m", rival, "default covariances", rival / ours),
     ]
 
@@ -100,7 +118,9 @@ def _share(name: str, count: int, n: int) -> Result:
 
 
 @part
-def _steps(numbers: Any, c: Any, f: Any, begin: int, n: int, every: int, late: float) -> None:
+def _steps(
+    numbers: Any, c: Any, f: Any, begin: int, n: int, every: int, late: float
+) -> None:
     p = record_at(numbers, 0, PARAMETERS)
     for k in range(begin, begin + n):
         time_s = k * PERIOD_S
@@ -132,4 +152,7 @@ def costs() -> list[Result]:
     for _ in range(100):
         other[:] = f
     copied_us = (time.thread_time_ns() - began) * 1e-5
-    return [*results, Result(f"a copy of its {N_FILTER * 8 // 1000} kB", copied_us, "us")]
+    return [
+        *results,
+        Result(f"a copy of its {N_FILTER * 8 // 1000} kB", copied_us, "us"),
+    ]

@@ -80,7 +80,9 @@ class Known:
     late_s: float = 0.0  # delay of the navigation's time stamps
 
 
-def diagnosed(folder: Path, log: Callable[[], MeasuredLog], config: Config, jobs: int = 1) -> Known:
+def diagnosed(
+    folder: Path, log: Callable[[], MeasuredLog], config: Config, jobs: int = 1
+) -> Known:
     """Return what is known about a robot.
 
     Parameters
@@ -98,7 +100,10 @@ def diagnosed(folder: Path, log: Callable[[], MeasuredLog], config: Config, jobs
                 (folder / name).write_text(text, encoding="utf-8")
     path = folder / "model_patch.yaml"
     patch = load_patch(path) if path.exists() else None
-    robot, found = assemble_config(config, None, patch).robot, load_found(folder / "findings.json")
+    robot, found = (
+        assemble_config(config, None, patch).robot,
+        load_found(folder / "findings.json"),
+    )
     return Known(robot, constants_of(robot, found), found.nav_late_s)
 
 
@@ -128,20 +133,28 @@ def score(key: str, recipe: Recipe, known: Known, number: int) -> Score:
     log = measured(table)
     series = without_navigation(series_of(log, 0, known.robot, known.late_s), CUT_S)
     course, t = run(pack(known.robot), known.constants, series), series.wheels[:, 0]
-    true = np.stack([np.interp(t, truth.dense[:, 0], truth.dense[:, k]) for k in (1, 2, 3)], axis=1)
+    true = np.stack(
+        [np.interp(t, truth.dense[:, 0], truth.dense[:, k]) for k in (1, 2, 3)], axis=1
+    )
     error = course.estimate[:, :3] - true
     error[:, YAW] = angle(error[:, YAW])
     rng = np.random.default_rng([recipe.seed, number])
-    at, end = (int(np.searchsorted(t, when)) for when in (rng.uniform(*ASKED_S), CUT_S[1]))
+    at, end = (
+        int(np.searchsorted(t, when)) for when in (rng.uniform(*ASKED_S), CUT_S[1])
+    )
     end -= 1  # the last moment before the navigation returns
     nees, cut = (
-        float(error[k, :n] @ np.linalg.solve(course.covariance[k, :n, :n], error[k, :n]))
+        float(
+            error[k, :n] @ np.linalg.solve(course.covariance[k, :n, :n], error[k, :n])
+        )
         for k, n in ((at, 3), (end, 2))
     )
     plain = assemble(None).robot
     base = pack(plain)
     raw = without_navigation(series_of(log, 0, plain), CUT_S)
-    wheels = run(base, constants_of(plain, None), Series(raw.wheels, np.zeros((0, 4)))).estimate
+    wheels = run(
+        base, constants_of(plain, None), Series(raw.wheels, np.zeros((0, 4)))
+    ).estimate
     begin = int(np.searchsorted(t, CUT_S[0]))
     turn = true[begin, 2] - wheels[begin, 2]
     cos, sin = np.cos(turn), np.sin(turn)

@@ -32,7 +32,12 @@ from hilserver.plant.parameters import RobotParameters
 
 MAPPINGS: Final = Path(__file__).parents[1] / "docs" / "how-to" / "mappings"
 CUT_S: Final = 20.0
-HOW: Final = ("observer", "wheels since the cut", "wheels since the start", "default covariances")
+HOW: Final = (
+    "observer",
+    "wheels since the cut",
+    "wheels since the start",
+    "default covariances",
+)
 
 
 @dataclass(frozen=True)
@@ -46,7 +51,9 @@ class Machine:
 
 
 MACHINES: Final = (
-    Machine("diffdrive_umbmark", "diffdrive", "square_230620202042.csv", "circular_*.csv"),
+    Machine(
+        "diffdrive_umbmark", "diffdrive", "square_230620202042.csv", "circular_*.csv"
+    ),
     Machine("omni4", "omni4", "square_*.csv", "circular_*.csv"),
 )
 
@@ -82,21 +89,32 @@ def measure(root: Path, keep: Path, jobs: int) -> list[Result]:
     if not there:
         folders = ", ".join(one.folder for one in MACHINES)
         raise FailedError(f"--recordings {root}: holds no recordings of {folders}")
-    return [row for one in there for row in _figures(one, list(_drives(one, root, keep, jobs)))]
+    return [
+        row
+        for one in there
+        for row in _figures(one, list(_drives(one, root, keep, jobs)))
+    ]
 
 
 def _drives(one: Machine, root: Path, keep: Path, jobs: int) -> Iterator[Drive]:
-    learned, driven = (sorted((root / one.folder).glob(p)) for p in (one.learned, one.driven))
+    learned, driven = (
+        sorted((root / one.folder).glob(p)) for p in (one.learned, one.driven)
+    )
     mapping = MAPPINGS / f"{one.mapping}.yaml"
     log = read_measured(learned, mapping)
     config = machine_config(log, Config())
-    print(f"{one.folder}: diagnosed once into {keep}, then {len(driven)} logs observed", flush=True)
+    print(
+        f"{one.folder}: diagnosed once into {keep}, then {len(driven)} logs observed",
+        flush=True,
+    )
     known = diagnosed(keep / sources() / one.folder, lambda: log, config, jobs)
     plain = assemble_config(config).robot
     for file in driven:
         log = read_measured([file], mapping)
         for span in range(len(log.spans)):
-            own, raw = (series_of(log, span, r, known.late_s) for r in (known.robot, plain))
+            own, raw = (
+                series_of(log, span, r, known.late_s) for r in (known.robot, plain)
+            )
             if np.ptp(own.wheels[:, 0]) > 2.1 * CUT_S:
                 yield _drive(known, plain, own, raw)
 
@@ -109,13 +127,19 @@ def _drive(known: Known, plain: RobotParameters, own: Series, raw: Series) -> Dr
     t = own.wheels[:, 0]
     cut = _silent(t, t[0])
     begins = np.flatnonzero(~cut[:-1] & cut[1:])
-    begins = begins[t[begins] + CUT_S < t[-1]]  # a silence that lasts past the end is not counted
+    begins = begins[
+        t[begins] + CUT_S < t[-1]
+    ]  # a silence that lasts past the end is not counted
     ends = np.array([k + int(np.argmin(cut[k + 1 :])) for k in begins])
     true = _truth(raw, t)
-    rest = [Series(s.wheels, s.samples[~_silent(s.samples[:, 1], t[0])]) for s in (own, raw)]
+    rest = [
+        Series(s.wheels, s.samples[~_silent(s.samples[:, 1], t[0])]) for s in (own, raw)
+    ]
     course = run(pack(known.robot), known.constants, rest[0])
     base = pack(plain)
-    wheels = run(base, constants_of(plain, None), Series(raw.wheels, np.zeros((0, 4)))).estimate
+    wheels = run(
+        base, constants_of(plain, None), Series(raw.wheels, np.zeros((0, 4)))
+    ).estimate
     rival = default_filter(base, rest[1])
     paths = (
         course.estimate[ends, :2],
@@ -124,7 +148,9 @@ def _drive(known: Known, plain: RobotParameters, own: Series, raw: Series) -> Dr
         rival[ends, :2],
     )
     away = [path - true[ends, :2] for path in paths]
-    weighed = np.linalg.solve(course.covariance[ends, :2, :2], away[0][:, :, None])[:, :, 0]
+    weighed = np.linalg.solve(course.covariance[ends, :2, :2], away[0][:, :, None])[
+        :, :, 0
+    ]
     errors = np.stack([np.hypot(*one.T) for one in away], axis=1)
     nis = course.innovations[np.isfinite(course.innovations)]
     return Drive(errors, (away[0] * weighed).sum(axis=1), nis)
@@ -143,7 +169,9 @@ def _truth(series: Series, t: Array) -> Array:
 def _reckoned(wheels: Array, true: Array, begins: Indices, ends: Indices) -> Array:
     """Return the positions at `ends` by the wheels alone, from the true poses at `begins`."""
     turn = true[begins, 2] - wheels[begins, 2]
-    way = (wheels[ends, 0] - wheels[begins, 0]) + 1j * (wheels[ends, 1] - wheels[begins, 1])
+    way = (wheels[ends, 0] - wheels[begins, 0]) + 1j * (
+        wheels[ends, 1] - wheels[begins, 1]
+    )
     way = way * np.exp(1j * turn)
     path: Array = true[begins, :2] + np.stack([way.real, way.imag], axis=1)
     return path
@@ -151,7 +179,9 @@ def _reckoned(wheels: Array, true: Array, begins: Indices, ends: Indices) -> Arr
 
 def _figures(one: Machine, drives: list[Drive]) -> list[Result]:
     errors = np.concatenate([drive.errors for drive in drives])
-    nis, nees = (np.concatenate([getattr(d, name) for d in drives]) for name in ("nis", "nees"))
+    nis, nees = (
+        np.concatenate([getattr(d, name) for d in drives]) for name in ("nis", "nees")
+    )
     ours, *others = np.median(errors, axis=0).tolist()
     name = f"{one.folder}, {len(errors)} cuts"
     rows = [

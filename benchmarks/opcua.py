@@ -64,13 +64,18 @@ class Subject:
     def used_s(self) -> float:
         """Return the processor time of the process so far [s]."""
         words = (
-            Path(f"/proc/{self.pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+            Path(f"/proc/{self.pid}/stat")
+            .read_text(encoding="ascii")
+            .rpartition(")")[2]
+            .split()
         )
         return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
     def memory_mb(self, what: str = "VmRSS") -> float:
         """Return a memory figure of the process [MB]."""
-        for line in Path(f"/proc/{self.pid}/status").read_text(encoding="ascii").splitlines():
+        for line in (
+            Path(f"/proc/{self.pid}/status").read_text(encoding="ascii").splitlines()
+        ):
             if line.startswith(f"{what}:"):
                 return int(line.split()[1]) * 1024 / 1e6
         return 0.0
@@ -96,7 +101,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 async def _measure(args: argparse.Namespace) -> tuple[Subject, Subject]:
     async with contextlib.AsyncExitStack() as stack:
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hilserver-")))
+        folder = Path(
+            stack.enter_context(tempfile.TemporaryDirectory(prefix="hilserver-"))
+        )
         program = build(folder)
         ours = await stack.enter_async_context(_ours())
         stock = await stack.enter_async_context(_stock())
@@ -116,7 +123,9 @@ async def _measure(args: argparse.Namespace) -> tuple[Subject, Subject]:
         return ours, stock
 
 
-async def _find_clients(subject: Subject, args: argparse.Namespace, program: Path) -> None:
+async def _find_clients(
+    subject: Subject, args: argparse.Namespace, program: Path
+) -> None:
     """Find how many clients a server can serve, none of its trials being part of the figures."""
     subject.n_clients = args.clients
     while True:
@@ -136,7 +145,9 @@ async def _find_clients(subject: Subject, args: argparse.Namespace, program: Pat
 async def _block(subject: Subject, block_s: float, program: Path) -> None:
     clients = Clients(subject.url)
     try:
-        await clients.subscribe(subject.n_clients, subject.nodes, 1e3 / _RATE_HZ, _QUEUE_SIZE)
+        await clients.subscribe(
+            subject.n_clients, subject.nodes, 1e3 / _RATE_HZ, _QUEUE_SIZE
+        )
         before_s = subject.used_s()
         delivered = await clients.run(program, block_s)
         subject.cpu_s.append(subject.used_s() - before_s)
@@ -151,7 +162,10 @@ async def _block(subject: Subject, block_s: float, program: Path) -> None:
 
 @contextlib.asynccontextmanager
 async def _ours() -> AsyncIterator[Subject]:
-    async with running_daemon({}, f"bench-opcua-{os.getpid()}") as (url, daemon), Wire(url) as wire:
+    async with (
+        running_daemon({}, f"bench-opcua-{os.getpid()}") as (url, daemon),
+        Wire(url) as wire,
+    ):
         await wire.log_in()
         await _command(wire)
         driving = asyncio.create_task(_drive_on(wire))
@@ -183,13 +197,21 @@ async def _drive_on(wire: Wire) -> None:
 @contextlib.asynccontextmanager
 async def _stock() -> AsyncIterator[Subject]:
     port = free_port()
-    arguments = ["-m", "benchmarks.opcua_stock", str(port), str(len(CHANGING)), str(_RATE_HZ)]
+    arguments = [
+        "-m",
+        "benchmarks.opcua_stock",
+        str(port),
+        str(len(CHANGING)),
+        str(_RATE_HZ),
+    ]
     with piped(python(*arguments), name="the stock server") as process:
         assert process.stdout is not None
         await asyncio.to_thread(process.stdout.readline)
         nodes = [ua.NodeId(f"n{number}", 2) for number in range(len(CHANGING))]
         nodes *= _ITEMS_PER_SIGNAL
-        yield Subject("asyncua", f"opc.tcp://127.0.0.1:{port}/stock", process.pid, nodes)
+        yield Subject(
+            "asyncua", f"opc.tcp://127.0.0.1:{port}/stock", process.pid, nodes
+        )
 
 
 def run(args: argparse.Namespace) -> list[Result]:
@@ -227,11 +249,16 @@ def figures(ours: Subject, stock: Subject, block_s: float) -> list[Result]:
     ]
     if stock_share < _LEAST_SHARE:
         name = f"stock asyncua delivers {stock_share:.0%} to a single client: no figure"
-        found = [Result(what, value, unit, None, name) for what, unit, value, _ in pairs]
+        found = [
+            Result(what, value, unit, None, name) for what, unit, value, _ in pairs
+        ]
     else:
         found = [
             Result(what, value, unit, other, name, value / other if other else None)
             for what, unit, value, other in pairs
         ]
     found[0] = replace(found[0], raw=raw)
-    return [*found, Result("resident_mb", ours.resident_mb, "MB", stock.resident_mb, name)]
+    return [
+        *found,
+        Result("resident_mb", ours.resident_mb, "MB", stock.resident_mb, name),
+    ]

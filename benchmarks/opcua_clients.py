@@ -49,7 +49,11 @@ class Clients:
         self._token_bytes = 0
 
     async def subscribe(
-        self, count: int, nodes: Sequence[ua.NodeId], interval_ms: float, queue_size: int
+        self,
+        count: int,
+        nodes: Sequence[ua.NodeId],
+        interval_ms: float,
+        queue_size: int,
     ) -> None:
         """Connect and subscribe `count` clients; what is costliest for the server comes last."""
         made = [await self._connect(interval_ms) for _ in range(count)]
@@ -88,7 +92,9 @@ class Clients:
         self._sockets.append(own)
         token = bytes(nodeid_to_binary(wire.authentication))
         self._token_bytes = len(token)
-        self._state += struct.pack("<III", wire.channel, wire.token, wire._sequence + 1) + token
+        self._state += (
+            struct.pack("<III", wire.channel, wire.token, wire._sequence + 1) + token
+        )
 
     async def run(self, program: Path, duration_s: float) -> Delivered:
         """Count deliveries for `duration_s`; only once per set of clients."""
@@ -111,7 +117,9 @@ class Clients:
             own.close()
 
 
-def _item(number: int, node: ua.NodeId, queue_size: int) -> ua.MonitoredItemCreateRequest:
+def _item(
+    number: int, node: ua.NodeId, queue_size: int
+) -> ua.MonitoredItemCreateRequest:
     item = ua.MonitoredItemCreateRequest(MonitoringMode=ua.MonitoringMode.Reporting)
     item.ItemToMonitor = ua.ReadValueId(NodeId=node, AttributeId=ua.AttributeIds.Value)
     item.RequestedParameters.ClientHandle = number

@@ -36,7 +36,9 @@ async def main(port: int, n_nodes: int, rate_hz: float) -> None:
             now = datetime.now(UTC)
             for offset, node in enumerate(nodes):
                 value = ua.Variant(float(count + offset), ua.VariantType.Double)
-                await server.write_attribute_value(node, ua.DataValue(value, _GOOD, now, now))
+                await server.write_attribute_value(
+                    node, ua.DataValue(value, _GOOD, now, now)
+                )
 
 
 if __name__ == "__main__":

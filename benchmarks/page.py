@@ -24,7 +24,12 @@ from numpy.typing import NDArray
 from benchmarks import page_browser
 from benchmarks.target import running_daemon
 from hilserver.bench.jitter_subjects import Subject
-from hilserver.bench.report import Result, median_of_blocks_us, percentile_us, ratio_interval
+from hilserver.bench.report import (
+    Result,
+    median_of_blocks_us,
+    percentile_us,
+    ratio_interval,
+)
 from hilserver.errors import FailedError
 from hilserver.image import ImageReader
 from hilserver.program.children import free_port, piped, python
@@ -72,7 +77,9 @@ class Server:
     def private_mb(self) -> float:
         """Return its private memory [MB]."""
         text = Path(f"/proc/{self.pid}/smaps_rollup").read_text(encoding="ascii")
-        lines = (line.split() for line in text.splitlines() if line.startswith("Private_"))
+        lines = (
+            line.split() for line in text.splitlines() if line.startswith("Private_")
+        )
         return sum(int(words[1]) for words in lines) * 1024 / 1e6
 
 
@@ -91,16 +98,26 @@ class Blocks:
         raw = {
             "ratio_interval_95": ratio_interval(watched, self.idle, _PERCENT),
             "blocks_us": [percentile_us(block, _PERCENT) for block in watched],
-            "reference_blocks_us": [percentile_us(block, _PERCENT) for block in self.idle],
+            "reference_blocks_us": [
+                percentile_us(block, _PERCENT) for block in self.idle
+            ],
         }
-        return Result(name, value, "us", idle, "idle blocks", value / max(idle, 1.0), raw)
+        return Result(
+            name, value, "us", idle, "idle blocks", value / max(idle, 1.0), raw
+        )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the size of the load."""
-    parser.add_argument("--full", action="store_true", help="20 pairs of 5 s, 100,000 frames")
-    parser.add_argument("--pairs", type=int, help="alternating blocks (default 4, full 20)")
-    parser.add_argument("--block-s", type=float, help="length of one (default 2, full 5)")
+    parser.add_argument(
+        "--full", action="store_true", help="20 pairs of 5 s, 100,000 frames"
+    )
+    parser.add_argument(
+        "--pairs", type=int, help="alternating blocks (default 4, full 20)"
+    )
+    parser.add_argument(
+        "--block-s", type=float, help="length of one (default 2, full 5)"
+    )
     parser.add_argument("--no-browser", action="store_true", help="without Chromium")
 
 
@@ -110,10 +127,16 @@ def run(args: argparse.Namespace) -> list[Result]:
 
 
 async def _measure(args: argparse.Namespace) -> list[Result]:
-    pairs, block_s = args.pairs or (20 if args.full else 4), args.block_s or (5 if args.full else 2)
+    pairs, block_s = (
+        args.pairs or (20 if args.full else 4),
+        args.block_s or (5 if args.full else 2),
+    )
     load = os.getloadavg()[0]
     image, port = f"bench-page-{os.getpid()}", free_port()
-    limits = {"single_overrun_ms": None, "consecutive_overruns": None}  # it has to keep driving
+    limits = {
+        "single_overrun_ms": None,
+        "consecutive_overruns": None,
+    }  # it has to keep driving
     settings = {
         "page": {"port": port, "rate_hz": RATE_HZ},
         "scheduler": {"policy": "skip", "limits": limits},
@@ -162,7 +185,9 @@ def _cpu(server: Server, url: str, n: int, seconds: float) -> Result:
     return Result(f"server_cpu_{n}_clients_pct", 100 * used_s / seconds, "%", raw=raw)
 
 
-def _plant(server: Server, plant: Subject, url: str, pairs: int, block_s: float) -> list[Result]:
+def _plant(
+    server: Server, plant: Subject, url: str, pairs: int, block_s: float
+) -> list[Result]:
     blocks = Blocks()
     with _clients(url, COUNTS[-1]) as clients:
         time.sleep(SETTLE_S)
@@ -184,7 +209,9 @@ def _plant(server: Server, plant: Subject, url: str, pairs: int, block_s: float)
     return [
         watched,
         again,
-        Result("p99_ratio_above_idle", above, "1", raw={"pairs": pairs, "block_s": block_s}),
+        Result(
+            "p99_ratio_above_idle", above, "1", raw={"pairs": pairs, "block_s": block_s}
+        ),
         Result("server_heap_growth_mb", grown_mb, "MB", raw={"frames": frames}),
     ]
 
@@ -205,7 +232,13 @@ def _lazy(url: str) -> Result:
         clients.tell("go")
     raw = {"lost_frames": lost}
     return Result(
-        "frames_beside_a_lazy_client", rates[1], "1/s", rates[0], "before", rates[1] / rates[0], raw
+        "frames_beside_a_lazy_client",
+        rates[1],
+        "1/s",
+        rates[0],
+        "before",
+        rates[1] / rates[0],
+        raw,
     )
 
 

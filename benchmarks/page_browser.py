@@ -53,7 +53,9 @@ _STILL_S = 3.0
 _AT_ONCE = 500
 
 
-async def measure(url: str, rate_hz: float, seconds: float, frames: int) -> list[Result]:
+async def measure(
+    url: str, rate_hz: float, seconds: float, frames: int
+) -> list[Result]:
     """Return the figures of one browser that shows the Drive view of a driving robot."""
     async with browser() as where:
         empty = await Tab.open(*where)
@@ -75,9 +77,18 @@ async def measure(url: str, rate_hz: float, seconds: float, frames: int) -> list
         still = await _draws_when_still(tab)
         growth = await _heap_growth(tab, frames)
         await tab.close()
-    raw = {"frames": len(script_ms), "median_ms": float(np.median(script_ms)), "draws": drawn}
+    raw = {
+        "frames": len(script_ms),
+        "median_ms": float(np.median(script_ms)),
+        "draws": drawn,
+    }
     return [
-        Result("script_per_frame_p95_ms", float(np.percentile(script_ms, 95)), "ms", raw=raw),
+        Result(
+            "script_per_frame_p95_ms",
+            float(np.percentile(script_ms, 95)),
+            "ms",
+            raw=raw,
+        ),
         Result("first_picture_cpu_s", first_s, "s", empty_s, "an empty page"),
         Result("draws_when_nothing_changes", still, "1"),
         Result("page_heap_growth_mb", growth / 1e6, "MB", raw={"frames": frames}),

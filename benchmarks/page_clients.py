@@ -32,7 +32,9 @@ class _Browser:
     async def connect(self) -> None:
         if not self._token:
             async with self._session.get(self._url) as answer:
-                found = re.search(r'name="token" content="([^"]+)"', await answer.text())
+                found = re.search(
+                    r'name="token" content="([^"]+)"', await answer.text()
+                )
             self._token = found[1] if found else ""
         headers = {"X-Hilserver-Token": self._token, "Origin": self._origin}
         async with self._session.post(
@@ -81,7 +83,9 @@ async def _main(url: str, n: int) -> None:
     try:
         while word := (await asyncio.to_thread(sys.stdin.readline)).strip():
             if word in ("connect", "disconnect"):
-                await asyncio.gather(*(getattr(browser, word)() for browser in browsers))
+                await asyncio.gather(
+                    *(getattr(browser, word)() for browser in browsers)
+                )
             elif word in ("stop", "go"):
                 browsers[0].pause(paused=word == "stop")
             print(json.dumps([browser.frames for browser in browsers]), flush=True)

@@ -11,7 +11,11 @@ _RESAMPLES = 4000
 
 
 def rate_ratio_interval(
-    count: int, time_s: float, reference: int, reference_s: float, confidence: float = 0.95
+    count: int,
+    time_s: float,
+    reference: int,
+    reference_s: float,
+    confidence: float = 0.95,
 ) -> tuple[float, float]:
     """Return the interval of the ratio of two Poisson rates.
 

@@ -51,7 +51,13 @@ KINDS: Final = (
     "actuation_delay",
     "saturation_limit",
 )
-BACK: Final = ("rotation_gain", "gyro_bias", "actuation_delay", "nav_latency", "saturation_limit")
+BACK: Final = (
+    "rotation_gain",
+    "gyro_bias",
+    "actuation_delay",
+    "nav_latency",
+    "saturation_limit",
+)
 ROWS: Final = ("kinds", "back", "null")
 WAKE: Final = "wake"
 DEADLINE: Final = 3
@@ -65,11 +71,19 @@ Record = Mapping[str, Any]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the rows."""
-    parser.add_argument("--rows", nargs="+", default=[*ROWS, WAKE], choices=[*ROWS, WAKE])
-    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=sorted(CAUSES))
+    parser.add_argument(
+        "--rows", nargs="+", default=[*ROWS, WAKE], choices=[*ROWS, WAKE]
+    )
+    parser.add_argument(
+        "--kinds", nargs="+", default=list(KINDS), choices=sorted(CAUSES)
+    )
     parser.add_argument("--window-s", type=float, default=360.0)
-    parser.add_argument("--scale", type=float, default=1.0, help="times the reference size")
-    parser.add_argument("--nulls", type=int, default=1000, help="windows without a change")
+    parser.add_argument(
+        "--scale", type=float, default=1.0, help="times the reference size"
+    )
+    parser.add_argument(
+        "--nulls", type=int, default=1000, help="windows without a change"
+    )
     parser.add_argument("--null-window-s", type=float, default=120.0)
     parser.add_argument("--measured-noise", action="store_true",
                         help="position noise from the recording in HIL_DATA_DIR")  # fmt: skip
@@ -111,7 +125,9 @@ def kinds(args: argparse.Namespace) -> Iterator[Case]:
         hidden = drawn(name, args)
         drives = (Drive(1, {}), Drive(1, hidden, {}), Drive(3, hidden))
         seed = args.seed + KINDS.index(name) if name in KINDS else args.seed
-        yield Case("kinds", name, drives, args.window_s, seed, hidden, 2, args.measured_noise)
+        yield Case(
+            "kinds", name, drives, args.window_s, seed, hidden, 2, args.measured_noise
+        )
 
 
 def back(args: argparse.Namespace) -> Iterator[Case]:
@@ -120,7 +136,9 @@ def back(args: argparse.Namespace) -> Iterator[Case]:
         hidden = drawn(name, args)
         drives = (Drive(1, {}), Drive(3, hidden), Drive(3, {}))
         seed = args.seed + 100 + k
-        yield Case("back", name, drives, args.window_s, seed, hidden, 2, args.measured_noise)
+        yield Case(
+            "back", name, drives, args.window_s, seed, hidden, 2, args.measured_noise
+        )
 
 
 def nulls(args: argparse.Namespace) -> Iterator[Case]:
@@ -170,8 +188,12 @@ def _kinds(records: Sequence[Record]) -> Iterator[Result]:
         yield Result("gap before by after, median", median(effects), "x", 3, "at least")
     sizes = [s for r in right if (s := _size(r)) is not None]
     if sizes:
-        yield Result("error of the size, median", 100 * median(e for e, _ in sizes), "%")
-        yield Result("intervals that hold the size", sum(h for _, h in sizes), f"of {len(sizes)}")
+        yield Result(
+            "error of the size, median", 100 * median(e for e, _ in sizes), "%"
+        )
+        yield Result(
+            "intervals that hold the size", sum(h for _, h in sizes), f"of {len(sizes)}"
+        )
 
 
 def _in_time(r: Record) -> bool:
@@ -220,5 +242,9 @@ def _null(records: Sequence[Record]) -> Iterator[Result]:
     yield Result("false a year, extrapolated", named / n * chance, "", 1, "at most")
     upper = clopper_pearson(named, n)[1] * chance
     yield Result("its upper end of 95 %", upper, "")
-    others = {verdict: k for verdict, k in looks.items() if verdict not in ("nothing", "named")}
+    others = {
+        verdict: k
+        for verdict, k in looks.items()
+        if verdict not in ("nothing", "named")
+    }
     yield Result("other verdicts", sum(others.values()), f"of {n}", raw=others)

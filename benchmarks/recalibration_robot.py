@@ -100,7 +100,9 @@ def windows(case: Case, folder: Path) -> Iterator[Path]:
         number = np.minimum(table.t_s // case.window_s, drive.windows - 1).astype(int)
         for window in range(drive.windows):
             rows = number == window
-            cut = type(table)(table.t_s[rows], {n: v[rows] for n, v in table.columns.items()})
+            cut = type(table)(
+                table.t_s[rows], {n: v[rows] for n, v in table.columns.items()}
+            )
             path = folder / f"window_{part}_{window}.csv"
             cut.write_csv(path)
             yield path
@@ -154,12 +156,20 @@ def summary(window: int, proposal: Proposal) -> dict[str, Any]:
     terms = {n: (t.value, t.ci95, t.present) for n, t in proposal.terms.items()}
     gain = {n: q.ratio for n, q in proposal.gain.items()}
     causes = list(proposal.causes)
-    return {"window": window, "causes": causes, "terms": terms, "gain": gain, "p": proposal.p}
+    return {
+        "window": window,
+        "causes": causes,
+        "terms": terms,
+        "gain": gain,
+        "p": proposal.p,
+    }
 
 
 def gained(proposal: Proposal) -> list[float]:
     """Return the effect on the quantities whose gain was confirmed."""
-    names = [n for n, q in proposal.gain.items() if q.ci95 is not None and q.ci95[0] > 1.0]
+    names = [
+        n for n, q in proposal.gain.items() if q.ci95 is not None and q.ci95[0] > 1.0
+    ]
     return [proposal.effect[n].ratio for n in names if n in proposal.effect]
 
 

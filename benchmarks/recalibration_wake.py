@@ -66,17 +66,23 @@ class Looks:
         cores = process.other_cores(place.pacing_thread, config.cpu)
         share = Share(config.nice, cores, round(config.memory_mb * 1e6), os.getpid())
         plain = without_passwords(Config())
-        return Order(Todo(1, {}, look=True), str(window), plain, str(place.folder), {}, "", share)
+        return Order(
+            Todo(1, {}, look=True), str(window), plain, str(place.folder), {}, "", share
+        )
 
     def _awaited(self) -> None:
         own: subprocess.Popen[str] = self._process
         assert own.stdout is not None
         if (verdict := own.stdout.readline().strip()) != "named":
-            raise FailedError(f"a look beside the daemon found {verdict or 'nothing, and ended'}")
+            raise FailedError(
+                f"a look beside the daemon found {verdict or 'nothing, and ended'}"
+            )
 
     def say(self, order: str) -> None:
         """Let it continue, or rest."""
-        os.kill(self._process.pid, signal.SIGSTOP if order == "rest" else signal.SIGCONT)
+        os.kill(
+            self._process.pid, signal.SIGSTOP if order == "rest" else signal.SIGCONT
+        )
 
 
 def main() -> None:

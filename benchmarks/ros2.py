@@ -22,7 +22,13 @@ from typing import IO, TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.ros2_peers import Endpoint, arguments, build_cyclone, build_fast_dds, published
+from benchmarks.ros2_peers import (
+    Endpoint,
+    arguments,
+    build_cyclone,
+    build_fast_dds,
+    published,
+)
 from hilserver.bench.report import Result
 from hilserver.compiled.histogram import Histogram125
 from hilserver.config.root import Config
@@ -51,7 +57,9 @@ Times = NDArray[np.float64]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add ``--seconds`` and ``--domain``."""
     parser.add_argument("--seconds", type=int, default=60, help="how long (default 60)")
-    parser.add_argument("--domain", type=int, default=101, help="DDS domain (default 101)")
+    parser.add_argument(
+        "--domain", type=int, default=101, help="DDS domain (default 101)"
+    )
 
 
 class Commands(Histogram125):
@@ -98,7 +106,9 @@ class Peer:
         # The child shares the position in the file: read without moving it.
         while os.pread(self._file.fileno(), len(READY), 0) != READY:
             if self._process.returncode is not None or time.monotonic() > deadline_s:
-                raise FailedError(f"{self._command[0]} finds no other program in its DDS domain")
+                raise FailedError(
+                    f"{self._command[0]} finds no other program in its DDS domain"
+                )
             await asyncio.sleep(0.05)
 
     def write(self, cdr: bytes, times: int) -> None:
@@ -184,18 +194,31 @@ async def _cpu_share(seconds: float) -> float:
 
 
 async def _measure(args: argparse.Namespace, fast_dds: Path, cyclone: Path) -> Seen:
-    times, make, encode = args.seconds * RATE_HZ, known_types().make, known_types().encode
+    times, make, encode = (
+        args.seconds * RATE_HZ,
+        known_types().make,
+        known_types().encode,
+    )
     speeds = encode(make(RPM, **dict.fromkeys(_WHEELS, 20.0)))
     zero = make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
     twist = encode(make(TWIST, linear=zero, angular=zero))
     command: Endpoint = ("w", COMMANDS, RPM, "reliable")
-    references: list[Endpoint] = [("r", f"rt/reference/{q}", TWIST, q) for q in REFERENCES]
+    references: list[Endpoint] = [
+        ("r", f"rt/reference/{q}", TWIST, q) for q in REFERENCES
+    ]
     ours = [("r", topic, kind, quality) for topic, kind, quality in published()]
     reader = Peer(fast_dds, args.domain, command, *ours, *references)
     taker = Peer(cyclone, args.domain, ("r", COMMANDS, RPM, "best_effort"))
-    writers = [Peer(cyclone, args.domain, ("w", *endpoint[1:])) for endpoint in references]
+    writers = [
+        Peer(cyclone, args.domain, ("w", *endpoint[1:])) for endpoint in references
+    ]
     peers = (taker, reader, *writers)
-    node = {"enabled": True, "domain": args.domain, "publish": EXTRAS, "stale_after_ms": 10_000}
+    node = {
+        "enabled": True,
+        "domain": args.domain,
+        "publish": EXTRAS,
+        "stale_after_ms": 10_000,
+    }
     async with AsyncExitStack() as stack:
         daemon = await stack.enter_async_context(_daemon(node))
         if daemon.part("ros2") is None:
@@ -225,7 +248,12 @@ async def _measure(args: argparse.Namespace, fast_dds: Path, cyclone: Path) -> S
     )
 
 
-_WHEELS: Final = ("front_left_rpm", "front_right_rpm", "rear_left_rpm", "rear_right_rpm")
+_WHEELS: Final = (
+    "front_left_rpm",
+    "front_right_rpm",
+    "rear_left_rpm",
+    "rear_right_rpm",
+)
 
 
 def _results(seen: Seen, idle_share: float) -> list[Result]:
@@ -241,20 +269,34 @@ def _results(seen: Seen, idle_share: float) -> list[Result]:
     results = []
     for quality, streams in kinds.items():
         reference = seen.theirs[quality]
-        lost_pct = 100.0 * sum(s.lost for s in streams) / sum(len(s.sequence) for s in streams)
+        lost_pct = (
+            100.0 * sum(s.lost for s in streams) / sum(len(s.sequence) for s in streams)
+        )
         reference_pct = 100.0 * reference.lost / len(reference.sequence)
         raw = {topic: stream.lost for topic, stream in seen.ours.items()}
         results.append(
-            Result(f"ros2_{quality}_lost_pct", lost_pct, "%", reference_pct, name, raw=raw)
+            Result(
+                f"ros2_{quality}_lost_pct", lost_pct, "%", reference_pct, name, raw=raw
+            )
         )
         late = np.concatenate([np.array(s.late_us) for s in streams])
-        results += _latencies(f"ros2_{quality}", late, np.array(reference.late_us), name)
+        results += _latencies(
+            f"ros2_{quality}", late, np.array(reference.late_us), name
+        )
     commands, theirs = np.array(seen.commands_us), np.array(seen.reference_commands_us)
     results += _latencies("ros2_command", commands, theirs, "Fast DDS to Cyclone C")
-    lost, theirs_lost = (100.0 * (1.0 - len(c) / seen.written) for c in (commands, theirs))
-    results.append(Result("ros2_command_lost_pct", lost, "%", theirs_lost, "Fast DDS to Cyclone C"))
-    results.append(Result("ros2_rate_hz", seen.rate_hz, "Hz", float(RATE_HZ), "asked for"))
-    results.append(Result("ros2_real_time_factor", seen.real_time_factor, "1", 1.0, "real time"))
+    lost, theirs_lost = (
+        100.0 * (1.0 - len(c) / seen.written) for c in (commands, theirs)
+    )
+    results.append(
+        Result("ros2_command_lost_pct", lost, "%", theirs_lost, "Fast DDS to Cyclone C")
+    )
+    results.append(
+        Result("ros2_rate_hz", seen.rate_hz, "Hz", float(RATE_HZ), "asked for")
+    )
+    results.append(
+        Result("ros2_real_time_factor", seen.real_time_factor, "1", 1.0, "real time")
+    )
     cost_pct, idle_pct = 100.0 * seen.cpu_share, 100.0 * idle_share
     results.append(Result("ros2_cpu_pct", cost_pct, "%", idle_pct, "without ROS 2"))
     return results
@@ -263,7 +305,11 @@ def _results(seen: Seen, idle_share: float) -> list[Result]:
 def _latencies(name: str, ours: Times, reference: Times, what: str) -> list[Result]:
     results = []
     for percent in (50.0, 99.0):
-        value, of_reference = (float(np.percentile(times, percent)) for times in (ours, reference))
+        value, of_reference = (
+            float(np.percentile(times, percent)) for times in (ours, reference)
+        )
         full = f"{name}_latency_p{percent:g}_us"
-        results.append(Result(full, value, "us", of_reference, what, value / of_reference))
+        results.append(
+            Result(full, value, "us", of_reference, what, value / of_reference)
+        )
     return results

@@ -80,12 +80,25 @@ def build_cyclone(folder: Path, type_names: Iterable[str]) -> Path:
     """
     names = sorted(set(type_names))
     (folder / "types.idl").write_text(idl(known_types(), names), encoding="ascii")
-    rows = (f'{{"{dds_name(n)}", &{dds_name(n).replace("::", "_")}_desc}},\n' for n in names)
+    rows = (
+        f'{{"{dds_name(n)}", &{dds_name(n).replace("::", "_")}_desc}},\n' for n in names
+    )
     (folder / "table.h").write_text("".join(rows), encoding="ascii")
-    _run("idlc", "-t", "types.idl", folder=folder)  # like rmw_cyclonedds, it announces no type
+    _run(
+        "idlc", "-t", "types.idl", folder=folder
+    )  # like rmw_cyclonedds, it announces no type
     program = folder / "ros2_cyclone"
     with as_file(files("benchmarks") / "ros2_cyclone.c") as source:
-        made = ("-O0", "-I.", str(source), "types.c", "-o", str(program), "-lddsc", "-lpthread")
+        made = (
+            "-O0",
+            "-I.",
+            str(source),
+            "types.c",
+            "-o",
+            str(program),
+            "-lddsc",
+            "-lpthread",
+        )
         _run("cc", *made, folder=folder)
     return program
 
@@ -94,9 +107,13 @@ def _run(tool: str, *words: str, folder: Path | None = None) -> None:
     path = shutil.which(tool)
     if path is None:
         raise FailedError(f"this needs {tool} (Debian: apt-get install {NEEDED[tool]})")
-    done = subprocess.run([path, *words], cwd=folder, capture_output=True, text=True, check=False)  # noqa: S603
+    done = subprocess.run(  # noqa: S603
+        [path, *words], cwd=folder, capture_output=True, text=True, check=False
+    )
     if done.returncode != 0:
-        raise FailedError(f"{tool} failed (Debian: apt-get install {NEEDED[tool]}): {done.stderr}")
+        raise FailedError(
+            f"{tool} failed (Debian: apt-get install {NEEDED[tool]}): {done.stderr}"
+        )
 
 
 def idl(types: Types, names: Sequence[str]) -> str:

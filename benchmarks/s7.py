@@ -33,7 +33,9 @@ LOOK_S = 0.2
 LAST = BYTES - 4
 
 
-@block(inputs=("value",), outputs=(Output("value", unit="rpm", low=-100.0, high=100.0),))
+@block(
+    inputs=("value",), outputs=(Output("value", unit="rpm", low=-100.0, high=100.0),)
+)
 def echo(dt_s, u, y, x, p):  # type: ignore[no-untyped-def]  # noqa: ARG001
     """Pass the set-point on."""
     y[0] = u[0]
@@ -41,16 +43,23 @@ def echo(dt_s, u, y, x, p):  # type: ignore[no-untyped-def]  # noqa: ARG001
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of this bench."""
-    parser.add_argument("--seconds", type=float, default=30.0, help="of each part (default 30)")
+    parser.add_argument(
+        "--seconds", type=float, default=30.0, help="of each part (default 30)"
+    )
 
 
 def run(args: argparse.Namespace) -> list[Result]:
     """Measure, then the reference."""
     ours, ages_ms, faults, asked_ms = event_loop.run(_measure(args.seconds))
     reference = event_loop.run(_reference(args.seconds))
-    age_raw = {"torn_reads": faults.get("torn_read", 0), "torn_at_controller": ours["torn"]}
+    age_raw = {
+        "torn_reads": faults.get("torn_read", 0),
+        "torn_at_controller": ours["torn"],
+    }
     results = [
-        Result("s7_round_trips", len(ours["trips_ms"]), "", len(ours["sent_ns"]), "sent"),
+        Result(
+            "s7_round_trips", len(ours["trips_ms"]), "", len(ours["sent_ns"]), "sent"
+        ),
         Result("s7_setpoint_age_p99_ms", _percentile(ages_ms, 99), "ms", raw=age_raw),
         Result("s7_request_p99_ms", asked_ms, "ms"),
     ]
@@ -78,7 +87,9 @@ def _percentile(values: Sequence[float], percent: float) -> float:
 
 def _config(port: int) -> Config:
     ends = {"read": COMING, "write": GOING}
-    heartbeat = {which: [f"DB{n},UDINT0", f"DB{n},UDINT{LAST}"] for which, n in ends.items()}
+    heartbeat = {
+        which: [f"DB{n},UDINT0", f"DB{n},UDINT{LAST}"] for which, n in ends.items()
+    }
     peer = {
         "name": "plc",
         "endpoint": f"s7://127.0.0.1:{port}/0/1",
@@ -89,10 +100,18 @@ def _config(port: int) -> Config:
             f"DB{COMING},REAL4": "wheel.fl.setpoint_rpm",
             f"DB{COMING},REAL8": "wheel.fr.setpoint_rpm",
         },
-        "write": {"echo.value": f"DB{GOING},REAL4", "wheel.fl.speed_rpm": f"DB{GOING},REAL8"},
+        "write": {
+            "echo.value": f"DB{GOING},REAL4",
+            "wheel.fl.speed_rpm": f"DB{GOING},REAL8",
+        },
     }
     inputs = {"value": "wheel.fl.setpoint_rpm"}
-    own = {"name": "echo", "function": "benchmarks.s7:echo", "slice": "plant", "inputs": inputs}
+    own = {
+        "name": "echo",
+        "function": "benchmarks.s7:echo",
+        "slice": "plant",
+        "inputs": inputs,
+    }
     return Config.model_validate(
         {
             "image": {"name": "auto", "ring_frames": 8192},
@@ -100,7 +119,12 @@ def _config(port: int) -> Config:
             "metrics": {"enabled": False},
             "opcua": {"enabled": False},
             "scheduler": {
-                "slices": {"plant": 1.0, "sensors": 10.0, "publish": 10.0, "supervise": 100.0}
+                "slices": {
+                    "plant": 1.0,
+                    "sensors": 10.0,
+                    "publish": 10.0,
+                    "supervise": 100.0,
+                }
             },
             "blocks": [own],
             "peers": [peer],
@@ -136,7 +160,9 @@ def _p99_ns(durations: Histogram125) -> float:
     return float(BOUNDS_NS[bucket]) if bucket < len(BOUNDS_NS) else math.inf
 
 
-def _first_seen(image: ProcessImage, slot: int, since: int, seen: dict[int, int]) -> int:
+def _first_seen(
+    image: ProcessImage, slot: int, since: int, seen: dict[int, int]
+) -> int:
     """Note the first tick [ns] with each number of the controller; return where to continue."""
     head = image.head
     for number in range(since, head):

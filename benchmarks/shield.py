@@ -19,7 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.bench import cyclictest
-from hilserver.bench.report import PERCENTILES, Result, median_of_blocks_us, percentile_us
+from hilserver.bench.report import (
+    PERCENTILES,
+    Result,
+    median_of_blocks_us,
+    percentile_us,
+)
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
@@ -49,8 +54,12 @@ class Blocks:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of this bench."""
     parser.add_argument("--blocks", type=int, default=10, help="blocks (default 10)")
-    parser.add_argument("--block-s", type=int, default=5, help="seconds per block (default 5)")
-    parser.add_argument("--rate", type=float, default=50.0, help="requests per s (default 50)")
+    parser.add_argument(
+        "--block-s", type=int, default=5, help="seconds per block (default 5)"
+    )
+    parser.add_argument(
+        "--rate", type=float, default=50.0, help="requests per s (default 50)"
+    )
 
 
 def run(args: argparse.Namespace) -> list[Result]:
@@ -126,7 +135,13 @@ def _cpu_s(thread_id: int) -> float:
 def _results(blocks: Blocks, args: argparse.Namespace) -> list[Result]:
     line_ms = (REQUEST_BYTES + RESPONSE_BYTES["iotbot"]) * BYTE_NS * 1e-6 + 1.0
     results = [
-        Result("shield_rate_hz", float(np.median(blocks.rates_hz)), "Hz", args.rate, "asked for"),
+        Result(
+            "shield_rate_hz",
+            float(np.median(blocks.rates_hz)),
+            "Hz",
+            args.rate,
+            "asked for",
+        ),
         Result("shield_early_responses", blocks.early, "", 0.0, "the line"),
     ]
     for percent in PERCENTILES:
@@ -134,7 +149,9 @@ def _results(blocks: Blocks, args: argparse.Namespace) -> list[Result]:
         reference = median_of_blocks_us(blocks.reference, percent)
         raw = {
             "blocks_us": [percentile_us(block, percent) for block in blocks.late],
-            "reference_blocks_us": [percentile_us(block, percent) for block in blocks.reference],
+            "reference_blocks_us": [
+                percentile_us(block, percent) for block in blocks.reference
+            ],
         }
         name, ratio = f"shield_lateness_p{percent:g}_us", value / max(reference, 1.0)
         results.append(Result(name, value, "us", reference, "cyclictest", ratio, raw))

@@ -35,7 +35,9 @@ def _of(*pairs: str) -> frozenset[Pair]:
 CAUSES: Final[Mapping[str, frozenset[Pair]]] = {
     "wheel_radius": _of("ahead: v", "turn: om", "gyro: om"),
     "wheel_radius_difference": _of("ahead: om", "turn: v", "gyro: v"),
-    "encoder_scale": _of("ahead: v", "ahead: om", "turn: v", "turn: om", "gyro: v", "gyro: om"),
+    "encoder_scale": _of(
+        "ahead: v", "ahead: om", "turn: v", "turn: om", "gyro: v", "gyro: om"
+    ),
     "rotation_gain": _of("turn: om", "gyro: om"),
     "rotation_gain_speed": _of("turn: |v| om", "gyro: |v| om"),
     "rotation_gain_radius": _of("turn: om", "turn: |v| om", "gyro: om", "gyro: |v| om"),
@@ -52,7 +54,9 @@ CAUSES: Final[Mapping[str, frozenset[Pair]]] = {
     "nav_latency": _of("ahead: dv", "aside: v om"),
     "yaw_latency": _of("turn: dom", "aside: v om"),
     "nav_scale": _of("ahead: v"),
-    "heading_distortion": _of("turn: om cos", "turn: om sin", "aside: v cos", "aside: v sin"),
+    "heading_distortion": _of(
+        "turn: om cos", "turn: om sin", "aside: v cos", "aside: v sin"
+    ),
     "gyro_bias": _of("gyro: 1"),
     "gyro_scale": _of("gyro: om"),
     "imu_latency": _of("gyro: dom"),
@@ -71,7 +75,9 @@ def library() -> Any:
     try:
         import pysindy  # noqa: PLC0415 (an extra, slow to import)
     except ImportError:
-        msg = "the rivals of the diagnosis need pysindy: pip install 'hilserver[rivals]'"
+        msg = (
+            "the rivals of the diagnosis need pysindy: pip install 'hilserver[rivals]'"
+        )
         raise FailedError(msg) from None
     return pysindy
 
@@ -109,11 +115,18 @@ def mapped(found: set[Pair], velocities: frozenset[str]) -> list[list[str]]:
     Causes with the same terms are one group. A cause that adds as many terms as it explains is not
     returned.
     """
-    makes = {c: frozenset(p for p in pairs if p[0] in velocities) for c, pairs in CAUSES.items()}
+    makes = {
+        c: frozenset(p for p in pairs if p[0] in velocities)
+        for c, pairs in CAUSES.items()
+    }
     groups: list[list[str]] = []
     left = set(found)
     while left:
-        worth = {c: len(pairs & left) - len(pairs - found) for c, pairs in makes.items() if pairs}
+        worth = {
+            c: len(pairs & left) - len(pairs - found)
+            for c, pairs in makes.items()
+            if pairs
+        }
         most = max(worth.values())
         if most <= 0:
             break

@@ -32,7 +32,9 @@ RESTING_S = 3.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
     parser.add_argument("--runs", type=int, default=5, help="warm starts (default 5)")
-    parser.add_argument("--cold", type=int, default=0, help="starts with an empty cache first")
+    parser.add_argument(
+        "--cold", type=int, default=0, help="starts with an empty cache first"
+    )
 
 
 def run(args: argparse.Namespace) -> list[Result]:
@@ -56,14 +58,26 @@ def run(args: argparse.Namespace) -> list[Result]:
     ):
         value, reference = _median(warm, key), _median(libraries, key)
         results.append(
-            Result(name, value, unit, reference, "import of its libraries", value / reference)
+            Result(
+                name,
+                value,
+                unit,
+                reference,
+                "import of its libraries",
+                value / reference,
+            )
         )
     page = _median(warm, "page_mb")
     together = statistics.median(start["mb"] + start["page_mb"] for start in warm)
     return [
         *results,
         Result("memory_page_mb", page, "MB"),
-        Result("memory_together_mb", together, "MB", raw={"warm": warm, "libraries": libraries}),
+        Result(
+            "memory_together_mb",
+            together,
+            "MB",
+            raw={"warm": warm, "libraries": libraries},
+        ),
     ]
 
 
@@ -92,13 +106,17 @@ def _start(limit_s: float, **environment: str) -> dict[str, float]:
         begin = time.monotonic()
         command = python("-m", "hilserver", "run", "-c", str(path))
         env = {**os.environ, **environment}
-        with piped(command, name="hilserver run", env=env, stderr=subprocess.DEVNULL) as daemon:
+        with piped(
+            command, name="hilserver run", env=env, stderr=subprocess.DEVNULL
+        ) as daemon:
             _wait_for_tick(image, daemon, begin + limit_s)
             seconds, cpu_s = time.monotonic() - begin, _cpu_s(daemon.pid)
             time.sleep(RESTING_S)
             pages = [pid for pid in _children(daemon.pid) if b"page" in _command(pid)]
             if not pages:
-                raise FailedError("the daemon that was started for the bench has no page")
+                raise FailedError(
+                    "the daemon that was started for the bench has no page"
+                )
             page_mb = _megabytes(_status(pages[0]))
             return {
                 "s": seconds,
@@ -108,18 +126,24 @@ def _start(limit_s: float, **environment: str) -> dict[str, float]:
             }
 
 
-def _wait_for_tick(image: str, daemon: "subprocess.Popen[str]", deadline: float) -> None:
+def _wait_for_tick(
+    image: str, daemon: "subprocess.Popen[str]", deadline: float
+) -> None:
     while time.monotonic() < deadline and daemon.poll() is None:
         with contextlib.suppress(FailedError):
             if ImageReader.attach(image).head > 0:
                 return
         time.sleep(TICK_AGAIN_S)
-    raise FailedError("the daemon that was started for the bench did not reach its first tick")
+    raise FailedError(
+        "the daemon that was started for the bench did not reach its first tick"
+    )
 
 
 def _import() -> dict[str, float]:
     begin = time.monotonic()
-    done = subprocess.run(python("-c", IMPORTS), capture_output=True, text=True, check=True)  # noqa: S603
+    done = subprocess.run(  # noqa: S603
+        python("-c", IMPORTS), capture_output=True, text=True, check=True
+    )
     seconds, cpu_s = time.monotonic() - begin, float(done.stdout.split()[-1])
     return {"s": seconds, "cpu_s": cpu_s, "mb": _megabytes(done.stdout)}
 
@@ -138,7 +162,9 @@ def _status(pid: int) -> str:
 
 
 def _cpu_s(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    fields = (
+        Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    )
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 

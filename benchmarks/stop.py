@@ -25,7 +25,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--trials", type=int, default=200, help="for each figure")
     for name, known in (("source", SOURCES), ("attack", ATTACKS)):
         parser.add_argument(
-            f"--{name}", action="append", choices=known, help="can be given again; default: all"
+            f"--{name}",
+            action="append",
+            choices=known,
+            help="can be given again; default: all",
         )
 
 
@@ -35,7 +38,10 @@ def run(args: argparse.Namespace) -> list[Result]:
     found = []
     for row in _rows(sources, attacks, args.trials):
         result = _result(row)
-        print(f"{result.name}: {result.value:.1f} ms, {result.reference_name}", file=sys.stderr)
+        print(
+            f"{result.name}: {result.value:.1f} ms, {result.reference_name}",
+            file=sys.stderr,
+        )
         found.append(result)
     return found
 
@@ -70,5 +76,9 @@ def _result(row: Any) -> Result:
         reference=row.limit_ms,
         reference_name=note,
         ratio=worst_ms / row.limit_ms,
-        raw={"late_ms": row.late_ms, "stopped_before": row.n_stopped, "error": row.error},
+        raw={
+            "late_ms": row.late_ms,
+            "stopped_before": row.n_stopped,
+            "error": row.error,
+        },
     )

@@ -24,7 +24,13 @@ from hilserver.bench.report import Result
 from hilserver.commands.options import out_file
 from hilserver.errors import FailedError
 from hilserver.program.children import piped, python
-from hilserver.sweep.campaign import IN_A_BATCH, DaskWorkers, LocalWorkers, Workers, outcomes
+from hilserver.sweep.campaign import (
+    IN_A_BATCH,
+    DaskWorkers,
+    LocalWorkers,
+    Workers,
+    outcomes,
+)
 from hilserver.sweep.estimates import LEAST_MACHINES, median_interval
 from hilserver.sweep.prepare import Prepared, prepare
 
@@ -59,11 +65,18 @@ KINDS: dict[str, Any] = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, metavar="N")
-    parser.add_argument("--blocks", type=int, default=20, help="of each kind of workers (20)")
-    parser.add_argument("--machines", type=int, default=200, help="of a block (200)")
-    parser.add_argument("--most", type=int, default=10_000, help="machines of the memory's row")
     parser.add_argument(
-        "--truth", type=out_file, metavar="FILE", help="sweep known truths, a line of JSON each"
+        "--blocks", type=int, default=20, help="of each kind of workers (20)"
+    )
+    parser.add_argument("--machines", type=int, default=200, help="of a block (200)")
+    parser.add_argument(
+        "--most", type=int, default=10_000, help="machines of the memory's row"
+    )
+    parser.add_argument(
+        "--truth",
+        type=out_file,
+        metavar="FILE",
+        help="sweep known truths, a line of JSON each",
     )
 
 
@@ -98,7 +111,12 @@ def _sweep(folder: Path, kind: str, machines: int, duration_s: float) -> Path:
         "drive": {"scenario": "course.yaml", "duration_s": duration_s},
         "controller": KINDS[kind],
         "require": [
-            {"name": "arrives", "signal": "pose.x_m", "above": 4.9, "within_s": 0.8 * duration_s},
+            {
+                "name": "arrives",
+                "signal": "pose.x_m",
+                "above": 4.9,
+                "within_s": 0.8 * duration_s,
+            },
             {"name": "straight", "signal": "pose.y_m", "below": 0.1, "above": -0.1},
         ],
     }
@@ -111,10 +129,13 @@ def _sweep(folder: Path, kind: str, machines: int, duration_s: float) -> Path:
 
 def _rates(folder: Path, args: argparse.Namespace) -> Iterator[Result]:
     n = args.machines
-    compiled, interpreted = (prepare(_sweep(folder, kind, n, DRIVE_S)) for kind in KINDS)
+    compiled, interpreted = (
+        prepare(_sweep(folder, kind, n, DRIVE_S)) for kind in KINDS
+    )
     with LocalWorkers(args.workers, 1000.0) as local:
         slow = [
-            _a_minute(interpreted, local, args.workers) for _ in range(max(args.blocks // 4, 1))
+            _a_minute(interpreted, local, args.workers)
+            for _ in range(max(args.blocks // 4, 1))
         ]
         with cluster(args.workers) as address, DaskWorkers(address) as remote:
             pools: list[Workers] = [local, remote]
@@ -130,7 +151,13 @@ def _rates(folder: Path, args: argparse.Namespace) -> Iterator[Result]:
     ):
         value = statistics.median(rates)
         yield Result(
-            f"sweep_{kind}_a_minute", value, "1/min", wanted, "required", value / wanted, rates
+            f"sweep_{kind}_a_minute",
+            value,
+            "1/min",
+            wanted,
+            "required",
+            value / wanted,
+            rates,
         )
     median, low, high = statistics.median(ratios.tolist()), float("nan"), float("nan")
     if len(ratios) >= LEAST_MACHINES:
@@ -143,7 +170,9 @@ def _a_minute(prepared: Prepared, workers: Workers, count: int) -> float:
     """Return machines per minute, once each worker has driven a batch."""
     first, n, done, began_s = 2 * count * IN_A_BATCH, prepared.sweep.machines, 0, 0.0
     counted = 0
-    for _, batch in outcomes(prepared.job, map(prepared.machine, range(n + first)), workers):
+    for _, batch in outcomes(
+        prepared.job, map(prepared.machine, range(n + first)), workers
+    ):
         if any(outcome.error for outcome in batch):
             raise FailedError(f"a machine failed: {batch[0].error}")
         done += len(batch)
@@ -159,9 +188,14 @@ def _a_minute(prepared: Prepared, workers: Workers, count: int) -> float:
 
 def _memory(folder: Path, args: argparse.Namespace) -> Iterator[Result]:
     few, many = max(args.most // 10, 10), args.most
-    peaks = {n: _peak_mb(_sweep(folder, "compiled", n, SHORT_S), args.workers) for n in (few, many)}
+    peaks = {
+        n: _peak_mb(_sweep(folder, "compiled", n, SHORT_S), args.workers)
+        for n in (few, many)
+    }
     peak = peaks[many]
-    yield Result("sweep_memory_mb", peak, "MB", MOST_MB, "required", peak / MOST_MB, peaks)
+    yield Result(
+        "sweep_memory_mb", peak, "MB", MOST_MB, "required", peak / MOST_MB, peaks
+    )
     text = f"of {few} machines"
     yield Result("sweep_memory_growth", peak, "MB", peaks[few], text, peak / peaks[few])
 
@@ -173,12 +207,16 @@ def _peak_mb(path: Path, workers: int) -> float:
         "-m", "hilserver", "sweep", str(path), "-o", str(out), "--workers", str(workers)
     )
     peak = 0.0
-    with piped(command, name="hilserver sweep", stdin=None, stdout=sys.stderr) as process:
+    with piped(
+        command, name="hilserver sweep", stdin=None, stdout=sys.stderr
+    ) as process:
         while process.poll() is None:
             peak = max(peak, sum(map(_mb, _family(process.pid))))
             time.sleep(SAMPLE_S)
     if process.returncode != 0:
-        raise FailedError(f"the sweep of {path} ended with exit code {process.returncode}")
+        raise FailedError(
+            f"the sweep of {path} ended with exit code {process.returncode}"
+        )
     return peak
 
 
@@ -188,7 +226,10 @@ def _family(pid: int) -> list[int]:
         text = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii")
     except OSError:
         return []
-    return [pid, *itertools.chain.from_iterable(_family(int(child)) for child in text.split())]
+    return [
+        pid,
+        *itertools.chain.from_iterable(_family(int(child)) for child in text.split()),
+    ]
 
 
 def _mb(pid: int) -> float:
@@ -210,5 +251,7 @@ def _truths(path: Path) -> list[Result]:
             file.write(json.dumps(line) + "\n")
             file.flush()
             value = float(line["share"] if "share" in line else line["held"])
-            results.append(Result(line["truth"], value, "1", line.get("share_true"), raw=line))
+            results.append(
+                Result(line["truth"], value, "1", line.get("share_true"), raw=line)
+            )
     return results

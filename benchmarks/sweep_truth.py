@@ -43,20 +43,31 @@ CORRELATION, SD = 0.95, 0.02
 
 def _sweep(folder: Path, function: str, machines: int) -> Prepared:
     """Prepare a sweep of a block that passes where a function of p[0], p[1], p[2] is positive."""
-    (folder / "limit.py").write_text(BLOCK.replace("FUNCTION", function), encoding="utf-8")
+    (folder / "limit.py").write_text(
+        BLOCK.replace("FUNCTION", function), encoding="utf-8"
+    )
     return _written(
         folder,
         {
             "machines": machines,
             "seed": 11,
-            "from": {"population": {f"limit.{n}": {"uniform": [-1.0, 1.0]} for n in "abc"}},
+            "from": {
+                "population": {f"limit.{n}": {"uniform": [-1.0, 1.0]} for n in "abc"}
+            },
             "drive": {"duration_s": 0.05},
             "controller": {
                 "block": "limit.py:limit",
                 "inputs": {"x_m": "pose.x_m"},
                 "drives": {"speed_m_s": "twist.linear_m_s"},
             },
-            "require": [{"name": "limit", "signal": "limit.margin", "above": 0.0, "after_s": 0.02}],
+            "require": [
+                {
+                    "name": "limit",
+                    "signal": "limit.margin",
+                    "above": 0.0,
+                    "after_s": 0.02,
+                }
+            ],
         },
     )
 
@@ -68,7 +79,10 @@ def _written(folder: Path, sweep: dict[str, Any]) -> Prepared:
 
 
 def _swept(prepared: Prepared, folder: Path, workers: int = 2) -> Table:
-    journal, n = Journal(folder / "out", prepared.job.key, resume=False), prepared.sweep.machines
+    journal, n = (
+        Journal(folder / "out", prepared.job.key, resume=False),
+        prepared.sweep.machines,
+    )
     machines = map(prepared.machine, range(n))
     with LocalWorkers(workers, prepared.sweep.limits.memory_mb) as pool:
         for computer, batch in outcomes(prepared.job, machines, pool):
@@ -101,7 +115,11 @@ def _line(name: str, truth: float, table: Table, margin: str) -> dict[str, Any]:
 
 
 def _of_block(
-    name: str, function: str, margin: Callable[[Any, Any, Any], Any], truth: float, machines: int
+    name: str,
+    function: str,
+    margin: Callable[[Any, Any, Any], Any],
+    truth: float,
+    machines: int,
 ) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="hilserver-truth-") as folder:
         table = _swept(_sweep(Path(folder), function, machines), Path(folder))
@@ -115,7 +133,11 @@ def _of_block(
 def linear(machines: int = MACHINES) -> dict[str, Any]:
     """Sweep a block that passes if a - 2 b + 0.3 is not negative, for any c: 0.575 of all."""
     return _of_block(
-        "linear", "p[0] - 2.0 * p[1] + 0.3", lambda a, b, _: a - 2.0 * b + 0.3, 0.575, machines
+        "linear",
+        "p[0] - 2.0 * p[1] + 0.3",
+        lambda a, b, _: a - 2.0 * b + 0.3,
+        0.575,
+        machines,
     )
 
 
@@ -141,7 +163,13 @@ def correlated(machines: int = MACHINES) -> dict[str, Any]:
         "value": [-0.3, 0.5],
         "covariance": [[SD**2, CORRELATION * SD**2], [CORRELATION * SD**2, SD**2]],
     }
-    found = {"verdict": "findings", "logs": [], "seed": 0, "version": "0", "joint": joint}
+    found = {
+        "verdict": "findings",
+        "logs": [],
+        "seed": 0,
+        "version": "0",
+        "joint": joint,
+    }
     with tempfile.TemporaryDirectory(prefix="hilserver-truth-") as name:
         folder = Path(name)
         text = json.dumps(found | {"config_sha256": Config().sha256})
@@ -156,7 +184,12 @@ def correlated(machines: int = MACHINES) -> dict[str, Any]:
                 "from": {"findings": "findings.json"},
                 "drive": {"scenario": "course.yaml", "duration_s": 0.4},
                 "require": [
-                    {"name": "turns", "signal": "pose.yaw_rad", "above": 0.263, "within_s": 0.39}
+                    {
+                        "name": "turns",
+                        "signal": "pose.yaw_rad",
+                        "above": 0.263,
+                        "within_s": 0.39,
+                    }
                 ],
             },
         )
@@ -179,7 +212,9 @@ def _probability(prepared: Prepared) -> float:
         return math.nan
     while high - low > 1e-9:
         middle = (low + high) / 2.0
-        low, high = (low, middle) if (margin(middle) >= 0.0) == rising else (middle, high)
+        low, high = (
+            (low, middle) if (margin(middle) >= 0.0) == rising else (middle, high)
+        )
     below = float(norm.cdf((low + 0.3) / SD))
     return 1.0 - below if rising else below
 

@@ -44,7 +44,9 @@ def library() -> Any:
         from mujoco import sysid  # noqa: PLC0415 (an extra, slow to import)
     except ImportError:
         sysid = None
-    if not hasattr(sysid, "calculate_intervals"):  # without its extra it imports, but empty
+    if not hasattr(
+        sysid, "calculate_intervals"
+    ):  # without its extra it imports, but empty
         raise FailedError(
             "the rivals of the diagnosis need mujoco.sysid: pip install 'hilserver[rivals]'"
         )
@@ -60,7 +62,9 @@ def fitted(case: Case, log: MeasuredLog, robot: RobotParameters) -> dict[str, Va
         if causes <= {c.cause for c in prepared.library.candidates}:
             fit = Fit(prepared, names, case.recipe.causes)
             return {
-                name: value_of(name, case.answer.values[name], value, (value - half, value + half))
+                name: value_of(
+                    name, case.answer.values[name], value, (value - half, value + half)
+                )
                 for name, (value, half) in fit.run().items()
             }
     return {}
@@ -69,9 +73,17 @@ def fitted(case: Case, log: MeasuredLog, robot: RobotParameters) -> dict[str, Va
 class Fit:
     """Parameters by name and initial poses, all in steps of their finite differences."""
 
-    def __init__(self, prepared: Prepared, names: list[str], known: Mapping[str, float]) -> None:
-        self.problem, self.poses, self.names = prepared.problem, prepared.base.poses, names
-        self.shapes = {name: value for name, value in known.items() if name not in names}
+    def __init__(
+        self, prepared: Prepared, names: list[str], known: Mapping[str, float]
+    ) -> None:
+        self.problem, self.poses, self.names = (
+            prepared.problem,
+            prepared.base.poses,
+            names,
+        )
+        self.shapes = {
+            name: value for name, value in known.items() if name not in names
+        }
         self.begin, self.step, low, high = np.zeros((4, len(names)))
         for cause in dict.fromkeys(bare(name) for name in names):
             mine = [k for k, name in enumerate(names) if bare(name) == cause]
@@ -79,7 +91,9 @@ class Fit:
             first = able[0]
             self.step[mine] = np.abs(first.step[: len(mine)])
             low[mine], high[mine] = first.low[: len(mine)], first.high[: len(mine)]
-            self.begin[mine] = min((c.start[: len(mine)] for c in able), key=self._left_by(mine))
+            self.begin[mine] = min(
+                (c.start[: len(mine)] for c in able), key=self._left_by(mine)
+            )
         self.low = np.maximum(low, self.begin - FARTHEST * self.step)
         self.high = np.minimum(high, self.begin + FARTHEST * self.step)
 
@@ -99,7 +113,9 @@ class Fit:
         """Return the residuals of every channel."""
         n = len(self.names)
         values = dict(zip(self.names, (x[:n] * self.step).tolist(), strict=True))
-        missed = self._missed(values, self.poses + POSE_STEP * x[n:].reshape(self.poses.shape))
+        missed = self._missed(
+            values, self.poses + POSE_STEP * x[n:].reshape(self.poses.shape)
+        )
         return [missed[edge] for edge in self.problem.stack.edges.values()]
 
     def run(self) -> dict[str, tuple[float, float]]:
@@ -119,7 +135,9 @@ class Fit:
             x = result.x.ravel()
         _, halves = sysid.calculate_intervals([left.of(x)], np.asarray(result.jac))
         found = zip(self.names, x, halves, self.step, strict=False)
-        return {name: (float(v * step), float(half * step)) for name, v, half, step in found}
+        return {
+            name: (float(v * step), float(half * step)) for name, v, half, step in found
+        }
 
 
 @dataclass
@@ -132,7 +150,9 @@ class Left:
     def of(self, x: Array) -> Array:
         """Return all residuals, shape (n,)."""
         missed = self.fit.missed(x.ravel())
-        return np.concatenate([p / scale for p, scale in zip(missed, self.scales, strict=True)])
+        return np.concatenate(
+            [p / scale for p, scale in zip(missed, self.scales, strict=True)]
+        )
 
     def parts(self, x: Array, _: object) -> tuple[list[Array], None, None]:
         """Return the residuals as a column; the other two values are for its reports."""

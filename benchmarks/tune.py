@@ -25,14 +25,23 @@ from hilserver.program.children import piped, python
 from hilserver.sweep.estimates import LEAST_MACHINES, median_interval
 
 RATE_HZ, PERCENT, MOST = 20.0, 99.9, 1.25
-VALUES: Final = {"plant.controller.k_p": (12.0, 14.0), "terms.rotation_gain": (-0.2, 0.0)}
+VALUES: Final = {
+    "plant.controller.k_p": (12.0, 14.0),
+    "terms.rotation_gain": (-0.2, 0.0),
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
-    parser.add_argument("--blocks", type=int, default=20, help="of each kind (default 20)")
-    parser.add_argument("--block-s", type=int, default=5, help="seconds per block (default 5)")
-    parser.add_argument("--priority", type=int, default=80, help="SCHED_FIFO (default 80)")
+    parser.add_argument(
+        "--blocks", type=int, default=20, help="of each kind (default 20)"
+    )
+    parser.add_argument(
+        "--block-s", type=int, default=5, help="seconds per block (default 5)"
+    )
+    parser.add_argument(
+        "--priority", type=int, default=80, help="SCHED_FIFO (default 80)"
+    )
 
 
 def run(args: argparse.Namespace) -> list[Result]:
@@ -69,7 +78,9 @@ def alternating(
     idle, busy = (statistics.median(column) for column in zip(*pairs, strict=True))
     text = f"required of the upper end; {low:.3f} .. {high:.3f}"
     return [
-        Result(f"{name}_wake_p99.9_us", busy, "us", idle, "at rest", busy / idle, pairs),
+        Result(
+            f"{name}_wake_p99.9_us", busy, "us", idle, "at rest", busy / idle, pairs
+        ),
         Result(f"{name}_wake_ratio", value, "1", MOST, text, value / MOST),
     ]
 
@@ -86,12 +97,16 @@ class _Tuner:
     @contextlib.contextmanager
     def busy(self, place: Place) -> Iterator[str]:
         """Run it."""
-        config = yaml.safe_load((place.folder / "config.yaml").read_text(encoding="utf-8"))
+        config = yaml.safe_load(
+            (place.folder / "config.yaml").read_text(encoding="utf-8")
+        )
         command = python("-m", "benchmarks.tune", config["opcua"]["endpoint"])
         with piped(command, name="the client that tunes") as self._process:
             yield f"{RATE_HZ:g} changes of {len(VALUES)} parameters a second in every second block"
             if self._process.poll() is not None:
-                raise FailedError("the client that tunes has ended: the load was not there")
+                raise FailedError(
+                    "the client that tunes has ended: the load was not there"
+                )
 
     def say(self, order: str) -> None:
         """Let it change parameters, or rest."""
@@ -107,7 +122,11 @@ async def _tune(url: str) -> None:
     loop = asyncio.get_running_loop()
     loop.add_reader(sys.stdin, lambda: lines.put_nowait(sys.stdin.readline()))
     async with Client(url) as client:
-        ns, order, n = await client.get_namespace_index("urn:hilserver:robot"), "rest", 0
+        ns, order, n = (
+            await client.get_namespace_index("urn:hilserver:robot"),
+            "rest",
+            0,
+        )
         nodes = [client.get_node(f"ns={ns};s=parameters.{name}") for name in VALUES]
         ends: Any = list(zip(*VALUES.values(), strict=True))
         while order:

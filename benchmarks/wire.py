@@ -10,7 +10,11 @@ from urllib.parse import urlsplit
 
 from asyncua import ua
 from asyncua.common.utils import Buffer
-from asyncua.ua.ua_binary import nodeid_from_binary, struct_from_binary, struct_to_binary
+from asyncua.ua.ua_binary import (
+    nodeid_from_binary,
+    struct_from_binary,
+    struct_to_binary,
+)
 
 POLICY_NONE = "http://opcfoundation.org/UA/SecurityPolicy#None"
 ANSWER_WITHIN_S = 5.0
@@ -18,7 +22,9 @@ _FAULT = ua.NodeId(ua.ObjectIds.ServiceFault_Encoding_DefaultBinary)
 _HEADER = struct.Struct("<3scI")
 
 
-def frame(kind: bytes, body: bytes, chunk: bytes = b"F", size: int | None = None) -> bytes:
+def frame(
+    kind: bytes, body: bytes, chunk: bytes = b"F", size: int | None = None
+) -> bytes:
     """Return a frame; `size` may be wrong on purpose."""
     return _HEADER.pack(kind, chunk, 8 + len(body) if size is None else size) + body
 
@@ -39,7 +45,10 @@ def open_channel(sequence: int = 1, policy: str = POLICY_NONE) -> bytes:
     request.Parameters.ClientNonce = b""
     uri = policy.encode()
     head = struct.pack("<Ii", 0, len(uri)) + uri + struct.pack("<ii", -1, -1)
-    return frame(b"OPN", head + struct.pack("<II", sequence, sequence) + struct_to_binary(request))
+    return frame(
+        b"OPN",
+        head + struct.pack("<II", sequence, sequence) + struct_to_binary(request),
+    )
 
 
 class Wire:
@@ -62,11 +71,16 @@ class Wire:
 
     async def __aenter__(self) -> Self:
         parts = urlsplit(self.url)
-        self._reader, self._writer = await asyncio.open_connection(parts.hostname, parts.port)
+        self._reader, self._writer = await asyncio.open_connection(
+            parts.hostname, parts.port
+        )
         return self
 
     async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        _: TracebackType | None,
     ) -> None:
         self._writer.transport.abort()
         with contextlib.suppress(OSError):
@@ -85,7 +99,9 @@ class Wire:
         """Return kind and body of the next frame; (b"", b"") when the server has closed."""
         async with asyncio.timeout(within_s):
             try:
-                kind, _, size = _HEADER.unpack(await self._reader.readexactly(_HEADER.size))
+                kind, _, size = _HEADER.unpack(
+                    await self._reader.readexactly(_HEADER.size)
+                )
                 return kind, await self._reader.readexactly(size - _HEADER.size)
             except (asyncio.IncompleteReadError, ConnectionError):
                 return b"", b""
@@ -116,7 +132,9 @@ class Wire:
             request.RequestHeader.AuthenticationToken = self.authentication
             request = struct_to_binary(request)
         self._sequence += 1
-        head = struct.pack("<IIII", self.channel, self.token, self._sequence, self._sequence)
+        head = struct.pack(
+            "<IIII", self.channel, self.token, self._sequence, self._sequence
+        )
         return frame(b"MSG", head + request, chunk)
 
     async def ask(self, request: Any, answer: type) -> Any:
@@ -134,7 +152,9 @@ class Wire:
         _expect(kind, body, b"MSG")
         data = Buffer(body[16:])
         if nodeid_from_binary(data.copy()) == _FAULT:
-            struct_from_binary(ua.ServiceFault, data).ResponseHeader.ServiceResult.check()
+            struct_from_binary(
+                ua.ServiceFault, data
+            ).ResponseHeader.ServiceResult.check()
         response = struct_from_binary(answer, data)
         response.ResponseHeader.ServiceResult.check()
         return response
@@ -153,7 +173,9 @@ class Wire:
     async def activate_session(self) -> Any:
         """Activate the session as an anonymous user."""
         request = ua.ActivateSessionRequest()
-        request.Parameters.UserIdentityToken = ua.AnonymousIdentityToken(PolicyId="anonymous")
+        request.Parameters.UserIdentityToken = ua.AnonymousIdentityToken(
+            PolicyId="anonymous"
+        )
         return await self.ask(request, ua.ActivateSessionResponse)
 
     async def log_in(self) -> None:
@@ -185,4 +207,6 @@ def _expect(kind: bytes, body: bytes, wanted: bytes) -> None:
     if kind == b"ERR":
         raise ua.UaStatusCodeError(struct.unpack_from("<I", body)[0])
     if kind != wanted:
-        raise ConnectionError("the server has closed the connection" if not kind else str(kind))
+        raise ConnectionError(
+            "the server has closed the connection" if not kind else str(kind)
+        )

@@ -32,8 +32,12 @@ scheduler: {limits: {single_overrun_ms: null, consecutive_overruns: null}}
 def main() -> int:
     """Make the objects; print how many there are and how large."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("out", type=Path, help="folder for the objects; what it holds is removed")
-    parser.add_argument("--examples", type=Path, default=EXAMPLES, help="folder of the examples")
+    parser.add_argument(
+        "out", type=Path, help="folder for the objects; what it holds is removed"
+    )
+    parser.add_argument(
+        "--examples", type=Path, default=EXAMPLES, help="folder of the examples"
+    )
     args = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="hilserver-objects-") as name:
         work = Path(name)
@@ -82,7 +86,9 @@ def run(words: list[str], work: Path) -> None:
         stderr=subprocess.STDOUT,
     )
     if done.returncode:
-        raise SystemExit(f"{' '.join(words)} ended with {done.returncode}:\n{done.stdout[-4000:]}")
+        raise SystemExit(
+            f"{' '.join(words)} ended with {done.returncode}:\n{done.stdout[-4000:]}"
+        )
 
 
 def collect(cache: Path, out: Path) -> list[Path]:
@@ -92,7 +98,9 @@ def collect(cache: Path, out: Path) -> list[Path]:
 
     found = sorted((cache / f"kernels-{kernel_hash()}").glob("*.nbc"))
     if not found:
-        raise SystemExit("nothing was compiled: this installation brings its compiled code along")
+        raise SystemExit(
+            "nothing was compiled: this installation brings its compiled code along"
+        )
     shutil.rmtree(out, ignore_errors=True)
     folder = out / kernel_hash()
     folder.mkdir(parents=True)
@@ -100,8 +108,12 @@ def collect(cache: Path, out: Path) -> list[Path]:
     about = environment() | {"platform": numbas_platform()}
     (out / MADE_WITH).write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
     # Each object has the wrappers around a function, and the release of an array, out of numba.
-    [terms] = [f for f in distribution("numba").files or () if re.search(r"/LICENSE$", str(f))]
-    (out / "LICENSE.numba").write_text(terms.read_text(encoding="utf-8"), encoding="utf-8")
+    [terms] = [
+        f for f in distribution("numba").files or () if re.search(r"/LICENSE$", str(f))
+    ]
+    (out / "LICENSE.numba").write_text(
+        terms.read_text(encoding="utf-8"), encoding="utf-8"
+    )
     return kept
 
 
@@ -112,10 +124,14 @@ def numbas_platform() -> str:
     numba does.
     """
     tags = re.findall(
-        r"^Tag: [^-]+-[^-]+-(\S+)$", distribution("numba").read_text("WHEEL") or "", re.M
+        r"^Tag: [^-]+-[^-]+-(\S+)$",
+        distribution("numba").read_text("WHEEL") or "",
+        re.M,
     )
     if not tags:
-        raise SystemExit("numba was not installed from a wheel: nothing names the platform")
+        raise SystemExit(
+            "numba was not installed from a wheel: nothing names the platform"
+        )
     return ".".join(sorted(tags))
 
 

@@ -111,7 +111,9 @@ def _report(folder: Path, error: OSError, spare: Path) -> None:
     if _is_reported:
         return
     _is_reported = True
-    why = "there is no home folder" if folder == NOWHERE else f"{folder}: {reason(error)}"
+    why = (
+        "there is no home folder" if folder == NOWHERE else f"{folder}: {reason(error)}"
+    )
     cost = f"compiled code is kept in {spare.parent} until the computer restarts"
     if spare == NOWHERE:
         cost = "compiled code cannot be kept: each start compiles for a minute or two"
@@ -149,13 +151,17 @@ class Shelf:
     def get(self, name: str) -> bytes | None:
         """Return what was put under `name`, by any process."""
         found = whole(self.folder / name)
-        return whole(spare_of(self._name, make=False) / name) if found is None else found
+        return (
+            whole(spare_of(self._name, make=False) / name) if found is None else found
+        )
 
     def put(self, name: str, data: bytes) -> None:
         """Keep `data`, whole or not at all, where there is room for it."""
         if not self._is_full:
             try:
-                _write(_own(self.folder) / name, data)  # somebody may have cleared the cache
+                _write(
+                    _own(self.folder) / name, data
+                )  # somebody may have cleared the cache
             except OSError as error:
                 self._is_full = True
                 _report(self.folder.parent, error, self._in_spare(name, data))
@@ -195,7 +201,9 @@ class Shelf:
         try:
             if self._lock_file is None:
                 path = (spare_of(self._name) if self._is_full else self.folder) / "lock"
-                self._lock_file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+                self._lock_file = os.open(
+                    path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600
+                )
             fcntl.lockf(self._lock_file, how, 1, place)
         except OSError as error:  # all but the first two: no such file, no locks
             return error.errno not in (errno.EACCES, errno.EAGAIN)
@@ -236,7 +244,9 @@ def whole(path: Path) -> bytes | None:
 
 def _write(path: Path, data: bytes) -> None:
     """Write a file that other processes see only when it is whole."""
-    handle, unfinished = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".part")
+    handle, unfinished = tempfile.mkstemp(
+        dir=path.parent, prefix=path.stem, suffix=".part"
+    )
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(_MAGIC + hashlib.sha256(data).digest() + data)

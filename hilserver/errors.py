@@ -56,8 +56,12 @@ ADDRESSES = {
 def address_refused(what: str, error: OSError) -> FailedError:
     """Return why an address cannot be used, with the remedy; `what` names section and address."""
     number = error.errno or getattr(error.__context__, "errno", None) or 0
-    why = os.strerror(number) if number > 0 else error.strerror or str(error)  # names: below 0
-    return FailedError(f"{what} ({why.lower()}); {ADDRESSES.get(number, 'check the address')}")
+    why = (
+        os.strerror(number) if number > 0 else error.strerror or str(error)
+    )  # names: below 0
+    return FailedError(
+        f"{what} ({why.lower()}); {ADDRESSES.get(number, 'check the address')}"
+    )
 
 
 _ALIKE, _SHORT = 0.7, 2

@@ -25,7 +25,9 @@ from hilserver.time_limit import AbandonedError
 
 FIRST_PAUSE_S: Final = 0.1
 LONGEST_PAUSE_S: Final = 5.0
-LASTED_S: Final = 10.0  # a task that has run for so long begins again after the first pause
+LASTED_S: Final = (
+    10.0  # a task that has run for so long begins again after the first pause
+)
 BEATS_MISSED: Final = 10
 SILENT_AT_LEAST_S: Final = 10.0
 
@@ -44,7 +46,11 @@ class Ended:
     again_in_s: float | None = None  # None: it does not begin again
 
     def __str__(self) -> str:
-        again = "" if self.again_in_s is None else f"; it begins again in {self.again_in_s:g} s"
+        again = (
+            ""
+            if self.again_in_s is None
+            else f"; it begins again in {self.again_in_s:g} s"
+        )
         return f"task '{self.name}' {self.why}{again}"
 
 
@@ -90,7 +96,11 @@ class SupervisedTask:
     def check_beat(self, now_s: float) -> None:
         """Cancel the task if its loop hangs; it then begins again."""
         silent_s = now_s - self._beat_s
-        if self._silent_after_s is None or self.why_down or silent_s <= self._silent_after_s:
+        if (
+            self._silent_after_s is None
+            or self.why_down
+            or silent_s <= self._silent_after_s
+        ):
             return
         self.why_down = f"has not turned for {silent_s:.0f} s"
         # Reported now, because it may swallow the cancellation.
@@ -156,12 +166,18 @@ class Supervisor:
         self.failures: Counter[str] = Counter()  # of tasks that end by themselves
         self._looked_s = 0.0
 
-    def keep(self, name: str, make: Make, silent_after_s: float | None = None) -> SupervisedTask:
+    def keep(
+        self, name: str, make: Make, silent_after_s: float | None = None
+    ) -> SupervisedTask:
         """Run `make()` until `SupervisedTask.end` is called."""
         self.restarts[name] += 0
-        return self._started(SupervisedTask(self, name, make, silent_after_s=silent_after_s))
+        return self._started(
+            SupervisedTask(self, name, make, silent_after_s=silent_after_s)
+        )
 
-    def every(self, name: str, period_s: float, look: Callable[[], object]) -> SupervisedTask:
+    def every(
+        self, name: str, period_s: float, look: Callable[[], object]
+    ) -> SupervisedTask:
         """Call `look`, which may be a coroutine function, every `period_s` until it is ended."""
 
         async def turn() -> None:
@@ -204,7 +220,9 @@ class Supervisor:
 
     def why_down(self) -> str:
         """Return in words which task does not run although it should; empty if all do."""
-        down = (f"task '{job.name}' {job.why_down}" for job in self.jobs if job.why_down)
+        down = (
+            f"task '{job.name}' {job.why_down}" for job in self.jobs if job.why_down
+        )
         return next(down, "")
 
     def note(self, job: SupervisedTask, ended: Ended) -> None:
@@ -236,7 +254,9 @@ async def end(*tasks: asyncio.Future[Any] | None) -> None:
     await asyncio.gather(*running, return_exceptions=True)
 
 
-async def first_of(*works: Coroutine[Any, Any, Any], within_s: float | None = None) -> int | None:
+async def first_of(
+    *works: Coroutine[Any, Any, Any], within_s: float | None = None
+) -> int | None:
     """Run coroutines until the first one ends; end the others.
 
     Return its position, None if the time is up; raise its error, AbandonedError if it was
@@ -244,7 +264,9 @@ async def first_of(*works: Coroutine[Any, Any, Any], within_s: float | None = No
     """
     tasks = [asyncio.ensure_future(work) for work in works]
     try:
-        done, _ = await asyncio.wait(tasks, timeout=within_s, return_when=asyncio.FIRST_COMPLETED)
+        done, _ = await asyncio.wait(
+            tasks, timeout=within_s, return_when=asyncio.FIRST_COMPLETED
+        )
     finally:
         await end(*tasks)
     for position, task in enumerate(tasks):

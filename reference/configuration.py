@@ -59,9 +59,9 @@ def _type(annotation: Any) -> str:
     origin, arguments = get_origin(annotation), get_args(annotation)
     if origin is Literal:
         return ", ".join(f"`{value}`" for value in arguments)
-    if origin in (types.UnionType, getattr(types, "UnionType", None)) or str(origin) == (
-        "typing.Union"
-    ):
+    if origin in (types.UnionType, getattr(types, "UnionType", None)) or str(
+        origin
+    ) == ("typing.Union"):
         return " or ".join(_type(argument) for argument in arguments)
     if origin is dict:
         return f"map of {_type(arguments[1])}"

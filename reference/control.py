@@ -24,7 +24,11 @@ MEANING: Final[Mapping[Happening, str]] = {
 }
 
 LIMITS: Final = (
-    ("peer", "`peers[].stale_after_ms`", "`peers[].on_stale`: hold, zero or ramp (safe state)"),
+    (
+        "peer",
+        "`peers[].stale_after_ms`",
+        "`peers[].on_stale`: hold, zero or ramp (safe state)",
+    ),
     ("opcua", "`control.opcua_stale_after_ms`, by default for ever", "safe state"),
     ("opcua, `hilserver teleop`", "`page.deadman_ms`", "set-points zero"),
     ("page, Foxglove", "`page.deadman_ms`", "set-points zero"),
@@ -33,9 +37,17 @@ LIMITS: Final = (
         "`ros2.stale_after_ms`",
         "`ros2.on_stale`: device (drive disabled), ramp, or hold while its writer is alive",
     ),
-    ("shield", "`shield.stale_after_ms`, or as its host says", "`shield.on_stale`: the same"),
+    (
+        "shield",
+        "`shield.stale_after_ms`, or as its host says",
+        "`shield.on_stale`: the same",
+    ),
     ("scenario", "for ever: its steps are planned", ""),
-    ("whoever drives", "`control.command_timeout_ms`, by default for ever", "set-points zero"),
+    (
+        "whoever drives",
+        "`control.command_timeout_ms`, by default for ever",
+        "set-points zero",
+    ),
 )
 """Source, how long its command holds, what then happens."""
 

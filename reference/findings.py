@@ -30,4 +30,6 @@ def _row(cause: Cause) -> str:
         "none" if p.null is None else f"{p.null:g}" for p in cause.parts if not p.shape
     )
     remedy = sentences()[cause.name]["remedy"]
-    return f"| `{cause.name}` | {shown} | {units} | {nulls} | {cause.block} | {remedy} |"
+    return (
+        f"| `{cause.name}` | {shown} | {units} | {nulls} | {cause.block} | {remedy} |"
+    )

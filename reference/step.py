@@ -95,7 +95,9 @@ def _block_lines() -> str:
         lines = _source(assemble(path)).splitlines(keepends=True)
     slots = [line for line in lines if line.startswith(("INPUTS_", "OUTPUTS_"))]
     first = next(i for i, line in enumerate(lines) if "fault = 0" in line)
-    return "".join([*slots, "\n", *lines[first : lines.index("        return fault\n") + 1]])
+    return "".join(
+        [*slots, "\n", *lines[first : lines.index("        return fault\n") + 1]]
+    )
 
 
 def as_markdown() -> str:

@@ -24,13 +24,23 @@ def image_name():
 
 
 def make_image(table=None, **options):
-    fixed = {leases.REGION: leases.words_needed(8), changes.REGION: changes.words_needed(1)}
+    fixed = {
+        leases.REGION: leases.words_needed(8),
+        changes.REGION: changes.words_needed(1),
+    }
     fixed["edition"] = 1  # what a recorder looks for
-    settings = {"live": {}, "fixed": fixed, "base_period_ns": 1_000_000, "ring_length": 16}
+    settings = {
+        "live": {},
+        "fixed": fixed,
+        "base_period_ns": 1_000_000,
+        "ring_length": 16,
+    }
     return ProcessImage(image_name(), table or make_table(), **(settings | options))
 
 
-def make_gate(table, image, events, ramp_ticks=0, monotonic_ns=time.monotonic_ns, **options):
+def make_gate(
+    table, image, events, ramp_ticks=0, monotonic_ns=time.monotonic_ns, **options
+):
     leases = Leases(image, ramp_ticks, monotonic_ns)
     options = {"named": (*SOURCES, "peer:a")} | options
     return InputGate(table, image, events, leases, monotonic_ns=monotonic_ns, **options)

@@ -36,7 +36,9 @@ print(Shelf('kernels-1').get('newer'))
 @pytest.fixture
 def tmp_path():
     """Return a folder that other users can reach; every start of pytest shuts its own to them."""
-    with tempfile.TemporaryDirectory(prefix="test-", ignore_cleanup_errors=True) as name:
+    with tempfile.TemporaryDirectory(
+        prefix="test-", ignore_cleanup_errors=True
+    ) as name:
         Path(name).chmod(0o755)
         yield Path(name)
 
@@ -95,7 +97,9 @@ def test_a_folder_that_cannot_be_made_is_one_line_and_the_spare_one_is_used(
     make(own)
     (absent, found), [line] = as_a_user(tmp_path, HILSERVER_CACHE_DIR=str(own))
     assert (absent, found) == ("None", "b'newer'")
-    assert line.startswith(f"hilserver: {own}: {why}; compiled code is kept in {tmp_path}/tmp/hil")
+    assert line.startswith(
+        f"hilserver: {own}: {why}; compiled code is kept in {tmp_path}/tmp/hil"
+    )
     assert "set HILSERVER_CACHE_DIR" in line
 
 
@@ -114,11 +118,17 @@ def test_a_user_without_home_and_name_has_the_spare_folder(own, monkeypatch, cap
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(Path, "home", classmethod(unknown))
     assert cache_folder("kernels-1").is_relative_to(own.parent / "tmp")
-    assert capfd.readouterr().err.startswith("hilserver: there is no home folder; compiled code")
+    assert capfd.readouterr().err.startswith(
+        "hilserver: there is no home folder; compiled code"
+    )
 
 
-def test_a_complete_cache_that_is_read_only_is_used_without_a_word(own, tmp_path, monkeypatch):
-    monkeypatch.setattr("tests.test_cache.AS_A_USER", AS_A_USER.partition("for name")[0])
+def test_a_complete_cache_that_is_read_only_is_used_without_a_word(
+    own, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(
+        "tests.test_cache.AS_A_USER", AS_A_USER.partition("for name")[0]
+    )
     filled(own)
     assert as_a_user(tmp_path, HILSERVER_CACHE_DIR=str(own)) == (["b'old'"], [])
 
@@ -131,7 +141,9 @@ def test_what_a_read_only_cache_lacks_goes_to_the_spare_folder(own, tmp_path):
 
 
 def test_a_full_disk_is_one_line_and_nothing_half_written_stays(own, tmp_path):
-    (_, new), [line] = as_a_user(tmp_path, "full", HILSERVER_CACHE_DIR=str(tmp_path / "tmp/c"))
+    (_, new), [line] = as_a_user(
+        tmp_path, "full", HILSERVER_CACHE_DIR=str(tmp_path / "tmp/c")
+    )
     assert new == "None"
     assert "no space left; free some; compiled code cannot be kept: each start" in line
     left = {path.name for path in (tmp_path / "tmp").rglob("*") if path.is_file()}
@@ -160,7 +172,9 @@ def test_a_file_of_another_user_is_not_read(own, monkeypatch):
 
 
 @pytest.mark.parametrize("kind", ["link", "file", "theirs"])
-def test_a_spare_folder_that_somebody_else_made_is_refused(own, tmp_path, monkeypatch, kind):
+def test_a_spare_folder_that_somebody_else_made_is_refused(
+    own, tmp_path, monkeypatch, kind
+):
     """Everybody can write to the temporary folder, and knows the name."""
     own.touch()
     spare, elsewhere = cache.spare_folder(), tmp_path / "elsewhere"
@@ -186,7 +200,13 @@ def test_nobody_else_may_write_to_the_cache(own):
 
 
 @pytest.mark.parametrize(
-    "damage", [lambda b: b[:-1], lambda b: b"", lambda b: b[:-3] + b"?" + b[-2:], lambda b: b[5:]]
+    "damage",
+    [
+        lambda b: b[:-1],
+        lambda b: b"",
+        lambda b: b[:-3] + b"?" + b[-2:],
+        lambda b: b[5:],
+    ],
 )
 def test_a_damaged_file_counts_as_absent(own, damage):
     Shelf("kernels-1").put("a", b"0123456789")

@@ -40,7 +40,9 @@ class Bench:
         await self.core.__aexit__()
 
     def push(self, writes):
-        rows = [Row(self.table.slot(name), value, tick=tick) for tick, name, value in writes]
+        rows = [
+            Row(self.table.slot(name), value, tick=tick) for tick, name, value in writes
+        ]
         assert self.image.push_timed(rows)
 
     def hash_from(self, first_tick):

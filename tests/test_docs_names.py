@@ -60,7 +60,9 @@ def test_every_place_within_a_page_is_a_heading() -> None:
 
 def test_every_file_that_is_named_exists() -> None:
     def missing(page: Path) -> Iterator[str]:
-        for path in {path for span in spans(page) for path in PATH.findall(span)} - NOT_FILES:
+        for path in {
+            path for span in spans(page) for path in PATH.findall(span)
+        } - NOT_FILES:
             if not any(ROOT.glob(path.rstrip("/."))):
                 yield path
 
@@ -110,7 +112,11 @@ def test_every_key_of_the_configuration_that_is_named_exists() -> None:
             if match is None or re.split(r"[.\[]", span)[0] not in SCHEMA["properties"]:
                 continue
             key = match[0]
-            is_other = key.startswith(("shield.", "peers.")) or key.endswith(FILES) or key in CODE
+            is_other = (
+                key.startswith(("shield.", "peers."))
+                or key.endswith(FILES)
+                or key in CODE
+            )
             if not is_other and any(unknown(SCHEMA, nested(key))):
                 yield key
 
@@ -135,7 +141,9 @@ def test_every_signal_that_is_named_exists() -> None:
     def missing(page: Path) -> Iterator[str]:
         for span in spans(page):
             is_name = SIGNAL.fullmatch(span) and not span.endswith(NOT_SIGNALS)
-            exists = any(f"{name}_".startswith(f"{span}_") for name in names)  # or is a group
+            exists = any(
+                f"{name}_".startswith(f"{span}_") for name in names
+            )  # or is a group
             if is_name and span.partition(".")[0] in kinds and not exists:
                 yield span
 
@@ -147,7 +155,9 @@ def options(parser: argparse.ArgumentParser) -> set[str]:
     found = set(parser._option_string_actions)
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
-            found |= {option for sub in action.choices.values() for option in options(sub)}
+            found |= {
+                option for sub in action.choices.values() for option in options(sub)
+            }
     return found
 
 
@@ -168,13 +178,17 @@ def test_every_command_in_a_sentence_has_its_options() -> None:
 
 
 def test_every_make_target_and_module_that_is_named_exists() -> None:
-    rules = re.findall(r"^([a-z-]+(?: [a-z-]+)*):", (ROOT / "Makefile").read_text("utf-8"), re.M)
+    rules = re.findall(
+        r"^([a-z-]+(?: [a-z-]+)*):", (ROOT / "Makefile").read_text("utf-8"), re.M
+    )
     targets = {target for rule in rules for target in rule.split()}
 
     def missing(page: Path) -> Iterator[str]:
         text = page.read_text("utf-8")
         yield from {*re.findall(r"(?:`|^\$ |^# )make ([a-z-]+)", text, re.M)} - targets
-        for name in re.findall(r"python -m ((?:hilserver|benchmarks|reference|tests)[\w.]*)", text):
+        for name in re.findall(
+            r"python -m ((?:hilserver|benchmarks|reference|tests)[\w.]*)", text
+        ):
             if importlib.util.find_spec(name.rstrip(".")) is None:
                 yield name
 
@@ -182,13 +196,20 @@ def test_every_make_target_and_module_that_is_named_exists() -> None:
 
 
 def test_the_newest_release_of_the_changelog_is_the_version() -> None:
-    released = re.findall(r"^## (\d+\.\d+\.\d+) - ", (ROOT / "CHANGELOG.md").read_text(), re.M)
+    released = re.findall(
+        r"^## (\d+\.\d+\.\d+) - ", (ROOT / "CHANGELOG.md").read_text(), re.M
+    )
     assert released[0] == __version__
 
 
 def test_images_are_named_by_the_version() -> None:
-    pages = [ROOT / "deploy" / "container" / "compose.yaml", ROOT / "docs/how-to/container.md"]
+    pages = [
+        ROOT / "deploy" / "container" / "compose.yaml",
+        ROOT / "docs/how-to/container.md",
+    ]
     tags = [
-        tag for p in pages for tag in re.findall(r"localhost/hilserver:([\w.]+)", p.read_text())
+        tag
+        for p in pages
+        for tag in re.findall(r"localhost/hilserver:([\w.]+)", p.read_text())
     ]
     assert {*tags} == {__version__}

@@ -35,7 +35,10 @@ def test_where_nothing_is_near_the_way_on_is_told():
 @pytest.mark.parametrize(
     ("error", "why"),
     [
-        (OSError(errno.EADDRINUSE, "bind: [::1]:1"), "address already in use); end the program"),
+        (
+            OSError(errno.EADDRINUSE, "bind: [::1]:1"),
+            "address already in use); end the program",
+        ),
         (
             socket.gaierror(socket.EAI_NONAME, "Name or service not known"),
             "name or service not known); check the address",
@@ -44,4 +47,6 @@ def test_where_nothing_is_near_the_way_on_is_told():
     ],
 )
 def test_an_address_is_refused_in_words_without_numbers(error, why):
-    assert str(address_refused("s7: cannot listen", error)).startswith(f"s7: cannot listen ({why}")
+    assert str(address_refused("s7: cannot listen", error)).startswith(
+        f"s7: cannot listen ({why}"
+    )

@@ -18,7 +18,9 @@ COMPILER = {"numba", "scipy"}
 )
 def test_commands_that_only_watch_or_ask_carry_little(command, without):
     words = [sys.executable, "-c", LOADED.format(command, without)]
-    assert subprocess.run(words, capture_output=True, text=True, check=True).stdout == "\n"
+    assert (
+        subprocess.run(words, capture_output=True, text=True, check=True).stdout == "\n"
+    )
 
 
 CALLS_IT = """
@@ -37,7 +39,9 @@ def test_the_daemon_carries_no_linear_algebra_until_it_is_called():
 
 def test_what_comes_from_the_cache_needs_no_knowledge_of_types():
     parts = {"numba.np.arrayobj", "numba.cpython.unicode", "cffi"}
-    loaded = f"import sys, hilserver.daemon.daemon; print(*{parts} & sys.modules.keys())"
+    loaded = (
+        f"import sys, hilserver.daemon.daemon; print(*{parts} & sys.modules.keys())"
+    )
     words = [sys.executable, "-c", loaded]
     for _ in range(2):  # the first one may have to compile
         shown = subprocess.run(words, capture_output=True, text=True, check=True).stdout
@@ -45,7 +49,15 @@ def test_what_comes_from_the_cache_needs_no_knowledge_of_types():
 
 
 def test_the_daemon_compiles_for_shields_and_fmus_only_where_it_has_them():
-    rooms = {"hilserver.fmu.calls", "hilserver.fmu.exchange", "hilserver.io.shield.answer"}
-    loaded = f"import sys, hilserver.daemon.daemon; print(*{rooms} & sys.modules.keys())"
+    rooms = {
+        "hilserver.fmu.calls",
+        "hilserver.fmu.exchange",
+        "hilserver.io.shield.answer",
+    }
+    loaded = (
+        f"import sys, hilserver.daemon.daemon; print(*{rooms} & sys.modules.keys())"
+    )
     words = [sys.executable, "-c", loaded]
-    assert subprocess.run(words, capture_output=True, text=True, check=True).stdout == "\n"
+    assert (
+        subprocess.run(words, capture_output=True, text=True, check=True).stdout == "\n"
+    )

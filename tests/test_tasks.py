@@ -65,7 +65,9 @@ async def test_a_task_that_lasts_begins_again_whatever_ends_it(told, work, why):
         await until(lambda: kept.restarts["baker"] >= 5)
     assert {ended.why for ended in told} == {why}
     pauses = [ended.again_in_s for ended in told[:5]]
-    assert pauses == [0.001, 0.002, 0.004, 0.004, 0.004], "the pauses grow up to a limit"
+    assert pauses == [0.001, 0.002, 0.004, 0.004, 0.004], (
+        "the pauses grow up to a limit"
+    )
     assert str(told[0]) == f"task 'baker' {why}; it begins again in 0.001 s"
 
 
@@ -104,7 +106,9 @@ async def test_a_task_that_ends_by_itself_may_only_return(told, work, n_told):
     job.on_end = lambda: ends.append(job.done)
     await until(lambda: job.done)
     assert ends == [True]
-    assert told.tasks.failures == {"one loaf": n_told}, "the series exists from the start"
+    assert told.tasks.failures == {"one loaf": n_told}, (
+        "the series exists from the start"
+    )
     assert [ended.again_in_s for ended in told] == [None] * n_told
     assert (told.tasks.jobs, told.tasks.why_down()) == ({}, "")
 
@@ -153,7 +157,11 @@ async def test_of_several_the_first_to_end_counts():
 
 @pytest.mark.parametrize(
     ("work", "error"),
-    [(returns, "returns returned"), (leaks, "leaks was cancelled"), (fails, "no bread")],
+    [
+        (returns, "returns returned"),
+        (leaks, "leaks was cancelled"),
+        (fails, "no bread"),
+    ],
 )
 async def test_of_those_that_belong_together_none_ends_alone(work, error):
     with pytest.raises((AbandonedError, ValueError), match=error):
@@ -169,15 +177,27 @@ def test_nothing_else_makes_tasks_or_limits():
     folder = Path(hilserver.__file__).parent
     found = []
     for path in sorted(folder.rglob("*.py")):
-        place, text = path.relative_to(folder).as_posix(), path.read_text(encoding="utf-8")
+        place, text = (
+            path.relative_to(folder).as_posix(),
+            path.read_text(encoding="utf-8"),
+        )
         if place in HOMES or not any(maker in text for maker in MAKERS):
             continue
         for node in ast.walk(ast.parse(text)):
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute | ast.Name):
+            if isinstance(node, ast.Call) and isinstance(
+                node.func, ast.Attribute | ast.Name
+            ):
                 called = ast.unparse(node.func)
                 name = called.rpartition(".")[2]
-                if name in MAKERS[:3] or called in ("asyncio.timeout", "asyncio.wait_for"):
+                if name in MAKERS[:3] or called in (
+                    "asyncio.timeout",
+                    "asyncio.wait_for",
+                ):
                     found.append(f"{place}:{node.lineno} {called}")
             if isinstance(node, ast.ImportFrom) and node.module == "asyncio":
-                found += [f"{place}:{node.lineno} {a.name}" for a in node.names if a.name in MAKERS]
+                found += [
+                    f"{place}:{node.lineno} {a.name}"
+                    for a in node.names
+                    if a.name in MAKERS
+                ]
     assert found == []

@@ -71,5 +71,7 @@ def test_the_search_finds_them() -> None:
 
 def test_names_and_docstrings_are_read(tmp_path: Path) -> None:
     module = tmp_path / "module.py"
-    module.write_text('def who_is_told(lonely: str) -> None:\n    """It went astray."""\n')
+    module.write_text(
+        'def who_is_told(lonely: str) -> None:\n    """It went astray."""\n'
+    )
     assert len([hint for text in texts(module) for hint in found(text)]) == 3

@@ -47,14 +47,23 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("wheel", type=Path)
     parser.add_argument("--out", type=Path, required=True, help="archive to write")
-    parser.add_argument("--work", type=Path, required=True, help="folder; keeps the base system")
-    parser.add_argument("--extras", default="edge,foxglove", help="extras, comma-separated")
+    parser.add_argument(
+        "--work", type=Path, required=True, help="folder; keeps the base system"
+    )
+    parser.add_argument(
+        "--extras", default="edge,foxglove", help="extras, comma-separated"
+    )
     args = parser.parse_args()
     if os.geteuid() != 0:
-        print("run this as root: debootstrap creates the file system of the image", file=sys.stderr)
+        print(
+            "run this as root: debootstrap creates the file system of the image",
+            file=sys.stderr,
+        )
         return 1
     if shutil.which("debootstrap") is None:
-        print("debootstrap is missing: run 'apt-get install debootstrap'", file=sys.stderr)
+        print(
+            "debootstrap is missing: run 'apt-get install debootstrap'", file=sys.stderr
+        )
         return 1
     base, root = args.work / "base", args.work / "root"
     if not base.exists():
@@ -104,7 +113,9 @@ def make_base(base: Path) -> None:
 def install(root: Path, wheel: Path, extras: str, wheels: Path) -> None:
     """Install the wheel and what it needs; the image itself needs no network."""
     machine = PLATFORM[platform.machine()][1]
-    wanted = f"hilserver[{extras}] @ {wheel.resolve().as_uri()}" if extras else str(wheel)
+    wanted = (
+        f"hilserver[{extras}] @ {wheel.resolve().as_uri()}" if extras else str(wheel)
+    )
     tags = [f"--platform={tag}_{machine}" for tag in
             ("manylinux_2_36", "manylinux_2_28", "manylinux_2_17", "manylinux2014")]  # fmt: skip
     wheels.mkdir(parents=True, exist_ok=True)
@@ -127,17 +138,31 @@ def settle(root: Path) -> None:
     within(root, f"/{HOME}/bin/python", "-m", "compileall", "-q", "-j2", f"/{HOME}/lib")
     for folder in ("etc/hilserver", "var/lib/hilserver", "var/cache/hilserver"):
         (root / folder).mkdir(parents=True, exist_ok=True)
-    shutil.copy(Path(__file__).with_name("config.yaml"), root / "etc/hilserver/config.yaml")
+    shutil.copy(
+        Path(__file__).with_name("config.yaml"), root / "etc/hilserver/config.yaml"
+    )
     shutil.copy(Path(__file__).parents[1] / "objects.py", root / "run")
     within(root, f"/{HOME}/bin/python", "/run/objects.py", f"/{OBJECTS}")
-    (root / "run/any_port.yaml").write_text(ANY_PORT)  # a daemon may run beside the build
-    within(root, f"/{HOME}/bin/hilserver", "run", "-c", "/run/any_port.yaml", "--duration", "2")
+    (root / "run/any_port.yaml").write_text(
+        ANY_PORT
+    )  # a daemon may run beside the build
+    within(
+        root,
+        f"/{HOME}/bin/hilserver",
+        "run",
+        "-c",
+        "/run/any_port.yaml",
+        "--duration",
+        "2",
+    )
     for folder in WITHOUT:
         for path in (root / folder).iterdir() if (root / folder).exists() else ():
             if path != root / "var/cache/hilserver":
                 run("rm", "-rf", path)
     with (root / "etc/passwd").open("a") as users:
-        users.write(f"hilserver:x:{USER_ID}:{USER_ID}::/var/lib/hilserver:/usr/sbin/nologin\n")
+        users.write(
+            f"hilserver:x:{USER_ID}:{USER_ID}::/var/lib/hilserver:/usr/sbin/nologin\n"
+        )
     with (root / "etc/group").open("a") as groups:
         groups.write(f"hilserver:x:{USER_ID}:\n")
     for folder in ("var/lib/hilserver", "var/cache/hilserver"):
@@ -168,7 +193,11 @@ def write_image(root: Path, out: Path, version: str) -> None:
     with tarfile.open(out, "w") as archive:
         for path in sorted(blobs.iterdir()):
             is_blob = len(path.name) == 64
-            archive.add(path, f"blobs/sha256/{path.name}" if is_blob else path.name, filter=plain)
+            archive.add(
+                path,
+                f"blobs/sha256/{path.name}" if is_blob else path.name,
+                filter=plain,
+            )
     shutil.rmtree(blobs)
 
 
@@ -199,12 +228,16 @@ def write_layer(root: Path, blobs: Path) -> tuple[dict[str, object], str]:
     packed, unpacked = blobs / "layer.gz", blobs / "layer"
     with tarfile.open(unpacked, "w", format=tarfile.PAX_FORMAT) as archive:
         for path in [root, *sorted(root.rglob("*"))]:
-            archive.add(path, str(path.relative_to(root)), recursive=False, filter=plain)
+            archive.add(
+                path, str(path.relative_to(root)), recursive=False, filter=plain
+            )
     diff_id = digest_of(unpacked)
     with (
         unpacked.open("rb") as source,
         packed.open("wb") as target,
-        gzip.GzipFile(filename="", mode="wb", fileobj=target, compresslevel=3, mtime=0) as out,
+        gzip.GzipFile(
+            filename="", mode="wb", fileobj=target, compresslevel=3, mtime=0
+        ) as out,
     ):
         shutil.copyfileobj(source, out, 1 << 20)
     unpacked.unlink()

@@ -31,7 +31,9 @@ WHEELS = {
 }
 FINDERS = ("tof_FL", "tof_FR", "tof_RL", "tof_RR")
 LONGEST_LINE = 4096
-PATIENCE = struct.pack("ll", 0, 500_000)  # who does not read for 0.5 s gets nothing more
+PATIENCE = struct.pack(
+    "ll", 0, 500_000
+)  # who does not read for 0.5 s gets nothing more
 
 
 class Bridge(Node):
@@ -41,10 +43,14 @@ class Bridge(Node):
         super().__init__("iotbot_node_red")
         self.connected = set()
         # as iotbot_shield does: a reader of sensor data takes what any motion node offers
-        self.create_subscription(RotationSpeed, "iotbot/rpm", self.pass_on, qos_profile_sensor_data)
+        self.create_subscription(
+            RotationSpeed, "iotbot/rpm", self.pass_on, qos_profile_sensor_data
+        )
         self._speeds = self.create_publisher(RotationSpeed, "iotbot/rpm/return", 10)
         self._imu = self.create_publisher(Imu, "iotbot/imu", qos_profile_sensor_data)
-        self._tof = self.create_publisher(Float32MultiArray, "iotbot/tof", qos_profile_sensor_data)
+        self._tof = self.create_publisher(
+            Float32MultiArray, "iotbot/tof", qos_profile_sensor_data
+        )
 
     def pass_on(self, message):
         """Send the set-points to all who are connected."""
@@ -59,12 +65,16 @@ class Bridge(Node):
     def publish(self, values):
         """Publish each topic of which all values are there."""
         if all(f"rpm_act_{wheel}" in values for wheel in WHEELS):
-            speeds = {name: values[f"rpm_act_{wheel}"] for wheel, name in WHEELS.items()}
+            speeds = {
+                name: values[f"rpm_act_{wheel}"] for wheel, name in WHEELS.items()
+            }
             self._speeds.publish(RotationSpeed(**speeds))
         if "imu_yaw" in values and "imu_gyro_z" in values:
             self._imu.publish(self._imu_of(values))
         if all(name in values for name in FINDERS):
-            self._tof.publish(Float32MultiArray(data=[values[name] for name in FINDERS]))
+            self._tof.publish(
+                Float32MultiArray(data=[values[name] for name in FINDERS])
+            )
 
     def _imu_of(self, values):
         imu = Imu()

@@ -13,12 +13,18 @@ TABLE = Path(__file__).parent / "drive.csv"
 START_NS = 1_700_000_000_000_000_000
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 TYPES = STORE.types
-JOINTS, ODOMETRY, IMU = "sensor_msgs/msg/JointState", "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
+JOINTS, ODOMETRY, IMU = (
+    "sensor_msgs/msg/JointState",
+    "nav_msgs/msg/Odometry",
+    "sensor_msgs/msg/Imu",
+)
 
 
 def header(stamp_ns: int) -> object:
     """Return a header of that time."""
-    time = TYPES["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+    time = TYPES["builtin_interfaces/msg/Time"](
+        sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9
+    )
     return TYPES["std_msgs/msg/Header"](stamp=time, frame_id="robot")
 
 
@@ -62,26 +68,40 @@ def imu(stamp_ns: int, gyro_z: str) -> object:
 
 def odometry(stamp_ns: int, x_mm: str, y_mm: str, heading_deg: str) -> object:
     """Return the pose of the navigation."""
-    point = TYPES["geometry_msgs/msg/Point"](x=float(x_mm) / 1e3, y=float(y_mm) / 1e3, z=0.0)
+    point = TYPES["geometry_msgs/msg/Point"](
+        x=float(x_mm) / 1e3, y=float(y_mm) / 1e3, z=0.0
+    )
     yaw_rad = math.radians(float(heading_deg))
     pose = TYPES["geometry_msgs/msg/Pose"](position=point, orientation=heading(yaw_rad))
     twist = TYPES["geometry_msgs/msg/Twist"](linear=vector(), angular=vector())
     return TYPES[ODOMETRY](
         header=header(stamp_ns),
         child_frame_id="robot",
-        pose=TYPES["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=np.zeros(36)),
-        twist=TYPES["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=np.zeros(36)),
+        pose=TYPES["geometry_msgs/msg/PoseWithCovariance"](
+            pose=pose, covariance=np.zeros(36)
+        ),
+        twist=TYPES["geometry_msgs/msg/TwistWithCovariance"](
+            twist=twist, covariance=np.zeros(36)
+        ),
     )
 
 
 def main(folder: Path) -> None:
     """Write every row of the table as messages; a pose only where the row has one."""
-    topics = {"/command": JOINTS, "/wheels": JOINTS, "/imu": IMU, "/navigation": ODOMETRY}
+    topics = {
+        "/command": JOINTS,
+        "/wheels": JOINTS,
+        "/imu": IMU,
+        "/navigation": ODOMETRY,
+    }
     with (
         TABLE.open(encoding="utf-8") as table,
         Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer,
     ):
-        link = {t: writer.add_connection(t, kind, typestore=STORE) for t, kind in topics.items()}
+        link = {
+            t: writer.add_connection(t, kind, typestore=STORE)
+            for t, kind in topics.items()
+        }
         for row in csv.DictReader(table):
             stamp_ns = START_NS + int(row["stamp_ms"]) * 1_000_000
             messages = {
@@ -93,7 +113,9 @@ def main(folder: Path) -> None:
                 pose = (row["x_mm"], row["y_mm"], row["heading_deg"])
                 messages["/navigation"] = odometry(stamp_ns, *pose)
             for topic, message in messages.items():
-                writer.write(link[topic], stamp_ns, STORE.serialize_cdr(message, topics[topic]))
+                writer.write(
+                    link[topic], stamp_ns, STORE.serialize_cdr(message, topics[topic])
+                )
 
 
 if __name__ == "__main__":

@@ -66,7 +66,9 @@ async def main(endpoint: str) -> None:
             rate = max(-MOST_RAD_S, min(GAIN_PER_S * error, MOST_RAD_S))
             await robot.write("twist.angular_rad_s", rate, ua.VariantType.Double)
             heading_rad, steps = await robot.step(), steps + 1
-        print(f"heading {heading_rad:.9f} rad after {steps * PERIOD_S:.2f} s of the robot")
+        print(
+            f"heading {heading_rad:.9f} rad after {steps * PERIOD_S:.2f} s of the robot"
+        )
         await robot.write("twist.angular_rad_s", 0.0, ua.VariantType.Double)
         await robot.call("Start")
 

@@ -5,7 +5,11 @@ from hilserver.plant.blocks import Output, block
 
 @block(
     inputs=("duty_pct",),
-    outputs=(Output("force_n", unit="N", low=-50.0, high=50.0, description="Load cell, axle fl"),),
+    outputs=(
+        Output(
+            "force_n", unit="N", low=-50.0, high=50.0, description="Load cell, axle fl"
+        ),
+    ),
     state=("force",),
     parameters={"gain_n_pct": 0.4, "lag_s": 0.1},
 )

@@ -17,7 +17,10 @@ class Robot:
 
     def __init__(self, client: Client, namespace: int) -> None:
         self._client = client
-        self._pose = [self._node(client, namespace, f"pose.{n}") for n in ("x_m", "y_m", "yaw_rad")]
+        self._pose = [
+            self._node(client, namespace, f"pose.{n}")
+            for n in ("x_m", "y_m", "yaw_rad")
+        ]
         self._linear = self._node(client, namespace, "twist.linear_m_s")
         self._angular = self._node(client, namespace, "twist.angular_rad_s")
         self._mode = self._node(client, namespace, "control.mode")
@@ -46,7 +49,9 @@ class Robot:
 
     async def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
         """Command a twist."""
-        values = [ua.Variant(v, ua.VariantType.Double) for v in (linear_m_s, angular_rad_s)]
+        values = [
+            ua.Variant(v, ua.VariantType.Double) for v in (linear_m_s, angular_rad_s)
+        ]
         await self._client.write_values([self._linear, self._angular], values)
 
 
@@ -86,7 +91,8 @@ async def main(endpoint: str) -> None:
                 await turn_to(robot, heading + corner * math.pi / 2)
                 x, y, yaw = await robot.pose()
                 print(
-                    f"corner {corner}: x {x:+.2f} m, y {y:+.2f} m, yaw {yaw:+.2f} rad", flush=True
+                    f"corner {corner}: x {x:+.2f} m, y {y:+.2f} m, yaw {yaw:+.2f} rad",
+                    flush=True,
                 )
         finally:
             await robot.give_control(before)
@@ -97,4 +103,6 @@ if __name__ == "__main__":
     try:
         asyncio.run(main(endpoint))
     except OSError:
-        sys.exit(f"{endpoint} does not answer: wait until the daemon has printed its addresses")
+        sys.exit(
+            f"{endpoint} does not answer: wait until the daemon has printed its addresses"
+        )

@@ -31,9 +31,13 @@ def writer(topic: str, kind: str, hashed: str):
 def main() -> None:
     """Enable the drive, drive forward and stop."""
     targets, drive = writer("rt/iotbot/rpm", SPEED, SPEED)
-    calls, enable = writer("rq/iotbot/srv/send_enableRequest", f"{ENABLE}_Request", ENABLE)
+    calls, enable = writer(
+        "rq/iotbot/srv/send_enableRequest", f"{ENABLE}_Request", ENABLE
+    )
     type_hash = types.hash(SPEED)
-    returned = participant.reader("rt/iotbot/rpm/return", wire.make(SPEED), Qos(), type_hash)
+    returned = participant.reader(
+        "rt/iotbot/rpm/return", wire.make(SPEED), Qos(), type_hash
+    )
     last_s = time.monotonic() + PATIENCE_S
     while not (targets.matched and calls.matched and returned.matched):
         if time.monotonic() > last_s:
@@ -53,7 +57,9 @@ def main() -> None:
             measured = types.decode(arrival.cdr, SPEED).front_left_rpm
             fastest_rpm = max(fastest_rpm, measured)
         time.sleep(PERIOD_S)
-    drive(front_left_rpm=0.0, rear_left_rpm=0.0, front_right_rpm=0.0, rear_right_rpm=0.0)
+    drive(
+        front_left_rpm=0.0, rear_left_rpm=0.0, front_right_rpm=0.0, rear_right_rpm=0.0
+    )
     print(f"the front left wheel turned with {fastest_rpm:.1f} rpm")
 
 

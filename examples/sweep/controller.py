@@ -8,7 +8,12 @@ correction only works while something is missing, so the robot stays too slow.
 SPEED_RPM = 30.0
 NEEDED_PCT_PER_RPM = 1.0 / 1.11  # of the nominal robot
 GAIN_PCT_PER_RPM = 0.5
-SIDES = {"fl": 1.0, "rl": 1.0, "fr": -1.0, "rr": -1.0}  # the right wheels are mounted mirrored
+SIDES = {
+    "fl": 1.0,
+    "rl": 1.0,
+    "fr": -1.0,
+    "rr": -1.0,
+}  # the right wheels are mounted mirrored
 
 
 class Controller:
@@ -21,5 +26,7 @@ class Controller:
             wanted_rpm = side * SPEED_RPM
             missing_rpm = wanted_rpm - signals[f"wheel.{wheel}.speed_rpm"]
             duty_pct = NEEDED_PCT_PER_RPM * wanted_rpm + GAIN_PCT_PER_RPM * missing_rpm
-            commands[f"wheel.{wheel}.duty_command_pct"] = max(-100.0, min(duty_pct, 100.0))
+            commands[f"wheel.{wheel}.duty_command_pct"] = max(
+                -100.0, min(duty_pct, 100.0)
+            )
         return commands

@@ -17,16 +17,22 @@ async def main(endpoint: str) -> None:
     async with Client(endpoint) as client:
         ns = await client.get_namespace_index("urn:hilserver:robot")
         names = ("sim.tick", "pose.x_m", "control.mode", "twist.linear_m_s", "methods")
-        tick, x, mode, speed, methods = (client.get_node(f"ns={ns};s={name}") for name in names)
+        tick, x, mode, speed, methods = (
+            client.get_node(f"ns={ns};s={name}") for name in names
+        )
         await mode.write_value(ua.Variant(1, ua.VariantType.Byte))
         done, x_m = 0, 0.0
         while True:
             command = max(-MOST_M_S, min(GAIN_PER_S * (GOAL_M - x_m), MOST_M_S))
             await speed.write_value(ua.Variant(command, ua.VariantType.Double))
-            await methods.call_method(f"{ns}:Step", ua.Variant(TICKS, ua.VariantType.UInt32))
+            await methods.call_method(
+                f"{ns}:Step", ua.Variant(TICKS, ua.VariantType.UInt32)
+            )
             done += TICKS
             now = -1
-            while now < done - 1:  # both values are of one tick, as they are read together
+            while (
+                now < done - 1
+            ):  # both values are of one tick, as they are read together
                 now, x_m = await client.read_values([tick, x])
 
 

@@ -60,11 +60,16 @@ def main(out: Path) -> None:
     """Play all variants and write summary.csv."""
     out.mkdir(parents=True, exist_ok=True)
     variants = [
-        dict(zip(VARIED, values, strict=True)) for values in itertools.product(*VARIED.values())
+        dict(zip(VARIED, values, strict=True))
+        for values in itertools.product(*VARIED.values())
     ]
     with ThreadPoolExecutor(JOBS) as pool:
         names = [f"variant_{number:03d}" for number in range(len(variants))]
-        lines = list(pool.map(lambda one: simulated(out, *one), zip(names, variants, strict=True)))
+        lines = list(
+            pool.map(
+                lambda one: simulated(out, *one), zip(names, variants, strict=True)
+            )
+        )
     with (out / "summary.csv").open("w", encoding="utf-8", newline="") as file:
         table = csv.DictWriter(file, lines[0])
         table.writeheader()

@@ -20,7 +20,9 @@ def command(*, period_us: int, priority: int, duration_s: int, bins: int) -> lis
     """Return the command line for one block; priority 0: without a real-time policy."""
     program = shutil.which("cyclictest")
     if program is None:
-        raise FailedError("cyclictest is not installed: apt-get install rt-tests (Debian, Ubuntu)")
+        raise FailedError(
+            "cyclictest is not installed: apt-get install rt-tests (Debian, Ubuntu)"
+        )
     policy = ["-p", str(priority)] if priority > 0 else ["--policy=other"]
     timing = ["-i", str(period_us), "-D", str(duration_s), "-h", str(bins)]
     return [program, "-q", "-m", "-t", "1", *policy, *timing]
@@ -30,13 +32,21 @@ def run(command_line: list[str], duration_s: int) -> NDArray[np.int64]:
     """Run one block and return its histogram in bins of 1 us; the last bin takes the overflow."""
     try:
         done = subprocess.run(  # noqa: S603 - our own command line
-            command_line, capture_output=True, text=True, timeout=duration_s + 30, check=True
+            command_line,
+            capture_output=True,
+            text=True,
+            timeout=duration_s + 30,
+            check=True,
         )
     except subprocess.CalledProcessError as error:
-        reason = (error.stderr.strip() or error.stdout.strip()).splitlines() or ["no message"]
+        reason = (error.stderr.strip() or error.stdout.strip()).splitlines() or [
+            "no message"
+        ]
         raise FailedError(f"cyclictest failed: {reason[-1]}") from None
     except subprocess.TimeoutExpired:
-        raise FailedError(f"cyclictest did not end within {duration_s + 30} s") from None
+        raise FailedError(
+            f"cyclictest did not end within {duration_s + 30} s"
+        ) from None
     return parse(done.stdout, int(command_line[command_line.index("-h") + 1]))
 
 
@@ -47,7 +57,9 @@ def companion(*, period_us: int, duration_s: int) -> Iterator[None]:
     In the blocks of the reference a second paced thread, that of the subject, runs beside
     cyclictest. This one makes the blocks of the subject equal.
     """
-    command_line = command(period_us=period_us, priority=0, duration_s=duration_s + 2, bins=1)
+    command_line = command(
+        period_us=period_us, priority=0, duration_s=duration_s + 2, bins=1
+    )
     options = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
     with piped(command_line, name="cyclictest", stop_limit_s=10.0, **options):
         time.sleep(_SETTLE_S)
@@ -59,7 +71,9 @@ def parse(text: str, bins: int) -> NDArray[np.int64]:
     counts = np.zeros(bins, dtype=np.int64)
     for latency, count in re.findall(r"^(\d{6}) (\d+)", text, flags=re.MULTILINE):
         counts[min(int(latency), bins - 1)] += int(count)
-    for overflow in re.findall(r"^# Histogram Overflows: (\d+)", text, flags=re.MULTILINE):
+    for overflow in re.findall(
+        r"^# Histogram Overflows: (\d+)", text, flags=re.MULTILINE
+    ):
         counts[-1] += int(overflow)
     if counts.sum() == 0:
         raise FailedError("cyclictest printed no histogram")

@@ -20,7 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.bench import cyclictest, report
-from hilserver.bench.jitter_subjects import Companion, Subject, bare_pacing, loaded_daemon
+from hilserver.bench.jitter_subjects import (
+    Companion,
+    Subject,
+    bare_pacing,
+    loaded_daemon,
+)
 
 Counts = NDArray[np.int64]
 SUBJECTS: dict[str, Callable[..., AbstractContextManager[Subject]]] = {
@@ -52,8 +57,12 @@ class Comparison:
             ratio=value / reference if reference > 0 else None,
             raw={
                 "backend": self.backend,
-                "ratio_interval_95": report.ratio_interval(self.subject, self.reference, percent),
-                "blocks_us": [report.percentile_us(block, percent) for block in self.subject],
+                "ratio_interval_95": report.ratio_interval(
+                    self.subject, self.reference, percent
+                ),
+                "blocks_us": [
+                    report.percentile_us(block, percent) for block in self.subject
+                ],
                 "reference_blocks_us": [
                     report.percentile_us(block, percent) for block in self.reference
                 ],
@@ -73,10 +82,18 @@ class Comparison:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of this bench."""
-    parser.add_argument("--blocks", type=int, default=10, help="blocks of each (default 10)")
-    parser.add_argument("--block-s", type=int, default=5, help="seconds per block (default 5)")
-    parser.add_argument("--period-us", type=int, default=1000, help="period (default 1000)")
-    parser.add_argument("--priority", type=int, default=80, help="SCHED_FIFO priority (default 80)")
+    parser.add_argument(
+        "--blocks", type=int, default=10, help="blocks of each (default 10)"
+    )
+    parser.add_argument(
+        "--block-s", type=int, default=5, help="seconds per block (default 5)"
+    )
+    parser.add_argument(
+        "--period-us", type=int, default=1000, help="period (default 1000)"
+    )
+    parser.add_argument(
+        "--priority", type=int, default=80, help="SCHED_FIFO priority (default 80)"
+    )
     parser.add_argument(
         "--subject",
         choices=sorted(SUBJECTS),
@@ -98,8 +115,12 @@ def run(args: argparse.Namespace) -> list[report.Result]:
     for backend in ("thread", "timerfd") if args.backend == "both" else (args.backend,):
         for beside in dict.fromkeys(((), args.beside)):
             comparison = compare(args, backend, beside)
-            prefix = "with_" * bool(beside) + ("" if backend == "thread" else f"{backend}_")
-            figures = [comparison.result(percent, prefix) for percent in report.PERCENTILES]
+            prefix = "with_" * bool(beside) + (
+                "" if backend == "thread" else f"{backend}_"
+            )
+            figures = [
+                comparison.result(percent, prefix) for percent in report.PERCENTILES
+            ]
             figures[0].raw.update(comparison.raw)
             results += figures
     return results
@@ -120,14 +141,21 @@ def compare(
         # The event loop has no real-time priority; cyclictest then runs at the requested one.
         priority = subject.priority if backend == "thread" else args.priority
         comparison.command = cyclictest.command(
-            period_us=args.period_us, priority=priority, duration_s=args.block_s, bins=bins
+            period_us=args.period_us,
+            priority=priority,
+            duration_s=args.block_s,
+            bins=bins,
         )
         for block in range(args.blocks):
             _progress(f"{backend}: block {block + 1} of {args.blocks}")
-            with cyclictest.companion(period_us=args.period_us, duration_s=args.block_s):
+            with cyclictest.companion(
+                period_us=args.period_us, duration_s=args.block_s
+            ):
                 comparison.subject.append(subject.measure(args.block_s))
             with subject.standing_back():
-                comparison.reference.append(cyclictest.run(comparison.command, args.block_s))
+                comparison.reference.append(
+                    cyclictest.run(comparison.command, args.block_s)
+                )
         _progress("")
     return comparison
 

@@ -103,7 +103,9 @@ def bare_pacing(
         module = "hilserver.bench.pacing_subject"
         arguments = ["-m", module, backend, str(path), str(period_us), str(priority)]
         with piped(python(*arguments), name="the pacing process") as process:
-            statistics = _wait_for(lambda: Statistics.attach(map_statistics(path)), process)
+            statistics = _wait_for(
+                lambda: Statistics.attach(map_statistics(path)), process
+            )
             yield Subject(statistics, ["an event loop that packs and parses JSON"])
 
 
@@ -134,10 +136,14 @@ def loaded_daemon(
                 time.sleep(SETTLES_S)
                 began = time.monotonic()
                 yield subject
-                subject.load.append(_load_report(clients, time.monotonic() - began + SETTLES_S))
+                subject.load.append(
+                    _load_report(clients, time.monotonic() - began + SETTLES_S)
+                )
 
 
-def _settings(backend: str, period_us: int, priority: int, image: str, url: str) -> dict[str, Any]:
+def _settings(
+    backend: str, period_us: int, priority: int, image: str, url: str
+) -> dict[str, Any]:
     return {
         "scheduler": {
             "backend": backend,
@@ -150,7 +156,10 @@ def _settings(backend: str, period_us: int, priority: int, image: str, url: str)
             },
             "policy": "skip",  # like cyclictest: one late wake-up is one sample
             "realtime": {"priority": priority},
-            "limits": {"single_overrun_ms": None, "consecutive_overruns": None},  # it keeps driving
+            "limits": {
+                "single_overrun_ms": None,
+                "consecutive_overruns": None,
+            },  # it keeps driving
         },
         "image": {"name": image},
         "opcua": {"endpoint": url},
@@ -170,26 +179,38 @@ def _load_report(clients: "subprocess.Popen[str]", duration_s: float) -> str:
     try:
         output, _ = clients.communicate(timeout=20)
     except subprocess.TimeoutExpired:
-        raise FailedError("the OPC UA clients did not end: the load is unknown") from None
+        raise FailedError(
+            "the OPC UA clients did not end: the load is unknown"
+        ) from None
     words = output.split()
     if clients.returncode != 0 or len(words) != 2:
-        raise FailedError("an OPC UA client failed during the measurement: the load was incomplete")
+        raise FailedError(
+            "an OPC UA client failed during the measurement: the load was incomplete"
+        )
     reads, late = int(words[0]), int(words[1])
     wanted = N_CLIENTS * RATE_HZ * duration_s
     if reads < 0.8 * wanted:
-        raise FailedError(f"only {reads} of about {wanted:.0f} reads took place: too little load")
+        raise FailedError(
+            f"only {reads} of about {wanted:.0f} reads took place: too little load"
+        )
     return f"{reads} reads in {duration_s:.0f} s, {late} began a period too late"
 
 
-def _wait_for(attach: Callable[[], Statistics], process: "subprocess.Popen[str]") -> Statistics:
+def _wait_for(
+    attach: Callable[[], Statistics], process: "subprocess.Popen[str]"
+) -> Statistics:
     """Attach to a process that is starting, once its pacing thread runs."""
     deadline = time.monotonic() + PACING_WITHIN_S
     while time.monotonic() < deadline:
         if process.poll() is not None:
-            raise FailedError(f"the process to be measured ended with code {process.returncode}")
+            raise FailedError(
+                f"the process to be measured ended with code {process.returncode}"
+            )
         with contextlib.suppress(FailedError, ValueError, OSError, KeyError):
             statistics = attach()
             if statistics.thread_id and statistics.linear_counts.sum() > 0:
                 return statistics
         time.sleep(0.1)
-    raise FailedError(f"the process to be measured did not start within {PACING_WITHIN_S:.0f} s")
+    raise FailedError(
+        f"the process to be measured did not start within {PACING_WITHIN_S:.0f} s"
+    )

@@ -44,8 +44,12 @@ SETTLE_S = (0.15, 0.25)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add ``--changes`` and ``--seed``."""
-    parser.add_argument("--changes", type=int, default=200, help="set-point changes (%(default)s)")
-    parser.add_argument("--seed", type=int, default=1, help="seed of the moments (%(default)s)")
+    parser.add_argument(
+        "--changes", type=int, default=200, help="set-point changes (%(default)s)"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=1, help="seed of the moments (%(default)s)"
+    )
 
 
 @dataclass
@@ -73,7 +77,9 @@ class Loop:
         self._sequence += 1
         wheels = dict.fromkeys(("FL", "RL"), self.target_rpm)
         wheels |= dict.fromkeys(("FR", "RR"), -self.target_rpm)
-        values: dict[str, object] = {f"rpm_set_{name}": rpm for name, rpm in wheels.items()}
+        values: dict[str, object] = {
+            f"rpm_set_{name}": rpm for name, rpm in wheels.items()
+        }
         await self.server.offer(
             values | {"enable": True, SEQUENCE: self._sequence}, datetime.now(UTC)
         )
@@ -93,7 +99,9 @@ class Loop:
                         raise FailedError(f"the daemon under test ended: {words}")
                     await asyncio.sleep(PERIOD_S)
                 return
-        raise FailedError(f"the daemon under test did not answer within {DAEMON_WITHIN_S:g} s")
+        raise FailedError(
+            f"the daemon under test did not answer within {DAEMON_WITHIN_S:g} s"
+        )
 
     async def change(self) -> None:
         """Change the sign of the set-point and wait for the answer.
@@ -108,7 +116,9 @@ class Loop:
             async with time_limit(ANSWER_LIMIT_S):
                 await self._answered.wait()
         except TimeoutError:
-            raise FailedError("a set-point change did not come back within 2 s") from None
+            raise FailedError(
+                "a set-point change did not come back within 2 s"
+            ) from None
 
 
 def peer(endpoint: str, mode: str) -> PeerConfig:
@@ -135,7 +145,10 @@ async def daemon(config: PeerConfig) -> AsyncIterator[Callable[[], str | None]]:
         with log.open("wb") as stderr:
             command = children.python("-m", "hilserver", "run", "-c", str(path))
             async with children.started(
-                command, name="hilserver run", stop_limit_s=DAEMON_ENDS_WITHIN_S, stderr=stderr
+                command,
+                name="hilserver run",
+                stop_limit_s=DAEMON_ENDS_WITHIN_S,
+                stderr=stderr,
             ) as process:
 
                 def ended() -> str | None:
@@ -196,5 +209,7 @@ def run(args: argparse.Namespace) -> list[Result]:
             value = float(np.percentile(latencies, share))
             name = f"end_to_end{suffix}_p{share}_ms"
             reason = f"{what} {named}"
-            results.append(Result(name, value, "ms", reference, reason, value / reference, raw))
+            results.append(
+                Result(name, value, "ms", reference, reason, value / reference, raw)
+            )
     return results

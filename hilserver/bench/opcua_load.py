@@ -78,4 +78,6 @@ async def main(url: str, n_clients: int, n_nodes: int, rate_hz: float) -> None:
 
 if __name__ == "__main__":
     logging.getLogger("asyncua").setLevel(logging.ERROR)
-    asyncio.run(main(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), float(sys.argv[4])))
+    asyncio.run(
+        main(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), float(sys.argv[4]))
+    )

@@ -42,7 +42,9 @@ async def pace(backend: str, path: Path, period_us: int, priority: int) -> None:
         backend=backend,
         policy=OverrunPolicy("skip"),  # like cyclictest: one late wake-up is one sample
         realtime=RealtimeSettings(priority=priority),
-        statistics_array=map_statistics(path, words_needed(len(SLICES), HISTOGRAM_BINS)),
+        statistics_array=map_statistics(
+            path, words_needed(len(SLICES), HISTOGRAM_BINS)
+        ),
         linear_bins=HISTOGRAM_BINS,
     )
     await scheduler.start()

@@ -48,7 +48,9 @@ def _direct(p: Any, x: Any, u: Any, y: Any, q: Any, ticks: int) -> None:
 
 
 @kernel(numba.void(_STEP, _P, _X, _U, _Y, _Q, numba.int64))
-def _through_pointer(step: Any, p: Any, x: Any, u: Any, y: Any, q: Any, ticks: int) -> None:
+def _through_pointer(
+    step: Any, p: Any, x: Any, u: Any, y: Any, q: Any, ticks: int
+) -> None:
     for _ in range(ticks):
         step(p, x, u, y, q)
 
@@ -87,7 +89,10 @@ def run(args: argparse.Namespace) -> list[Result]:
     """
     blocks = int(getattr(args, "blocks", None) or BLOCKS)
     ticks = int(getattr(args, "ticks", None) or TICKS_PER_BLOCK)
-    base, extended = _Numba(RobotParameters()), _Numba(RobotParameters(terms=cases()["everything"]))
+    base, extended = (
+        _Numba(RobotParameters()),
+        _Numba(RobotParameters(terms=cases()["everything"])),
+    )
     u, y, q = _inputs()
     with tempfile.TemporaryDirectory() as folder:
         library = build(Path(folder))
@@ -111,7 +116,9 @@ def run(args: argparse.Namespace) -> list[Result]:
 
     def result(name: str, program: str) -> Result:
         value, reference = median[program], median["c"]
-        return Result(name, value, "ns", reference, "C, terms off", value / reference, raw)
+        return Result(
+            name, value, "ns", reference, "C, terms off", value / reference, raw
+        )
 
     return [
         result("step_ns", "direct"),

@@ -27,7 +27,9 @@ class Result:
     name: str
     value: float
     unit: str
-    reference: float | None = None  # the same figure of the reference program, in the same unit
+    reference: float | None = (
+        None  # the same figure of the reference program, in the same unit
+    )
     reference_name: str | None = None
     ratio: float | None = None
     raw: Any = None  # histograms, blocks, command lines: the data behind the figure
@@ -80,7 +82,9 @@ def as_json(results: Iterable[Result]) -> str:
 
 def as_table(results: Iterable[Result]) -> str:
     """Return the results as lines of a table for the terminal."""
-    lines = [f"{'figure':34} {'value':>12} {'unit':6} {'reference':>12} {'ratio':>7}  reference is"]
+    lines = [
+        f"{'figure':34} {'value':>12} {'unit':6} {'reference':>12} {'ratio':>7}  reference is"
+    ]
     for r in results:
         reference = "" if r.reference is None else f"{r.reference:.4g}"
         ratio = "" if r.ratio is None else f"{r.ratio:.2f}"
@@ -88,7 +92,9 @@ def as_table(results: Iterable[Result]) -> str:
         lines.append(
             f"{r.name:34} {r.value:12.4g} {r.unit:6} {reference:>12} {ratio:>7}  {name}".rstrip()
         )
-    lines.append(f"speed of this computer: 10**7 additions in a Python loop take {loop_s():.2f} s")
+    lines.append(
+        f"speed of this computer: 10**7 additions in a Python loop take {loop_s():.2f} s"
+    )
     return "\n".join(lines)
 
 
@@ -113,7 +119,9 @@ def median_of_blocks_us(blocks: Sequence[NDArray[np.int64]], percent: float) -> 
 
 
 def ratio_interval(
-    blocks: Sequence[NDArray[np.int64]], reference: Sequence[NDArray[np.int64]], percent: float
+    blocks: Sequence[NDArray[np.int64]],
+    reference: Sequence[NDArray[np.int64]],
+    percent: float,
 ) -> tuple[float, float]:
     """Return the 95 % interval of the ratio of the medians over the blocks.
 
@@ -125,7 +133,9 @@ def ratio_interval(
     rng = np.random.default_rng(0)
     draws = 2000
     medians = np.median(ours[rng.integers(len(ours), size=(draws, len(ours)))], axis=1)
-    others = np.median(theirs[rng.integers(len(theirs), size=(draws, len(theirs)))], axis=1)
+    others = np.median(
+        theirs[rng.integers(len(theirs), size=(draws, len(theirs)))], axis=1
+    )
     low, high = np.percentile(medians / np.maximum(others, 1.0), [2.5, 97.5])
     return float(low), float(high)
 

@@ -36,7 +36,9 @@ class Engine:
         self.parameters = body.pack()  # `p` of the kernel
         signature = int(library.mjtState.mjSTATE_INTEGRATION)
         length = library.mj_stateSize(self.model, signature)
-        self.addresses = self._addresses(library, signature)  # `a` of the kernel, of this process
+        self.addresses = self._addresses(
+            library, signature
+        )  # `a` of the kernel, of this process
         # `b` of the kernel: at rest in the origin
         self.initial = self._initial(library, length, signature)
 
@@ -60,7 +62,9 @@ class Engine:
                 f"mechatronic: MuJoCo {library.__version__} counts its warnings differently; use a"
                 f" supported version."
             )
-        first = counters.ctypes.data - counters.itemsize  # each counter follows the warning's info
+        first = (
+            counters.ctypes.data - counters.itemsize
+        )  # each counter follows the warning's info
         a = Addresses.of(np.zeros(Addresses.n_words, dtype=np.int64))
         a.step = function("mj_step")
         a.set_state = function("mj_setState")
@@ -70,10 +74,14 @@ class Engine:
         a.sensors, a.warnings = data.sensordata.ctypes.data, first
         a.signature = signature
         before = signature & (int(library.mjtState.mjSTATE_XFRC_APPLIED) - 1)
-        a.push = library.mj_stateSize(self.model, before) + 6 * self.model.body("robot").id
+        a.push = (
+            library.mj_stateSize(self.model, before) + 6 * self.model.body("robot").id
+        )
         return a
 
-    def _initial(self, library: ModuleType, length: int, signature: int) -> NDArray[np.float64]:
+    def _initial(
+        self, library: ModuleType, length: int, signature: int
+    ) -> NDArray[np.float64]:
         numbers = np.zeros(MUJOCO + length)
         library.mj_getState(self.model, self.data, numbers[MUJOCO:], signature)
         place_body(self.parameters, numbers, 0.0, 0.0, 0.0)

@@ -25,10 +25,17 @@ def mjcf(body: BodyParameters, solids: Iterable[Solid] = ()) -> str:
     (contype 1); the bumper in front of them touches everything (contype 1 and 2).
     """
     ahead, aside, height = body.centre_of_mass_m
-    bottom, top = body.robot.wheel_radius_m / 2, max(2 * body.robot.wheel_radius_m, 0.15)
-    length = max(PLATES_M[0], (body.robot.wheelbase_m or 0.0) + 2 * body.robot.wheel_radius_m)
+    bottom, top = (
+        body.robot.wheel_radius_m / 2,
+        max(2 * body.robot.wheel_radius_m, 0.15),
+    )
+    length = max(
+        PLATES_M[0], (body.robot.wheelbase_m or 0.0) + 2 * body.robot.wheel_radius_m
+    )
     width = max(PLATES_M[1], body.robot.track_m + WHEEL_WIDTH_M)
-    bumper = _text(length / 2 + BUMPER_GAP_M, width / 2 + BUMPER_GAP_M, (top - bottom) / 2)
+    bumper = _text(
+        length / 2 + BUMPER_GAP_M, width / 2 + BUMPER_GAP_M, (top - bottom) / 2
+    )
     middle = _text(-ahead, -aside, (top + bottom) / 2 - height)
     moments = " ".join(f"{moment:.17g}" for moment in body.moments_kg_m2)
     wheels = "\n".join(_wheel(name, body, i) for i, name in enumerate(WHEELS))
@@ -114,14 +121,18 @@ def robot_mjcf(body: BodyParameters) -> str:
     robot = Xml.SubElement(world, "body", name="robot", pos=_text(0.0, 0.0, height))
     Xml.SubElement(robot, "freejoint")
     inertia = _text(*body.moments_kg_m2)
-    Xml.SubElement(robot, "inertial", pos="0 0 0", mass=_text(body.mass_kg), diaginertia=inertia)
+    Xml.SubElement(
+        robot, "inertial", pos="0 0 0", mass=_text(body.mass_kg), diaginertia=inertia
+    )
     plates = _text(*(0.5 * size for size in PLATES_M))
     Xml.SubElement(robot, "geom", type="box", size=plates, pos=_text(*_chassis_m(body)))
     actuators = Xml.SubElement(root, "actuator")
     for name, centre in zip(WHEELS, body.wheels_m.tolist(), strict=True):
         wheel = Xml.SubElement(robot, "body", name=f"wheel_{name}", pos=_text(*centre))
         armature = _text(body.wheel_inertia_kg_m2)
-        Xml.SubElement(wheel, "joint", name=f"wheel_{name}", axis="0 1 0", armature=armature)
+        Xml.SubElement(
+            wheel, "joint", name=f"wheel_{name}", axis="0 1 0", armature=armature
+        )
         size = _text(body.robot.wheel_radius_m, WHEEL_WIDTH_M / 2)
         Xml.SubElement(
             wheel,
@@ -147,13 +158,17 @@ def robot_urdf(body: BodyParameters, prefix: str = "") -> str:
     inertial = Xml.SubElement(link, "inertial")
     Xml.SubElement(inertial, "mass", value=_text(body.mass_kg))
     ixx, iyy, izz = (_text(moment) for moment in body.moments_kg_m2)
-    Xml.SubElement(inertial, "inertia", ixx=ixx, iyy=iyy, izz=izz, ixy="0", ixz="0", iyz="0")
+    Xml.SubElement(
+        inertial, "inertia", ixx=ixx, iyy=iyy, izz=izz, ixy="0", ixz="0", iyz="0"
+    )
     size = {"radius": _text(body.robot.wheel_radius_m), "length": _text(WHEEL_WIDTH_M)}
     for wheel, centre in zip(WHEELS, body.wheels_m.tolist(), strict=True):
         name = f"wheel_{WHEEL_WORDS[wheel].replace(' ', '_')}"
         link = Xml.SubElement(root, "link", name=prefix + name)
         _visual(link, "0 0 0", "1.57079633 0 0", "cylinder", **size)
-        joint = _joint(root, f"{prefix}base_to_{name}", "continuous", base, prefix + name)
+        joint = _joint(
+            root, f"{prefix}base_to_{name}", "continuous", base, prefix + name
+        )
         Xml.SubElement(joint, "origin", xyz=_text(*centre), rpy="0 0 0")
         Xml.SubElement(joint, "axis", xyz="0 1 0")
     tof, (ahead, aside, height) = body.robot.tof, body.centre_of_mass_m
@@ -166,7 +181,9 @@ def robot_urdf(body: BodyParameters, prefix: str = "") -> str:
         x_m = tof.mount_x_m if is_front else -tof.mount_x_m
         y_m = tof.mount_y_m if is_left else -tof.mount_y_m
         where = _text(x_m - ahead, y_m - aside, FINDER_HEIGHT_M - height)
-        Xml.SubElement(joint, "origin", xyz=where, rpy=f"0 0 {0.0 if is_front else math.pi:.9g}")
+        Xml.SubElement(
+            joint, "origin", xyz=where, rpy=f"0 0 {0.0 if is_front else math.pi:.9g}"
+        )
     return _document(root)
 
 
@@ -176,7 +193,9 @@ def _visual(link: Xml.Element, xyz: str, rpy: str, shape: str, **size: str) -> N
     Xml.SubElement(Xml.SubElement(visual, "geometry"), shape, size)
 
 
-def _joint(root: Xml.Element, name: str, kind: str, parent: str, child: str) -> Xml.Element:
+def _joint(
+    root: Xml.Element, name: str, kind: str, parent: str, child: str
+) -> Xml.Element:
     joint = Xml.SubElement(root, "joint", name=name, type=kind)
     Xml.SubElement(joint, "parent", link=parent)
     Xml.SubElement(joint, "child", link=child)

@@ -57,8 +57,12 @@ class Motion(Record):
     failed: float  # 1: MuJoCo warned or a number is not finite; the body stands still
     wait: float  # plant ticks until the wheels' speeds are passed to the plant
     asked: Wheels  # [rad/s] or [%]: input of the last run
-    warnings: Annotated[NDArray[np.float64], N_WARNINGS]  # MuJoCo's counters, as bits; 0.0: none
-    touch: Annotated[NDArray[np.float64], (4, 2, 3)]  # sensor: net force and where it acts, world
+    warnings: Annotated[
+        NDArray[np.float64], N_WARNINGS
+    ]  # MuJoCo's counters, as bits; 0.0: none
+    touch: Annotated[
+        NDArray[np.float64], (4, 2, 3)
+    ]  # sensor: net force and where it acts, world
     bumps: float  # sensor: contacts of the bumper
     felt: Three  # sensor: specific force [m/s2]
     time: float  # from here as mj_getState writes it

@@ -14,9 +14,15 @@ from hilserver.plant.terms import complete
 from hilserver.plant.units import RPM_PER_RAD_S
 
 GRAVITY_M_S2 = 9.81
-PLATES_M = (0.38, 0.22, 0.10)  # EduArt's chassis with its superstructure: length, width, height
+PLATES_M = (
+    0.38,
+    0.22,
+    0.10,
+)  # EduArt's chassis with its superstructure: length, width, height
 WHEEL_WIDTH_M = 0.055
-BUMPER_GAP_M = 0.01  # how far the bumper is in front of the wheels, which never touch a wall
+BUMPER_GAP_M = (
+    0.01  # how far the bumper is in front of the wheels, which never touch a wall
+)
 _GRIP_ANGLE = (-1.0, 1.0, 1.0, -1.0)
 """Mecanum wheels fl, rl, fr, rr grip along this times 45 degrees from their plane: an X."""
 
@@ -26,7 +32,9 @@ class Tyre:
     """Friction along and across the wheels, the slip below which it fades, rolling resistance."""
 
     mu_long: float = quantity(0.8, "friction along the wheels", gt=0, le=10)
-    mu_lat: float = quantity(0.8, "friction across the wheels; not used with mecanum", gt=0, le=10)
+    mu_lat: float = quantity(
+        0.8, "friction across the wheels; not used with mecanum", gt=0, le=10
+    )
     v0_m_s: float = quantity(
         0.03, "slip below which friction fades; 0.03 is stable at 1 ms", gt=0, le=1
     )
@@ -44,7 +52,9 @@ class BodyParameters:
     # period of the time slice, and of the steps into which it is split
     slice_s: float = quantity(0.002, "period of its slice", jumps="fixed", gt=0)
     step_s: float = quantity(0.001, "step", jumps="fixed", gt=0)
-    torque: bool = False  # driven by the drives' torque instead of the plant's wheel speeds
+    torque: bool = (
+        False  # driven by the drives' torque instead of the plant's wheel speeds
+    )
     sensors: bool = False  # whether imu.* and tof.* come from here
     stall_torque_nm: float = quantity(
         2.0, "torque of a drive at full duty and standstill", gt=0, le=1e4
@@ -138,7 +148,11 @@ def _check_geometry(body: BodyParameters) -> None:
             "plant.wheelbase_m: the mechatronic model needs four wheels; give the distance between"
             " the axles."
         )
-    inside = abs(ahead) < robot.wheelbase_m / 2 and abs(aside) < robot.track_m / 2 and height > 0
+    inside = (
+        abs(ahead) < robot.wheelbase_m / 2
+        and abs(aside) < robot.track_m / 2
+        and height > 0
+    )
     if not inside:
         raise PlantError(
             f"mechatronic.centre_of_mass_m: {list(body.centre_of_mass_m)} must lie between the"
@@ -183,5 +197,7 @@ def _longest_step_s(body: BodyParameters) -> float:
     arm_2 = float(np.mean(np.sum(body.wheels_m[:, :2] ** 2, axis=1)))
     rates = [damping / body.mass_kg, damping * arm_2 / body.moments_kg_m2[2]]
     if body.torque:
-        rates.append(0.25 * damping * body.robot.wheel_radius_m**2 / body.wheel_inertia_kg_m2)
+        rates.append(
+            0.25 * damping * body.robot.wheel_radius_m**2 / body.wheel_inertia_kg_m2
+        )
     return 1.5 / max(rates)

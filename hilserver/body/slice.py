@@ -17,7 +17,14 @@ from hilserver.body.wheels import vector
 from hilserver.compiled import inlined, part
 from hilserver.compiled.records import record_at
 from hilserver.plant.imu import show_imu
-from hilserver.plant.layout import COMMAND_SAFE, Inputs, Outputs, Parameters, State, Status
+from hilserver.plant.layout import (
+    COMMAND_SAFE,
+    Inputs,
+    Outputs,
+    Parameters,
+    State,
+    Status,
+)
 from hilserver.plant.nav import show_nav
 from hilserver.plant.pose import wrap
 from hilserver.plant.tof import FARTHEST_M, NEAREST_M, seen_by, show_ranges

@@ -6,7 +6,14 @@ What is computed at tick k is shown, and acts, exactly one slice later.
 import math
 from typing import Any
 
-from hilserver.body.layout import MOTION, MUJOCO, N_WARNINGS, Addresses, Constants, Motion
+from hilserver.body.layout import (
+    MOTION,
+    MUJOCO,
+    N_WARNINGS,
+    Addresses,
+    Constants,
+    Motion,
+)
 from hilserver.body.wheels import Vector, dot, turn_wheels, vector
 from hilserver.compiled import inlined, part
 from hilserver.compiled.foreign import call
@@ -65,7 +72,9 @@ def _push(p: Constants, b: Motion, push: Any) -> None:
 
 
 @inlined
-def _read_contacts(b: Motion, place: Vector, axes: tuple[Vector, Vector, Vector]) -> None:
+def _read_contacts(
+    b: Motion, place: Vector, axes: tuple[Vector, Vector, Vector]
+) -> None:
     """Store normal force, point and direction of every wheel's contact, in the body's frame.
 
     `place` and `axes` are those before the step, for which the sensors were computed.
@@ -74,10 +83,16 @@ def _read_contacts(b: Motion, place: Vector, axes: tuple[Vector, Vector, Vector]
         up, where = to_body(axes, vector(b.touch[i, 0])), vector(b.touch[i, 1])
         size = math.sqrt(dot(up, up))
         sign = 1.0 if up[2] >= 0.0 else -1.0
-        b.normal[i] = size if up[0] * up[0] + up[2] * up[2] > GRAZING_SQUARED * size * size else 0.0
+        b.normal[i] = (
+            size
+            if up[0] * up[0] + up[2] * up[2] > GRAZING_SQUARED * size * size
+            else 0.0
+        )
         if b.normal[i] == 0.0:
             continue
-        where = to_body(axes, (where[0] - place[0], where[1] - place[1], where[2] - place[2]))
+        where = to_body(
+            axes, (where[0] - place[0], where[1] - place[1], where[2] - place[2])
+        )
         for k in range(3):
             b.up[i, k] = sign * up[k] / size
             b.contact[i, k] = where[k]
@@ -115,7 +130,11 @@ def advance(p: Constants, numbers: Any, a: Addresses) -> bool:
         State, changed in place; MuJoCo's whole state is set from it and read back.
     """
     b = record_at(numbers, 0, MOTION)
-    state, sensors, counters = numbers[MUJOCO:], numbers[TOUCH:].ctypes.data, b.warnings.ctypes.data
+    state, sensors, counters = (
+        numbers[MUJOCO:],
+        numbers[TOUCH:].ctypes.data,
+        b.warnings.ctypes.data,
+    )
     push = state[a.push :]
     for i in range(N_WARNINGS):
         b.warnings[i] = 0.0

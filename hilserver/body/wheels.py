@@ -13,7 +13,11 @@ Vector = tuple[float, float, float]
 @inlined
 def cross(a: Vector, b: Vector) -> Vector:
     """Return the vector product."""
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    return (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )
 
 
 @inlined
@@ -65,9 +69,14 @@ def _floor(
     slip, drift = rolling - dot(moving, ahead), dot(moving, left)
     b.slip[i] = slip
     cos, sin = p.cos[i], p.sin[i]
-    along, across = traction(cos * -slip + sin * drift, cos * drift + sin * slip, p.ratio, p.v0)
+    along, across = traction(
+        cos * -slip + sin * drift, cos * drift + sin * slip, p.ratio, p.v0
+    )
     grip = p.grip * b.normal[i]
-    forward, sideways = grip * (cos * along - sin * across), grip * (sin * along + cos * across)
+    forward, sideways = (
+        grip * (cos * along - sin * across),
+        grip * (sin * along + cos * across),
+    )
     force = (
         forward * ahead[0] + sideways * left[0],
         forward * ahead[1] + sideways * left[1],

@@ -47,7 +47,10 @@ COMMANDS = {
 
 STARTING = "stopped while starting; nothing was done"
 STOPPED = "stopped before it was finished"
-SERVICES = (["run"], ["page"])  # their log, JSON perhaps, and the exit code say how they ended
+SERVICES = (
+    ["run"],
+    ["page"],
+)  # their log, JSON perhaps, and the exit code say how they ended
 """What a signal leaves of any command but `run`, whose own words have the form of its log."""
 
 
@@ -76,12 +79,16 @@ def _parse(words: Sequence[str]) -> argparse.Namespace:
         description="Real-time hardware-in-the-loop simulation of wheeled robots.",
         epilog="example: hilserver run --demo",
     )
-    parser.add_argument("--version", action="version", version=f"hilserver {__version__}")
+    parser.add_argument(
+        "--version", action="version", version=f"hilserver {__version__}"
+    )
     sub = parser
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     asked = next((word for word in words if not word.startswith("-")), None)
     if asked is not None and asked not in COMMANDS:
-        parser.error(f"there is no command '{asked}'; {meant(asked, COMMANDS, 'see --help')}")
+        parser.error(
+            f"there is no command '{asked}'; {meant(asked, COMMANDS, 'see --help')}"
+        )
     for name, text in COMMANDS.items():
         if name != asked:
             commands.add_parser(name, help=text)
@@ -99,7 +106,11 @@ def _parse(words: Sequence[str]) -> argparse.Namespace:
     args, left = parser.parse_known_args(words)
     if left:
         word = left[0]
-        if word.endswith((".yaml", ".yml")) and "config" in args and args.config is None:
+        if (
+            word.endswith((".yaml", ".yml"))
+            and "config" in args
+            and args.config is None
+        ):
             sub.error(f"{asked} does not take '{word}'; write '-c {word}'")
         if word.startswith("-"):
             sub.error(f"{asked} does not take '{word}'")

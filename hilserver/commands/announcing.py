@@ -17,13 +17,19 @@ from hilserver import __version__
 from hilserver.commands.compile_progress import CompileProgress
 from hilserver.program.writer import Footer, Writer
 
-if TYPE_CHECKING:  # importing it takes seconds, and the first line must not wait for that
+if (
+    TYPE_CHECKING
+):  # importing it takes seconds, and the first line must not wait for that
     from hilserver.daemon.daemon import Daemon
 
 STATUS_EVERY_S = 2.0
-LONG_START_S = 20.0  # after so long it is said what a start waits for, then ever more rarely
+LONG_START_S = (
+    20.0  # after so long it is said what a start waits for, then ever more rarely
+)
 HELD_UP_SHARE = 0.5  # of a core: a start that has had less waits for the processor
-_NOWHERE: dict[str, object] = dict.fromkeys(("opcua", "metrics", "shield", "foxglove", "ros2"))
+_NOWHERE: dict[str, object] = dict.fromkeys(
+    ("opcua", "metrics", "shield", "foxglove", "ros2")
+)
 
 
 class Announcer:
@@ -36,8 +42,12 @@ class Announcer:
         self._writer = writer
         self._footer = Footer(writer) if writer.isatty() else None
         self.out = self._footer or writer  # where log lines go, too
-        self._is_readable = line_format == "console" or (line_format != "json" and writer.isatty())
-        writer.lost_line = lambda lost: self._line(f"{lost} lines were lost: nothing read them", {})
+        self._is_readable = line_format == "console" or (
+            line_format != "json" and writer.isatty()
+        )
+        writer.lost_line = lambda lost: self._line(
+            f"{lost} lines were lost: nothing read them", {}
+        )
         self.page_url = ""
         self._progress: CompileProgress | None = None
         self.waits_for = "its libraries"  # what a start does now, for whoever wonders
@@ -57,7 +67,9 @@ class Announcer:
         if self._is_readable:
             return f"hilserver: {event}"
         stamp = datetime.now(UTC).isoformat().replace("+00:00", "Z")
-        return json.dumps({"level": "info", **details, "event": event, "timestamp": stamp})
+        return json.dumps(
+            {"level": "info", **details, "event": event, "timestamp": stamp}
+        )
 
     def __enter__(self) -> Self:
         return self
@@ -96,7 +108,9 @@ class Announcer:
     def starting(self) -> None:
         """Say that it is starting, if anyone may be reading."""
         if self._writer.is_watched:
-            self.say(f"hilserver is starting, version {__version__}; stop it with Ctrl-C")
+            self.say(
+                f"hilserver is starting, version {__version__}; stop it with Ctrl-C"
+            )
 
     def compiling(self, functions: Sequence[str]) -> None:
         """Say that these functions are being compiled; none: still the last ones."""
@@ -130,16 +144,24 @@ class Announcer:
 
         self._has_started.set()
         self._say_compiled()
-        peers = {part.label: part.address for part in daemon.parts if part.section == "peers"}
-        others = {part.section: part for part in daemon.parts if part.section != "peers"}
+        peers = {
+            part.label: part.address for part in daemon.parts if part.section == "peers"
+        }
+        others = {
+            part.section: part for part in daemon.parts if part.section != "peers"
+        }
         lines = ["hilserver is running; stop it with Ctrl-C"]
         lines += [f"  {part.label:8} {part.address}" for part in others.values()]
-        lines += [f"  peer     {name} at {endpoint}" for name, endpoint in peers.items()]
+        lines += [
+            f"  peer     {name} at {endpoint}" for name, endpoint in peers.items()
+        ]
         lines.append(f"  {daemon.config.after_reset}")
         lines += ["  doors, and who may do what besides watching:"]
         lines += [f"  {line}" for line in table_of_doors(daemon.config)]
         where = {section: part.address for section, part in others.items()}
-        self.say("\n".join(lines), "hilserver is running", **_NOWHERE | where, peers=peers)
+        self.say(
+            "\n".join(lines), "hilserver is running", **_NOWHERE | where, peers=peers
+        )
 
     @contextlib.asynccontextmanager
     async def showing_status(self, daemon: "Daemon") -> AsyncIterator[None]:
@@ -164,13 +186,17 @@ def status_line(daemon: "Daemon", page_url: str) -> str:
     is_waiting = daemon.gate.interlock.waits
     parts = [daemon.control.state.word + ", waits for Start" * is_waiting]
     with contextlib.suppress(LookupError):
-        x_m, y_m, yaw_rad = (_value(daemon, f"pose.{name}") for name in ("x_m", "y_m", "yaw_rad"))
+        x_m, y_m, yaw_rad = (
+            _value(daemon, f"pose.{name}") for name in ("x_m", "y_m", "yaw_rad")
+        )
         parts.append(f"x {x_m:.2f} m, y {y_m:.2f} m, yaw {math.degrees(yaw_rad):.0f}°")
     parts.append(f"{daemon.gate.owner} drives")
     statistics = daemon.scheduler.statistics
     if math.isfinite(factor := statistics.tick.real_time_factor):
         parts.append(f"{factor:.2f} x real time")
-    paced = [statistics.slice(part.name) for part in daemon.assembly.slices if part.compiled]
+    paced = [
+        statistics.slice(part.name) for part in daemon.assembly.slices if part.compiled
+    ]
     margins_ns = [s.margin_min_ns for s in paced if s.margin_min_ns is not None]
     if margins_ns:
         parts.append(f"worst margin {min(margins_ns) * 1e-6:.2f} ms")

@@ -28,22 +28,32 @@ ELSEWHERE = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add one sub-command per bench."""
     benches = parser.add_subparsers(title="benches", metavar="BENCH", required=True)
-    modules = {name: (f"hilserver.bench.{name}", text) for name, text in BENCHES.items()}
+    modules = {
+        name: (f"hilserver.bench.{name}", text) for name, text in BENCHES.items()
+    }
     benchmarks = beside("benchmarks")
     others: dict[str, str] = {} if benchmarks is None else benchmarks.BENCHES
     modules |= {name: (f"benchmarks.{name}", text) for name, text in others.items()}
     for name, (path, text) in modules.items():
         module = importlib.import_module(path)
-        bench = benches.add_parser(name, help=text, epilog=f"example: hilserver bench {name}")
+        bench = benches.add_parser(
+            name, help=text, epilog=f"example: hilserver bench {name}"
+        )
         bench.add_argument(
-            "--json", type=out_file, metavar="FILE", help="write the figures and raw data to FILE"
+            "--json",
+            type=out_file,
+            metavar="FILE",
+            help="write the figures and raw data to FILE",
         )
         bench.set_defaults(measure=module.run)
         if hasattr(module, "add_arguments"):
             module.add_arguments(bench)
     for name in ELSEWHERE if not others else ():
         absent = benches.add_parser(
-            name, help="only in a source checkout of hilserver", prefix_chars="\0", add_help=False
+            name,
+            help="only in a source checkout of hilserver",
+            prefix_chars="\0",
+            add_help=False,
         )
         absent.add_argument("words", nargs="*")
         absent.set_defaults(measure=_absent, bench=name, json=None)

@@ -48,7 +48,9 @@ def _folders(base: Path) -> Iterator[Path]:
     """Yield our folders of a cache: if the wrong folder is configured, others stay."""
     with contextlib.suppress(OSError):
         for path in sorted(base.iterdir()):
-            if path.is_dir() and (path.name.startswith(KERNELS) or path.name in _OTHERS):
+            if path.is_dir() and (
+                path.name.startswith(KERNELS) or path.name in _OTHERS
+            ):
                 yield path
 
 
@@ -62,7 +64,9 @@ def _show(base: Path, folders: list[Path]) -> None:
     for path, sizes in found:
         mine = ", this version" if path.name == f"{KERNELS}{kernel_hash()}" else ""
         age = _age(time.time() - path.stat().st_mtime)
-        print(f"  {path.name:24}  {_megabytes(sum(sizes)):>8}  {len(sizes):4} files  {age}{mine}")
+        print(
+            f"  {path.name:24}  {_megabytes(sum(sizes)):>8}  {len(sizes):4} files  {age}{mine}"
+        )
     if not found:
         print("  nothing is kept")
 
@@ -73,8 +77,12 @@ def _show_supplied() -> None:
 
     sizes = list(_sizes(supplied().folder))
     if sizes:
-        print(f"{supplied().folder}: {_megabytes(sum(sizes))}, came with this installation")
-        print(f"  {len(sizes)} files, used where the cache has nothing for this processor")
+        print(
+            f"{supplied().folder}: {_megabytes(sum(sizes))}, came with this installation"
+        )
+        print(
+            f"  {len(sizes)} files, used where the cache has nothing for this processor"
+        )
 
 
 def _clear(base: Path, folders: list[Path]) -> None:
@@ -83,7 +91,9 @@ def _clear(base: Path, folders: list[Path]) -> None:
         try:
             shutil.rmtree(path)
         except OSError as error:
-            raise FailedError(f"{base}: {path.name} cannot be removed: {reason(error)}") from None
+            raise FailedError(
+                f"{base}: {path.name} cannot be removed: {reason(error)}"
+            ) from None
         print(f"removed {path}, {_megabytes(size)}")
     if not folders and base == configured_folder():
         print(f"{base}: nothing is kept")

@@ -25,6 +25,8 @@ def run(args: argparse.Namespace) -> int:
         raise FailedError(f"there is no method '{args.method}'; {hint}")
     wanted = [argument.name for argument in method.arguments]
     if len(args.arguments) != len(wanted):
-        raise FailedError(f"{method.name} takes {len(wanted)} arguments: {', '.join(wanted)}")
+        raise FailedError(
+            f"{method.name} takes {len(wanted)} arguments: {', '.join(wanted)}"
+        )
     arguments = [from_json(text) for text in args.arguments]
     return ask(args, lambda hand: hand.call(method.name, arguments))

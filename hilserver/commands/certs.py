@@ -37,7 +37,13 @@ from hilserver.opcua.certificate import (
 )
 from hilserver.opcua.passwords import hash_password
 from hilserver.opcua.settings import default_application_uri
-from hilserver.opcua.trust_list import FOLDERS, TrustList, file_name, files_in, write_private
+from hilserver.opcua.trust_list import (
+    FOLDERS,
+    TrustList,
+    file_name,
+    files_in,
+    write_private,
+)
 
 EXAMPLE = "hilserver certs make --host robot.plant.example --host 192.0.2.7"
 _EXAMPLES = {
@@ -53,13 +59,19 @@ _ANYWHERE = {"0.0.0.0", "::", ""}  # noqa: S104 - recognised, not listened on
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the actions."""
-    actions = parser.add_subparsers(title="actions", dest="action", metavar="ACTION", required=True)
+    actions = parser.add_subparsers(
+        title="actions", dest="action", metavar="ACTION", required=True
+    )
     for name in ("make", "renew"):
         action = _add(actions, name)
         action.add_argument("--host", action="append", default=[], help="name or address of this"
                             " computer that clients use; may be repeated")  # fmt: skip
-        action.add_argument("--days", type=int, default=730, help="validity (default: 730)")
-        action.add_argument("--new-key", action="store_true", help="also make a new key")
+        action.add_argument(
+            "--days", type=int, default=730, help="validity (default: 730)"
+        )
+        action.add_argument(
+            "--new-key", action="store_true", help="also make a new key"
+        )
     listing = _add(actions, "list")
     listing.add_argument(
         "--expiring", type=int, metavar="DAYS", default=None,
@@ -116,7 +128,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _make(
-    trust: TrustList, config: OpcUaConfig, private_key: Path | None, args: argparse.Namespace
+    trust: TrustList,
+    config: OpcUaConfig,
+    private_key: Path | None,
+    args: argparse.Namespace,
 ) -> int:
     own = trust.folder / "own"
     certificate_path, key_path = own / "certificate.der", private_key or own / "key.pem"
@@ -169,7 +184,8 @@ def _list(trust: TrustList, expiring_days: int | None) -> int:
     rows = [
         f"{folder:8}  {_described(one)}"
         for folder, one in _all(trust)
-        if expiring_days is None or (folder in FOLDERS[:2] and _days_left(one) <= expiring_days)
+        if expiring_days is None
+        or (folder in FOLDERS[:2] and _days_left(one) <= expiring_days)
     ]
     if rows or expiring_days is None:  # cron mails what a job prints
         print("\n".join(rows) or "no certificates; 'hilserver certs make' makes one")
@@ -238,7 +254,9 @@ def _find(trust: TrustList, name: str, action: str) -> tuple[x509.Certificate, s
         )
     }
     if not found:
-        raise FailedError(f"no certificate '{name}' to {action}; 'hilserver certs list' shows all")
+        raise FailedError(
+            f"no certificate '{name}' to {action}; 'hilserver certs list' shows all"
+        )
     if len(found) > 1:
         raise FailedError(
             f"'{name}' matches {len(found)} certificates; give more of the thumbprint"

@@ -36,7 +36,9 @@ def run(args: argparse.Namespace) -> int:
         write_text(args.schema, schema_text(Config))
         return EXIT_DONE
     assembly = assemble(config_path(args))
-    with assembly.at("blocks"):  # a block's name or unit may be one that OPC UA cannot show
+    with assembly.at(
+        "blocks"
+    ):  # a block's name or unit may be one that OPC UA cannot show
         address_space(assembly.table)
     check_credentials(assembly)
     print("\n".join(describe(assembly)))
@@ -60,8 +62,12 @@ def describe(assembly: Assembly) -> list[str]:
         kind = "compiled, paced" if part.compiled else "communication, asyncio"
         period_ms = part.period_ticks * scheduler.base_period_ms
         lines.append(f"slice {part.name}: every {period_ms:g} ms ({kind})")
-    terms = {name: value for name, value in config.plant.terms.items() if value is not None}
-    lines.append(f"terms: {', '.join(f'{n} = {v:g}' for n, v in terms.items()) or 'none'}")
+    terms = {
+        name: value for name, value in config.plant.terms.items() if value is not None
+    }
+    lines.append(
+        f"terms: {', '.join(f'{n} = {v:g}' for n, v in terms.items()) or 'none'}"
+    )
     lines += [_block(block) for block in config.blocks]
     lines += _links(assembly)
     lines.append(
@@ -71,11 +77,15 @@ def describe(assembly: Assembly) -> list[str]:
     lines.append(config.after_reset)
     lines.append(f"OPC UA: {config.opcua.endpoint if config.opcua.enabled else 'off'}")
     metrics = config.metrics
-    address = f"http://{metrics.host}:{metrics.port}/metrics" if metrics.enabled else "off"
+    address = (
+        f"http://{metrics.host}:{metrics.port}/metrics" if metrics.enabled else "off"
+    )
     lines.append(f"metrics: {address}")
     page, foxglove = config.page, config.foxglove
     scheme = "https" if page.tls else "http"
-    lines.append(f"page: {f'{scheme}://{page.host}:{page.port}/' if page.enabled else 'off'}")
+    lines.append(
+        f"page: {f'{scheme}://{page.host}:{page.port}/' if page.enabled else 'off'}"
+    )
     if foxglove.enabled:
         lines.append(f"foxglove: ws://{foxglove.host}:{foxglove.port}")
     lines += ["doors, and who may do what besides watching:", *table_of_doors(config)]
@@ -108,7 +118,9 @@ def warnings(assembly: Assembly) -> list[str]:
 
 def _idle_peers(assembly: Assembly) -> list[str]:
     config, table = assembly.config, assembly.table
-    driving = [link for link in config.links if link.drives and link.driver.kind == "peer"]
+    driving = [
+        link for link in config.links if link.drives and link.driver.kind == "peer"
+    ]
     if config.first_source != "peer" or driving != [*config.peers]:
         return []
     read = {name for peer in config.peers for name in peer.inputs}

@@ -19,7 +19,9 @@ _KEPT_AS: Final = "last.json"
 class CompileProgress:
     """What has been compiled so far, compared with the last time on this computer."""
 
-    expected: int | None  # functions; None: some are compiled already, nobody knows how many
+    expected: (
+        int | None
+    )  # functions; None: some are compiled already, nobody knows how many
     # of the last start that compiled all; infinite if there was none
     s_per_function: float
     count: int = 0
@@ -72,7 +74,9 @@ class CompileProgress:
         text = f"compiling: {self.count} of about {max(self.count, self.expected)} functions"
         if not left:
             return f"{text}, almost done"
-        return text if math.isinf(pace_s) else f"{text}, {_duration(left * pace_s)} left"
+        return (
+            text if math.isinf(pace_s) else f"{text}, {_duration(left * pace_s)} left"
+        )
 
     def ended(self) -> str:
         """Return how much it was; remember it for the next time, if it was all of a robot."""

@@ -44,7 +44,9 @@ def _build(args: argparse.Namespace) -> None:
         assembly = assembled(args)
         if assembly.config.shield.enabled:
             import hilserver.io.shield.wire  # noqa: F401, PLC0415 - compiles, too
-        pace = dataclasses.replace(Pace.configured(assembly), image="", realtime=UNDEMANDING)
+        pace = dataclasses.replace(
+            Pace.configured(assembly), image="", realtime=UNDEMANDING
+        )
         build(assembly, pace).close()
 
 

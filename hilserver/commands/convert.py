@@ -27,7 +27,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", type=Path, metavar="IN", help=readable)
     parser.add_argument("out", type=Path, metavar="OUT", help="file or bag to write")
     add_mapping(parser)
-    parser.add_argument("--bag", action="store_true", help="write a bag, whatever OUT is called")
+    parser.add_argument(
+        "--bag", action="store_true", help="write a bag, whatever OUT is called"
+    )
     add_storage(parser)
 
 
@@ -49,7 +51,9 @@ def run(args: argparse.Namespace) -> int:
     except BaseException as error:  # a signal, too, leaves no half of a file
         forget(args.out)
         if isinstance(error, OSError):
-            raise FailedError(f"{args.out}: cannot be written: {reason(error)}") from None
+            raise FailedError(
+                f"{args.out}: cannot be written: {reason(error)}"
+            ) from None
         raise
     print(f"{len(log)} rows of {len(log.columns)} signals in {args.out}")
     return EXIT_DONE

@@ -82,7 +82,9 @@ async def _why_not(process: asyncio.subprocess.Process, name: str, command: str)
         async with time_limit(ENDS_WITHIN_S):
             await process.wait()
     if process.returncode is None:
-        waited = f"after {START_LIMIT_S:g} s: the computer is too busy, or the start hangs"
+        waited = (
+            f"after {START_LIMIT_S:g} s: the computer is too busy, or the start hangs"
+        )
         return f"the embedded {name} runs, but does not listen {waited}"
     how = children.how_ended(process.returncode)
     return f"the embedded {name} {how} before it listened; to see why, run {command}"
@@ -90,7 +92,9 @@ async def _why_not(process: asyncio.subprocess.Process, name: str, command: str)
 
 def demo_assembly(assembly: Assembly, endpoint: str) -> Assembly:
     """Return the same robot with the embedded controller as its only peer."""
-    return _with_peer(assembly, demo_peer(endpoint).changed(stale_after_ms=STALE_AFTER_MS))
+    return _with_peer(
+        assembly, demo_peer(endpoint).changed(stale_after_ms=STALE_AFTER_MS)
+    )
 
 
 def twin_assembly(assembly: Assembly, endpoint: str) -> Assembly:
@@ -107,7 +111,9 @@ def twin_assembly(assembly: Assembly, endpoint: str) -> Assembly:
         recalibration=own if own.enabled else TWIN, sensors={"nav": {"enabled": True}}
     )
     twin_of = assemble_config(config, assembly.folder, assembly.patch)
-    return dataclasses.replace(twin_of, path=assembly.path, from_file=assembly.from_file)
+    return dataclasses.replace(
+        twin_of, path=assembly.path, from_file=assembly.from_file
+    )
 
 
 def _with_peer(assembly: Assembly, peer: PeerConfig) -> Assembly:

@@ -37,16 +37,25 @@ _ERRORS = {2: LogError, 78: ConfigError}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
-    parser.add_argument("logs", nargs="*", type=Path, metavar="LOG", help="logs of one machine")
+    parser.add_argument(
+        "logs", nargs="*", type=Path, metavar="LOG", help="logs of one machine"
+    )
     add_config(parser)
     add_mapping(parser)
     add_out(parser, "DIR", "folder for the report")
-    parser.add_argument("--seed", type=SEED, default=0, help="seed of all random draws; default: 0")
     parser.add_argument(
-        "--jobs", type=PROCESSES, default=os.cpu_count() or 1, help="processes; default: all cores"
+        "--seed", type=SEED, default=0, help="seed of all random draws; default: 0"
     )
     parser.add_argument(
-        "--each", action="store_true", help="one report per log, in a folder named after it"
+        "--jobs",
+        type=PROCESSES,
+        default=os.cpu_count() or 1,
+        help="processes; default: all cores",
+    )
+    parser.add_argument(
+        "--each",
+        action="store_true",
+        help="one report per log, in a folder named after it",
     )
     parser.add_argument(
         "--test",
@@ -57,7 +66,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         " them",
     )
     parser.add_argument(
-        "--dask", metavar="ADDRESS", help="with --each: use this Dask cluster, as tcp://host:8786"
+        "--dask",
+        metavar="ADDRESS",
+        help="with --each: use this Dask cluster, as tcp://host:8786",
     )
     parser.add_argument(
         "--group",
@@ -67,10 +78,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="logs of one floor or load, in place of LOG; give two or more to see what they share",
     )
     parser.add_argument(
-        "--compare", nargs="+", type=Path, metavar="A", help="logs before a change, in place of LOG"
+        "--compare",
+        nargs="+",
+        type=Path,
+        metavar="A",
+        help="logs before a change, in place of LOG",
     )
     parser.add_argument(
-        "--against", nargs="+", type=Path, metavar="B", help="logs after it: what is different?"
+        "--against",
+        nargs="+",
+        type=Path,
+        metavar="B",
+        help="logs after it: what is different?",
     )
 
 
@@ -103,7 +122,9 @@ def run(args: argparse.Namespace) -> int:
     with Progress(lambda: STOPPED) as progress:
         outcome = diagnose(task, progress, lambda line: progress.say(line, sys.stderr))
     if outcome.error:
-        raise _ERRORS.get(outcome.exit_code, FailedError)(outcome.error + _aid(args, outcome))
+        raise _ERRORS.get(outcome.exit_code, FailedError)(
+            outcome.error + _aid(args, outcome)
+        )
     write(args.out, outcome.files)
     print(outcome.summary)
     print(f"The report is {args.out / REPORT}")
@@ -116,13 +137,16 @@ def _aid(args: argparse.Namespace, outcome: Outcome) -> str:
         return ""
     write_files(args.out, outcome.files)
     return "".join(
-        f"; {args.out / name} is a first guess: check and complete it" for name in outcome.files
+        f"; {args.out / name} is a first guess: check and complete it"
+        for name in outcome.files
     )
 
 
 def _check(args: argparse.Namespace) -> None:
     if bool(args.compare) != bool(args.against):
-        raise FailedError("--compare and --against belong together: logs before and after a change")
+        raise FailedError(
+            "--compare and --against belong together: logs before and after a change"
+        )
     if args.compare and (args.logs or args.each):
         raise FailedError(
             "--compare A... --against B... cannot be combined with other logs or --each"
@@ -130,7 +154,9 @@ def _check(args: argparse.Namespace) -> None:
     if args.group:
         _check_groups(args)
     elif not args.compare and not args.logs:
-        raise FailedError("name at least one log, or two sets with --compare and --against")
+        raise FailedError(
+            "name at least one log, or two sets with --compare and --against"
+        )
     if args.test and (args.compare or args.each):
         raise FailedError("--test cannot be combined with --compare or --each")
     if args.dask and not args.each:
@@ -141,13 +167,17 @@ def _check(args: argparse.Namespace) -> None:
 
 def _check_groups(args: argparse.Namespace) -> None:
     if args.logs or args.each or args.compare or args.test:
-        raise FailedError("--group cannot be combined with other logs, --each, --compare or --test")
+        raise FailedError(
+            "--group cannot be combined with other logs, --each, --compare or --test"
+        )
     names = [name for name, _ in args.group]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise FailedError(f"--group {twice} is given twice; put all its logs into one")
     if len(names) < 2:
-        raise FailedError("--group compares groups of logs: name two or more, or leave it out")
+        raise FailedError(
+            "--group compares groups of logs: name two or more, or leave it out"
+        )
 
 
 def _each(args: argparse.Namespace) -> int:
@@ -156,7 +186,9 @@ def _each(args: argparse.Namespace) -> int:
     mapping = args.mapping
     if mapping is not None and Path(mapping).exists():
         mapping = str(Path(mapping).absolute())
-    tasks = [Task((log.absolute(),), config, mapping, seed=args.seed) for log in args.logs]
+    tasks = [
+        Task((log.absolute(),), config, mapping, seed=args.seed) for log in args.logs
+    ]
     folders = _folders(args.logs)
     code, done = EXIT_DONE, 0
 

@@ -18,14 +18,22 @@ from hilserver.experiment.gaps import BesideModels, beside_models
 from hilserver.experiment.identification import Identified, identify
 from hilserver.experiment.models import run_models
 from hilserver.experiment.report.page import REPORT, reading, render, sentence, third_of
-from hilserver.experiment.thesis import EXPERIMENTS, ROBOT, Experiment, experiment_of, folder
+from hilserver.experiment.thesis import (
+    EXPERIMENTS,
+    ROBOT,
+    Experiment,
+    experiment_of,
+    folder,
+)
 from hilserver.measured.frames import Sampling
 from hilserver.measured.machine import machine
 from hilserver.measured.reading import read_measured
 from hilserver.monitoring.logging_setup import setup_logging
 from hilserver.program.progress import Progress
 
-EXAMPLE = "hilserver experiment 5.6.2 --measured drive.mcap --mapping iotbot_5_6 -o report"
+EXAMPLE = (
+    "hilserver experiment 5.6.2 --measured drive.mcap --mapping iotbot_5_6 -o report"
+)
 FILES: Final = (
     *(RECORDING, REPORT, "wheels.csv", "kinematic.csv", "mechatronic.csv", "gaps.csv"),
     *(f"measured_{channel}.csv" for channel in ("x", "y", "yaw", "turn")),
@@ -35,7 +43,10 @@ FILES: Final = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
     parser.add_argument(
-        "name", nargs="?", metavar="NAME", help=f"one of {', '.join(EXPERIMENTS)}; none: list them"
+        "name",
+        nargs="?",
+        metavar="NAME",
+        help=f"one of {', '.join(EXPERIMENTS)}; none: list them",
     )
     parser.add_argument(
         "--measured",
@@ -71,7 +82,9 @@ def run(args: argparse.Namespace) -> int:
     if out.exists() and not out.is_dir():
         raise FailedError(f"{out}: is a file; name a folder for the report")
     setup_logging("ERROR")
-    with Progress(lambda: f"stopped before the report was written; {out} is not whole") as progress:
+    with Progress(
+        lambda: f"stopped before the report was written; {out} is not whole"
+    ) as progress:
         both, identified = _report(experiment, args, out, progress)
     warn(both.courses.missing or None, *both.courses.notes)
     print(reading(both))
@@ -108,7 +121,10 @@ def _report(
     origin = [
         ("Wheel speeds and pose", "; ".join(sources)),
         ("Driven by", driven_by),
-        ("Configuration", f"{args.config or ROBOT}, SHA-256 {robot.config.sha256[:16]}"),
+        (
+            "Configuration",
+            f"{args.config or ROBOT}, SHA-256 {robot.config.sha256[:16]}",
+        ),
         ("K_om of the kinematic model", f"{plant.k_om:.4g} 1/m"),
     ]
     page = render(experiment, both, third, identified, origin)

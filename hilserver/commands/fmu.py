@@ -17,7 +17,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--out", type=out_file, required=True, metavar="FILE", help="FMU to write"
     )
-    parser.add_argument("--fmi", type=int, choices=(3, 2), default=3, help="version; default: 3")
+    parser.add_argument(
+        "--fmi", type=int, choices=(3, 2), default=3, help="version; default: 3"
+    )
     parser.add_argument(
         "--platforms",
         default="x86_64-linux",

@@ -10,7 +10,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from hilserver.commands.options import POSITIVE, add_config, add_mapping, config_path, warn
+from hilserver.commands.options import (
+    POSITIVE,
+    add_config,
+    add_mapping,
+    config_path,
+    warn,
+)
 from hilserver.daemon.assembly import assemble
 from hilserver.errors import EXIT_DONE
 from hilserver.identify import text
@@ -32,7 +38,9 @@ Answer = tuple[list[str], dict[str, Any]]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add one subcommand per kind of figure."""
     kinds = parser.add_subparsers(title="what", metavar="WHAT", required=True)
-    rotation = _kind(kinds, "rotation", _rotation, "K_om, and checks of sign and wheel pairs")
+    rotation = _kind(
+        kinds, "rotation", _rotation, "K_om, and checks of sign and wheel pairs"
+    )
     rotation.add_argument(
         "--zone",
         type=POSITIVE,
@@ -47,24 +55,42 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="for at least this long [s]; default: 0.3",
     )
-    step = _kind(kinds, "step", _step, "order, time constants and gain by Strejc's method")
+    step = _kind(
+        kinds, "step", _step, "order, time constants and gain by Strejc's method"
+    )
     step.add_argument(
         "--input",
         choices=[name.split("_")[0] for name in INPUTS],
         help="default: whichever has steps",
     )
-    _kind(kinds, "update-rate", _update_rate, "update rate of a controller; compares several logs")
-    _kind(kinds, "dead-zone", _dead_zone, "duty at which the wheels stop, from a slow ramp")
-    noise = _kind(kinds, "noise", _noise, "noise of every sensor while the robot is at rest")
+    _kind(
+        kinds,
+        "update-rate",
+        _update_rate,
+        "update rate of a controller; compares several logs",
+    )
+    _kind(
+        kinds,
+        "dead-zone",
+        _dead_zone,
+        "duty at which the wheels stop, from a slow ramp",
+    )
+    noise = _kind(
+        kinds, "noise", _noise, "noise of every sensor while the robot is at rest"
+    )
     noise.add_argument(
-        "--everywhere", action="store_true", help="use the whole log: its values are errors already"
+        "--everywhere",
+        action="store_true",
+        help="use the whole log: its values are errors already",
     )
 
 
 def run(args: argparse.Namespace) -> int:
     """Identify; print lines, or JSON."""
     lines, values = args.identify(args)
-    print(json.dumps(values, indent=2, allow_nan=False) if args.json else "\n".join(lines))
+    print(
+        json.dumps(values, indent=2, allow_nan=False) if args.json else "\n".join(lines)
+    )
     return EXIT_DONE
 
 
@@ -75,7 +101,9 @@ def _kind(
     parser: argparse.ArgumentParser = kinds.add_parser(
         name, help=about, description=about, epilog=example
     )
-    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="logs of one machine")
+    parser.add_argument(
+        "logs", nargs="+", type=Path, metavar="LOG", help="logs of one machine"
+    )
     add_config(parser)
     add_mapping(parser)
     parser.add_argument("--json", action="store_true", help="print JSON")
@@ -99,7 +127,9 @@ def _rotation(args: argparse.Namespace) -> Answer:
 
 
 def _step(args: argparse.Namespace) -> Answer:
-    source = next((name for name in INPUTS if args.input and name.startswith(args.input)), None)
+    source = next(
+        (name for name in INPUTS if args.input and name.startswith(args.input)), None
+    )
     found = identify_steps(_read(args.logs, args.mapping), source)
     return text.step_lines(found), text.as_json("step", found)
 
@@ -113,10 +143,14 @@ def _update_rate(args: argparse.Namespace) -> Answer:
 
 def _dead_zone(args: argparse.Namespace) -> Answer:
     zones = identify_dead_zone(_read(args.logs, args.mapping))
-    return text.zone_lines(zones), text.as_json("dead-zone", {"wheels": text.as_list(zones)})
+    return text.zone_lines(zones), text.as_json(
+        "dead-zone", {"wheels": text.as_list(zones)}
+    )
 
 
 def _noise(args: argparse.Namespace) -> Answer:
     log = _read(args.logs, args.mapping)
     channels = identify_noise(log, everywhere=args.everywhere)
-    return text.noise_lines(channels), text.as_json("noise", {"channels": text.as_list(channels)})
+    return text.noise_lines(channels), text.as_json(
+        "noise", {"channels": text.as_list(channels)}
+    )

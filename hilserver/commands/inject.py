@@ -12,7 +12,9 @@ EXAMPLE = """hilserver inject '{"fault": "bias", "signal": "battery.voltage_v", 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
     add_connection(parser)
-    parser.add_argument("fault", metavar="JSON", help="fault; see docs/reference/faults.md")
+    parser.add_argument(
+        "fault", metavar="JSON", help="fault; see docs/reference/faults.md"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -62,7 +62,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _user_name(text: str) -> str:
     if not _USER.fullmatch(text) or text == "root":
-        raise argparse.ArgumentTypeError(f"'{text}' is not a name for an unprivileged user")
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is not a name for an unprivileged user"
+        )
     return text
 
 
@@ -72,7 +74,9 @@ def run(args: argparse.Namespace) -> int:
     config = args.config.absolute()
     protect_home = "yes"
     try:
-        protect_home = check_reachable([python, Path(sys.base_prefix), _package(), config])
+        protect_home = check_reachable(
+            [python, Path(sys.base_prefix), _package(), config]
+        )
     except FailedError as error:
         if not args.dry_run:
             raise
@@ -80,21 +84,29 @@ def run(args: argparse.Namespace) -> int:
     files = plan(python, config, args.user_name, protect_home)
     if args.dry_run:
         for file in files:
-            print(f"# --- {file.path}{' (only if it does not exist)' if file.keep else ''}")
+            print(
+                f"# --- {file.path}{' (only if it does not exist)' if file.keep else ''}"
+            )
             print(file.text)
         return EXIT_DONE
     if os.geteuid() != 0:
-        raise FailedError("install-service writes to /etc: run it with sudo, or with --dry-run")
+        raise FailedError(
+            "install-service writes to /etc: run it with sudo, or with --dry-run"
+        )
     for file in files:
         _write(file)
     _make_folder(Path("/etc/hilserver/credentials"), 0o700)
     _tell_system()
-    print(f"installed; edit {config}, check it with 'hilserver check -c {config}', then")
+    print(
+        f"installed; edit {config}, check it with 'hilserver check -c {config}', then"
+    )
     print("  systemctl enable --now hilserver")
     return EXIT_DONE
 
 
-def plan(python: Path, config: Path, user: str, protect_home: str = "yes") -> list[File]:
+def plan(
+    python: Path, config: Path, user: str, protect_home: str = "yes"
+) -> list[File]:
     """Return the files of the service, with the values of this computer filled in."""
     folder = _templates()
     unit = (folder / "hilserver.service").read_text(encoding="utf-8")
@@ -107,7 +119,9 @@ def plan(python: Path, config: Path, user: str, protect_home: str = "yes") -> li
         line = f"{key}={value}".replace("\\", r"\\")
         unit, count = re.subn(rf"(?m)^{key}=.*$", line, unit)
         if count != 1:
-            raise FailedError(f"{folder / 'hilserver.service'}: {key}= occurs {count} times")
+            raise FailedError(
+                f"{folder / 'hilserver.service'}: {key}= occurs {count} times"
+            )
     rules = (folder / "60-hilserver.rules").read_text(encoding="utf-8")
     group = (folder / "hilserver.sysusers").read_text(encoding="utf-8")
     return [
@@ -127,14 +141,18 @@ def check_reachable(paths: list[Path]) -> str:
     for path in paths:
         for place in {path, path.resolve()}:
             if any(place.is_relative_to(hidden) for hidden in _HIDDEN):
-                raise FailedError(f"{place} is hidden from services; install into /opt/hilserver")
+                raise FailedError(
+                    f"{place} is hidden from services; install into /opt/hilserver"
+                )
             for parent in place.parents:
                 if parent.exists() and not parent.stat().st_mode & 0o001:
                     raise FailedError(
                         f"{parent}, above {place}, is not accessible to other users; install"
                         " hilserver (and its Python) into /opt/hilserver"
                     )
-            if any(place.is_relative_to(home) for home in ("/home", "/root", "/run/user")):
+            if any(
+                place.is_relative_to(home) for home in ("/home", "/root", "/run/user")
+            ):
                 protect_home = "read-only"
     return protect_home
 
@@ -145,10 +163,15 @@ def _package() -> Path:
 
 def _templates() -> Path:
     """Return the folder of the unit: in the repository, or where the wheel puts it."""
-    for root in (_package().parent / "deploy", Path(sys.prefix) / "share" / "hilserver"):
+    for root in (
+        _package().parent / "deploy",
+        Path(sys.prefix) / "share" / "hilserver",
+    ):
         if (root / "systemd" / "hilserver.service").exists():
             return root / "systemd"
-    raise FailedError("the unit hilserver.service is not part of this installation; reinstall it")
+    raise FailedError(
+        "the unit hilserver.service is not part of this installation; reinstall it"
+    )
 
 
 def _quoted(path: Path) -> str:
@@ -188,8 +211,14 @@ def _tell_system() -> None:
             print(f"skipped '{' '.join(command)}': {command[0]} is not installed")
             continue
         result = subprocess.run(  # noqa: S603 (fixed words)
-            [program, *command[1:]], capture_output=True, text=True, timeout=60, check=False
+            [program, *command[1:]],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
         )
         if result.returncode != 0:
             reason = (result.stderr or result.stdout).strip().splitlines()
-            print(f"'{' '.join(command)}' failed: {reason[-1] if reason else 'no reason given'}")
+            print(
+                f"'{' '.join(command)}' failed: {reason[-1] if reason else 'no reason given'}"
+            )

@@ -48,7 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="default 1000",
     )
-    parser.add_argument("--json", type=out_file, metavar="FILE", help="write figures and raw data")
+    parser.add_argument(
+        "--json", type=out_file, metavar="FILE", help="write figures and raw data"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -61,7 +63,9 @@ def run(args: argparse.Namespace) -> int:
     print(f"\nsamples {figures.count}, missed ticks {missed}")
     for percent in PERCENTILES:
         print(f"  p{percent:<5g} {percentile_us(counts, percent):8.0f} us")
-    print(f"  max    {figures.latency_max_ns / 1000:8.0f} us (tick {figures.latency_max_tick})")
+    print(
+        f"  max    {figures.latency_max_ns / 1000:8.0f} us (tick {figures.latency_max_tick})"
+    )
     print("\n" + "\n".join(as_lines(items)) + "\n\n" + _READING)
     if args.json is not None:
         raw = {
@@ -69,7 +73,9 @@ def run(args: argparse.Namespace) -> int:
             "missed_ticks": missed,
             "audit": [asdict(item) for item in items],
         }
-        write_text(args.json, as_json(_results(counts, figures.latency_max_ns / 1000, raw)))
+        write_text(
+            args.json, as_json(_results(counts, figures.latency_max_ns / 1000, raw))
+        )
     return EXIT_DONE
 
 
@@ -108,7 +114,9 @@ def histogram_lines(counts: NDArray[np.int64]) -> list[str]:
     return lines
 
 
-def _results(counts: NDArray[np.int64], max_us: float, raw: dict[str, Any]) -> list[Result]:
+def _results(
+    counts: NDArray[np.int64], max_us: float, raw: dict[str, Any]
+) -> list[Result]:
     results = [
         Result(f"wake_latency_p{percent:g}_us", percentile_us(counts, percent), "us")
         for percent in PERCENTILES

@@ -15,7 +15,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add ``-c``, ``--format`` and ``-o``."""
     add_config(parser)
     parser.add_argument("--format", choices=_FORMATS, required=True, help="file format")
-    parser.add_argument("-o", "--out", type=out_file, metavar="FILE", help="default: print it")
+    parser.add_argument(
+        "-o", "--out", type=out_file, metavar="FILE", help="default: print it"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -45,7 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_out(parser, "OUT", "log to write, .csv or .mcap")
     parser.add_argument(
-        "--smooth", action="store_true", help="use later samples, too: the best path in hindsight"
+        "--smooth",
+        action="store_true",
+        help="use later samples, too: the best path in hindsight",
     )
 
 
@@ -71,7 +73,9 @@ def run(args: argparse.Namespace) -> int:
         known = np.flatnonzero(course.shown[:, STATE] > 0.0)
         if args.smooth and len(known):
             estimate, covariance = smooth(p, c, series, course, int(known[0]))
-        spans.append(Observed(log.spans[span].number, series, course, estimate, covariance))
+        spans.append(
+            Observed(log.spans[span].number, series, course, estimate, covariance)
+        )
     _write(args.out, spans, path_picture(p, c, spans))
     print(sentences(p, c, spans))
     return EXIT_DONE
@@ -84,7 +88,9 @@ def _write(out: Path, spans: list[Observed], picture: str) -> None:
     log = Log(
         path=out,
         t_s=np.concatenate([one.series.wheels[:, 0] for one in spans]),
-        segment=np.concatenate([np.full(len(s.series.wheels), s.number) for s in spans]),
+        segment=np.concatenate(
+            [np.full(len(s.series.wheels), s.number) for s in spans]
+        ),
         block=None,
         columns=dict(zip(names, shown.T, strict=True)),
     )

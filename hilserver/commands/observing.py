@@ -40,7 +40,9 @@ class Observed:
         part = np.einsum("nii->ni", m)[:, : BIAS + 1]
         out[:, DEVIATIONS] = np.sqrt(np.maximum(part, 0.0))
         first = DEVIATIONS.stop
-        out[:, first : first + 3] = np.stack([m[:, X, Y], m[:, X, YAW], m[:, Y, YAW]], axis=1)
+        out[:, first : first + 3] = np.stack(
+            [m[:, X, Y], m[:, X, YAW], m[:, Y, YAW]], axis=1
+        )
         return out
 
     @property
@@ -72,7 +74,9 @@ def dead_reckoning(p: Parameters, c: Array, one: Observed) -> Array:
     turn = one.course.estimate[first, YAW] - x[first, YAW]
     cos, sin = math.cos(turn), math.sin(turn)
     away = x[:, :2] - x[first, :2]
-    path: Array = one.course.estimate[first, :2] + away @ np.array([[cos, sin], [-sin, cos]])
+    path: Array = one.course.estimate[first, :2] + away @ np.array(
+        [[cos, sin], [-sin, cos]]
+    )
     return path
 
 
@@ -100,7 +104,9 @@ def sentences(p: Parameters, c: Array, spans: Sequence[Observed]) -> str:
         f"The squared innovations are {nis.mean():.2f} times their covariance, {fits} expected"
         f" ({1.0 - half:.2f} to {1.0 + half:.2f})."
     )
-    deviations = np.concatenate([one.signals[one.known][:, DEVIATIONS] for one in known])
+    deviations = np.concatenate(
+        [one.signals[one.known][:, DEVIATIONS] for one in known]
+    )
     place = np.hypot(deviations[:, 0], deviations[:, 1])
     lines.append(
         f"The median standard deviation is {np.median(place):.3f} m for the position and"
@@ -128,7 +134,9 @@ def path_picture(p: Parameters, c: Array, spans: Sequence[Observed]) -> str:
         ("simulated", [dead_reckoning(p, c, one)[one.known] for one in known]),
         ("extended", [one.estimate[one.known, :2] for one in known]),
     ]
-    everything = np.concatenate([xy for _, pieces in paths for xy in pieces] + [np.zeros((1, 2))])
+    everything = np.concatenate(
+        [xy for _, pieces in paths for xy in pieces] + [np.zeros((1, 2))]
+    )
     plot = Plot(
         span_of(everything[:, 0]),
         span_of(everything[:, 1]),

@@ -42,20 +42,26 @@ def add_patch(parser: argparse.ArgumentParser) -> None:
         help="extend the plant with a model_patch.yaml written by 'hilserver diagnose'",
     )
     parser.add_argument(
-        "--group", metavar="NAME", help="group to use, if the patch differs by floor or load"
+        "--group",
+        metavar="NAME",
+        help="group to use, if the patch differs by floor or load",
     )
 
 
 def add_mapping(parser: argparse.ArgumentParser) -> None:
     """Add ``--mapping``."""
     parser.add_argument(
-        "--mapping", metavar="FILE", help="mapping file for foreign logs, or a built-in one by name"
+        "--mapping",
+        metavar="FILE",
+        help="mapping file for foreign logs, or a built-in one by name",
     )
 
 
 def add_out(parser: argparse.ArgumentParser, metavar: str, what: str) -> None:
     """Add ``-o/--out``, which is needed."""
-    parser.add_argument("-o", "--out", type=Path, required=True, metavar=metavar, help=what)
+    parser.add_argument(
+        "-o", "--out", type=Path, required=True, metavar=metavar, help=what
+    )
 
 
 def config_path(args: argparse.Namespace) -> Path | None:

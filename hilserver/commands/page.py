@@ -47,7 +47,9 @@ def run(args: argparse.Namespace) -> int:
         print(f"operator page: {url}", file=sys.stderr, flush=True)
     server = PageServer(setup)
     give_back_code()
-    return event_loop.run(_serve(server, listener, until_stdin_ends=args.beside is not None))
+    return event_loop.run(
+        _serve(server, listener, until_stdin_ends=args.beside is not None)
+    )
 
 
 def _by_hand(args: argparse.Namespace) -> Setup:
@@ -58,10 +60,14 @@ def _by_hand(args: argparse.Namespace) -> Setup:
 
     assembly = assembled(args)
     check_page(assembly)
-    return page_setup(assembly, assembly.config.image.name, assembly.config.opcua.endpoint)
+    return page_setup(
+        assembly, assembly.config.image.name, assembly.config.opcua.endpoint
+    )
 
 
-async def _serve(server: PageServer, listener: socket.socket, *, until_stdin_ends: bool) -> int:
+async def _serve(
+    server: PageServer, listener: socket.socket, *, until_stdin_ends: bool
+) -> int:
     asked = event_loop.end_event()
     waiting = [server.run(listener), asked.wait()]
     if until_stdin_ends:

@@ -16,7 +16,9 @@ from hilserver.opcua.access import Access
 from hilserver.opcua.settings import SECURE_POLICIES, default_application_uri
 
 
-def page_setup(assembly: Assembly, image: str, endpoint: str, secret: str = "") -> Setup:
+def page_setup(
+    assembly: Assembly, image: str, endpoint: str, secret: str = ""
+) -> Setup:
     """Return what a page of this robot has to know."""
     config, folder, robot = assembly.config, assembly.folder, assembly.robot
     tof, opcua = robot.tof, config.opcua
@@ -53,11 +55,18 @@ def page_setup(assembly: Assembly, image: str, endpoint: str, secret: str = "") 
             "tof_field_rad": tof.field_of_view_rad,
             "mass_height_m": config.mechatronic.centre_of_mass_m[2],
             "has_body": config.mechatronic.enabled,
-            "body_senses": config.mechatronic.enabled and config.mechatronic.sensors == "body",
+            "body_senses": config.mechatronic.enabled
+            and config.mechatronic.sensors == "body",
         },
         walls=walls,
         faults=[
-            {"name": name, "text": f.text, "needs": f.needs, "takes": f.takes, "on": f.on}
+            {
+                "name": name,
+                "text": f.text,
+                "needs": f.needs,
+                "takes": f.takes,
+                "on": f.on,
+            }
             for name, f in FORMS.items()
         ],
         parameters=_parameters(assembly),
@@ -68,9 +77,13 @@ def page_setup(assembly: Assembly, image: str, endpoint: str, secret: str = "") 
 
 
 def _serving(page: PageConfig, folder: Path) -> Serving:
-    given = page.model_dump(include={"host", "port", "rate_hz", "deadman_ms", "max_clients"})
+    given = page.model_dump(
+        include={"host", "port", "rate_hz", "deadman_ms", "max_clients"}
+    )
     if page.tls is not None:
-        given |= {name: str(folder / path) for name, path in page.tls.model_dump().items()}
+        given |= {
+            name: str(folder / path) for name, path in page.tls.model_dump().items()
+        }
     return Serving(**given)
 
 
@@ -86,7 +99,9 @@ def _parameters(assembly: Assembly) -> list[dict[str, Any]]:
             "configured": None if isnan(configured[p.name]) else configured[p.name],
             "nullable": p.nullable,
             "flag": p.is_flag,
-            "names": {} if p.is_flag else {n: None if isnan(v) else v for n, v in p.names},
+            "names": {}
+            if p.is_flag
+            else {n: None if isnan(v) else v for n, v in p.names},
             "fixed": p.when == "restart",
             "meaning": p.meaning,
         }
@@ -94,7 +109,9 @@ def _parameters(assembly: Assembly) -> list[dict[str, Any]]:
     ]
 
 
-def _access(opcua: OpcUaConfig, folder: Path, endpoint: str, secret: str) -> OpcUaAccess:
+def _access(
+    opcua: OpcUaConfig, folder: Path, endpoint: str, secret: str
+) -> OpcUaAccess:
     """Return how the page logs in: encrypted wherever a password travels."""
     judge = Access(opcua)
     anonymous = judge.anonymous()

@@ -10,7 +10,14 @@ import os
 import re
 from pathlib import Path
 
-from hilserver.commands.options import SEED, add_config, add_mapping, add_out, config_path, number
+from hilserver.commands.options import (
+    SEED,
+    add_config,
+    add_mapping,
+    add_out,
+    config_path,
+    number,
+)
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.output import write_files
 from hilserver.diagnosis.plan.manoeuvre import LONGEST_PLAN_S, SHORTEST_S
@@ -28,7 +35,10 @@ SIDES_M = (1.0, 1000.0)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
     parser.add_argument(
-        "manoeuvre", type=Path, metavar="MANOEUVRE", help="scenario (.yaml), or log of set-points"
+        "manoeuvre",
+        type=Path,
+        metavar="MANOEUVRE",
+        help="scenario (.yaml), or log of set-points",
     )
     add_config(parser)
     add_mapping(parser)
@@ -60,7 +70,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="AxB",
         help="sides of the free floor in m; the robot starts in the middle; default: 5x5",
     )
-    parser.add_argument("--seed", type=SEED, default=0, help="seed of the noise; default: 0")
+    parser.add_argument(
+        "--seed", type=SEED, default=0, help="seed of the noise; default: 0"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -77,7 +89,9 @@ def run(args: argparse.Namespace) -> int:
         seed=args.seed,
         jobs=os.cpu_count() or 1,
     )
-    with Progress(lambda: "stopped before the plan was finished: nothing was written") as progress:
+    with Progress(
+        lambda: "stopped before the plan was finished: nothing was written"
+    ) as progress:
         document, files = plan(wish, assemble(config_path(args)), progress)
     write_files(args.out, files | {PAGE: render_plan(document)})
     print("\n".join(lines(document)))
@@ -105,6 +119,8 @@ def _channels(text: str) -> tuple[str, ...]:
 def _room(text: str) -> tuple[float, float]:
     match = re.fullmatch(r"([\d.]+)[x\u00d7]([\d.]+)", text)
     if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a room; write its sides in m, as 5x5")
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a room; write its sides in m, as 5x5"
+        )
     sides = [number(*SIDES_M, "side (1 .. 1000 m)")(side) for side in match.groups()]
     return sides[0], sides[1]

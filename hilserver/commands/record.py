@@ -30,7 +30,11 @@ EXAMPLE = "hilserver record -o run.mcap --duration 60"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
-    add_out(parser, "OUT", "file to write, .mcap (Foxglove, PlotJuggler) or .csv; folder of a bag")
+    add_out(
+        parser,
+        "OUT",
+        "file to write, .mcap (Foxglove, PlotJuggler) or .csv; folder of a bag",
+    )
     parser.add_argument(
         "--format",
         choices=("file", "bag"),
@@ -40,7 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_storage(parser)
     add_config(parser)
     parser.add_argument(
-        "--image", metavar="NAME", help="process image of the daemon; default: that of the -c file"
+        "--image",
+        metavar="NAME",
+        help="process image of the daemon; default: that of the -c file",
     )
     parser.add_argument(
         "--signals",
@@ -61,10 +67,22 @@ _MEGABYTES = number(1, 1e9, "size of at least 1 MB (one state takes 0.1 MB)")
 _FILES = number(1, 999_999, "whole number of at least 1", int)
 _NUMBERS = (
     ("--duration", POSITIVE, None, "S", "stop after this many seconds"),
-    ("--rotate-mb", _MEGABYTES, None, "N", "start a new file OUT_0001 ... after N megabytes"),
+    (
+        "--rotate-mb",
+        _MEGABYTES,
+        None,
+        "N",
+        "start a new file OUT_0001 ... after N megabytes",
+    ),
     ("--rotate-s", POSITIVE, None, "S", "start a new file after S seconds"),
     ("--keep", _FILES, None, "N", "keep the newest N files of a rotation"),
-    ("--max-mb", POSITIVE, 50_000.0, "N", "stop at this total size in MB; default: 50000"),
+    (
+        "--max-mb",
+        POSITIVE,
+        50_000.0,
+        "N",
+        "stop at this total size in MB; default: 50000",
+    ),
     (
         "--keep-free-mb",
         float,
@@ -81,15 +99,21 @@ def run(args: argparse.Namespace) -> int:
     """Record until Ctrl-C, SIGTERM, ``--duration`` or the end of the daemon."""
     rotates = args.rotate_mb is not None or args.rotate_s is not None
     if args.keep is not None and not rotates:
-        raise FailedError("--keep counts the files of a rotation; give --rotate-mb as well")
+        raise FailedError(
+            "--keep counts the files of a rotation; give --rotate-mb as well"
+        )
     if args.format == "bag" and rotates:
-        raise FailedError("a bag is one folder; leave out --rotate-mb, or record to .mcap")
+        raise FailedError(
+            "a bag is one folder; leave out --rotate-mb, or record to .mcap"
+        )
     recorder = Recorder(
         _image(args),
         Settings(
             path=args.out,
             signals=args.signals or ("*",),
-            rotate_bytes=None if args.rotate_mb is None else round(args.rotate_mb * 1e6),
+            rotate_bytes=None
+            if args.rotate_mb is None
+            else round(args.rotate_mb * 1e6),
             keep=args.keep,
             rotate_s=args.rotate_s,
             sparse=args.sparse,
@@ -100,7 +124,9 @@ def run(args: argparse.Namespace) -> int:
         ),
     )
     on_end(recorder.stop.set)
-    with contextlib.suppress(OSError):  # without the right to, the ring's length must do
+    with contextlib.suppress(
+        OSError
+    ):  # without the right to, the ring's length must do
         os.nice(RECORDER_NICENESS)
     print(f"recording to {recorder.path}; stop it with Ctrl-C", flush=True)
     if recorder.lacks_inputs or args.sparse:

@@ -23,9 +23,13 @@ def add_connection(parser: argparse.ArgumentParser) -> None:
     """Add ``-c``, ``--endpoint`` and ``--user``."""
     add_config(parser)
     parser.add_argument(
-        "--endpoint", metavar="URL", help="OPC UA server; default: that of the configuration"
+        "--endpoint",
+        metavar="URL",
+        help="OPC UA server; default: that of the configuration",
     )
-    parser.add_argument("--user", default="", metavar="NAME", help="log in; asks for the password")
+    parser.add_argument(
+        "--user", default="", metavar="NAME", help="log in; asks for the password"
+    )
 
 
 def from_json(text: str) -> Any:
@@ -34,7 +38,9 @@ def from_json(text: str) -> Any:
         return json.loads(text)
     except json.JSONDecodeError:
         if text[:1] in tuple('{["'):
-            raise FailedError(f"{text:.80}: is not JSON; put it in single quotes") from None
+            raise FailedError(
+                f"{text:.80}: is not JSON; put it in single quotes"
+            ) from None
         return text
 
 
@@ -56,7 +62,9 @@ async def _ask(
     request: Callable[[Hand], Awaitable[None]],
     parameters: Iterable[str],
 ) -> int:
-    types = {signal.name: signal.type.value for signal in robot_table(Ranges(1.0, 1.0, 1.0))}
+    types = {
+        signal.name: signal.type.value for signal in robot_table(Ranges(1.0, 1.0, 1.0))
+    }
     types |= dict.fromkeys(parameters, ValueType.DOUBLE.value)
     hand = Hand(OpcUaAccess(endpoint, SHELL), types)
     try:

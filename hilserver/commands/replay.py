@@ -28,7 +28,14 @@ from hilserver.logs import Log, State, open_writer, read_log
 from hilserver.logs.provenance import make_run
 from hilserver.logs.writing import check_suffix
 from hilserver.program.progress import Progress
-from hilserver.replay import Comparison, Engine, Plan, assembly_of, plan_exact, plan_inputs
+from hilserver.replay import (
+    Comparison,
+    Engine,
+    Plan,
+    assembly_of,
+    plan_exact,
+    plan_inputs,
+)
 from hilserver.replay.origin import mapped_inputs
 
 EXAMPLE = "hilserver replay run.mcap -o again.csv"
@@ -70,7 +77,9 @@ def run(args: argparse.Namespace) -> int:
     """Replay; return 0, or 1 if ``--check`` finds a difference."""
     check_suffix(args.out)
     if args.out.exists() and args.log.exists() and args.out.samefile(args.log):
-        raise FailedError(f"{args.out}: is the log itself; choose another file for the replay")
+        raise FailedError(
+            f"{args.out}: is the log itself; choose another file for the replay"
+        )
     log, assembly = _open(args)
     return asyncio.run(_Replay(args, log, assembly).run())
 
@@ -100,17 +109,25 @@ class _Replay:
         self._args, self._log, self._assembly = args, log, assembly
         self._exact = log.is_ours and not args.as_inputs
         if args.start is not None and not self._exact:
-            raise LogError(f"{log.path}: a snapshot only fits a recording of the same run")
+            raise LogError(
+                f"{log.path}: a snapshot only fits a recording of the same run"
+            )
 
     async def run(self) -> int:
         async with Engine(self._assembly) as engine:
             plan = self._plan(engine)
             warn(*self._log.notices, *plan.notices)
-            comparison = Comparison(self._log, engine.table, self._assembly.base_period_ns)
+            comparison = Comparison(
+                self._log, engine.table, self._assembly.base_period_ns
+            )
             try:
-                seconds = await self._play(engine, plan, comparison if self._exact else None)
+                seconds = await self._play(
+                    engine, plan, comparison if self._exact else None
+                )
             except OSError as error:
-                raise FailedError(f"{self._args.out}: replay ended: {reason(error)}") from None
+                raise FailedError(
+                    f"{self._args.out}: replay ended: {reason(error)}"
+                ) from None
         simulated = plan.n_ticks * self._assembly.base_period_ns * 1e-9
         print(
             f"replayed {plan.n_ticks} ticks ({simulated:.3f} s) in {seconds:.2f} s into"
@@ -131,13 +148,19 @@ class _Replay:
         start = None if self._args.start is None else self._snapshot(engine)
         for state in (start,) if start is not None else log.states:
             engine.check(str(log.path), identity, state.words)
-        return plan_exact(log, engine.table, engine.image.layout, assembly.base_period_ns, start)
+        return plan_exact(
+            log, engine.table, engine.image.layout, assembly.base_period_ns, start
+        )
 
     def _check_patch(self) -> None:
         """Refuse another patch: a recording's states contain the parameters of its run."""
         recorded = (self._log.run or {}).get("patch") or {}
         named = self._assembly.patch
-        if self._args.patch is not None and named and named.sha256 != recorded.get("sha256"):
+        if (
+            self._args.patch is not None
+            and named
+            and named.sha256 != recorded.get("sha256")
+        ):
             raise ConfigError(
                 f"{self._log.path}: was recorded with {'another' if recorded else 'no'} patch;"
                 " leave --patch out, or replay its set-points with --as-inputs"
@@ -152,7 +175,9 @@ class _Replay:
         engine.check(str(path), meta["identity"], words)
         return State(0, int(meta["tick"]), words)
 
-    async def _play(self, engine: Engine, plan: Plan, comparison: Comparison | None) -> float:
+    async def _play(
+        self, engine: Engine, plan: Plan, comparison: Comparison | None
+    ) -> float:
         run = make_run(engine.image.description) | {"replay_of": str(self._log.path)}
         writer = open_writer(self._args.out, run, range(engine.table.n_slots))
         done, began_s = 0, time.monotonic()
@@ -182,5 +207,7 @@ class _Replay:
                 " equal, bit for bit"
             )
         elif self._args.check:
-            raise LogError(f"{self._log.path}: contains no outputs of hilserver to compare with")
+            raise LogError(
+                f"{self._log.path}: contains no outputs of hilserver to compare with"
+            )
         return EXIT_DONE

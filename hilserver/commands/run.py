@@ -13,7 +13,13 @@ import yaml
 
 from hilserver.cache import reported_by
 from hilserver.commands.announcing import Announcer
-from hilserver.commands.options import add_config, add_patch, config_path, number, write_text
+from hilserver.commands.options import (
+    add_config,
+    add_patch,
+    config_path,
+    number,
+    write_text,
+)
 from hilserver.errors import EXIT_DONE, FailedError
 from hilserver.program.ending import ENDING, hang_ups_wait
 from hilserver.program.guard import guarded
@@ -88,7 +94,9 @@ def run(args: argparse.Namespace) -> int:
             from hilserver.commands import compiled_start  # noqa: PLC0415
             from hilserver.program import compiling  # noqa: PLC0415
 
-            children = compiling.in_children(compiled_start.commands(args), announcer.compiling)
+            children = compiling.in_children(
+                compiled_start.commands(args), announcer.compiling
+            )
             telling = compiling.telling(lambda name: announcer.compiling([name]))
             with reported_by(announcer.warn), children, telling, announcer.patient():
                 from hilserver.commands.running import serve  # noqa: PLC0415
@@ -137,7 +145,9 @@ def _peek(path: Path | None) -> tuple[str, str]:
     """Return ``image.name`` and ``logging.format`` of a file that is not checked yet."""
     found = {"image": {"name": DEFAULT_IMAGE}, "logging": {"format": "auto"}}
     with contextlib.suppress(Exception):  # its later check explains what is wrong
-        content = {} if path is None else yaml.safe_load(read_small(path).decode("utf-8"))
+        content = (
+            {} if path is None else yaml.safe_load(read_small(path).decode("utf-8"))
+        )
         for name, section in found.items():
             given = content.get(name) if isinstance(content, dict) else None
             found[name] = section | (given if isinstance(given, dict) else {})

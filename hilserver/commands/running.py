@@ -15,7 +15,12 @@ import structlog
 
 from hilserver.commands.announcing import Announcer
 from hilserver.commands.credentials import check_credentials
-from hilserver.commands.demo import demo_assembly, running_controller, running_robot, twin_assembly
+from hilserver.commands.demo import (
+    demo_assembly,
+    running_controller,
+    running_robot,
+    twin_assembly,
+)
 from hilserver.commands.page_setup import page_setup
 from hilserver.commands.patching import assembled
 from hilserver.config.page import PageConfig
@@ -39,7 +44,11 @@ _log = structlog.get_logger(__name__)
 
 def serve(args: argparse.Namespace, guard: Guard, announcer: Announcer) -> int:
     """Run the daemon of a command line; return the exit code."""
-    play = None if args.scenario is None else Play(load_scenario(args.scenario), args.scenario)
+    play = (
+        None
+        if args.scenario is None
+        else Play(load_scenario(args.scenario), args.scenario)
+    )
     assembly = _recorded(assembled(args), args.record)
     run = Run(assembly, args.duration, play, announcer, guard)
     announcer.waits_for = "its parts and the first ticks"
@@ -63,7 +72,10 @@ def _recorded(assembly: Assembly, path: Path | None) -> Assembly:
     return dataclasses.replace(assembly, config=config)
 
 
-LINKS_AND_MORE = (*LINKS, recalibration.parts)  # rooms above the daemon, which may not import them
+LINKS_AND_MORE = (
+    *LINKS,
+    recalibration.parts,
+)  # rooms above the daemon, which may not import them
 
 
 class Run:
@@ -101,9 +113,15 @@ class Run:
     async def robot(self) -> int:
         """Run until time is over or the scheduler ends; return the exit code."""
         virtual = self._assembly.config.scheduler.backend == "virtual"
-        waits = virtual and self._duration_s is not None  # the duration starts at its first tick
+        waits = (
+            virtual and self._duration_s is not None
+        )  # the duration starts at its first tick
         daemon = Daemon(
-            self._assembly, self._limiter, play=self._play, paused=waits, links=LINKS_AND_MORE
+            self._assembly,
+            self._limiter,
+            play=self._play,
+            paused=waits,
+            links=LINKS_AND_MORE,
         )
         try:
             with self._listening(self._assembly.config.page) as listener:
@@ -154,13 +172,17 @@ class Run:
     def _page(self, daemon: Daemon, listener: socket.socket) -> PageBeside:
         def setup() -> Any:
             server = daemon.part("opcua")
-            endpoint, secret = ("", "") if server is None else (server.url, server.page_secret)
+            endpoint, secret = (
+                ("", "") if server is None else (server.url, server.page_secret)
+            )
             return page_setup(daemon.assembly, daemon.image.name, endpoint, secret)
 
         return PageBeside(setup, listener, self._announcer.page_url, daemon.core.tasks)
 
     @contextlib.asynccontextmanager
-    async def _reloading(self, daemon: Daemon, watchdog: Watchdog) -> AsyncIterator[None]:
+    async def _reloading(
+        self, daemon: Daemon, watchdog: Watchdog
+    ) -> AsyncIterator[None]:
         """Re-read the configuration at SIGHUP; on a terminal a hang-up ends the daemon."""
         if sys.stderr.isatty():
             yield

@@ -26,11 +26,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     listing.set_defaults(action=_list)
     making = actions.add_parser(
-        "make", help="write the logs of one", epilog="example: hilserver scenarios make radio -o r"
+        "make",
+        help="write the logs of one",
+        epilog="example: hilserver scenarios make radio -o r",
     )
-    making.add_argument("name", metavar="NAME", help="as listed by 'hilserver scenarios list'")
+    making.add_argument(
+        "name", metavar="NAME", help="as listed by 'hilserver scenarios list'"
+    )
     add_out(making, "DIR", "folder")
-    making.add_argument("--seed", type=int, default=0, help="seed of the random sizes; default: 0")
+    making.add_argument(
+        "--seed", type=int, default=0, help="seed of the random sizes; default: 0"
+    )
     making.set_defaults(action=_make)
     page = actions.add_parser(
         "page",
@@ -38,7 +44,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         epilog="example: hilserver scenarios page -o docs/explanation",
     )
     page.add_argument(
-        "names", nargs="*", metavar="NAME", help="only these; the others keep their sections"
+        "names",
+        nargs="*",
+        metavar="NAME",
+        help="only these; the others keep their sections",
     )
     add_out(page, "DIR", "folder")
     page.set_defaults(action=_page)
@@ -61,14 +70,18 @@ def _make(args: argparse.Namespace) -> None:
     if drive.against:
         others = " ".join(str(args.out / AGAINST / name) for name in drive.against)
         logs = f"--compare {logs} --against {others}"
-    print(f"hilserver diagnose {logs} -c {args.out / CONFIG} -o {args.out / 'diagnosis'}")
+    print(
+        f"hilserver diagnose {logs} -c {args.out / CONFIG} -o {args.out / 'diagnosis'}"
+    )
     print(f"the truth is sealed in {args.out / SEALED}")
 
 
 def _page(args: argparse.Namespace) -> None:
     page = beside("reference.scenarios.page")
     if page is None:
-        raise FailedError("'scenarios page' writes a page of the source: run it in a checkout")
+        raise FailedError(
+            "'scenarios page' writes a page of the source: run it in a checkout"
+        )
     chosen = [scenario(name) for name in args.names] or list(SCENARIOS.values())
     k = 0
     with Progress(lambda: f"stopped after {k} of {len(chosen)} scenarios") as progress:

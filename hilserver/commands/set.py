@@ -23,7 +23,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
     add_connection(parser)
     parser.add_argument(
-        "values", nargs="+", metavar="SIGNAL=JSON", help="or one JSON object of signals and values"
+        "values",
+        nargs="+",
+        metavar="SIGNAL=JSON",
+        help="or one JSON object of signals and values",
     )
 
 
@@ -35,7 +38,9 @@ def run(args: argparse.Namespace) -> int:
     if parameters:
         from hilserver.parameters import table_of  # noqa: PLC0415 -- needs the compiler
 
-        table = {f"{PARAMETERS}{name}": parameter for name, parameter in table_of().items()}
+        table = {
+            f"{PARAMETERS}{name}": parameter for name, parameter in table_of().items()
+        }
         names += table
         values |= {n: _number(table[n], values[n]) for n in parameters if n in table}
     for name in values:
@@ -62,7 +67,9 @@ def _values(texts: list[str]) -> dict[str, Any]:
             continue
         name, equals, value = text.partition("=")
         if not equals:
-            raise FailedError(f"'{text}': write SIGNAL=VALUE, or a JSON object in single quotes")
+            raise FailedError(
+                f"'{text}': write SIGNAL=VALUE, or a JSON object in single quotes"
+            )
         given = from_json(value)
         is_null = given is None and name.startswith(PARAMETERS)
         values[name] = math.nan if is_null else given

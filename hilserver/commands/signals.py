@@ -41,7 +41,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--format", choices=tuple(FORMATS), default="markdown", help="default: markdown"
     )
     parser.add_argument(
-        "-o", "--out", type=out_file, metavar="FILE", help="write to a file instead of the terminal"
+        "-o",
+        "--out",
+        type=out_file,
+        metavar="FILE",
+        help="write to a file instead of the terminal",
     )
 
 

@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.commands import replay
-from hilserver.commands.options import add_config, add_mapping, add_out, add_patch, number
+from hilserver.commands.options import (
+    add_config,
+    add_mapping,
+    add_out,
+    add_patch,
+    number,
+)
 from hilserver.commands.patching import assembled
 from hilserver.daemon.assembly import Assembly
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError, reason
@@ -32,7 +38,10 @@ LONGEST_S = 86_400.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
     parser.add_argument(
-        "scenario", type=Path, metavar="SCENARIO", help="scenario (.yaml), or log of set-points"
+        "scenario",
+        type=Path,
+        metavar="SCENARIO",
+        help="scenario (.yaml), or log of set-points",
     )
     add_out(parser, "OUT", "file for all signals, .mcap or .csv")
     add_config(parser)
@@ -59,7 +68,9 @@ def run(args: argparse.Namespace) -> int:
             raise FailedError("--duration is for a scenario; a log has its own length")
         if args.require is not None:
             raise FailedError("--require needs a scenario; it does not judge logs")
-        return replay.run(argparse.Namespace(**vars(args), **replay.AS_INPUTS, log=args.scenario))
+        return replay.run(
+            argparse.Namespace(**vars(args), **replay.AS_INPUTS, log=args.scenario)
+        )
     check_suffix(args.out)
     play = Play(load_scenario(args.scenario), args.scenario)
     assembly = assembled(args)
@@ -67,7 +78,13 @@ def run(args: argparse.Namespace) -> int:
     setup_logging("ERROR")
     try:
         asyncio.run(
-            _play(assembly, play, args.duration or play.scenario.lasts_s, args.out, verdict)
+            _play(
+                assembly,
+                play,
+                args.duration or play.scenario.lasts_s,
+                args.out,
+                verdict,
+            )
         )
     except OSError as error:
         raise FailedError(f"{args.out}: simulation ended: {reason(error)}") from None
@@ -90,7 +107,9 @@ class Verdict:
     def passed(self) -> bool:
         """Print every margin; return whether all requirements are met."""
         values = np.concatenate(self._values)
-        drive = Drive(self._period_s, dict(zip(self._judge.signals, values.T, strict=True)))
+        drive = Drive(
+            self._period_s, dict(zip(self._judge.signals, values.T, strict=True))
+        )
         margins = self._judge.margins(drive)
         for name, margin in margins.items():
             print(f"{'met' if margin >= 0.0 else 'NOT MET':8}{margin:12.6g}  {name}")
@@ -98,7 +117,11 @@ class Verdict:
 
 
 async def _play(
-    assembly: Assembly, play: Play, duration_s: float, out: Path, verdict: Verdict | None
+    assembly: Assembly,
+    play: Play,
+    duration_s: float,
+    out: Path,
+    verdict: Verdict | None,
 ) -> None:
     period_s = assembly.base_period_ns * 1e-9
     n_ticks, done = max(round(duration_s / period_s), 1), 0

@@ -29,7 +29,9 @@ EXAMPLE = "hilserver sweep sweep.yaml -o result --workers 2"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
-    parser.add_argument("sweep", type=Path, nargs="?", metavar="SWEEP", help="sweep file (.yaml)")
+    parser.add_argument(
+        "sweep", type=Path, nargs="?", metavar="SWEEP", help="sweep file (.yaml)"
+    )
     parser.add_argument(
         "-o", "--out", type=Path, metavar="DIR", help="folder for results and report"
     )
@@ -42,13 +44,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="processes; default: all cores",
     )
-    where.add_argument("--dask", metavar="ADDRESS", help="Dask cluster, as tcp://host:8786")
+    where.add_argument(
+        "--dask", metavar="ADDRESS", help="Dask cluster, as tcp://host:8786"
+    )
     what = parser.add_mutually_exclusive_group()
     what.add_argument(
-        "--only", type=int, metavar="INDEX", help="run one machine again, with a full recording"
+        "--only",
+        type=int,
+        metavar="INDEX",
+        help="run one machine again, with a full recording",
     )
-    what.add_argument("--dry-run", action="store_true", help="check, run one machine, estimate")
-    what.add_argument("--resume", action="store_true", help="continue an interrupted sweep")
+    what.add_argument(
+        "--dry-run", action="store_true", help="check, run one machine, estimate"
+    )
+    what.add_argument(
+        "--resume", action="store_true", help="continue an interrupted sweep"
+    )
     what.add_argument(
         "--compare",
         nargs=2,
@@ -61,7 +72,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="accept workers on computers whose results differ in the last bits",
     )
-    parser.add_argument("--junit", type=Path, metavar="FILE", help="also write a test report")
+    parser.add_argument(
+        "--junit", type=Path, metavar="FILE", help="also write a test report"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -80,7 +93,9 @@ def run(args: argparse.Namespace) -> int:
         prepared = prepare(args.sweep, args.config)
         if args.only is not None:
             return _only(prepared, args.only, args.out)
-        rig = rig_for(prepared.job)  # compiles once and reports mistakes before any worker
+        rig = rig_for(
+            prepared.job
+        )  # compiles once and reports mistakes before any worker
         if args.dry_run:
             began_s = time.monotonic()
             outcome = rig.drive(prepared.machine(0))
@@ -94,7 +109,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _only(prepared: Prepared, index: int, out: Path) -> int:
     if not 0 <= index < prepared.sweep.machines:
-        raise FailedError(f"--only {index}: machines are 0 .. {prepared.sweep.machines - 1}")
+        raise FailedError(
+            f"--only {index}: machines are 0 .. {prepared.sweep.machines - 1}"
+        )
     folder = out / f"machine-{index}"
     outcome = drive_again(prepared, index, folder)
     names = (requirement.name for requirement in prepared.sweep.require)
@@ -136,12 +153,18 @@ def _drive(
     if before >= n:
         return
     memory_mb = job.sweep.limits.memory_mb
-    with DaskWorkers(args.dask) if args.dask else LocalWorkers(args.workers, memory_mb) as workers:
+    with (
+        DaskWorkers(args.dask)
+        if args.dask
+        else LocalWorkers(args.workers, memory_mb) as workers
+    ):
         found = outcomes(job, map(prepared.machine, left), workers, mixed=args.mixed)
         for computer, batch in found:
             journal.add(batch, computer)
             done, passed_s = len(journal.done), time.monotonic() - began_s
             a_minute = 60.0 * (done - before) / max(passed_s, 1e-3)
             rest_s = 60.0 * (n - done) / max(a_minute, 1e-3)
-            text = f"{done} of {n} machines, {a_minute:.0f} a minute, {rest_s:.0f} s left"
+            text = (
+                f"{done} of {n} machines, {a_minute:.0f} a minute, {rest_s:.0f} s left"
+            )
             progress(text, done / n)

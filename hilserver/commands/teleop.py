@@ -63,7 +63,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
     add_connection(parser)
     parser.add_argument(
-        "--via", choices=["opcua"], default="opcua", help="connection to the robot; default: opcua"
+        "--via",
+        choices=["opcua"],
+        default="opcua",
+        help="connection to the robot; default: opcua",
     )
     parser.add_argument(
         "--speed",
@@ -179,13 +182,17 @@ class Driver:
         while True:
             held = self._hold.held(time.monotonic())
             try:
-                if held and not was_held:  # after a Reset the daemon waits for keys at rest
+                if (
+                    held and not was_held
+                ):  # after a Reset the daemon waits for keys at rest
                     await self._write(self.command(frozenset()))
                 if held or was_held:
                     await self._write(self.command(held))
                 if self._lights is not None:
                     lights, self._lights = self._lights, None
-                    colour = dict.fromkeys(("lights.red", "lights.green", "lights.blue"), 255)
+                    colour = dict.fromkeys(
+                        ("lights.red", "lights.green", "lights.blue"), 255
+                    )
                     await self._write({"lights.command": lights, **colour})
                 await self._look()
             except ConnectionError as error:

@@ -61,7 +61,9 @@ class Finding:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add ``-c``, ``--peer``, ``--speed``, ``--timeout`` and ``--demo``."""
     add_config(parser)
-    parser.add_argument("--peer", metavar="NAME", help="peer to check, if there are several")
+    parser.add_argument(
+        "--peer", metavar="NAME", help="peer to check, if there are several"
+    )
     parser.add_argument(
         "--speed",
         type=float,
@@ -70,18 +72,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="speed at which each wheel should turn (%(default)s rpm)",
     )
     parser.add_argument(
-        "--timeout", type=float, default=60.0, metavar="S", help="how long to wait for each wheel"
+        "--timeout",
+        type=float,
+        default=60.0,
+        metavar="S",
+        help="how long to wait for each wheel",
     )
     parser.add_argument(
-        "--demo", action="store_true", help="use an embedded controller that turns the wheels"
+        "--demo",
+        action="store_true",
+        help="use an embedded controller that turns the wheels",
     )
 
 
 def run(args: argparse.Namespace) -> int:
     """Check the wiring; return 0 if it is right."""
     assembly = assemble(config_path(args))
-    setup_logging("ERROR", assembly.config.logging.format, assembly.config.logging.repeat_window_s)
-    findings = event_loop.run(_demo(assembly, args) if args.demo else _run(assembly, args))
+    setup_logging(
+        "ERROR", assembly.config.logging.format, assembly.config.logging.repeat_window_s
+    )
+    findings = event_loop.run(
+        _demo(assembly, args) if args.demo else _run(assembly, args)
+    )
     print(as_table(findings))
     return EXIT_FAILED if any(finding.complaint for finding in findings) else EXIT_DONE
 
@@ -94,12 +106,16 @@ async def _demo(assembly: Assembly, args: argparse.Namespace) -> list[Finding]:
 async def _run(assembly: Assembly, args: argparse.Namespace) -> list[Finding]:
     peers = {peer.name: peer for peer in assembly.config.peers}
     if not peers:
-        raise ConfigError("there is no peer to check: add one to 'peers:', or use --demo")
+        raise ConfigError(
+            "there is no peer to check: add one to 'peers:', or use --demo"
+        )
     if args.peer is None and len(peers) > 1:
         raise ConfigError(f"which peer? name one with --peer: {', '.join(peers)}")
     name = args.peer or next(iter(peers))
     if name not in peers:
-        raise ConfigError(f"there is no peer '{name}'; the peers are {', '.join(peers)}")
+        raise ConfigError(
+            f"there is no peer '{name}'; the peers are {', '.join(peers)}"
+        )
     async with Daemon(assembly) as daemon:
         wiring = Wiring(daemon, name, args.speed, args.timeout, _say)
         return await wiring.check()
@@ -121,7 +137,9 @@ class Wiring:
         say: Callable[[str], None],
     ) -> None:
         self._daemon = daemon
-        self._peer = next(link for link in daemon.parts_of("peers") if link.config.name == peer)
+        self._peer = next(
+            link for link in daemon.parts_of("peers") if link.config.name == peer
+        )
         self._speed_rpm = speed_rpm
         self._timeout_s = timeout_s
         self._say = say
@@ -148,7 +166,9 @@ class Wiring:
         return {w: float(frame.values[s]) for w, s in zip(WHEELS, slots, strict=True)}
 
     def _moving(self) -> dict[str, float]:
-        return {wheel: rpm for wheel, rpm in self._inputs().items() if abs(rpm) > MOVES_RPM}
+        return {
+            wheel: rpm for wheel, rpm in self._inputs().items() if abs(rpm) > MOVES_RPM
+        }
 
     def _standing(self) -> Callable[[], bool]:
         """Return a condition: no wheel has been commanded to move for `STOOD_S`."""
@@ -175,12 +195,18 @@ class Wiring:
         wanted_rpm = self._speed_rpm if wheel.endswith("l") else -self._speed_rpm
         wanted = f"{wheel} {wanted_rpm:+g} rpm"
         if not await self._wait(self._moving, self._timeout_s):
-            why = "" if self._peer.status.connected else f", peer: {self._peer.status.last_error}"
+            why = (
+                ""
+                if self._peer.status.connected
+                else f", peer: {self._peer.status.last_error}"
+            )
             return Finding(wheel, "nothing", wanted, f"no input moved{why}")
         await asyncio.sleep(SETTLE_S)
         moving = self._moving()
         arrived = ", ".join(f"{w} {rpm:+.4g} rpm" for w, rpm in moving.items())
-        return Finding(wheel, arrived or "a twitch", wanted, complaint(wheel, wanted_rpm, moving))
+        return Finding(
+            wheel, arrived or "a twitch", wanted, complaint(wheel, wanted_rpm, moving)
+        )
 
     async def _stale(self) -> Finding:
         """Cut the link and measure how long the inputs stay Good."""
@@ -189,22 +215,31 @@ class Wiring:
         if not self._peer.status.connected:
             return Finding("stale", "nothing", wanted, "the peer is not connected")
         slot = self._daemon.table.slot("wheel.fl.setpoint_rpm")
-        self._daemon.faults.inject({"fault": "disconnect", "peer": self._peer.config.name})
+        self._daemon.faults.inject(
+            {"fault": "disconnect", "peer": self._peer.config.name}
+        )
         start_s = time.monotonic()
 
         def is_stale() -> bool:
             frame = self._daemon.image.latest()
-            return frame is not None and int(frame.status[slot]) == UNCERTAIN_LAST_USABLE_VALUE
+            return (
+                frame is not None
+                and int(frame.status[slot]) == UNCERTAIN_LAST_USABLE_VALUE
+            )
 
         found = await self._wait(is_stale, limit_ms * 1e-3 + 5.0)
         took_ms = (time.monotonic() - start_s) * 1e3
         self._daemon.faults.clear()
         if not found:
-            return Finding("stale", "never", wanted, "the inputs stay Good after the link is cut")
+            return Finding(
+                "stale", "never", wanted, "the inputs stay Good after the link is cut"
+            )
         # The last value came up to one publishing interval before the cut.
         early_ms = self._peer.config.publishing_ms + STALE_TOLERANCE_MS
         is_right = limit_ms - early_ms <= took_ms <= limit_ms + STALE_TOLERANCE_MS
-        return Finding("stale", f"{took_ms:.0f} ms", wanted, "" if is_right else "another time")
+        return Finding(
+            "stale", f"{took_ms:.0f} ms", wanted, "" if is_right else "another time"
+        )
 
 
 def complaint(wheel: str, wanted_rpm: float, moving: dict[str, float]) -> str:
@@ -217,10 +252,14 @@ def complaint(wheel: str, wanted_rpm: float, moving: dict[str, float]) -> str:
     complaints: list[str] = []
     if moved != wheel:
         kind = "side" if moved[1] != wheel[1] else "order"
-        complaints.append(f"{kind}: {WHEEL_WORDS[moved]} instead of {WHEEL_WORDS[wheel]}")
+        complaints.append(
+            f"{kind}: {WHEEL_WORDS[moved]} instead of {WHEEL_WORDS[wheel]}"
+        )
         wanted_rpm = abs(wanted_rpm) if moved.endswith("l") else -abs(wanted_rpm)
     if rpm * wanted_rpm < 0:
-        complaints.append("sign: forward is positive on the left, negative on the right")
+        complaints.append(
+            "sign: forward is positive on the left, negative on the right"
+        )
     factor = abs(rpm / wanted_rpm)
     if abs(factor - 1.0) > UNIT_TOLERANCE:
         complaints.append(f"unit: {_unit(factor)}")
@@ -239,6 +278,8 @@ def as_table(findings: list[Finding]) -> str:
     rows = [("what", "arrived", "wanted", "verdict"), *(f.cells for f in findings)]
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        "  ".join(
+            cell.ljust(width) for cell, width in zip(row, widths, strict=True)
+        ).rstrip()
         for row in rows
     )

@@ -10,6 +10,8 @@ from hilserver.lazily import lazily
 if TYPE_CHECKING:
     from hilserver.compiled.cache import inlined, kernel, kernel_hash, part, plain
 else:
-    __getattr__ = lazily(__name__, cache=("inlined", "kernel", "kernel_hash", "part", "plain"))
+    __getattr__ = lazily(
+        __name__, cache=("inlined", "kernel", "kernel_hash", "part", "plain")
+    )
 
 __all__ = ["inlined", "kernel", "kernel_hash", "part", "plain"]

@@ -14,7 +14,9 @@ from numba.extending import intrinsic
 def _element(context: Any, builder: Any, signature: Any, args: Any) -> Any:
     array_type, array, index = signature.args[0], args[0], args[1]
     struct = context.make_array(array_type)(context, builder, array)
-    return cgutils.get_item_pointer(context, builder, array_type, struct, [index], wraparound=False)
+    return cgutils.get_item_pointer(
+        context, builder, array_type, struct, [index], wraparound=False
+    )
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -22,7 +24,9 @@ def load_acquire(typing_context: Any, array: Any, index: Any) -> Any:
     """Return ``array[index]`` (int64); nothing after it is moved before it."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.load_atomic(_element(context, builder, signature, args), "acquire", 8)
+        return builder.load_atomic(
+            _element(context, builder, signature, args), "acquire", 8
+        )
 
     return types.int64(array, types.intp), generate
 

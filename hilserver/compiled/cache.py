@@ -52,7 +52,16 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 KERNELS_KEPT = 8
 """Folders of compiled code: this version's, and those of others that run on this computer."""
 
-_KERNEL_ROOMS = ("status", "compiled", "plant", "body", "observer", "scheduler", "image", "kernel")
+_KERNEL_ROOMS = (
+    "status",
+    "compiled",
+    "plant",
+    "body",
+    "observer",
+    "scheduler",
+    "image",
+    "kernel",
+)
 
 
 def kernel_sources() -> list[Path]:
@@ -123,13 +132,17 @@ def kernel(*signature: Any, **options: Any) -> Callable[[Callable[..., Any]], An
     """
     settings = {"nogil": True, "error_model": "numpy", "fastmath": False} | options
     is_kept = settings.pop("cache", True)
-    signatures = signature[0] if signature and isinstance(signature[0], list) else signature
+    signatures = (
+        signature[0] if signature and isinstance(signature[0], list) else signature
+    )
 
     def decorate(function: Callable[..., Any]) -> Any:
         if stored is None:
             with _numbas_own_cache():
                 return numba.njit(*signature, cache=is_kept, **settings)(function)
-        return stored.kernel(function, signatures, settings, _kept(function) if is_kept else None)
+        return stored.kernel(
+            function, signatures, settings, _kept(function) if is_kept else None
+        )
 
     return decorate
 

@@ -51,7 +51,9 @@ def ask(
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         function = ir.FunctionType(_STATUS, [_WORD] * 6 + [_DOUBLE] * 2)
-        status = builder.call(builder.inttoptr(args[0], function.as_pointer()), args[1:])
+        status = builder.call(
+            builder.inttoptr(args[0], function.as_pointer()), args[1:]
+        )
         return builder.sext(status, _WORD)
 
     return types.int64(*[types.int64] * 7, types.float64, types.float64), generate

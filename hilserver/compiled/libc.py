@@ -15,7 +15,9 @@ TIMER_ABSTIME = 1
 EINTR = 4
 
 clock_gettime: Any = ExternalFunction("clock_gettime", int32(int32, voidptr))
-clock_nanosleep: Any = ExternalFunction("clock_nanosleep", int32(int32, int32, voidptr, voidptr))
+clock_nanosleep: Any = ExternalFunction(
+    "clock_nanosleep", int32(int32, int32, voidptr, voidptr)
+)
 libc_write: Any = ExternalFunction("write", int64(int32, voidptr, uint64))
 
 

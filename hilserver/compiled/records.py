@@ -90,11 +90,17 @@ class Record(_Void):
         fields = []
         for name, hint in hints.items():
             if hasattr(Record, name) or name in Record.__annotations__:
-                raise TypeError(f"{cls.__name__}.{name} would hide what every record has")
+                raise TypeError(
+                    f"{cls.__name__}.{name} would hide what every record has"
+                )
             number = _number(hint)
             if number is None:
-                raise TypeError(f"{cls.__name__}.{name}: {hint} names no type of number")
-            fields.append((name, number if word is None else np.dtype((word, number.shape))))
+                raise TypeError(
+                    f"{cls.__name__}.{name}: {hint} names no type of number"
+                )
+            fields.append(
+                (name, number if word is None else np.dtype((word, number.shape)))
+            )
         cls.layout = np.dtype((cls, np.dtype(fields, align=True)))
         cls.n_words = cls.layout.itemsize // 8
 

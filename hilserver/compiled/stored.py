@@ -44,7 +44,9 @@ for _owner, _names in (
     (typeinfer, ("register_dispatcher",)),
 ):
     for _name in _names:
-        getattr(_owner, _name)  # AttributeError: this version of numba is not the one we know
+        getattr(
+            _owner, _name
+        )  # AttributeError: this version of numba is not the one we know
 
 
 class Stored(_Cache):  # type: ignore[misc]
@@ -91,7 +93,9 @@ class Stored(_Cache):  # type: ignore[misc]
         if found is None and self._supplied.is_there:
             for made_for in (processor, ANY_PROCESSOR):
                 other = (sig, (triple, *made_for), self._made_from)
-                found = self._load(self._supplied.get(self._name(other)), other, target_context)
+                found = self._load(
+                    self._supplied.get(self._name(other)), other, target_context
+                )
                 if found is not None:
                     return found
         if found is None:
@@ -146,7 +150,10 @@ class _Place:
 
 
 def kernel(
-    function: Callable[..., Any], signatures: Any, settings: dict[str, Any], cache: Stored | None
+    function: Callable[..., Any],
+    signatures: Any,
+    settings: dict[str, Any],
+    cache: Stored | None,
 ) -> Any:
     """Do what `numba.njit` does, with a cache of ours; what is being shared is compiled later."""
     compiled: Any = numba.njit(**settings)(function)
@@ -185,7 +192,10 @@ def kernel(
 def c_function(function: Callable[..., Any], signature: Any, cache: Stored) -> Any:
     """Do what `numba.cfunc` does, with a cache of ours."""
     callback: Any = CFunc(
-        function, sigutils.normalize_signature(signature), locals={}, options={"nopython": True}
+        function,
+        sigutils.normalize_signature(signature),
+        locals={},
+        options={"nopython": True},
     )
     callback._cache = cache
     callback.compile()

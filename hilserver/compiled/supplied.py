@@ -67,7 +67,9 @@ class Supplied:
     def _why_absent(self) -> str:
         begin = "the compiled code that this installation brought along"
         try:
-            made_with = json.loads((self._objects / MADE_WITH).read_text(encoding="utf-8"))
+            made_with = json.loads(
+                (self._objects / MADE_WITH).read_text(encoding="utf-8")
+            )
             owner = (self._objects / MADE_WITH).stat().st_uid
         except (OSError, ValueError):  # it brought none
             return ""
@@ -77,7 +79,11 @@ class Supplied:
             was = ", ".join(f"{name} {made_with.get(name)}" for name in other)
             now = ", ".join(f"{name} {here[name]}" for name in other)
             wanted = " ".join(f"{name}=={made_with.get(name)}" for name in _PACKAGES)
-            cure = f"'pip install {wanted}' avoids that" if {*other} <= {*_PACKAGES} else ""
+            cure = (
+                f"'pip install {wanted}' avoids that"
+                if {*other} <= {*_PACKAGES}
+                else ""
+            )
             return (
                 f"{begin} was made with {was}, and this is {now}: it is compiled anew"
                 f"{cure and f'; {cure}'}"

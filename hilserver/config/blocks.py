@@ -11,7 +11,9 @@ from hilserver.config.timing import Name
 from hilserver.signals import RESERVED, Ranges, robot_table
 
 _ROBOT = robot_table(Ranges(1.0, 1.0, 1.0), body=True)
-_TAKEN = RESERVED | {signal.name.partition(".")[0] for signal in (*_ROBOT, *_ROBOT.scalars)}
+_TAKEN = RESERVED | {
+    signal.name.partition(".")[0] for signal in (*_ROBOT, *_ROBOT.scalars)
+}
 """First parts of the names of the robot's signals and of folders in the address space."""
 
 
@@ -21,12 +23,17 @@ class BlockConfig(Section):
     name: Name = Field(
         "", description="Prefix of its output signals; default of an FMU: its file name"
     )
-    function: str | None = Field(None, description="module:function or file.py:function")
-    fmu: str | None = Field(None, description="File of an FMU (co-simulation, FMI 2.0 or 3.0)")
+    function: str | None = Field(
+        None, description="module:function or file.py:function"
+    )
+    fmu: str | None = Field(
+        None, description="File of an FMU (co-simulation, FMI 2.0 or 3.0)"
+    )
     slice: Name = Field("plant", description="Time slice it runs in")
     inputs: dict[str, str] = Field(default={}, description="Input of the block: signal")
     outputs: dict[str, Name] = Field(
-        default={}, description="Variable of the FMU: <output>; if empty: all outputs of the FMU"
+        default={},
+        description="Variable of the FMU: <output>; if empty: all outputs of the FMU",
     )
     drives: dict[str, str] = Field(
         default={},
@@ -44,7 +51,11 @@ class BlockConfig(Section):
     @model_validator(mode="before")
     @classmethod
     def _name_after_file(cls, data: Any) -> Any:
-        if isinstance(data, dict) and "name" not in data and isinstance(data.get("fmu"), str):
+        if (
+            isinstance(data, dict)
+            and "name" not in data
+            and isinstance(data.get("fmu"), str)
+        ):
             name = re.sub(r"[^A-Za-z0-9]+", "_", PurePath(data["fmu"]).stem).strip("_")
             return data | {"name": name}
         return data
@@ -57,7 +68,9 @@ class BlockConfig(Section):
             raise ValueError("a block needs a name")
         of_fmu = [key for key in ("outputs", "start", "process") if getattr(self, key)]
         if self.fmu is None and of_fmu:
-            raise ValueError(f"'{of_fmu[0]}' is for an fmu, but this block is a function")
+            raise ValueError(
+                f"'{of_fmu[0]}' is for an fmu, but this block is a function"
+            )
         if self.fmu is not None and self.parameters:
             raise ValueError("'parameters' is for a function; an fmu takes 'start'")
         return self
@@ -66,5 +79,7 @@ class BlockConfig(Section):
     @classmethod
     def _name_is_free(cls, value: str) -> str:
         if value in _TAKEN:
-            raise ValueError(f"'{value}' is reserved for the robot or the address space")
+            raise ValueError(
+                f"'{value}' is reserved for the robot or the address space"
+            )
         return value

@@ -8,34 +8,46 @@ from pydantic import Field, StringConstraints, model_validator
 from hilserver.config.doors import GRANTS, WRITING, DoorRule, Grant
 from hilserver.config.section import Driver, LinkSection, Section, need
 
-Level = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]  # one level of a topic
+Level = Annotated[
+    str, StringConstraints(pattern=r"^[A-Za-z0-9_.-]{1,64}$")
+]  # one level of a topic
 
 
 class EdgeGroup(Section):
     """Signals that are published together: a collection of data points."""
 
     name: Level = Field("signals", description="Last level of the group's topics")
-    signals: tuple[Annotated[str, StringConstraints(min_length=1, max_length=100)], ...] = Field(
+    signals: tuple[
+        Annotated[str, StringConstraints(min_length=1, max_length=100)], ...
+    ] = Field(
         ("*",),
         min_length=1,
         max_length=1000,
         description="Signals, by name or as wheel.*.speed_rpm",
     )
     rate_hz: float = Field(10.0, ge=0.01, le=100, description="Messages a second")
-    writable: bool = Field(False, description="Accept values for those signals that are inputs")
+    writable: bool = Field(
+        False, description="Accept values for those signals that are inputs"
+    )
 
 
 class EdgeTls(Section):
     """Encryption; the broker's certificate and name are always checked."""
 
-    ca: Path | None = Field(None, description="Certificates to trust; null: those of the system")
-    certificate: Path | None = Field(None, description="Our certificate, if the broker wants one")
+    ca: Path | None = Field(
+        None, description="Certificates to trust; null: those of the system"
+    )
+    certificate: Path | None = Field(
+        None, description="Our certificate, if the broker wants one"
+    )
     key: Path | None = Field(None, description="Private key of our certificate")
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
         if (self.certificate is None) != (self.key is None):
-            raise ValueError("certificate and key belong together: name both or neither")
+            raise ValueError(
+                "certificate and key belong together: name both or neither"
+            )
         return self
 
 
@@ -43,12 +55,22 @@ class EdgeConfig(LinkSection):
     """Signals on the databus: MQTT in the common payload format (extra edge)."""
 
     enabled: bool = Field(False, description="Connect to the broker")
-    host: str = Field("ie-databus", min_length=1, max_length=253, description="The broker")
+    host: str = Field(
+        "ie-databus", min_length=1, max_length=253, description="The broker"
+    )
     port: int = Field(1883, ge=1, le=65535, description="8883 is usual with TLS")
-    id: Level = Field("hilserver", description="Application instance, a level of all topics")
-    connection: Level = Field("robot", description="Name of the connection, a level of all topics")
-    user: str | None = Field(None, min_length=1, max_length=100, description="User at the broker")
-    password_file: Path | None = Field(None, description="File whose first line is the password")
+    id: Level = Field(
+        "hilserver", description="Application instance, a level of all topics"
+    )
+    connection: Level = Field(
+        "robot", description="Name of the connection, a level of all topics"
+    )
+    user: str | None = Field(
+        None, min_length=1, max_length=100, description="User at the broker"
+    )
+    password_file: Path | None = Field(
+        None, description="File whose first line is the password"
+    )
     tls: EdgeTls | None = Field(None, description="Encrypt; null: plain TCP")
     version: Literal["3.1.1", "5"] = Field("3.1.1", description="Of MQTT")
     qos: Literal[0, 1] = Field(0, description="1: the broker confirms every message")
@@ -84,7 +106,9 @@ class EdgeConfig(LinkSection):
     def driver(self) -> Driver:
         """The writers on the databus."""
         who = ("edge", "peer:edge", "the databus")
-        return Driver(*who, self.stale_after_ms, self.on_stale, self.drives, has_faults=False)
+        return Driver(
+            *who, self.stale_after_ms, self.on_stale, self.drives, has_faults=False
+        )
 
     @property
     def door(self) -> DoorRule:

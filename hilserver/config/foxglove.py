@@ -13,7 +13,9 @@ class FoxgloveConfig(Section):
     """Live signals, transforms and the hall for viewers (extra foxglove)."""
 
     enabled: bool = Field(False, description="Serve viewers")
-    host: str = Field("127.0.0.1", min_length=1, max_length=253, description="Address to listen on")
+    host: str = Field(
+        "127.0.0.1", min_length=1, max_length=253, description="Address to listen on"
+    )
     port: int = Field(8765, ge=0, le=65535, description="0 takes any free port")
     rate_hz: float = Field(30.0, ge=1, le=100, description="Frames a second")
     origins: tuple[str, ...] = Field(

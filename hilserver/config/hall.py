@@ -47,7 +47,9 @@ def load_hall(hall: str, base_dir: Path) -> Hall:
         raise PlantError(f"{where} cannot be read: {reason}.") from error
     walls = content.get("walls") if isinstance(content, dict) else None
     if not isinstance(walls, list) or len(walls) > MOST_WALLS:
-        raise PlantError(f"{where} must have a list `walls` of at most {MOST_WALLS} segments.")
+        raise PlantError(
+            f"{where} must have a list `walls` of at most {MOST_WALLS} segments."
+        )
     for number, wall in enumerate(walls, start=1):
         if not _are_numbers(wall, 4):
             raise PlantError(
@@ -58,10 +60,16 @@ def load_hall(hall: str, base_dir: Path) -> Hall:
 
 
 def _are_numbers(value: object, length: int) -> bool:
-    return isinstance(value, list) and len(value) == length and all(map(is_finite_number, value))
+    return (
+        isinstance(value, list)
+        and len(value) == length
+        and all(map(is_finite_number, value))
+    )
 
 
-def _with_solids(where: str, content: dict[str, Any], walls: NDArray[np.float64]) -> Hall:
+def _with_solids(
+    where: str, content: dict[str, Any], walls: NDArray[np.float64]
+) -> Hall:
     for key in content:
         if key not in _KEYS:
             raise PlantError(
@@ -79,7 +87,9 @@ def _with_solids(where: str, content: dict[str, Any], walls: NDArray[np.float64]
     ):
         entries = content.get(kind) or []
         if not isinstance(entries, list) or len(entries) > MOST_SOLIDS:
-            raise PlantError(f"{where}: {kind} must be a list of at most {MOST_SOLIDS}.")
+            raise PlantError(
+                f"{where}: {kind} must be a list of at most {MOST_SOLIDS}."
+            )
         for number, entry in enumerate(entries, start=1):
             try:
                 if set(entry) - set(keys):
@@ -112,7 +122,11 @@ def _size(entry: dict[str, Any], key: str) -> float:
 def _slope(entry: dict[str, Any]) -> Solid:
     """Return a slab whose upper side rises from the floor at `from` to `rise_m` at `to`."""
     (x1, y1), (x2, y2) = _point(entry, "from"), _point(entry, "to")
-    run, rise, width = math.hypot(x2 - x1, y2 - y1), _size(entry, "rise_m"), _size(entry, "width_m")
+    run, rise, width = (
+        math.hypot(x2 - x1, y2 - y1),
+        _size(entry, "rise_m"),
+        _size(entry, "width_m"),
+    )
     pitch, yaw = math.atan2(rise, run), math.atan2(y2 - y1, x2 - x1)
     below, deep = 0.5 * SLAB_M * math.sin(pitch), 0.5 * SLAB_M * math.cos(pitch)
     centre = (
@@ -146,8 +160,9 @@ def _outline(solid: Solid) -> NDArray[np.float64]:
     c, s = math.cos(solid.yaw_rad), math.sin(solid.yaw_rad)
     (x, y, _), (a, b, _) = solid.centre_m, solid.half_m
     corners = [
-        (x + c * u - s * v, y + s * u + c * v) for u, v in ((a, b), (-a, b), (-a, -b), (a, -b))
+        (x + c * u - s * v, y + s * u + c * v)
+        for u, v in ((a, b), (-a, b), (-a, -b), (a, -b))
     ]
-    return np.array([(*corner, *corners[(i + 1) % 4]) for i, corner in enumerate(corners)]).reshape(
-        -1
-    )
+    return np.array(
+        [(*corner, *corners[(i + 1) % 4]) for i, corner in enumerate(corners)]
+    ).reshape(-1)

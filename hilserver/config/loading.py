@@ -14,7 +14,9 @@ from hilserver.errors import ConfigError, meant
 Model = TypeVar("Model", bound=BaseModel)
 Path_ = Sequence[str | int]
 MAX_BYTES = 1_000_000
-LIVE_BYTES = 100_000  # of a file that a running daemon reads: more would hold up its event loop
+LIVE_BYTES = (
+    100_000  # of a file that a running daemon reads: more would hold up its event loop
+)
 MAX_COMPLAINTS = 20
 MAX_NESTING = 50
 MAX_VALUES = 100_000  # aliases count as often as they are used
@@ -54,7 +56,10 @@ def load(path: Path, model: type[Model], most_bytes: int = MAX_BYTES) -> Model:
         errors = error.errors(include_url=False)[:MAX_COMPLAINTS]
         complaints = [(e["loc"], _sentence(model, e)) for e in errors]
     if complaints:
-        lines = [f"{path}:{_line(root, loc)}: {text}" for loc, text in complaints[:MAX_COMPLAINTS]]
+        lines = [
+            f"{path}:{_line(root, loc)}: {text}"
+            for loc, text in complaints[:MAX_COMPLAINTS]
+        ]
         raise ConfigError("\n".join(lines))
     return result
 
@@ -93,24 +98,38 @@ def _parse(path: Path, most_bytes: int = MAX_BYTES) -> yaml.Node | None:
             f"{path}:{line}: byte {error.start} is not UTF-8; save it as UTF-8"
         ) from None
     except yaml.MarkedYAMLError as error:
-        hint = "; indent with spaces, not with tabs" if "'\\t'" in str(error.problem) else ""
-        raise _wrong(path, error.problem_mark, f"not YAML: {error.problem}{hint}") from None
+        hint = (
+            "; indent with spaces, not with tabs"
+            if "'\\t'" in str(error.problem)
+            else ""
+        )
+        raise _wrong(
+            path, error.problem_mark, f"not YAML: {error.problem}{hint}"
+        ) from None
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
-        raise ConfigError(f"{path}:{line}: not YAML: {str(error).splitlines()[0]}") from None
+        raise ConfigError(
+            f"{path}:{line}: not YAML: {str(error).splitlines()[0]}"
+        ) from None
 
 
 def _read(path: Path, most_bytes: int) -> bytes:
     try:
         mode = path.stat().st_mode
         if stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode):
-            raise ConfigError(f"{path}: is not a regular file; it is read more than once")
+            raise ConfigError(
+                f"{path}: is not a regular file; it is read more than once"
+            )
         with path.open("rb") as file:
             content = file.read(most_bytes + 1)
     except OSError as error:
-        raise ConfigError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
+        raise ConfigError(
+            f"{path}: {(error.strerror or 'cannot be read').lower()}"
+        ) from None
     if len(content) > most_bytes:
-        raise ConfigError(f"{path}: larger than {most_bytes} bytes; is it the right file?")
+        raise ConfigError(
+            f"{path}: larger than {most_bytes} bytes; is it the right file?"
+        )
     return content
 
 
@@ -134,8 +153,16 @@ def _construct(path: Path, root: yaml.Node | None) -> Any:
         if depth > MAX_NESTING:
             raise _too_deep(path, node.start_mark)
         if number >= MAX_VALUES:
-            raise _wrong(path, node.start_mark, f"more than {MAX_VALUES} values; use fewer aliases")
-        if isinstance(node, yaml.ScalarNode) and node.tag in _NUMBERS and ":" in node.value:
+            raise _wrong(
+                path,
+                node.start_mark,
+                f"more than {MAX_VALUES} values; use fewer aliases",
+            )
+        if (
+            isinstance(node, yaml.ScalarNode)
+            and node.tag in _NUMBERS
+            and ":" in node.value
+        ):
             raise _wrong(
                 path,
                 node.start_mark,
@@ -162,7 +189,11 @@ def _construct(path: Path, root: yaml.Node | None) -> Any:
     except _UNREADABLE as error:
         node = next(node for node, _ in _walk(root) if not _is_readable(node))
         kind = node.tag.rpartition(":")[2]
-        why = error if isinstance(error, ValueError) else f"{node.value!r:.60} is not type {kind}"
+        why = (
+            error
+            if isinstance(error, ValueError)
+            else f"{node.value!r:.60} is not type {kind}"
+        )
         raise _wrong(path, node.start_mark, f"a value cannot be read: {why}") from None
     return {} if found is None else found
 
@@ -194,7 +225,11 @@ def _booleans(data: Any, result: Any, at: Path_ = ()) -> Iterator[tuple[Path_, b
             yield at, data
     elif isinstance(data, dict):
         for key, value in data.items():
-            inner = result.get(key) if isinstance(result, Mapping) else getattr(result, key, None)
+            inner = (
+                result.get(key)
+                if isinstance(result, Mapping)
+                else getattr(result, key, None)
+            )
             yield from _booleans(value, inner, (*at, key))
     elif isinstance(data, list) and isinstance(result, Sequence):
         for index, (value, inner) in enumerate(zip(data, result, strict=False)):
@@ -236,12 +271,16 @@ def _sentence(model: type[BaseModel], error: Any) -> str:
     if kind == "extra_forbidden":
         known, name = _keys_at(model, location[:-1]), str(location[-1])
         places = [f"'{place}'" for place in _places_of(model, name)]
-        belongs = f"did you mean {' or '.join(places)}?" if len(places) in (1, 2) else ""
+        belongs = (
+            f"did you mean {' or '.join(places)}?" if len(places) in (1, 2) else ""
+        )
         hint = meant(name, known, belongs or f"known are {', '.join(sorted(known))}")
         return f"unknown key '{key}'; {hint}"
     if kind == "missing":
         return f"key '{key}' is missing"
-    if kind == "invalid_key" or (location and location[-1] == "[key]" and kind == "string_type"):
+    if kind == "invalid_key" or (
+        location and location[-1] == "[key]" and kind == "string_type"
+    ):
         name = ".".join(str(part) for part in location if part != "[key]")
         return f"key '{name}' is not text; keys are words, and decimal numbers have a point"
     if kind in _SECTIONS and error["input"] is None:
@@ -250,7 +289,9 @@ def _sentence(model: type[BaseModel], error: Any) -> str:
     if kind == "model_type" and not location:
         found = "a list" if isinstance(error["input"], list) else repr(error["input"])
         return f"write 'key: value' lines, not {found:.60}"
-    message = error["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    message = (
+        error["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    )
     if kind in ("value_error", "assertion_error"):
         return f"{key}: {message}" if key and not message.startswith(key) else message
     if kind == "string_pattern_mismatch":
@@ -293,4 +334,6 @@ def _model_in(annotation: Any) -> Any:
     """Return the model inside ``list[Model]``, ``Model | None`` and the like."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    return next((found for arg in get_args(annotation) if (found := _model_in(arg))), None)
+    return next(
+        (found for arg in get_args(annotation) if (found := _model_in(arg))), None
+    )

@@ -30,7 +30,9 @@ class MechatronicConfig(Section):
         description=f"slice in which it runs; {DEFAULT_SLICE} has {BODY_PERIOD_MS:g} ms unless"
         " scheduler.slices says otherwise",
     )
-    step_ms: float = Field(1.0, gt=0, le=100, description="step; the slice is a multiple of it")
+    step_ms: float = Field(
+        1.0, gt=0, le=100, description="step; the slice is a multiple of it"
+    )
     driven_by: Literal["speed", "torque"] = Field(
         "speed",
         description="speed: the plant's wheel speeds; torque: the wheels turn as the floor allows",
@@ -41,7 +43,8 @@ class MechatronicConfig(Section):
     stall_torque_nm: float = of(BodyParameters, "stall_torque_nm")
     mass_kg: float = of(BodyParameters, "mass_kg")
     inertia_kg_m2: tuple[float, float, float] | None = Field(
-        None, description="moments about the centre of mass; null: a box as large as the chassis"
+        None,
+        description="moments about the centre of mass; null: a box as large as the chassis",
     )
     centre_of_mass_m: tuple[float, float, float] = Field(
         (0.0, 0.0, 0.06),
@@ -53,7 +56,9 @@ class MechatronicConfig(Section):
     @model_validator(mode="after")
     def _torque_has_sensors(self) -> Self:
         if self.turns_wheels and self.sensors != "body":
-            raise ValueError("driven_by: torque needs sensors: body, or the two would contradict")
+            raise ValueError(
+                "driven_by: torque needs sensors: body, or the two would contradict"
+            )
         return self
 
     @property

@@ -12,7 +12,9 @@ def _is_address(text: str) -> str:
     try:
         return str(ip_address(text))
     except ValueError:
-        raise ValueError("write an IP address of this computer, for example 127.0.0.1") from None
+        raise ValueError(
+            "write an IP address of this computer, for example 127.0.0.1"
+        ) from None
 
 
 class MetricsConfig(Section):
@@ -42,7 +44,10 @@ class LoggingConfig(Section):
         "auto", description="console, json, or auto: console on a terminal, else json"
     )
     repeat_window_s: float = Field(
-        10.0, ge=0, le=3600, description="a repeated line is printed only once in this many seconds"
+        10.0,
+        ge=0,
+        le=3600,
+        description="a repeated line is printed only once in this many seconds",
     )
 
 

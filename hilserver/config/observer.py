@@ -28,9 +28,12 @@ NAMELESS = ("structure_not_in_library", "drift")
 class ObserverConfig(Section):
     """Where the robot is, by its wheels, gyro and navigation: an extended Kalman filter."""
 
-    enabled: bool = Field(default=False, description="true: the signals estimate.* exist")
+    enabled: bool = Field(
+        default=False, description="true: the signals estimate.* exist"
+    )
     source: Literal["simulated", "measured"] = Field(
-        "simulated", description="sensors of the simulated robot, or measured.* of the real one"
+        "simulated",
+        description="sensors of the simulated robot, or measured.* of the real one",
     )
     noise: str | None = Field(
         None,
@@ -67,7 +70,9 @@ class _Noise(_Read):
         """Return the noise figures; tails are part of the variance."""
         dof = self.tail_dof
         wider = (dof / (dof - 2.0)) ** 0.5 if dof is not None and dof > 2.0 else 1.0
-        return Noise(self.white_sd * wider, self.ou_sd, self.ou_tau_s or 1.0, self.step or 0.0)
+        return Noise(
+            self.white_sd * wider, self.ou_sd, self.ou_tau_s or 1.0, self.step or 0.0
+        )
 
 
 class _Joint(_Read):
@@ -78,7 +83,9 @@ class _Joint(_Read):
     def _is_square(self) -> "_Joint":
         n = len(self.parameters)
         if len(self.covariance) != n or any(len(row) != n for row in self.covariance):
-            raise ValueError(f"joint.covariance: {n} parameters need {n} rows of {n} numbers")
+            raise ValueError(
+                f"joint.covariance: {n} parameters need {n} rows of {n} numbers"
+            )
         return self
 
 
@@ -117,12 +124,18 @@ def load_found(path: Path) -> Found:
     try:
         data = json.loads(read_small(path, MOST_READ_BYTES))
     except OSError as error:
-        raise ConfigError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
+        raise ConfigError(
+            f"{path}: {(error.strerror or 'cannot be read').lower()}"
+        ) from None
     except (ValueError, RecursionError):
-        raise ConfigError(f"{path}: is not JSON; name the findings.json of a diagnosis") from None
+        raise ConfigError(
+            f"{path}: is not JSON; name the findings.json of a diagnosis"
+        ) from None
     schema = data.get("schema") if isinstance(data, dict) else None
     if schema == OLDER:
-        raise ConfigError(f"{path}: is of schema {OLDER}; run 'hilserver diagnose' again")
+        raise ConfigError(
+            f"{path}: is of schema {OLDER}; run 'hilserver diagnose' again"
+        )
     try:
         return Found.model_validate(data)
     except ValidationError as error:
@@ -146,7 +159,9 @@ def constants_of(
     unknown = {one.cause: one.size for one in found.smallest_detectable}
     moved = []
     if found.joint is not None:
-        moved = directions(robot, found.joint.parameters, np.array(found.joint.covariance))
+        moved = directions(
+            robot, found.joint.parameters, np.array(found.joint.covariance)
+        )
     groups = [
         {name: one.value for name, one in finding.parameters.items()}
         for finding in found.findings
@@ -154,5 +169,7 @@ def constants_of(
     ]
     moved = [*alternatives(robot, groups), *moved][:MOST_DIRECTIONS]
     wanders = any(finding.verdict in NAMELESS for finding in found.findings)
-    known = figures(robot, noise, unknown=unknown, wanders=wanders, readmit_after=readmit_after)
+    known = figures(
+        robot, noise, unknown=unknown, wanders=wanders, readmit_after=readmit_after
+    )
     return constants(known, moved)

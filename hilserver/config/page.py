@@ -20,8 +20,12 @@ class PageConfig(Section):
     """The operator page, a process of its own beside the daemon."""
 
     enabled: bool = Field(True, description="hilserver run starts the page")
-    host: str = Field("127.0.0.1", min_length=1, max_length=253, description="Address to listen on")
-    port: int = Field(8080, ge=0, le=65535, description="If in use, the next free one is taken")
+    host: str = Field(
+        "127.0.0.1", min_length=1, max_length=253, description="Address to listen on"
+    )
+    port: int = Field(
+        8080, ge=0, le=65535, description="If in use, the next free one is taken"
+    )
     rate_hz: float = Field(30.0, ge=1, le=60, description="Frames a second")
     deadman_ms: float = Field(
         300.0,
@@ -30,8 +34,12 @@ class PageConfig(Section):
         description="Set-points become zero if a held command is not renewed for this long",
     )
     tls: PageTlsConfig | None = Field(None, description="Needed beyond loopback")
-    allow_insecure_network: bool = Field(False, description="Listen beyond loopback without tls")
-    max_clients: int = Field(20, ge=1, le=100, description="Browsers served at the same time")
+    allow_insecure_network: bool = Field(
+        False, description="Listen beyond loopback without tls"
+    )
+    max_clients: int = Field(
+        20, ge=1, le=100, description="Browsers served at the same time"
+    )
 
     @property
     def is_open_to_network(self) -> bool:
@@ -52,10 +60,14 @@ class PageConfig(Section):
 class FoldersConfig(Section):
     """Folders that commands over OPC UA and the page may name files in; relative to this file."""
 
-    recordings: Path = Field(Path("recordings"), description="Recordings, and logs to diagnose")
+    recordings: Path = Field(
+        Path("recordings"), description="Recordings, and logs to diagnose"
+    )
     scenarios: Path = Field(Path("scenarios"), description="Scenarios to start")
     patches: Path = Field(Path("patches"), description="Model patches to load")
-    reports: Path = Field(Path("reports"), description="Reports of diagnoses started on the page")
+    reports: Path = Field(
+        Path("reports"), description="Reports of diagnoses started on the page"
+    )
     sweeps: Path = Field(
         Path("sweeps"), description="Sweeps, a folder each, whose reports are listed"
     )

@@ -32,17 +32,27 @@ Interval = tuple[float, float]
 class MadeFrom(Section):
     """Where a patch comes from."""
 
-    findings_sha256: str = Field("", description="hash of the findings.json next to it, if any")
-    config_sha256: str = Field(description="hash of the configuration that was diagnosed")
+    findings_sha256: str = Field(
+        "", description="hash of the findings.json next to it, if any"
+    )
+    config_sha256: str = Field(
+        description="hash of the configuration that was diagnosed"
+    )
     version: str = Field(description="version of hilserver that made it")
 
 
 class FittedIn(Section):
     """What the machine did in the data; null: not excited, then nothing is said about it."""
 
-    speed_m_s: Interval | None = Field(None, description="lowest and highest speed, with sign")
-    wheel_speed_rpm: Interval | None = Field(None, description="of all wheels, with sign")
-    turn_rate_rad_s: Interval | None = Field(None, description="smallest and largest, with sign")
+    speed_m_s: Interval | None = Field(
+        None, description="lowest and highest speed, with sign"
+    )
+    wheel_speed_rpm: Interval | None = Field(
+        None, description="of all wheels, with sign"
+    )
+    turn_rate_rad_s: Interval | None = Field(
+        None, description="smallest and largest, with sign"
+    )
     voltage_v: Interval | None = Field(None, description="of the battery")
     conditions: str = Field("", description="logs, duration and rate, in words")
 
@@ -50,7 +60,9 @@ class FittedIn(Section):
     @classmethod
     def _rises(cls, value: Interval | None) -> Interval | None:
         if value is not None and value[0] > value[1]:
-            raise ValueError(f"{value[0]:g} .. {value[1]:g} falls; swap the two numbers")
+            raise ValueError(
+                f"{value[0]:g} .. {value[1]:g} falls; swap the two numbers"
+            )
         return value
 
 
@@ -60,13 +72,17 @@ class PatchTerm(Section):
     value: float = Field(description="value of the term, in its unit")
     unit: str = Field(description="symbol of the unit, as in the table of terms")
     ci95: Interval | None = Field(None, description="interval of 95 %")
-    fitted_in: FittedIn = Field(default_factory=FittedIn, description="where it was fitted")
+    fitted_in: FittedIn = Field(
+        default_factory=FittedIn, description="where it was fitted"
+    )
 
 
 class PatchParameter(Section):
     """One parameter of schema 2."""
 
-    value: float | None = Field(description="value of the parameter, in its unit; may be null")
+    value: float | None = Field(
+        description="value of the parameter, in its unit; may be null"
+    )
     unit: str = Field(description="symbol of the unit, as in the table of parameters")
 
 
@@ -77,12 +93,16 @@ class ModelPatch(Section):
         alias="schema", description="this format"
     )
     made_from: MadeFrom
-    terms: dict[str, PatchTerm] = Field({}, description="terms by name, as in plant.terms")
+    terms: dict[str, PatchTerm] = Field(
+        {}, description="terms by name, as in plant.terms"
+    )
     parameters: dict[str, PatchParameter] = Field(
-        {}, description="schema 2: parameters by name, as in docs/reference/parameters.md"
+        {},
+        description="schema 2: parameters by name, as in docs/reference/parameters.md",
     )
     groups: dict[str, dict[str, PatchTerm]] | None = Field(
-        None, description="more terms by group of logs (floor, load); a run takes one group"
+        None,
+        description="more terms by group of logs (floor, load); a run takes one group",
     )
 
     model_config = ConfigDict(populate_by_name=True)
@@ -94,7 +114,9 @@ class ModelPatch(Section):
             try:
                 complete({name: term.value for name, term in terms.items()})
             except PlantError as error:
-                raise ValueError(self._placed(str(error).removeprefix("plant."), group)) from None
+                raise ValueError(
+                    self._placed(str(error).removeprefix("plant."), group)
+                ) from None
             for name, term in terms.items():
                 unit = TERMS[main_part(name)].unit
                 if term.unit != unit:
@@ -107,7 +129,9 @@ class ModelPatch(Section):
         if self.schema_ == SCHEMA and self.parameters:
             raise ValueError(f"parameters: need schema: {SCHEMA_2}")
         if self.schema_ == SCHEMA_2 and (self.terms or self.groups):
-            raise ValueError(f"schema: {SCHEMA_2} has parameters in place of terms and groups")
+            raise ValueError(
+                f"schema: {SCHEMA_2} has parameters in place of terms and groups"
+            )
         if self.schema_ == SCHEMA and "terms" not in self.model_fields_set:
             raise ValueError("terms: is missing")
         for name, given in self.parameters.items():
@@ -126,13 +150,19 @@ class ModelPatch(Section):
 
     def _placed(self, text: str, group: str | None) -> str:
         """Return a complaint about a term with its key in the file."""
-        if group is None or any(text.startswith(f"terms.{name}") for name in self.terms):
+        if group is None or any(
+            text.startswith(f"terms.{name}") for name in self.terms
+        ):
             return text
         return text.replace("terms.", f"groups.{group}.", 1)
 
     def terms_of(self, group: str | None) -> dict[str, PatchTerm]:
         """Return the terms shared by all groups, and those of one group."""
-        return self.terms if group is None else {**self.terms, **(self.groups or {})[group]}
+        return (
+            self.terms
+            if group is None
+            else {**self.terms, **(self.groups or {})[group]}
+        )
 
 
 @dataclass(frozen=True)
@@ -163,21 +193,29 @@ class Patch:
     @property
     def values(self) -> dict[str, float]:
         """Its values by the full names of the parameters; NaN is null."""
-        terms = {f"{TERM}{main_part(n)}": term.value for n, term in self.model.terms.items()}
+        terms = {
+            f"{TERM}{main_part(n)}": term.value for n, term in self.model.terms.items()
+        }
         return terms | {n: _number(p.value) for n, p in self.model.parameters.items()}
 
     @property
     def parameters(self) -> dict[str, float]:
         """Values that schema 2 adds to the terms, without those of own blocks."""
         own = self.model.parameters
-        return {named(n, PLANT): v for n, v in self.values.items() if n in own and n in PLANT}
+        return {
+            named(n, PLANT): v
+            for n, v in self.values.items()
+            if n in own and n in PLANT
+        }
 
     def applied(self, plant: PlantConfig) -> PlantConfig:
         """Return the plant with the terms of the patch, but not its `parameters`.
 
         ConfigError if the configuration sets one of the terms itself.
         """
-        set_there = {main_part(n) for n, value in plant.terms.items() if value is not None}
+        set_there = {
+            main_part(n) for n, value in plant.terms.items() if value is not None
+        }
         added: dict[str, float | None] = {}
         for name, term in self.model.terms.items():
             if main_part(name) in set_there:
@@ -196,12 +234,18 @@ class Patch:
         own = next((n for n in self.model.terms if name in (n, main_part(n))), None)
         if own is not None:
             return own
-        return next((n for n in self.model.parameters if n in (key, f"{TERM}{name}")), None)
+        return next(
+            (n for n in self.model.parameters if n in (key, f"{TERM}{name}")), None
+        )
 
     def refusal(self, entry: str, message: str) -> ConfigError:
         """Return the error for a complaint about one entry: file, line, key."""
         section = "parameters" if entry in self.model.parameters else "terms"
-        where = ("groups", self.group or "", entry) if entry in self.of_group else (section, entry)
+        where = (
+            ("groups", self.group or "", entry)
+            if entry in self.of_group
+            else (section, entry)
+        )
         return ConfigError(place(self.path, where) + message)
 
     def notice(self, config_sha256: str) -> str | None:
@@ -242,4 +286,8 @@ def patch_of(run: Mapping[str, Any]) -> Patch | None:
     ValueError if it is not one of this version.
     """
     recorded = run.get("patch")
-    return None if recorded is None else Patch(ModelPatch.model_validate(recorded["content"]))
+    return (
+        None
+        if recorded is None
+        else Patch(ModelPatch.model_validate(recorded["content"]))
+    )

@@ -29,7 +29,8 @@ class PeerSecurity(Section):
         None, description="sign or sign_and_encrypt; default: sign_and_encrypt"
     )
     certificate: Path | None = Field(
-        None, description="our certificate; default: own/certificate.der in opcua.certificates"
+        None,
+        description="our certificate; default: own/certificate.der in opcua.certificates",
     )
     private_key: Path | None = Field(
         None, description="its key; default: that of the server (opcua.private_key)"
@@ -74,13 +75,22 @@ class PeerSecurity(Section):
     @property
     def about(self) -> str:
         """How the link is protected, and the user name we log in with."""
-        how = f"{self.policy} {self.effective_mode}" if self.is_secure else "policy None"
+        how = (
+            f"{self.policy} {self.effective_mode}" if self.is_secure else "policy None"
+        )
         return how if self.user is None else f"{how}, as user '{self.user}'"
 
     @model_validator(mode="after")
     def _only_what_acts(self) -> "PeerSecurity":
         if not self.is_secure:
-            names = ("mode", "certificate", "private_key", "trust", "peer_certificate", "peer_host")
+            names = (
+                "mode",
+                "certificate",
+                "private_key",
+                "trust",
+                "peer_certificate",
+                "peer_host",
+            )
             idle = [name for name in names if getattr(self, name) is not None]
             if idle:
                 raise ValueError(
@@ -90,7 +100,9 @@ class PeerSecurity(Section):
         for pair in (("certificate", "private_key"), ("user", "password_file")):
             given, missing = sorted(pair, key=lambda name: getattr(self, name) is None)
             if getattr(self, given) is not None and getattr(self, missing) is None:
-                raise ValueError(f"{given} needs {missing} as well: give both, or neither")
+                raise ValueError(
+                    f"{given} needs {missing} as well: give both, or neither"
+                )
         if self.allow_clear_password and (self.is_secure or self.user is None):
             raise ValueError(
                 "allow_clear_password has no effect unless a user logs in over policy None:"

@@ -24,7 +24,9 @@ from hilserver.opcua.loopback import is_loopback
 from hilserver.opcua.settings import check_endpoint
 from hilserver.signals import SignalTable
 
-_NODE = re.compile(r"^(?:nsu=(?P<uri>[^;]+)|ns=(?P<index>\d{1,5}));(?P<identifier>[sigb]=.+)$")
+_NODE = re.compile(
+    r"^(?:nsu=(?P<uri>[^;]+)|ns=(?P<index>\d{1,5}));(?P<identifier>[sigb]=.+)$"
+)
 _BLOCK = re.compile(r"^DB\d", re.IGNORECASE)
 S7 = "s7://"
 _NAMESPACE_MAX = 2**16 - 1
@@ -35,7 +37,10 @@ def _wrong_identifier(identifier: str) -> str:
     """Return what is wrong with ``i=...`` and the like; empty if nothing is."""
     kind, value = identifier[0], identifier[2:]
     if kind == "i" and not (
-        value.isascii() and value.isdecimal() and len(value) < 12 and int(value) <= _NUMBER_MAX
+        value.isascii()
+        and value.isdecimal()
+        and len(value) < 12
+        and int(value) <= _NUMBER_MAX
     ):
         return f"i= needs a number up to {_NUMBER_MAX}"
     try:
@@ -106,32 +111,47 @@ class PeerConfig(LinkSection):
     """One peer."""
 
     name: Annotated[
-        str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$", description="name in log, metrics and OPC UA")
+        str,
+        Field(
+            pattern=r"^[A-Za-z0-9_-]{1,64}$",
+            description="name in log, metrics and OPC UA",
+        ),
     ]
     endpoint: Annotated[
-        Endpoint, Field(description="opc.tcp://<host>:<port>/<path>, or s7://<host>/<rack>/<slot>")
+        Endpoint,
+        Field(
+            description="opc.tcp://<host>:<port>/<path>, or s7://<host>/<rack>/<slot>"
+        ),
     ]
     security: PeerSecurity = Field(default_factory=PeerSecurity)
     mode: Literal["auto", "subscribe", "poll"] = Field(
-        "auto", description="subscribe, poll, or auto: poll when the peer grants too slow a rate"
+        "auto",
+        description="subscribe, poll, or auto: poll when the peer grants too slow a rate",
     )
-    publishing_ms: Milliseconds = Field(50, description="publishing interval to request")
+    publishing_ms: Milliseconds = Field(
+        50, description="publishing interval to request"
+    )
     sampling_ms: Annotated[float, Field(ge=0, le=3_600_000)] = Field(
         0, description="sampling interval to request; the granted one is shown"
     )
     poll_ms: Annotated[float, Field(ge=1, le=3_600_000)] = Field(
         10, description="period of the multi-read when polling"
     )
-    stale_after_ms: Milliseconds = Field(500, description="inputs older than this are stale")
+    stale_after_ms: Milliseconds = Field(
+        500, description="inputs older than this are stale"
+    )
     on_stale: Literal["hold", "zero", "ramp"] = Field(
-        "ramp", description="what then happens to set-points: hold, zero, or ramp (safe state)"
+        "ramp",
+        description="what then happens to set-points: hold, zero, or ramp (safe state)",
     )
     read: Annotated[dict[NodeId, str | Inputs], Field(max_length=1000)] = Field(
-        {}, description="their node: our input signal, or a list of signals that get the same value"
+        {},
+        description="their node: our input signal, or a list of signals that get the same value",
     )
     heartbeat: s7_peer.Heartbeat = Field(default_factory=s7_peer.Heartbeat)
     sequence_node: NodeId | None = Field(
-        None, description="their counter: shows that the controller runs, not only its server"
+        None,
+        description="their counter: shows that the controller runs, not only its server",
     )
     write: Annotated[dict[str, NodeId], Field(max_length=1000)] = Field(
         {}, description="our output signal: their node"
@@ -167,13 +187,17 @@ class PeerConfig(LinkSection):
     @model_validator(mode="after")
     def _fits_transport(self) -> "PeerConfig":
         named = [*self.read, *self.write.values()]
-        wrong = next((text for text in named if bool(_BLOCK.match(text)) != self.is_s7), None)
+        wrong = next(
+            (text for text in named if bool(_BLOCK.match(text)) != self.is_s7), None
+        )
         if wrong is not None:
             how = "DB1,REAL4" if self.is_s7 else "nsu=<namespace URI>;s=<name>"
             raise ValueError(f"peer '{self.name}' has no '{wrong}': write {how}")
         if not self.is_s7:
             if self.heartbeat != s7_peer.Heartbeat():
-                raise ValueError(f"heartbeat of peer '{self.name}' is for s7://: use sequence_node")
+                raise ValueError(
+                    f"heartbeat of peer '{self.name}' is for s7://: use sequence_node"
+                )
             return self
         for key, given, default in (
             ("security", self.security, PeerSecurity()),
@@ -181,9 +205,13 @@ class PeerConfig(LinkSection):
             ("mode", "poll" if self.mode == "auto" else self.mode, "poll"),
         ):
             if given != default:
-                raise ValueError(f"{key} of peer '{self.name}' is for opc.tcp://: leave it out")
+                raise ValueError(
+                    f"{key} of peer '{self.name}' is for opc.tcp://: leave it out"
+                )
         try:
-            s7_peer.check_blocks(named[: len(self.read)], self.write.values(), self.heartbeat)
+            s7_peer.check_blocks(
+                named[: len(self.read)], self.write.values(), self.heartbeat
+            )
         except ValueError as error:
             raise ValueError(f"peer '{self.name}': {error}") from None
         return self
@@ -272,14 +300,18 @@ def check_signals(peer: PeerConfig, table: SignalTable) -> list[SignalProblem]:
     for node, signal in _reads(peer):
         message = ""
         if signal not in known:
-            message = no_signal(signal, [name for name in known if table[name].writable])
+            message = no_signal(
+                signal, [name for name in known if table[name].writable]
+            )
         elif not table[signal].writable:
             message = f"'{signal}' is an output, so no peer can set it"
         else:
             slots = table[signal].slots
             others = {reader.setdefault(slot, signal) for slot in slots} - {signal}
             if others:
-                part, whole = sorted((signal, min(others)), key=lambda n: len(table[n].slots))
+                part, whole = sorted(
+                    (signal, min(others)), key=lambda n: len(table[n].slots)
+                )
                 message = f"'{part}' is part of '{whole}', which is also read: keep one of them"
         if message:
             problems.append(SignalProblem(("read", node), message))
@@ -290,7 +322,9 @@ def check_signals(peer: PeerConfig, table: SignalTable) -> list[SignalProblem]:
         elif table[signal].writable:
             message = f"'{signal}' is an input: write sends outputs"
         elif len(table[signal].slots) > 1:
-            message = f"'{signal}' is an array: write each of its parts to a separate node"
+            message = (
+                f"'{signal}' is an array: write each of its parts to a separate node"
+            )
         if message:
             problems.append(SignalProblem(("write", signal), message))
     return problems

@@ -47,7 +47,8 @@ class PlantConfig(Section):
 
     slice: str = Field("plant", description="slice in which the plant runs")
     drive: Literal["skid", "mecanum"] = Field(
-        "skid", description="skid, or mecanum (rollers in X pattern; r 0.05, l_x 0.25, l_y 0.36)"
+        "skid",
+        description="skid, or mecanum (rollers in X pattern; r 0.05, l_x 0.25, l_y 0.36)",
     )
     wheel_radius_m: float = of(RobotParameters, "wheel_radius_m")
     wheelbase_m: float | None = of(RobotParameters, "wheelbase_m")
@@ -61,7 +62,8 @@ class PlantConfig(Section):
     )
     safe_ramp_s: float = of(RobotParameters, "safe_ramp_s")
     exclusive_twist: bool = Field(
-        default=False, description="drive only the larger part of a twist with both (5.4)"
+        default=False,
+        description="drive only the larger part of a twist with both (5.4)",
     )
     seed: int = of(RobotParameters, "seed")
     terms: dict[str, float | None] = Field(
@@ -85,17 +87,22 @@ class PlantConfig(Section):
 class KinematicsConfig(Section):
     """Turn rate from wheel speeds: om = yaw_sign r K_om (w_L + w_R)."""
 
-    yaw_sign: Literal[-1, 1] = Field(-1, description="-1: right-handed; 1: as the thesis prints it")
+    yaw_sign: Literal[-1, 1] = Field(
+        -1, description="-1: right-handed; 1: as the thesis prints it"
+    )
     rotation_gain: str | float = Field(
         "geometric_skid",
-        description="K_om [1/m], or one of " + ", ".join((*GEOMETRIC_GAINS, *ROTATION_GAINS)),
+        description="K_om [1/m], or one of "
+        + ", ".join((*GEOMETRIC_GAINS, *ROTATION_GAINS)),
     )
 
     @field_validator("rotation_gain", mode="before")
     @classmethod
     def _number_or_name(cls, value: object) -> object:
         if not isinstance(value, str | int | float) or value != value:  # noqa: PLR0124 (NaN)
-            raise ValueError(f"{value!r:.60} is not valid; it should be a number or a name")
+            raise ValueError(
+                f"{value!r:.60} is not valid; it should be a number or a name"
+            )
         return value
 
     @field_validator("rotation_gain")
@@ -139,7 +146,8 @@ class TofConfig(Section):
     enabled: bool = _enabled("their outputs have")
     slice: Slice = "sensors"
     hall: str = Field(
-        "default", description="default, or a YAML file with walls: [[x1, y1, x2, y2], ...] in m"
+        "default",
+        description="default, or a YAML file with walls: [[x1, y1, x2, y2], ...] in m",
     )
     mount_x_m: float = of(parts.RangeFinders, "mount_x_m")
     mount_y_m: float = of(parts.RangeFinders, "mount_y_m")
@@ -196,7 +204,10 @@ def to_parameters(
     def part(key: str) -> dict[str, Any]:
         section = getattr(sensors, key)
         values: dict[str, Any] = section.model_dump(exclude={"slice", "hall"})
-        return {**values, "period_s": _period_s(periods, f"sensors.{key}.slice", section.slice)}
+        return {
+            **values,
+            "period_s": _period_s(periods, f"sensors.{key}.slice", section.slice),
+        }
 
     values = plant.model_dump(exclude={"slice", "controller", "process"})
     hall = load_hall(sensors.tof.hall, folder or Path())

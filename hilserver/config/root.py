@@ -26,7 +26,12 @@ from hilserver.config.section import Driver, LinkSection, Section
 from hilserver.config.server import OpcUaConfig
 from hilserver.config.shared_memory import SharedMemoryConfig
 from hilserver.config.shield import ShieldConfig
-from hilserver.config.timing import ControlConfig, ImageConfig, SchedulerConfig, SnapshotConfig
+from hilserver.config.timing import (
+    ControlConfig,
+    ImageConfig,
+    SchedulerConfig,
+    SnapshotConfig,
+)
 from hilserver.opcua.settings import Role
 from hilserver.signals import AUTOMATIC, Source
 
@@ -63,7 +68,9 @@ class Config(Section):
     @model_validator(mode="after")
     def _no_strangers_on_the_page(self) -> Self:
         page, may = self.page, self.opcua.anonymous_role
-        is_open = page.enabled and page.is_open_to_network and not page.allow_insecure_network
+        is_open = (
+            page.enabled and page.is_open_to_network and not page.allow_insecure_network
+        )
         if is_open and self.opcua.enabled and may not in (None, Role.OBSERVER):
             raise ValueError(
                 f"page.host '{page.host}' is reachable from the network, and everyone who opens the"
@@ -76,7 +83,11 @@ class Config(Section):
     def _held_commands_move_no_machine(self) -> Self:
         if not self.ros2.enabled or self.ros2.action != "hold":
             return self
-        written = [f"peers.{peer.name}" for peer in self.peers if peer.write and not peer.is_local]
+        written = [
+            f"peers.{peer.name}"
+            for peer in self.peers
+            if peer.write and not peer.is_local
+        ]
         if self.shield.enabled and self.shield.device is not None:
             written.append(f"shield.device '{self.shield.device}'")
         if written:
@@ -108,14 +119,18 @@ class Config(Section):
             "page": self.page.enabled or self.foxglove.enabled,
             "peer": True,
         }
-        return tuple(source for source in self.control.priority if optional.get(source, True))
+        return tuple(
+            source for source in self.control.priority if optional.get(source, True)
+        )
 
     @property
     def first_source(self) -> Source:
         """Kind of source that has control at the start; that of the first link that drives."""
         if self.control.source is not None:
             return self.control.source
-        watching = {door.source for door in self.doors if Right.COMMAND not in door.rights}
+        watching = {
+            door.source for door in self.doors if Right.COMMAND not in door.rights
+        }
         kinds = (
             link.driver.kind
             for link in self.links
@@ -126,7 +141,9 @@ class Config(Section):
     @property
     def waits_for_start(self) -> bool:
         """Whether automatic sources wait for Start after a Stop; in virtual time, nobody would."""
-        return self.control.after_reset == "start" and self.scheduler.backend != "virtual"
+        return (
+            self.control.after_reset == "start" and self.scheduler.backend != "virtual"
+        )
 
     @property
     def after_reset(self) -> str:
@@ -134,7 +151,11 @@ class Config(Section):
         automatic = ", ".join(kind for kind in self.sources if kind in AUTOMATIC)
         if self.waits_for_start:
             return f"after a Stop: Reset, then Start lets {automatic} drive (control.after_reset)"
-        why = "control.after_reset" if self.control.after_reset == "continue" else "virtual time"
+        why = (
+            "control.after_reset"
+            if self.control.after_reset == "continue"
+            else "virtual time"
+        )
         return f"after a Stop: {automatic} drive on after Reset, without Start ({why}: continue)"
 
     @property

@@ -15,7 +15,9 @@ from hilserver.ros.types import Types
 
 _NAME = r"(/|(/?[A-Za-z_][A-Za-z0-9_]*)(/[A-Za-z_][A-Za-z0-9_]*)*)?"
 Namespace = Annotated[str, StringConstraints(pattern=rf"^{_NAME}$", max_length=200)]
-TopicName = Annotated[str, StringConstraints(pattern=rf"^{_NAME}$", min_length=1, max_length=200)]
+TopicName = Annotated[
+    str, StringConstraints(pattern=rf"^{_NAME}$", min_length=1, max_length=200)
+]
 Wheel = Literal["fl", "rl", "fr", "rr"]
 LOOPBACK = ("lo", "127.0.0.1")
 LAST_DOMAIN = 232
@@ -26,13 +28,22 @@ class Ros2Publish(Section):
     """Topics that are written on request only."""
 
     tf: bool = Field(False, description="/tf: odom to base_link, from wheel odometry")
-    clock: bool = Field(False, description="/clock: simulated time; all stamps then use it")
-    odom: bool = Field(False, description="odom: position and twist from wheel odometry")
-    estimate: bool = Field(
-        False, description="odometry/filtered: the estimate of the observer, with covariances"
+    clock: bool = Field(
+        False, description="/clock: simulated time; all stamps then use it"
     )
-    pose_stamped: bool = Field(False, description="/poseStamped: the simulated navigation tag")
-    robot_description: bool = Field(False, description="robot_description: URDF, for RViz")
+    odom: bool = Field(
+        False, description="odom: position and twist from wheel odometry"
+    )
+    estimate: bool = Field(
+        False,
+        description="odometry/filtered: the estimate of the observer, with covariances",
+    )
+    pose_stamped: bool = Field(
+        False, description="/poseStamped: the simulated navigation tag"
+    )
+    robot_description: bool = Field(
+        False, description="robot_description: URDF, for RViz"
+    )
 
 
 FrameName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_./-]{1,100}$")]
@@ -47,8 +58,12 @@ class Ros2Measured(Section):
         max_length=20,
         description="Its topics, each with its type; ros2.measured: iotbot is short for these",
     )
-    namespace: Namespace = Field("", description="Of the real robot, for relative names")
-    frame: FrameName = Field("map", description="Coordinate frame in which its poses count")
+    namespace: Namespace = Field(
+        "", description="Of the real robot, for relative names"
+    )
+    frame: FrameName = Field(
+        "map", description="Coordinate frame in which its poses count"
+    )
     base_frame: FrameName = Field("base_link", description="The robot itself in /tf")
     joints: dict[str, Wheel] = Field(
         {},
@@ -66,7 +81,9 @@ class Ros2Measured(Section):
             if names.count(name) > 1:
                 raise ValueError(f"topics names {name} twice: remove one of them")
         if self.frame.lstrip("/") == self.base_frame.lstrip("/"):
-            raise ValueError("frame and base_frame are the same: name the frame of the floor plan")
+            raise ValueError(
+                "frame and base_frame are the same: name the frame of the floor plan"
+            )
         return self
 
     def full_name(self, name: str) -> str:
@@ -83,14 +100,18 @@ class Ros2Config(LinkSection):
 
     enabled: bool = Field(False, description="Take part in ROS 2")
     flavour: Literal["iotbot_shield", "eduard", "thesis_sil"] = Field(
-        "iotbot_shield", description="Which robot program to be: topics, services, rates, QoS"
+        "iotbot_shield",
+        description="Which robot program to be: topics, services, rates, QoS",
     )
     rmw: Literal["fastrtps", "cyclonedds"] = Field(
         "fastrtps",
         description="Middleware of the host, which decides how services carry their identity",
     )
     domain: int | None = Field(
-        None, ge=0, le=LAST_DOMAIN, description="DDS domain; null: ROS_DOMAIN_ID, else 0"
+        None,
+        ge=0,
+        le=LAST_DOMAIN,
+        description="DDS domain; null: ROS_DOMAIN_ID, else 0",
     )
     interface: str = Field(
         "lo",
@@ -98,7 +119,8 @@ class Ros2Config(LinkSection):
         description="Network interface, by name or address",
     )
     allow_insecure_network: bool = Field(
-        False, description="Use an interface other than lo: everyone there may then command"
+        False,
+        description="Use an interface other than lo: everyone there may then command",
     )
     grants: tuple[Ros2Grant, ...] | None = Field(
         None,
@@ -106,21 +128,32 @@ class Ros2Config(LinkSection):
         description="What everyone there may do: command, write measured.*, set parameters; null:"
         " as opcua.anonymous, so nothing once opcua.users are named, and parameters only on lo",
     )
-    peers: tuple[Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_.:-]{1,253}$")], ...] = (
-        Field((), max_length=50, description="Addresses to contact where there is no multicast")
+    peers: tuple[
+        Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_.:-]{1,253}$")], ...
+    ] = Field(
+        (),
+        max_length=50,
+        description="Addresses to contact where there is no multicast",
     )
-    namespace: Namespace = Field("", description="For relative names; empty: the flavour's own")
-    topics: dict[str, TopicName] = Field({}, description="Renames: the flavour's name: other name")
+    namespace: Namespace = Field(
+        "", description="For relative names; empty: the flavour's own"
+    )
+    topics: dict[str, TopicName] = Field(
+        {}, description="Renames: the flavour's name: other name"
+    )
     publish: Ros2Publish = Field(default_factory=Ros2Publish)
     measured: Annotated[
         Ros2Measured | None,
-        BeforeValidator(_iotbot, json_schema_input_type=Literal["iotbot"] | Ros2Measured | None),
+        BeforeValidator(
+            _iotbot, json_schema_input_type=Literal["iotbot"] | Ros2Measured | None
+        ),
     ] = Field(
         None,
         description="The real robot's topics, as measured.*; iotbot: those of EduArt's IOT Bot",
     )
     array_order: tuple[Wheel, Wheel, Wheel, Wheel] = Field(
-        ("fl", "rl", "fr", "rr"), description="Wheels and range finders in the arrays of thesis_sil"
+        ("fl", "rl", "fr", "rr"),
+        description="Wheels and range finders in the arrays of thesis_sil",
     )
     service_fields: dict[str, str] = Field(
         {},
@@ -189,7 +222,11 @@ class Ros2Config(LinkSection):
                 continue
             name, full = both[0], self.full_name(both[0])
             is_moved = name in self.topics or name.startswith("/")
-            way = f"ros2.topics: {{{name}: /sim{full}}}" if is_moved else "ros2.namespace: /sim"
+            way = (
+                f"ros2.topics: {{{name}: /sim{full}}}"
+                if is_moved
+                else "ros2.namespace: /sim"
+            )
             if not theirs[full].startswith("/"):
                 way += ", or ros2.measured.namespace to that of the real robot"
             raise ValueError(
@@ -219,7 +256,9 @@ class Ros2Config(LinkSection):
     @property
     def command_enables(self) -> bool:
         """Whether a command alone ends what silence has done."""
-        return (self.reenable or ("command" if not self._enabled_by else "service")) == "command"
+        return (
+            self.reenable or ("command" if not self._enabled_by else "service")
+        ) == "command"
 
     @property
     def _enabled_by(self) -> str:

@@ -47,11 +47,20 @@ FORMS: Final[Mapping[str, Form]] = {
     "REAL": Form("f", 4),
     "LREAL": Form("d", 8),
 }
-_SHORT: Final = {"X": "BOOL", "B": "BYTE", "W": "WORD", "I": "INT", "DI": "DINT", "R": "REAL"} | {
+_SHORT: Final = {
+    "X": "BOOL",
+    "B": "BYTE",
+    "W": "WORD",
+    "I": "INT",
+    "DI": "DINT",
+    "R": "REAL",
+} | {
     "DW": "DWORD",
     "LR": "LREAL",
 }
-_ADDRESS = re.compile(r"^DB(?P<block>\d{1,5}),(?P<type>[A-Z]+)(?P<at>\d{1,5}(?:\.[0-7])?)$")
+_ADDRESS = re.compile(
+    r"^DB(?P<block>\d{1,5}),(?P<type>[A-Z]+)(?P<at>\d{1,5}(?:\.[0-7])?)$"
+)
 _ENDPOINT = re.compile(
     r"^s7://(?P<host>\[[0-9a-fA-F:.]+\]|[A-Za-z0-9_.-]+)(?::(?P<port>\d{1,5}))?"
     r"/(?P<rack>[0-7])/(?P<slot>\d{1,2})$"
@@ -71,9 +80,13 @@ class Place:
         """Return the place of a type and an offset; ValueError with one sentence if invalid."""
         byte, _, bit = at.partition(".")
         if not (byte.isdecimal() and bit in ("", *"01234567")) or len(byte) > 5:
-            raise ValueError(f"at '{at}': write the byte, and for a BOOL byte.bit, as 6.1")
+            raise ValueError(
+                f"at '{at}': write the byte, and for a BOOL byte.bit, as 6.1"
+            )
         if (kind == "BOOL") != bool(bit):
-            what = "a BOOL has a bit, as 6.1" if kind == "BOOL" else f"a {kind} has no bit"
+            what = (
+                "a BOOL has a bit, as 6.1" if kind == "BOOL" else f"a {kind} has no bit"
+            )
             raise ValueError(f"at '{at}': {what}")
         place = cls(kind, int(byte), int(bit or 0))
         if place.size > 1 and place.byte % 2:
@@ -119,7 +132,9 @@ class Address(NamedTuple):
         try:
             return cls(int(match["block"]), Place.parse(kind, match["at"]))
         except ValueError as error:
-            raise ValueError(f"'{text}' is not an address in a data block: {error}") from None
+            raise ValueError(
+                f"'{text}' is not an address in a data block: {error}"
+            ) from None
 
 
 class Endpoint(NamedTuple):
@@ -134,12 +149,20 @@ class Endpoint(NamedTuple):
     def parse(cls, text: str) -> Self:
         """Parse ``s7://host:port/rack/slot``; ValueError with one sentence if it is not one."""
         match = _ENDPOINT.match(text)
-        if match is None or int(match["slot"]) > 31 or not 0 < int(match["port"] or 102) < 65536:
+        if (
+            match is None
+            or int(match["slot"]) > 31
+            or not 0 < int(match["port"] or 102) < 65536
+        ):
             raise ValueError(
                 f"'{text}' is not an S7 controller: write s7://<host>/<rack>/<slot>, as"
                 " s7://192.0.2.20/0/1 for an S7-1500"
             )
-        port, rack, slot = int(match["port"] or 102), int(match["rack"]), int(match["slot"])
+        port, rack, slot = (
+            int(match["port"] or 102),
+            int(match["rack"]),
+            int(match["slot"]),
+        )
         return cls(match["host"].strip("[]"), port, rack, slot)
 
 
@@ -188,7 +211,9 @@ def _check_layout(fields: tuple[S7Field, ...]) -> tuple[S7Field, ...]:
 
 
 Layout = Annotated[
-    tuple[S7Field, ...], Field(min_length=1, max_length=1000), AfterValidator(_check_layout)
+    tuple[S7Field, ...],
+    Field(min_length=1, max_length=1000),
+    AfterValidator(_check_layout),
 ]
 Number = Annotated[int, Field(ge=1, le=65535)]
 
@@ -196,13 +221,21 @@ Number = Annotated[int, Field(ge=1, le=65535)]
 class S7Server(Section):
     """Data blocks of ours that controllers and panels read and write by put and get."""
 
-    host: str = Field("127.0.0.1", min_length=1, max_length=253, description="Address to listen on")
-    port: int = Field(102, ge=0, le=65535, description="ISO-on-TCP; privileged below 1024")
-    blocks: Annotated[dict[Number, Layout], Field(min_length=1, max_length=100)] = Field(
-        description="Number of a data block: its signals"
+    host: str = Field(
+        "127.0.0.1", min_length=1, max_length=253, description="Address to listen on"
     )
-    pdu_bytes: int = Field(480, ge=240, le=960, description="Longest message to agree on [bytes]")
-    max_clients: int = Field(16, ge=1, le=200, description="Connections open at the same time")
+    port: int = Field(
+        102, ge=0, le=65535, description="ISO-on-TCP; privileged below 1024"
+    )
+    blocks: Annotated[dict[Number, Layout], Field(min_length=1, max_length=100)] = (
+        Field(description="Number of a data block: its signals")
+    )
+    pdu_bytes: int = Field(
+        480, ge=240, le=960, description="Longest message to agree on [bytes]"
+    )
+    max_clients: int = Field(
+        16, ge=1, le=200, description="Connections open at the same time"
+    )
     allow_insecure_network: bool = Field(
         False, description="Listen beyond loopback; S7 has neither users nor encryption"
     )
@@ -233,7 +266,9 @@ class S7Config(LinkSection):
     def driver(self) -> Driver:
         """The writers of the blocks."""
         server = self.server
-        limit_ms, on_stale = (server.stale_after_ms, server.on_stale) if server else (500.0, "ramp")
+        limit_ms, on_stale = (
+            (server.stale_after_ms, server.on_stale) if server else (500.0, "ramp")
+        )
         who = ("s7", "peer:s7", "the S7 client")
         return Driver(*who, limit_ms, on_stale, server is not None, has_faults=False)
 

@@ -13,7 +13,8 @@ COUNTERS: Final = frozenset(FORMS) - {"BOOL", "REAL", "LREAL"}
 
 Both = Annotated[
     tuple[
-        Annotated[str, AfterValidator(check_address)], Annotated[str, AfterValidator(check_address)]
+        Annotated[str, AfterValidator(check_address)],
+        Annotated[str, AfterValidator(check_address)],
     ],
     Field(description="first and last address of the block"),
 ]
@@ -23,16 +24,21 @@ class Heartbeat(Section):
     """One counter at both ends of a block: where they differ, the block was read half-written."""
 
     read: Both | None = Field(
-        None, description="their counter: a read in which its two copies differ is dropped"
+        None,
+        description="their counter: a read in which its two copies differ is dropped",
     )
-    write: Both | None = Field(None, description="our counter, incremented with every write")
+    write: Both | None = Field(
+        None, description="our counter, incremented with every write"
+    )
 
     @model_validator(mode="after")
     def _counts(self) -> Self:
         for which, pair in (("read", self.read), ("write", self.write)):
             kinds = {Address.parse(text).place.type for text in pair or ()}
             if len(kinds) > 1 or not kinds <= COUNTERS:
-                raise ValueError(f"{which}: both must be integers of the same type, as UDINT")
+                raise ValueError(
+                    f"{which}: both must be integers of the same type, as UDINT"
+                )
         return self
 
 
@@ -72,7 +78,9 @@ def block_of(texts: Iterable[str], heartbeat: Both | None) -> Block | None:
         raise ValueError(f"byte {twice[1].byte} is named twice")
     block = Block(numbers[0], places, pair)
     if pair and (places[pair[0]].byte, places[pair[1]].end) != (block.start, block.end):
-        raise ValueError(f"{pair[0]} and {pair[1]} must be the first and last of the block")
+        raise ValueError(
+            f"{pair[0]} and {pair[1]} must be the first and last of the block"
+        )
     return block
 
 
@@ -81,13 +89,20 @@ def check_blocks(
 ) -> tuple[Block | None, Block | None]:
     """Return the blocks that are read and written; ValueError with one sentence if one is wrong."""
     blocks = []
-    for which, texts, pair in (("read", read, heartbeat.read), ("write", write, heartbeat.write)):
+    for which, texts, pair in (
+        ("read", read, heartbeat.read),
+        ("write", write, heartbeat.write),
+    ):
         try:
             blocks.append(block_of(texts, pair))
         except ValueError as error:
             raise ValueError(f"{which}: {error}") from None
     coming, going = blocks
-    if coming is not None and not coming.heartbeat and coming.end - coming.start > ONE_PART:
+    if (
+        coming is not None
+        and not coming.heartbeat
+        and coming.end - coming.start > ONE_PART
+    ):
         raise ValueError(
             f"read: {coming.end - coming.start} bytes come in several parts, perhaps of two cycles:"
             " name heartbeat.read, a counter at both ends of the block"

@@ -18,7 +18,10 @@ class SharedMemoryConfig(LinkSection):
         description="What a program may write: measured.*, command; empty: it only reads",
     )
     poll_ms: float = Field(
-        2.0, ge=1, le=1000, description="How often to look whether a program has written"
+        2.0,
+        ge=1,
+        le=1000,
+        description="How often to look whether a program has written",
     )
     stale_after_ms: float = Field(
         500.0, ge=10, le=3_600_000, description="Values older than this are stale"
@@ -37,7 +40,9 @@ class SharedMemoryConfig(LinkSection):
         """The program that writes."""
         who = ("memory", "peer:memory", "the program in shared memory")
         is_open = bool(self.grants)
-        return Driver(*who, self.stale_after_ms, self.on_stale, is_open, has_faults=False)
+        return Driver(
+            *who, self.stale_after_ms, self.on_stale, is_open, has_faults=False
+        )
 
     @property
     def door(self) -> DoorRule:

@@ -29,14 +29,18 @@ class ShieldConfig(LinkSection):
         None, description="A serial line instead, such as /dev/ttyS1; it must exist"
     )
     variant: Variant = Field(
-        "iotbot", description="iotbot: answers of 32 bytes; crc: of 33, requests are checked"
+        "iotbot",
+        description="iotbot: answers of 32 bytes; crc: of 33, requests are checked",
     )
     channels: tuple[str, ...] | None = Field(
         None,
         description="Wheels on the channels 0 to 3; null: by variant, rr fr rl fl or fl fr rl rr",
     )
     reply_delay_ms: float = Field(
-        1.0, ge=0, le=100, description="End of the request to first byte of the response"
+        1.0,
+        ge=0,
+        le=100,
+        description="End of the request to first byte of the response",
     )
     pace: bool = Field(True, description="Send no byte earlier than 115200 baud allows")
     parameters: Literal["store", "apply"] = Field(
@@ -44,7 +48,10 @@ class ShieldConfig(LinkSection):
         description="kp, ki, gear ratio and others: only stored and shown, or applied as gains",
     )
     stale_after_ms: float = Field(
-        1000.0, gt=0, le=1e6, description="Silence of the host after which on_stale applies"
+        1000.0,
+        gt=0,
+        le=1e6,
+        description="Silence of the host after which on_stale applies",
     )
     on_stale: Literal["device", "ramp"] = Field(
         "device",
@@ -62,7 +69,9 @@ class ShieldConfig(LinkSection):
     def driver(self) -> Driver:
         """The host."""
         who = ("shield", "shield", "the shield's host")
-        return Driver(*who, self.stale_after_ms, self.on_stale, self.enabled, has_faults=False)
+        return Driver(
+            *who, self.stale_after_ms, self.on_stale, self.enabled, has_faults=False
+        )
 
     def about(self, folder: Path) -> str:
         """Return the serial line."""

@@ -23,29 +23,40 @@ class LimitsConfig(Section):
     """When overruns end in the safe state; null: never."""
 
     single_overrun_ms: float | None = Field(
-        100.0, gt=0, description="A longer overrun leads to the safe state [ms]; null: never"
+        100.0,
+        gt=0,
+        description="A longer overrun leads to the safe state [ms]; null: never",
     )
     consecutive_overruns: int | None = Field(
-        100, ge=1, description="More consecutive overruns lead to the safe state; null: never"
+        100,
+        ge=1,
+        description="More consecutive overruns lead to the safe state; null: never",
     )
 
 
 class RealtimeConfig(Section):
     """What the pacing thread asks of the system; what it does not get, the audit names."""
 
-    priority: int = Field(80, ge=0, le=99, description="SCHED_FIFO priority; 0: ordinary thread")
+    priority: int = Field(
+        80, ge=0, le=99, description="SCHED_FIFO priority; 0: ordinary thread"
+    )
     cpu: int | None = Field(
-        None, ge=0, description="Core of the pacing thread; the rest of the daemon avoids it"
+        None,
+        ge=0,
+        description="Core of the pacing thread; the rest of the daemon avoids it",
     )
     lock_memory: bool = Field(True, description="Lock and prefault memory")
-    hold_latency_target: bool = Field(True, description="Hold /dev/cpu_dma_latency at 0")
+    hold_latency_target: bool = Field(
+        True, description="Hold /dev/cpu_dma_latency at 0"
+    )
 
 
 class SchedulerConfig(Section):
     """Base period, time slices, pacing and what happens when time runs out."""
 
     backend: Literal["thread", "timerfd", "virtual"] = Field(
-        "thread", description="Pacing: own thread, asyncio's timerfd, or as fast as possible"
+        "thread",
+        description="Pacing: own thread, asyncio's timerfd, or as fast as possible",
     )
     base_period_ms: float = Field(1.0, ge=0.05, le=1000, description="Base period [ms]")
     slices: dict[Name, Period] = Field(
@@ -75,10 +86,14 @@ class SchedulerConfig(Section):
     @classmethod
     def _limit_slices(cls, value: dict[str, float]) -> dict[str, float]:
         if len(value) > MAX_SLICES:
-            raise ValueError(f"{len(value)} slices are too many; the limit is {MAX_SLICES}")
+            raise ValueError(
+                f"{len(value)} slices are too many; the limit is {MAX_SLICES}"
+            )
         for name in value.keys() - DEFAULT_SLICES.keys():
             if near := get_close_matches(name, DEFAULT_SLICES, n=1, cutoff=_MISSPELT):
-                raise ValueError(f"'{name}' looks like '{near[0]}'; choose a different name")
+                raise ValueError(
+                    f"'{name}' looks like '{near[0]}'; choose a different name"
+                )
         return value
 
     @model_validator(mode="after")
@@ -101,7 +116,8 @@ class ControlConfig(Section):
         " if enabled, else ros2 if enabled, else opcua",
     )
     priority: tuple[Source, ...] = Field(
-        SOURCES, description="Sources that may take control from one another, highest first"
+        SOURCES,
+        description="Sources that may take control from one another, highest first",
     )
     fallback: Literal["nobody", "before"] = Field(
         "nobody",
@@ -167,4 +183,6 @@ class ImageConfig(Section):
 class SnapshotConfig(Section):
     """Where snapshots lie."""
 
-    folder: str = Field("snapshots", description="Folder, relative to the configuration file")
+    folder: str = Field(
+        "snapshots", description="Folder, relative to the configuration file"
+    )

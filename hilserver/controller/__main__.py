@@ -21,7 +21,9 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
         description="Drives a figure of eight over OPC UA, in place of the IOT2050.",
         epilog=f"example: python -m hilserver.controller --endpoint {ENDPOINT}",
     )
-    parser.add_argument("--endpoint", default=ENDPOINT, help="address to serve (%(default)s)")
+    parser.add_argument(
+        "--endpoint", default=ENDPOINT, help="address to serve (%(default)s)"
+    )
     parser.add_argument("--wheel-radius-m", type=float, default=robot.wheel_radius_m)
     parser.add_argument("--k-om-per-m", type=float, default=robot.k_om_per_m)
     parser.add_argument("--yaw-sign", type=int, choices=(-1, 1), default=robot.yaw_sign)

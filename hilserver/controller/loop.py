@@ -10,7 +10,15 @@ from datetime import UTC, datetime
 import structlog
 
 from hilserver.controller.nodes import SEQUENCE
-from hilserver.controller.path import STOP, Eight, Gains, Pose, Robot, follow, one_wheel_rpm
+from hilserver.controller.path import (
+    STOP,
+    Eight,
+    Gains,
+    Pose,
+    Robot,
+    follow,
+    one_wheel_rpm,
+)
 from hilserver.controller.server import ControllerServer
 
 PERIOD_S = 0.02
@@ -29,7 +37,10 @@ class PoseWatch:
     _seen_s: float = -math.inf
 
     def observe(
-        self, values: tuple[object, object, object], stamp: datetime | None, now_s: float
+        self,
+        values: tuple[object, object, object],
+        stamp: datetime | None,
+        now_s: float,
     ) -> Pose | None:
         """Take the values of the nodes at `now_s` (monotonic).
 
@@ -72,13 +83,21 @@ class Controller:
             wheels = one_wheel_rpm(self._s)
             self._s += PERIOD_S
         elif pose is not None:
-            command = follow(self.eight, self.robot, self.gains, self._s, pose, PERIOD_S)
+            command = follow(
+                self.eight, self.robot, self.gains, self._s, pose, PERIOD_S
+            )
             self._s, wheels = command.s, command.wheels_rpm
         if self._driving != (pose is not None):
             self._driving = pose is not None
-            _log.info("controller drives" if self._driving else "no fresh pose: wheels stopped")
+            _log.info(
+                "controller drives"
+                if self._driving
+                else "no fresh pose: wheels stopped"
+            )
         self.sequence = (self.sequence + 1) % 2**32
-        values: dict[str, object] = {f"rpm_set_{w.upper()}": rpm for w, rpm in wheels.items()}
+        values: dict[str, object] = {
+            f"rpm_set_{w.upper()}": rpm for w, rpm in wheels.items()
+        }
         await self.server.offer(
             values | {"enable": True, SEQUENCE: self.sequence}, datetime.now(UTC)
         )

@@ -61,7 +61,9 @@ class Gains:
 
     ahead_m: float = 0.15  # distance d of the led point
     pull_per_s: float = 1.5  # k
-    patience_m: float = 0.6  # at this distance from the path point the point stands still
+    patience_m: float = (
+        0.6  # at this distance from the path point the point stands still
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +72,9 @@ class Command:
 
     s: float  # parameter of the path point after this step [rad]
     error_m: float  # distance of the led point from the path point
-    wheels_rpm: dict[str, float]  # ``fl``, ``rl``, ``fr``, ``rr``; right wheels mirrored
+    wheels_rpm: dict[
+        str, float
+    ]  # ``fl``, ``rl``, ``fr``, ``rr``; right wheels mirrored
 
 
 STOP = dict.fromkeys(WHEELS, 0.0)
@@ -80,7 +84,10 @@ def wheel_speeds_rpm(robot: Robot, v_m_s: float, om_rad_s: float) -> dict[str, f
     """Return the wheel speeds of a twist (5.25), all scaled together to the limit."""
     straight = v_m_s / robot.wheel_radius_m
     turning = om_rad_s / (2 * robot.yaw_sign * robot.wheel_radius_m * robot.k_om_per_m)
-    left, right = RPM_PER_RAD_S * (straight + turning), RPM_PER_RAD_S * (turning - straight)
+    left, right = (
+        RPM_PER_RAD_S * (straight + turning),
+        RPM_PER_RAD_S * (turning - straight),
+    )
     scale = min(1.0, robot.max_rpm / max(abs(left), abs(right), 1e-12))
     # 90 * (x / 90) may exceed x by the last bit, and the daemon refuses values above its limit.
     limit = robot.max_rpm

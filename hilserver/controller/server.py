@@ -89,12 +89,16 @@ class ControllerServer:
             self._ids[name], ua.AttributeIds.Value
         )
         usable = data.StatusCode is None or not data.StatusCode.is_bad()
-        return (data.Value.Value if usable and data.Value else None), data.SourceTimestamp
+        return (
+            data.Value.Value if usable and data.Value else None
+        ), data.SourceTimestamp
 
     def watch(self, name: str, callback: Callable[[object], None]) -> None:
         """Call `callback` with every value that a client writes to `name`."""
 
-        async def on_change(_handle: int, data: ua.DataValue, _error: object = None) -> None:
+        async def on_change(
+            _handle: int, data: ua.DataValue, _error: object = None
+        ) -> None:
             callback(data.Value.Value if data.Value else None)
 
         self._server.iserver.aspace.add_datachange_callback(

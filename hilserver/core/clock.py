@@ -52,7 +52,9 @@ class UtcClock:
         self._offset_ns += max(-limit_ns, min(limit_ns, error_ns))
         self._slewed_at_ns = now_ns
         were_apart = self._are_apart
-        self._are_apart = abs(self.error_ns) > (_TOGETHER_NS if were_apart else _APART_NS)
+        self._are_apart = abs(self.error_ns) > (
+            _TOGETHER_NS if were_apart else _APART_NS
+        )
         if self.simulated or were_apart or not self._are_apart:
             return None
         return (

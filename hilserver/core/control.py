@@ -19,8 +19,12 @@ from hilserver.scheduler import Scheduler
 from hilserver.scheduler.faults import fault_of
 from hilserver.signals import SignalTable, State
 
-WAITING: Final = "automatic sources wait for Start; hands drive as soon as they were at rest"
-DRIVING_ON: Final = "automatic sources drive on without Start (control.after_reset: continue)"
+WAITING: Final = (
+    "automatic sources wait for Start; hands drive as soon as they were at rest"
+)
+DRIVING_ON: Final = (
+    "automatic sources drive on without Start (control.after_reset: continue)"
+)
 
 
 class Control:
@@ -65,7 +69,11 @@ class Control:
         self.state, self.reason = state, reason
         self._image.control.state = state
         if state is State.SAFE:
-            way_out = "call Reset once this has cleared" if self._causes else "call Reset to resume"
+            way_out = (
+                "call Reset once this has cleared"
+                if self._causes
+                else "call Reset to resume"
+            )
             text = f"{reason}; {way_out}"
             self._events.publish(Event(EventKind.SAFE_STATE, 800, "daemon", text))
         else:
@@ -162,7 +170,9 @@ class Control:
 
     def _acknowledge(self) -> None:
         if self._causes:
-            raise ControlRefused(f"Reset is not possible yet: {'; '.join(self._causes.values())}")
+            raise ControlRefused(
+                f"Reset is not possible yet: {'; '.join(self._causes.values())}"
+            )
         self.on_acknowledge()
         self._gate.end()
         self._gate.interlock.engage()
@@ -190,9 +200,13 @@ class Control:
             signal = self._table[name]
             if not signal.low <= value <= signal.high:
                 place = name.removeprefix("internal.")
-                raise ValueError(f"{place} = {value} is outside {signal.low:g} .. {signal.high:g}")
+                raise ValueError(
+                    f"{place} = {value} is outside {signal.low:g} .. {signal.high:g}"
+                )
         request = self._table.slot("internal.pose_request")
-        self._pose_requests = max(self._pose_requests, self._image.frame_values[request]) + 1
+        self._pose_requests = (
+            max(self._pose_requests, self._image.frame_values[request]) + 1
+        )
         counter = Row(request, self._pose_requests)
         rows = [Row(self._table.slot(name), value) for name, value in values.items()]
         self._image.push([*rows, counter])

@@ -44,7 +44,9 @@ class EventBus:
     @property
     def recent(self) -> list[Event]:
         """The kept events, oldest first; a flood of overruns displaces no others."""
-        return sorted((*self._events, *self._overruns), key=lambda event: event.monotonic_ns)
+        return sorted(
+            (*self._events, *self._overruns), key=lambda event: event.monotonic_ns
+        )
 
     def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
         """Call `callback` for every later event; return a function that unsubscribes it."""
@@ -58,6 +60,8 @@ class EventBus:
 
     def publish(self, event: Event) -> None:
         """Hand `event` to every subscriber, in order of subscription."""
-        (self._overruns if event.kind == EventKind.OVERRUN else self._events).append(event)
+        (self._overruns if event.kind == EventKind.OVERRUN else self._events).append(
+            event
+        )
         for callback in tuple(self._subscribers):
             callback(event)

@@ -110,7 +110,9 @@ class HandOver:
         self.present: set[object] = set()
         # client that wrote each set-point last: the value ends with it; None: it stays
         self._writers: dict[int, object] = {}
-        self._left: set[int] = set()  # set-points of clients that have left, not yet zero
+        self._left: set[int] = (
+            set()
+        )  # set-points of clients that have left, not yet zero
         leases.begin(owner)
         self._image, self._events = image, events
         self._fallback, self._before, self._speaker = fallback, NOBODY, ""
@@ -181,7 +183,9 @@ class HandOver:
         if kind == self.owner:
             return Standing.ITSELF
         order, owner = self.priority, self.owner
-        is_above = kind in order and (owner not in order or order.index(kind) <= order.index(owner))
+        is_above = kind in order and (
+            owner not in order or order.index(kind) <= order.index(owner)
+        )
         return Standing.ABOVE if is_above else Standing.BELOW
 
     def gone(self, client: object) -> None:
@@ -191,7 +195,9 @@ class HandOver:
             return
         if client is self._holder:
             self._holder = _DEPARTED
-        self._left |= {slot for slot, writer in self._writers.items() if writer is client}
+        self._left |= {
+            slot for slot, writer in self._writers.items() if writer is client
+        }
         self.end_departed()
 
     def commanded(self, slots: Iterable[int], client: object) -> None:
@@ -214,7 +220,10 @@ class HandOver:
             except ControlRefused:
                 return False
         elif self._left:
-            rows = [Row(self.leases.place(self.owner, slot), 0.0) for slot in sorted(self._left)]
+            rows = [
+                Row(self.leases.place(self.owner, slot), 0.0)
+                for slot in sorted(self._left)
+            ]
             if not self._image.push(rows):
                 return False
             for slot in self._left:
@@ -229,7 +238,9 @@ class HandOver:
         kind = before if self._fallback == "before" and self.may_fall_back else NOBODY
         self.take(kind)
         who = "nobody drives" if kind == NOBODY else f"'{kind}' drives again"
-        self._events.publish(Event(EventKind.STATE, 500, gone, f"'{gone}' {why}: {who}"))
+        self._events.publish(
+            Event(EventKind.STATE, 500, gone, f"'{gone}' {why}: {who}")
+        )
 
     def _passed_on(self, source: str, rows: list[Row]) -> list[Row]:
         """Return rows that end the commands of another source of this kind: two never mix."""

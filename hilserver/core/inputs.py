@@ -54,8 +54,12 @@ class Refusal(StrEnum):
 _CHOOSING: Final = frozenset({"opcua", "page"})  # they choose their signals at run time
 _WITH_HANDS: Final = frozenset({"opcua", "page", "ros2"})  # a person may drive by them
 _MOST_DENIED = 64  # sources whose refusal was reported, until they have control
-_MOST_REPORTED = 256  # refusals beside another writer that were reported, until it has gone
-_HELD_NS = 1_000_000_000  # for so long a client without a link holds what it has written
+_MOST_REPORTED = (
+    256  # refusals beside another writer that were reported, until it has gone
+)
+_HELD_NS = (
+    1_000_000_000  # for so long a client without a link holds what it has written
+)
 _GRAIN_NS = 20_000_000  # accuracy of the time at which a command came in
 
 
@@ -71,7 +75,9 @@ def reasons_of(source: str, *, is_door: bool = False) -> set[Refusal]:
     if source not in _WITH_HANDS:
         reasons.discard(Refusal.NOT_AT_REST)
     if kind_of(source) not in AUTOMATIC - OFFERING:
-        reasons.discard(Refusal.NOT_STARTED)  # a link that repeats itself is not counted
+        reasons.discard(
+            Refusal.NOT_STARTED
+        )  # a link that repeats itself is not counted
     if not is_door:
         reasons.discard(Refusal.NOT_GRANTED)
     return reasons
@@ -90,7 +96,9 @@ def check_value(signal: Signal, value: object) -> tuple[float, ...] | Refusal:
     numbers: list[float] = []
     for part in parts:
         is_boolean = isinstance(part, bool)
-        if not isinstance(part, int | float) or is_boolean != (signal.type is ValueType.BOOLEAN):
+        if not isinstance(part, int | float) or is_boolean != (
+            signal.type is ValueType.BOOLEAN
+        ):
             return Refusal.TYPE_MISMATCH
         if not is_boolean and not is_finite_number(part):
             return Refusal.NOT_FINITE
@@ -150,10 +158,18 @@ class InputGate(HandOver):
         self._newest: dict[int, tuple[str, float]] = {}
         self._change: tuple[int, int] | None = None
         self._denied: dict[str, str] = {}
-        self._writing: dict[int, tuple[str, int]] = {}  # slot: who writes it, and since when last
-        self._silent: set[str] = set()  # links that have nothing new to say: others may write
-        self._reported: dict[tuple[str, str], str] = {}  # refused source and signal: beside whom
-        self._held: set[str] = set()  # told to let go first, or that they wait for Start
+        self._writing: dict[
+            int, tuple[str, int]
+        ] = {}  # slot: who writes it, and since when last
+        self._silent: set[str] = (
+            set()
+        )  # links that have nothing new to say: others may write
+        self._reported: dict[
+            tuple[str, str], str
+        ] = {}  # refused source and signal: beside whom
+        self._held: set[str] = (
+            set()
+        )  # told to let go first, or that they wait for Start
         self._counted = {g for g in SAMPLED if f"internal.samples_{g}" in table}
         self._samples: Counter[str] = Counter()
 
@@ -198,14 +214,20 @@ class InputGate(HandOver):
         now_ns = self._now_ns() if received_ns is None else received_ns
         came_ns = now_ns if commanded_ns is None else commanded_ns
         self._silent.discard(source)
-        rows, offered, refused = self._sort(source, values, came_ns < self._ended_ns, now_ns)
+        rows, offered, refused = self._sort(
+            source, values, came_ns < self._ended_ns, now_ns
+        )
 
         by_hand = by_hand or is_hand(source)
         is_waiting = not by_hand and self.interlock.holds(kind_of(source))
         group = offered + [row for found in rows.values() for row in found]
         setpoints = [row.value for row in group if row.slot < N_SETPOINTS]
         why: Refusal | None = None
-        if by_hand and setpoints and not self._rest.lets_move(source, setpoints, now_ns):
+        if (
+            by_hand
+            and setpoints
+            and not self._rest.lets_move(source, setpoints, now_ns)
+        ):
             why = Refusal.NOT_AT_REST
         elif is_waiting and any(setpoints):
             why = Refusal.NOT_STARTED
@@ -216,8 +238,12 @@ class InputGate(HandOver):
             group = [row for found in rows.values() for row in found]
 
         speaker, placed = self._speaker, self._passed_on(source, group)
-        placed += self._placed(source, group, came_ns if renews and not is_waiting else None)
-        placed += self._sampled(rows if news is None else rows.keys() & news, now_ns, age_ns)
+        placed += self._placed(
+            source, group, came_ns if renews and not is_waiting else None
+        )
+        placed += self._sampled(
+            rows if news is None else rows.keys() & news, now_ns, age_ns
+        )
         if placed and not self._image.push(placed):
             refused |= dict.fromkeys(rows, Refusal.QUEUE_FULL)
             rows, self._speaker = {}, speaker
@@ -270,13 +296,17 @@ class InputGate(HandOver):
         """
         if not signal.is_measured and kind_of(source) not in OFFERING:
             is_beside = source in self._doors and kind_of(source) == self.owner
-            return self.owner if is_beside and self._is_driven_by_a_person(source) else ""
+            return (
+                self.owner if is_beside and self._is_driven_by_a_person(source) else ""
+            )
         for slot in signal.slots:
             writer, last_ns = self._writing.get(slot, ("", 0))
             if writer in ("", source) or writer in self._silent:
                 continue
             if signal.is_measured or kind_of(writer) == kind_of(source):
-                is_link = kind_of(writer) in OFFERING  # whose silence is judged elsewhere
+                is_link = (
+                    kind_of(writer) in OFFERING
+                )  # whose silence is judged elsewhere
                 if is_link or now_ns - last_ns < _HELD_NS:
                     return writer
         return ""
@@ -298,13 +328,18 @@ class InputGate(HandOver):
         self, names: Iterable[str], time_s: float, age_s: float = 0.0, tick: int = 0
     ) -> list[Row]:
         """Return rows that count a sample of each measured group, in simulated time."""
-        groups = {n.split(".")[1] for n in names if n.startswith(MEASURED)} & self._counted
+        groups = {
+            n.split(".")[1] for n in names if n.startswith(MEASURED)
+        } & self._counted
         self._samples.update(groups)
         rows: list[Row] = []
         for group in sorted(groups):
             news = {f"samples_{group}": self._samples[group], f"time_{group}_s": time_s}
             news[f"taken_{group}_s"] = max(time_s - age_s, 0.0)
-            rows += [Row(self._table.slot(f"internal.{n}"), v, tick=tick) for n, v in news.items()]
+            rows += [
+                Row(self._table.slot(f"internal.{n}"), v, tick=tick)
+                for n, v in news.items()
+            ]
         return rows
 
     def _sampled(self, names: Iterable[str], now_ns: int, age_ns: int) -> list[Row]:
@@ -316,7 +351,9 @@ class InputGate(HandOver):
         time_s = max(shown_s + (now_ns - frame.planned_ns) * 1e-9, 0.0)
         return self.stamps(names, time_s, age_ns * 1e-9)
 
-    def _placed(self, source: str, rows: list[Row], came_ns: int | None = None) -> list[Row]:
+    def _placed(
+        self, source: str, rows: list[Row], came_ns: int | None = None
+    ) -> list[Row]:
         """Return rows for the place of the source's kind; commands renew its lease at `came_ns`."""
         kind, place = kind_of(source), self.leases.place
         placed = [row._replace(slot=place(kind, row.slot)) for row in rows]
@@ -357,7 +394,9 @@ class InputGate(HandOver):
             self._reported[source, name] = other or reason.value
             self._tell_refused(source, name, value, reason)
             return
-        is_denied = reason is Refusal.NOT_IN_CONTROL and self._denied.get(source) == self.owner
+        is_denied = (
+            reason is Refusal.NOT_IN_CONTROL and self._denied.get(source) == self.owner
+        )
         if kind_of(source) in OFFERING and (is_denied or reason is Refusal.NOT_STARTED):
             return  # it repeats itself: an offer is kept, and after Start it says it again
         self.rejected[(self.label(source), reason.value)] += 1
@@ -372,7 +411,9 @@ class InputGate(HandOver):
             self._denied[source] = self.owner
         self._tell_refused(source, name, value, reason)
 
-    def _tell_refused(self, source: str, name: str, value: object, reason: Refusal) -> None:
+    def _tell_refused(
+        self, source: str, name: str, value: object, reason: Refusal
+    ) -> None:
         text = f"{source}: {name} = {value!r:.60} refused: {self.explain(source, name, reason)}"
         self._events.publish(Event(EventKind.SETPOINT_REFUSED, 400, source, text))
 
@@ -389,9 +430,13 @@ class InputGate(HandOver):
         if reason is Refusal.NOT_GRANTED:
             door = self._doors.get(source) or self._doors[kind_of(source)]
             right = "measured" if self._table[name].is_measured else "command"
-            return f"{door.title} knows no log-in, and {door.key} does not name '{right}'"
+            return (
+                f"{door.title} knows no log-in, and {door.key} does not name '{right}'"
+            )
         if reason is Refusal.OUTDATED:
-            return "it arrived before Reset, Pause or LoadSnapshot discarded the commands"
+            return (
+                "it arrived before Reset, Pause or LoadSnapshot discarded the commands"
+            )
         if reason is Refusal.NOT_AT_REST:
             return "it was held over Reset, Pause or LoadSnapshot; let go first, then drive"
         if reason is Refusal.NOT_STARTED:
@@ -400,7 +445,11 @@ class InputGate(HandOver):
             return f"outside {self._table[name].range_text}"
         if reason is Refusal.TYPE_MISMATCH:
             signal = self._table[name]
-            wanted = f"{len(signal.slots)} values of type" if signal.is_array else "a value of type"
+            wanted = (
+                f"{len(signal.slots)} values of type"
+                if signal.is_array
+                else "a value of type"
+            )
             return f"{wanted} {signal.type} expected"
         return reason.value.replace("_", " ")
 
@@ -442,7 +491,9 @@ class InputGate(HandOver):
         """
         self.outdate()
         if self.owner in _CHOOSING:
-            places = (self.leases.place(self.owner, slot) for slot in range(N_SETPOINTS))
+            places = (
+                self.leases.place(self.owner, slot) for slot in range(N_SETPOINTS)
+            )
             self._image.push([Row(place, 0.0) for place in places])
 
     def outdate(self) -> None:

@@ -70,7 +70,9 @@ class Leases:
 
     def limit(self, source: str, limit_ms: float | None) -> None:
         """Change how long a command of `source` holds."""
-        self._lease(source).limit = 0 if limit_ms is None else max(1, round(limit_ms * 1e6))
+        self._lease(source).limit = (
+            0 if limit_ms is None else max(1, round(limit_ms * 1e6))
+        )
 
     def limit_ms(self, source: str) -> float | None:
         """Return how long a command of `source` holds, None if for ever."""

@@ -59,6 +59,8 @@ INPUT_METRICS: Final[tuple[Metric[Inputs], ...]] = (
         "hil_rejected_values_total",
         "Values refused before they reached the process image, by source and reason.",
         ("source", "reason"),
-        lambda now: ((labels, counter(count)) for labels, count in sorted(now.rejected.items())),
+        lambda now: (
+            (labels, counter(count)) for labels, count in sorted(now.rejected.items())
+        ),
     ),
 )

@@ -60,17 +60,23 @@ class Start:
     def table(self) -> dict[str, Parameter]:
         """Every parameter of this robot; those built into its body need a restart."""
         composition = self.composition
-        table = table_of((block.name, block.declaration) for block in composition.blocks)
+        table = table_of(
+            (block.name, block.declaration) for block in composition.blocks
+        )
         table[GAIN] = replace(table[GAIN], names=gains(geometric_gain(self.configured)))
         if composition.body is None:
             return table
         built_in = _OF_THE_BODY + (_OF_THE_DRIVES if self.robot.body_wheels else ())
-        return table | {n: replace(table[n], when="restart", jumps="") for n in built_in}
+        return table | {
+            n: replace(table[n], when="restart", jumps="") for n in built_in
+        }
 
     @property
     def values(self) -> dict[str, float]:
         """Values of all parameters by the configuration."""
-        own = {n: v for n, v in self.composition.settings.items() if n.startswith(BLOCK)}
+        own = {
+            n: v for n, v in self.composition.settings.items() if n.startswith(BLOCK)
+        }
         return {**self.composition.settings, **read(self.configured), **own}
 
 
@@ -124,7 +130,10 @@ class LiveParameters:
             except (PlantError, ControlRefused) as error:
                 is_full = isinstance(error, ControlRefused)
                 reason = Refusal.QUEUE_FULL if is_full else Refusal.OUT_OF_RANGE
-                refused = {name: refused.get(name, Refused(reason, str(error))) for name in values}
+                refused = {
+                    name: refused.get(name, Refused(reason, str(error)))
+                    for name in values
+                }
         for name, (_, why) in refused.items():
             text = f"{source}: parameters.{name:.100} = {values[name]!r:.60} refused: {why}"
             self._events.publish(Event(EventKind.SETPOINT_REFUSED, 400, source, text))
@@ -143,14 +152,18 @@ class LiveParameters:
         full = {named(name, self.table): value for name, value in values.items()}
         return {name: check(self.table[name], value) for name, value in full.items()}
 
-    def try_out(self, values: Mapping[str, float]) -> tuple[RobotParameters, Composition]:
+    def try_out(
+        self, values: Mapping[str, float]
+    ) -> tuple[RobotParameters, Composition]:
         """Return what would run with these values, each checked before; nothing changes.
 
         PlantError if they do not fit the others.
         """
         own = {n: v for n, v in values.items() if n.startswith(BLOCK)}
         plant = {n: v for n, v in values.items() if n not in own}
-        robot = with_values(self._robot, plant, self._geometric) if plant else self._robot
+        robot = (
+            with_values(self._robot, plant, self._geometric) if plant else self._robot
+        )
         composition = replace(
             self._composition,
             parameters=pack(robot),
@@ -204,14 +217,18 @@ class LiveParameters:
         deadline = asyncio.get_running_loop().time() + _TAKEN_WITHIN_S
         while (tick := self._changes.tick_of(number)) is None:
             if asyncio.get_running_loop().time() > deadline:
-                raise ControlRefused(f"the plant did not answer within {_TAKEN_WITHIN_S:g} s")
+                raise ControlRefused(
+                    f"the plant did not answer within {_TAKEN_WITHIN_S:g} s"
+                )
             await asyncio.sleep(0.001)
         return tick
 
     @property
     def differing(self) -> dict[str, float]:
         """Parameters that differ from the configuration, with their present values."""
-        return {n: v for n, v in self.values.items() if not _same(v, self.configured[n])}
+        return {
+            n: v for n, v in self.values.items() if not _same(v, self.configured[n])
+        }
 
     def hold(self, values: Mapping[str, float]) -> bool:
         """Return whether all these values, by their full names, are in force."""
@@ -231,13 +248,19 @@ class LiveParameters:
 
         No further ahead: a packed change would undo what another door changes before its tick.
         """
-        while self._timed and self._timed[0][0] < tick + self._ahead and self._changes.room:
+        while (
+            self._timed
+            and self._timed[0][0] < tick + self._ahead
+            and self._changes.room
+        ):
             due, values = self._timed.popleft()
             try:
                 self.apply(values, due=due)
             except (PlantError, ControlRefused) as error:
                 text = f"scenario: parameters in tick {due} refused: {error}"
-                self._events.publish(Event(EventKind.SETPOINT_REFUSED, 400, "scenario", text))
+                self._events.publish(
+                    Event(EventKind.SETPOINT_REFUSED, 400, "scenario", text)
+                )
 
     # --- states that come and go ------------------------------------------------------------------
 

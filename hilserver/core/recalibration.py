@@ -51,10 +51,16 @@ class Figures:
     """Figures of the metrics."""
 
     # by verdict
-    looks: Counter[str] = field(default_factory=lambda: Counter(dict.fromkeys(LOOKS, 0)))
+    looks: Counter[str] = field(
+        default_factory=lambda: Counter(dict.fromkeys(LOOKS, 0))
+    )
     # by outcome
-    decisions: Counter[str] = field(default_factory=lambda: Counter(dict.fromkeys(OUTCOMES, 0)))
-    failures: int = 0  # windows that could not be judged, lines that could not be written
+    decisions: Counter[str] = field(
+        default_factory=lambda: Counter(dict.fromkeys(OUTCOMES, 0))
+    )
+    failures: int = (
+        0  # windows that could not be judged, lines that could not be written
+    )
     waits: bool = False  # a proposal is open
     changed: bool = False  # the gap has left its usual range since the last look
     is_looking: bool = False  # a diagnosis runs
@@ -74,7 +80,9 @@ RECALIBRATION_METRICS: Final[tuple[Metric[Figures], ...]] = (
         "Decisions on proposals: accepted, rejected, postponed, refused to the user, or undone"
         " because the patch could not be loaded.",
         ("outcome",),
-        lambda now: (((name,), counter(n)) for name, n in sorted(now.decisions.items())),
+        lambda now: (
+            ((name,), counter(n)) for name, n in sorted(now.decisions.items())
+        ),
     ),
     Metric(
         "hil_recalibration_failures_total",

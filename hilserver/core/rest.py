@@ -69,7 +69,9 @@ class Interlock:
         Whether they wait now.
     """
 
-    def __init__(self, table: SignalTable, image: ProcessImage, *, must_wait: bool) -> None:
+    def __init__(
+        self, table: SignalTable, image: ProcessImage, *, must_wait: bool
+    ) -> None:
         self.must_wait, self.waits = must_wait, False
         self._image, self._slot = image, table.slot(WAITS)
 
@@ -87,7 +89,9 @@ class Interlock:
 
     def adopt(self) -> None:
         """Take over a restored state: one that waited waits again, and none ends a wait."""
-        in_state = bool(self._image.shadow[self._slot])  # a frame comes first; 0 is 0 in any type
+        in_state = bool(
+            self._image.shadow[self._slot]
+        )  # a frame comes first; 0 is 0 in any type
         self._set(self.waits or (self.must_wait and in_state))
 
     def show(self) -> None:

@@ -43,7 +43,9 @@ _DAMAGED = (
 MOST_BYTES = 1 << 26  # unpacked size limit of a snapshot; a state has less than 1 MB
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 _SERVED_WITHIN_S = 2.0
-MOST_SNAPSHOTS = 100  # files in the folder: callers of SaveSnapshot must not fill the disk
+MOST_SNAPSHOTS = (
+    100  # files in the folder: callers of SaveSnapshot must not fill the disk
+)
 
 
 class SnapshotStore:
@@ -52,7 +54,9 @@ class SnapshotStore:
     The values of `parameters` must agree between the saving and the loading run.
     """
 
-    def __init__(self, image: ProcessImage, folder: Path, parameters: dict[str, Any]) -> None:
+    def __init__(
+        self, image: ProcessImage, folder: Path, parameters: dict[str, Any]
+    ) -> None:
         self._image = image
         self._folder = folder
         layout = json.dumps(image.description["signals"], sort_keys=True).encode()
@@ -64,7 +68,9 @@ class SnapshotStore:
         } | parameters
         self.initial = self._image.live.copy()  # the state before the first tick
         self.is_restoring = False  # whether a state is on its way into the plant
-        self.restored: list[Callable[[], None]] = []  # called after a state was restored
+        self.restored: list[
+            Callable[[], None]
+        ] = []  # called after a state was restored
         self._lock = asyncio.Lock()
 
     def reset(self) -> None:
@@ -73,7 +79,9 @@ class SnapshotStore:
         ControlRefused while a snapshot is being saved or loaded: both use the shadow copy.
         """
         if self._lock.locked():
-            raise ControlRefused("Reset is not possible yet: a snapshot is being saved or loaded")
+            raise ControlRefused(
+                "Reset is not possible yet: a snapshot is being saved or loaded"
+            )
         self._image.shadow[:] = self.initial
         post_request(REQUEST_RESTART, 0, self._image.words)
 
@@ -94,15 +102,24 @@ class SnapshotStore:
             tick = self._image.control.request_tick
             state = self._image.shadow.copy()
         run = self._image.description["run"]
-        meta = {"schema": SCHEMA, "tick": tick, "identity": self.identity, "sha256": _sum(state)}
+        meta = {
+            "schema": SCHEMA,
+            "tick": tick,
+            "identity": self.identity,
+            "sha256": _sum(state),
+        }
         meta |= {key: run.get(key) for key in OF_THE_RUN}
         try:
             await asyncio.to_thread(_write, path, state, meta)
         except OSError as error:
-            raise ControlRefused(f"{path}: cannot be written: {error.strerror}") from None
+            raise ControlRefused(
+                f"{path}: cannot be written: {error.strerror}"
+            ) from None
         return path
 
-    async def load(self, name: str, *, end_commands: Callable[[], None] | None = None) -> int:
+    async def load(
+        self, name: str, *, end_commands: Callable[[], None] | None = None
+    ) -> int:
         """Continue from a saved state; return its tick.
 
         `end_commands` is called before the plant jumps, which ends every lease; None: they go on.
@@ -128,7 +145,11 @@ class SnapshotStore:
             return self._image.control.request_tick
 
     async def restore(
-        self, state: NDArray[np.int64], tick: int, *, end_commands: Callable[[], None] | None = None
+        self,
+        state: NDArray[np.int64],
+        tick: int,
+        *,
+        end_commands: Callable[[], None] | None = None,
     ) -> None:
         """Continue from `state`, as held by a snapshot or a recording, at `tick`; see `load`.
 
@@ -143,7 +164,9 @@ class SnapshotStore:
                 self._image.shadow[:] = state
                 if end_commands is not None:
                     end_commands()
-                await self._serve(REQUEST_LOAD if end_commands is None else REQUEST_RESTART, tick)
+                await self._serve(
+                    REQUEST_LOAD if end_commands is None else REQUEST_RESTART, tick
+                )
                 for follow in self.restored:
                     follow()
             finally:
@@ -160,7 +183,9 @@ class SnapshotStore:
 
     def _path(self, name: str) -> Path:
         if not _NAME.fullmatch(name):
-            raise ControlRefused(f"{name!r:.120} is not a plain file name (letters, digits, _ . -)")
+            raise ControlRefused(
+                f"{name!r:.120} is not a plain file name (letters, digits, _ . -)"
+            )
         return self._folder / f"{name.removesuffix('.npz')}.npz"
 
     async def _serve(self, kind: int, tick: int) -> None:
@@ -168,7 +193,9 @@ class SnapshotStore:
         deadline = asyncio.get_running_loop().time() + _SERVED_WITHIN_S
         while not is_done(number, self._image.words):
             if asyncio.get_running_loop().time() > deadline:
-                raise ControlRefused(f"the plant did not answer within {_SERVED_WITHIN_S:g} s")
+                raise ControlRefused(
+                    f"the plant did not answer within {_SERVED_WITHIN_S:g} s"
+                )
             await asyncio.sleep(0.001)
 
 

@@ -36,14 +36,20 @@ class Assembly:
     # in force: `from_file` with the changes of command-line options
     config: Config
     from_file: Config
-    path: Path | None  # the configuration file; relative paths in it are relative to its folder
+    path: (
+        Path | None
+    )  # the configuration file; relative paths in it are relative to its folder
     robot: RobotParameters
     table: SignalTable
     base_period_ns: int
-    slices: Sequence[Slice]  # compiled ones first, in the order in which they run in a tick
+    slices: Sequence[
+        Slice
+    ]  # compiled ones first, in the order in which they run in a tick
     composition: Composition
     configured: RobotParameters  # the plant of `config` alone
-    patch: Patch | None = None  # laid over the plant of `config`, which stays as it was read
+    patch: Patch | None = (
+        None  # laid over the plant of `config`, which stays as it was read
+    )
 
     @property
     def folder(self) -> Path:
@@ -73,16 +79,23 @@ class Assembly:
     def identity(self) -> dict[str, str]:
         """What two runs must have in common for one to continue the other."""
         c = self.composition
-        digest = hashlib.sha256(pack(self.configured).numbers.tobytes() + c.hall.tobytes())
+        digest = hashlib.sha256(
+            pack(self.configured).numbers.tobytes() + c.hall.tobytes()
+        )
         if c.body is not None:
             digest.update(c.body.identity)
         if c.observer is not None:
             digest.update(c.observer.source.encode() + c.observer.constants.tobytes())
         for block in c.blocks:
             wiring: tuple[object, ...] = (block.name, block.slice, dict(block.inputs))
-            wiring += (dict(block.parameters), *([dict(block.drives)] if block.drives else ()))
+            wiring += (
+                dict(block.parameters),
+                *([dict(block.drives)] if block.drives else ()),
+            )
             own = block.model
-            source = block.declaration.source.read_bytes() if own is None else own.identity
+            source = (
+                block.declaration.source.read_bytes() if own is None else own.identity
+            )
             digest.update(repr(wiring).encode() + source)
         periods = {s.name: s.period_ticks for s in self.slices if s.compiled}
         return {
@@ -121,7 +134,9 @@ class Assembly:
         return [b.model for b in self.composition.blocks if b.model is not None]
 
 
-def with_models(assembly: Assembly, plant: RealtimeSettings, *, waits: bool) -> Assembly:
+def with_models(
+    assembly: Assembly, plant: RealtimeSettings, *, waits: bool
+) -> Assembly:
     """Return an assembly with models of its own, the mechatronic one and FMUs.
 
     ConfigError if an FMU does not start.

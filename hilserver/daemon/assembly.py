@@ -45,7 +45,9 @@ NS_PER_MS = 1_000_000
 _ONE = {"inputs": "input", "parameters": "parameter", "drives": "output"}
 
 
-def assemble(path: Path | None, patch: Path | None = None, group: str | None = None) -> Assembly:
+def assemble(
+    path: Path | None, patch: Path | None = None, group: str | None = None
+) -> Assembly:
     """Load and check a configuration, and a patch over it, down to the last signal name.
 
     ConfigError has one sentence per complaint, with file, line and key.
@@ -58,7 +60,9 @@ def assemble_config(
     config: Config, folder: Path | None = None, patch: Patch | None = None
 ) -> Assembly:
     """Like `assemble`, for a configuration made in Python (tests, test kit)."""
-    return _Builder(config, None if folder is None else folder / "config.yaml", patch).build()
+    return _Builder(
+        config, None if folder is None else folder / "config.yaml", patch
+    ).build()
 
 
 class _Builder:
@@ -90,7 +94,9 @@ class _Builder:
         configured = robot = self.robot(periods_s)
         if self._patch is not None:
             configured = _Builder(config, self._path, None).robot(periods_s)
-        blocks = [self._block(i, block, slices) for i, block in enumerate(config.blocks)]
+        blocks = [
+            self._block(i, block, slices) for i, block in enumerate(config.blocks)
+        ]
         outputs = [output for block in blocks for output in _outputs(block)]
         body, p = self._body(robot, periods_s), pack(robot)
         observer = self._observer(robot, p, slices)
@@ -138,27 +144,36 @@ class _Builder:
 
     def _check_names(self) -> None:
         drivers = self._config.drivers
-        taken = {o.name for o in drivers if o.is_enabled and o.source != f"peer:{o.name}"}
+        taken = {
+            o.name for o in drivers if o.is_enabled and o.source != f"peer:{o.name}"
+        }
         if self._config.ros2.enabled and self._config.ros2.measured is not None:
             taken.add(REAL_ROBOT)
         for index, peer in enumerate(self._config.peers):
             if peer.name in taken:
                 here = ("peers", index, "name")
                 raise self._fail(
-                    here, f"a peer cannot be named '{peer.name}' while {peer.name} is enabled"
+                    here,
+                    f"a peer cannot be named '{peer.name}' while {peer.name} is enabled",
                 )
         names = [block.name for block in self._config.blocks]
         for index, name in enumerate(names):
             if name in names[:index]:
-                raise self._fail(("blocks", index, "name"), f"two blocks have the name '{name}'")
+                raise self._fail(
+                    ("blocks", index, "name"), f"two blocks have the name '{name}'"
+                )
 
     def robot(self, periods_s: Mapping[str, float]) -> RobotParameters:
         """Return the plant of the configuration, with the patch over it."""
         config = self._config
-        plant = config.plant if self._patch is None else self._patch.applied(config.plant)
+        plant = (
+            config.plant if self._patch is None else self._patch.applied(config.plant)
+        )
         own = {} if self._patch is None else self._patch.parameters
         try:
-            robot = to_parameters(plant, config.kinematics, config.sensors, periods_s, self._folder)
+            robot = to_parameters(
+                plant, config.kinematics, config.sensors, periods_s, self._folder
+            )
             robot = replace(robot, body_wheels=config.mechatronic.turns_wheels)
             if own:
                 robot = with_values(robot, own, geometric_gain(robot))
@@ -166,11 +181,16 @@ class _Builder:
             return robot
         except PlantError as error:
             key, _, rest = str(error).partition(": ")
-            if self._patch is not None and (entry := self._patch.entry_at(key)) is not None:
+            if (
+                self._patch is not None
+                and (entry := self._patch.entry_at(key)) is not None
+            ):
                 raise self._patch.refusal(entry, rest) from None
             raise self._fail(key.split("."), rest) from None
 
-    def _body(self, robot: RobotParameters, periods_s: Mapping[str, float]) -> Engine | None:
+    def _body(
+        self, robot: RobotParameters, periods_s: Mapping[str, float]
+    ) -> Engine | None:
         section = self._config.mechatronic
         if not section.enabled:
             return None
@@ -186,14 +206,22 @@ class _Builder:
         section, sensors = self._config.observer, self._config.sensors
         if not section.enabled:
             return None
-        found = None if section.noise is None else load_found(self._folder / section.noise)
+        found = (
+            None if section.noise is None else load_found(self._folder / section.noise)
+        )
         try:
             c = constants_of(robot, found, section.readmit_after)
         except PlantError as error:
-            raise self._fail(("observer",), str(error).removeprefix("observer: ")) from None
+            raise self._fail(
+                ("observer",), str(error).removeprefix("observer: ")
+            ) from None
         ticks = {s.name: s.period_ticks for s in slices}
         return ObserverUse(
-            section.source, c, p.copy(), ticks[sensors.nav.slice], ticks[sensors.imu.slice]
+            section.source,
+            c,
+            p.copy(),
+            ticks[sensors.nav.slice],
+            ticks[sensors.imu.slice],
         )
 
     def _slices(self, base_ns: int) -> list[Slice]:
@@ -223,7 +251,11 @@ class _Builder:
         for name in ("imu", "battery", "tof", "nav"):
             slice_name = getattr(sensors, name).slice
             self._need_compiled(("sensors", name, "slice"), slice_name, slices)
-            of_body = body.enabled and body.sensors == "body" and name in ("imu", "tof", "nav")
+            of_body = (
+                body.enabled
+                and body.sensors == "body"
+                and name in ("imu", "tof", "nav")
+            )
             parts.append(Part(name, slice_name, of_body))
             if name == "battery":
                 parts.append(Part("shield", slice_name))
@@ -231,7 +263,9 @@ class _Builder:
             self._need_compiled(("mechatronic", "slice"), body.slice, slices)
             parts.append(Part("body", body.slice, of_body=True))
         if self._config.observer.enabled:
-            self._need_compiled(("observer", "slice"), self._config.observer.slice, slices)
+            self._need_compiled(
+                ("observer", "slice"), self._config.observer.slice, slices
+            )
             parts.append(Part("observer", self._config.observer.slice))
         return parts
 
@@ -241,18 +275,24 @@ class _Builder:
         known = [s.name for s in slices if s.compiled]
         if name not in known:
             raise self._fail(
-                location, f"there is no plant-side slice '{name}'; slices are {', '.join(known)}"
+                location,
+                f"there is no plant-side slice '{name}'; slices are {', '.join(known)}",
             )
 
-    def _block(self, index: int, block: BlockConfig, slices: Sequence[Slice]) -> BlockUse:
+    def _block(
+        self, index: int, block: BlockConfig, slices: Sequence[Slice]
+    ) -> BlockUse:
         here = ("blocks", index)
         self._need_compiled((*here, "slice"), block.slice, slices)
         declared, model = self._checked(
-            (*here, "function" if block.fmu is None else "fmu"), lambda: self._declared(block)
+            (*here, "function" if block.fmu is None else "fmu"),
+            lambda: self._declared(block),
         )
         missing = [name for name in declared.inputs if name not in block.inputs]
         if missing:
-            raise self._fail((*here, "inputs"), f"input '{missing[0]}' of the block is not wired")
+            raise self._fail(
+                (*here, "inputs"), f"input '{missing[0]}' of the block is not wired"
+            )
         for kind, given, known in (
             ("inputs", block.inputs, declared.inputs),
             ("parameters", block.parameters, declared.parameters),
@@ -274,7 +314,9 @@ class _Builder:
             drives=block.drives,
         )
 
-    def _declared(self, block: BlockConfig) -> tuple[BlockDeclaration, ForeignModel | None]:
+    def _declared(
+        self, block: BlockConfig
+    ) -> tuple[BlockDeclaration, ForeignModel | None]:
         if block.function is not None:
             return load_block(block.function, self._folder), None
         from hilserver.fmu.block import load_fmu_block  # noqa: PLC0415 -- compiled only where needed
@@ -297,7 +339,9 @@ class _Builder:
                         f"there is no scalar signal '{signal}'; see 'hilserver signals'",
                     )
             for name, signal in block.drives.items():
-                is_command = signal in table and table.slot(signal) <= table.slot("drive.enable")
+                is_command = signal in table and table.slot(signal) <= table.slot(
+                    "drive.enable"
+                )
                 if not is_command or table[signal].is_array:
                     raise self._fail(
                         ("blocks", index, "drives", name),
@@ -329,13 +373,20 @@ def _settings(
     for block in blocks:
         own = zip(block.declaration.parameters, block.values, strict=True)
         values |= {f"{BLOCK}{block.name}.{key}": value for key, value in own}
-    return {name: values[name] for name in table_of((b.name, b.declaration) for b in blocks)}
+    return {
+        name: values[name] for name in table_of((b.name, b.declaration) for b in blocks)
+    }
 
 
 def _outputs(block: BlockUse) -> list[BlockOutput]:
     return [
         BlockOutput(
-            block.output_signal(o.name), o.unit, o.low, o.high, o.description, o.is_replayed
+            block.output_signal(o.name),
+            o.unit,
+            o.low,
+            o.high,
+            o.description,
+            o.is_replayed,
         )
         for o in block.declaration.outputs
     ]

@@ -65,7 +65,9 @@ class Pace:
     policy: OverrunPolicy = field(default_factory=OverrunPolicy)
     limits: OverrunLimits = field(default_factory=OverrunLimits)
     realtime: RealtimeSettings = UNDEMANDING
-    command_limit_ticks: int = 0  # ticks without a set-point before they go to zero; 0: never
+    command_limit_ticks: int = (
+        0  # ticks without a set-point before they go to zero; 0: never
+    )
     paused: bool = True
     freeze_gc: bool = False
 
@@ -125,7 +127,9 @@ class Core:
     def stage(self) -> Stage:
         """Return what plays scenarios."""
         period_ns = self.assembly.base_period_ns
-        return Stage(self.table, self.image, self.gate, self.faults, self.parameters, period_ns)
+        return Stage(
+            self.table, self.image, self.gate, self.faults, self.parameters, period_ns
+        )
 
     def watch_communication(self, timeout_ms: float, speed: float = 1.0) -> None:
         """Let the plant go to the safe state after `timeout_ms` without a heartbeat."""
@@ -148,7 +152,9 @@ class Core:
     def foreign(self) -> Mapping[str, Foreign]:
         """Running models of others, by the name of their block."""
         blocks = self.assembly.composition.blocks
-        return {block.name: block.foreign for block in blocks if block.foreign is not None}
+        return {
+            block.name: block.foreign for block in blocks if block.foreign is not None
+        }
 
     def close(self) -> None:
         """Free the memory and end the models of others; nothing is paced any more."""
@@ -211,11 +217,21 @@ def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
     image.tell(identity=snapshots.identity)
     start = Start(assembly.robot, assembly.configured, assembly.composition)
     publish = next(s.period_ticks for s in assembly.slices if s.name == "publish")
-    parameters = LiveParameters(start, image, snapshots, events, PUBLISHED_AHEAD * publish)
-    lines = {o.name: Line(o.name) for o in config.drivers if o.is_enabled and o.has_faults}
+    parameters = LiveParameters(
+        start, image, snapshots, events, PUBLISHED_AHEAD * publish
+    )
+    lines = {
+        o.name: Line(o.name) for o in config.drivers if o.is_enabled and o.has_faults
+    }
     packed = assembly.composition.parameters
     faults = faults_of(
-        image, table, assembly.base_period_ns, packed, events, lambda: scheduler.tick, lines
+        image,
+        table,
+        assembly.base_period_ns,
+        packed,
+        events,
+        lambda: scheduler.tick,
+        lines,
     )
     return Core(
         assembly,
@@ -248,11 +264,15 @@ def faults_of(
     lines: Mapping[str, Line] | None = None,
 ) -> Faults:
     """Return what injects faults into an image of a robot with these parameters."""
-    planner = Planner(table, period_ns, ShieldFigures(p.rpm_per_m_s, p.rpm_per_rad_s, p.max_rpm))
+    planner = Planner(
+        table, period_ns, ShieldFigures(p.rpm_per_m_s, p.rpm_per_rad_s, p.max_rpm)
+    )
     return Faults(table, Mailbox(image), planner, events, tick=tick, lines=lines or {})
 
 
-def leases_of(config: Config, image: ProcessImage, period_ns: int, pace: Pace) -> Leases:
+def leases_of(
+    config: Config, image: ProcessImage, period_ns: int, pace: Pace
+) -> Leases:
     """Return leases for every source of a configuration, before the first tick."""
     clock = time.monotonic_ns if pace.backend != "virtual" else lambda: 0
     found = Leases(image, round(config.plant.safe_ramp_s * 1e9 / period_ns), clock)
@@ -265,7 +285,11 @@ def leases_of(config: Config, image: ProcessImage, period_ns: int, pace: Pace) -
 
 
 def _scheduler(
-    assembly: Assembly, pace: Pace, image: ProcessImage, step: StepFunction, tasks: Supervisor
+    assembly: Assembly,
+    pace: Pace,
+    image: ProcessImage,
+    step: StepFunction,
+    tasks: Supervisor,
 ) -> Scheduler:
     _, statistics = image.region("statistics")
     return Scheduler(

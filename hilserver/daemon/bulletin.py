@@ -47,14 +47,21 @@ class Surroundings:
             "waits_for_start": core.gate.interlock.waits,
             "speed": self.control.speed,
             "owner": core.gate.owner,
-            "opcua_wrote": bool(core.gate.present),  # by a client that is still connected
+            "opcua_wrote": bool(
+                core.gate.present
+            ),  # by a client that is still connected
             "realtime_factor": _number(core.scheduler.statistics.tick.real_time_factor),
             "bounds_us": (BOUNDS_NS / 1000).tolist(),
             "slices": self._slices(),
             "peers": _table(figures.peer_table(self.peers())),
             "audit": figures.audit_table(self.audit),
             "faults": [
-                {"name": f.name, "fault": f.fault, "place": f.place, "acts": f.is_acting}
+                {
+                    "name": f.name,
+                    "fault": f.fault,
+                    "place": f.place,
+                    "acts": f.is_acting,
+                }
                 for f in core.faults.active()
             ],
             "gaps": _finite(self.outputs.model_gap()),

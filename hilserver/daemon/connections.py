@@ -92,14 +92,20 @@ def make_desk(core: Core, stage: Stage) -> Desk:
     return Desk(
         Scenarios(assembly.folder / folders.scenarios, stage, core),
         Recordings(
-            assembly.folder / folders.recordings, config.recording, core.image.name, core.tasks
+            assembly.folder / folders.recordings,
+            config.recording,
+            core.image.name,
+            core.tasks,
         ),
         Patches(assembly.folder / folders.patches, core),
     )
 
 
 def make_metrics(
-    of: Surroundings, gaps: GapWatch, config: Callable[[], Config], links: Sequence[Part]
+    of: Surroundings,
+    gaps: GapWatch,
+    config: Callable[[], Config],
+    links: Sequence[Part],
 ) -> Metrics:
     """Return the metrics; `config` is called each time, as a reload changes it."""
     core, outputs, scheduler = of.core, of.outputs, of.core.scheduler
@@ -110,9 +116,13 @@ def make_metrics(
         Source(core_metrics.INPUT_METRICS, lambda: core_metrics.inputs(core.gate)),
         Source(peer_metrics.METRICS, of.peers),
         Source(
-            shield_metrics.METRICS, lambda: [p for p in of.peers() if isinstance(p, ShieldStatus)]
+            shield_metrics.METRICS,
+            lambda: [p for p in of.peers() if isinstance(p, ShieldStatus)],
         ),
-        Source(ros2_metrics.METRICS, lambda: [p for p in of.peers() if isinstance(p, Ros2Status)]),
+        Source(
+            ros2_metrics.METRICS,
+            lambda: [p for p in of.peers() if isinstance(p, Ros2Status)],
+        ),
         Source(metrics.LATENCY_METRICS, lambda: outputs.end_to_end),
         Source(metrics.GAP_METRICS, outputs.model_gap),
         Source(metrics.OUTPUT_METRICS, outputs.exported),

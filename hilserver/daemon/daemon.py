@@ -32,7 +32,13 @@ from hilserver.daemon.doors import doors_lost
 from hilserver.daemon.outputs import Outputs
 from hilserver.daemon.shadow import GapWatch
 from hilserver.daemon.supervision import Supervision
-from hilserver.errors import ADDRESSES, EXIT_DONE, EXIT_FAILED, EXIT_SAFETY_LIMIT, address_refused
+from hilserver.errors import (
+    ADDRESSES,
+    EXIT_DONE,
+    EXIT_FAILED,
+    EXIT_SAFETY_LIMIT,
+    address_refused,
+)
 from hilserver.faults import Play
 from hilserver.io.link_status import PeerStatus
 from hilserver.io.recorder.launch import recorder_inside, running_recorder
@@ -88,7 +94,9 @@ class Daemon:
             self.core.close()
             raise
 
-    def _surround(self, core: Core, links: Sequence[Callable[[World], Iterable[Part]]]) -> None:
+    def _surround(
+        self, core: Core, links: Sequence[Callable[[World], Iterable[Part]]]
+    ) -> None:
         config = self.config
         self.table, self.image, self.events = core.table, core.image, core.events
         self.gate, self.scheduler, self.faults = core.gate, core.scheduler, core.faults
@@ -112,12 +120,20 @@ class Daemon:
         if self._play is not None:
             self.stage.check(self._play)
         self.supervision = Supervision(core, self.control)
-        self.gaps = GapWatch(config.shadow, self.table, self.outputs.model_gap, self.events)
+        self.gaps = GapWatch(
+            config.shadow, self.table, self.outputs.model_gap, self.events
+        )
         self._states = StateService(core.snapshots, self.image.name, core.tasks)
         self.desk = make_desk(core, self.stage)
         self.control.on_acknowledge = self.desk.scenarios.cut_short
         of = Surroundings(
-            core, self.clock, self.control, self.outputs, self.desk, self.audit, self._statuses
+            core,
+            self.clock,
+            self.control,
+            self.outputs,
+            self.desk,
+            self.audit,
+            self._statuses,
         )
         self._notice = Notice(of)
         world = make_world(of)
@@ -155,7 +171,9 @@ class Daemon:
         """Start everything in order; what was started ends in reverse order, the plant first."""
         ending = self._resources
         self.core.tasks.tell = self._on_task_end
-        ending.push_async_callback(self.core.tasks.end)  # whatever a part has left behind
+        ending.push_async_callback(
+            self.core.tasks.end
+        )  # whatever a part has left behind
         ending.callback(self.events.subscribe(log_event))
         ending.callback(self.events.subscribe(self._on_event))
         for why in self.assembly.not_replayable:
@@ -192,7 +210,9 @@ class Daemon:
                     except OSError as error:
                         if error.filename is not None or error.errno not in ADDRESSES:
                             raise
-                        raise address_refused(f"{part.section}: cannot start", error) from None
+                        raise address_refused(
+                            f"{part.section}: cannot start", error
+                        ) from None
 
     def bring_to_rest(self) -> None:
         """Ramp the set-points to zero if the event loop cannot; callable from any thread."""
@@ -211,14 +231,18 @@ class Daemon:
             look = self._resources.enter_context(recorder_inside(*what))
             self.scheduler.after_batch.append(look)
         else:
-            await self._resources.enter_async_context(running_recorder(*what, self.core.tasks))
+            await self._resources.enter_async_context(
+                running_recorder(*what, self.core.tasks)
+            )
 
     def _take_audit(self) -> None:
         """Check what the system granted, publish it and log what is missing."""
         self.audit[:] = audit(self.scheduler)
         self.image.tell(audit=[dataclasses.asdict(item) for item in self.audit])
         missing = [item for item in self.audit if not item.ok]
-        if missing and not self.clock.simulated:  # virtual time needs no real-time system
+        if (
+            missing and not self.clock.simulated
+        ):  # virtual time needs no real-time system
             _log.warning(
                 "degraded",
                 missing=", ".join(item.name for item in missing),
@@ -294,7 +318,10 @@ class Daemon:
         self.events.publish(Event(EventKind.STATE, 700, ended.name, str(ended)))
 
     def _on_event(self, event: Event) -> None:
-        if event.kind in (EventKind.STATE, EventKind.SAFE_STATE) and self.scheduler.paused:
+        if (
+            event.kind in (EventKind.STATE, EventKind.SAFE_STATE)
+            and self.scheduler.paused
+        ):
             asyncio.get_running_loop().call_soon(self._publish, 0, 0)
 
     def _expect_room(self) -> None:
@@ -314,7 +341,9 @@ class Daemon:
     def _watch_communication(self, speed: float) -> None:
         """Set the plant's limit of silent ticks to the time-out at this speed."""
         if self.config.scheduler.backend != "virtual":
-            self.core.watch_communication(self.config.scheduler.communication_timeout_ms, speed)
+            self.core.watch_communication(
+                self.config.scheduler.communication_timeout_ms, speed
+            )
 
     def _reset_statistics(self) -> None:
         with self.metrics.statistics_reset():
@@ -335,4 +364,6 @@ async def _stop(part: Part, tasks: Supervisor) -> None:
         stopping.cancel()  # without waiting: a library may swallow it
         _log.warning("did not stop in time and was abandoned", part=part.label)
     elif not task.cancelled() and (error := task.exception()) is not None:
-        _log.error("failed to stop", part=part.label, error=f"{type(error).__name__}: {error}")
+        _log.error(
+            "failed to stop", part=part.label, error=f"{type(error).__name__}: {error}"
+        )

@@ -25,7 +25,11 @@ from hilserver.io.recorder.launch import running_recorder
 from hilserver.tasks import SupervisedTask, Supervisor, first_of
 
 SUFFIXES = (".mcap", ".csv")
-NOT_RECORDED = (".mf4", ".parquet", ".db3")  # log formats that `hilserver convert` makes
+NOT_RECORDED = (
+    ".mf4",
+    ".parquet",
+    ".db3",
+)  # log formats that `hilserver convert` makes
 
 _log = structlog.get_logger(__name__)
 
@@ -82,10 +86,14 @@ class Scenarios:
 
     def cut_short(self) -> None:
         """End the steps, so that none drives a robot that was stopped; faults continue."""
-        drove = self._stage.drives  # else another writer of source scenario keeps control
+        drove = (
+            self._stage.drives
+        )  # else another writer of source scenario keeps control
         self._stage.stop()
         if self._playing is not None:
-            self._playing = replace(self._playing, end_tick=self._core.scheduler.tick - 1)
+            self._playing = replace(
+                self._playing, end_tick=self._core.scheduler.tick - 1
+            )
         if drove and self._core.gate.owner == "scenario":
             self._core.gate.take(NOBODY)
 
@@ -121,13 +129,17 @@ class Recordings:
         has_suffix = name.endswith(SUFFIXES + NOT_RECORDED)
         path = self._folder / (name if has_suffix else name + SUFFIXES[0])
         if self._is_running:
-            raise ControlRefused(f"{self._path.name} is being recorded: call StopRecording first")
+            raise ControlRefused(
+                f"{self._path.name} is being recorded: call StopRecording first"
+            )
         if path.suffix not in SUFFIXES:
             raise ControlRefused(f"'{name}' does not end in {' or '.join(SUFFIXES)}")
         if path.exists():
             raise ControlRefused(f"'{path.name}' exists; choose another name")
         self._path, self._asked = path, asyncio.Event()
-        self._running = self._tasks.spawn(partial(self._run, path, self._asked), "recording")
+        self._running = self._tasks.spawn(
+            partial(self._run, path, self._asked), "recording"
+        )
 
     @property
     def _is_running(self) -> bool:
@@ -137,7 +149,9 @@ class Recordings:
         config = self._config.changed(file=path.name, rotate_mb=None)
         try:
             await asyncio.to_thread(self._folder.mkdir, parents=True, exist_ok=True)
-            async with running_recorder(config, self._image, self._folder, self._tasks) as ended:
+            async with running_recorder(
+                config, self._image, self._folder, self._tasks
+            ) as ended:
                 await first_of(asked.wait(), ended.wait())  # a full disk ends it, too
         except (UserError, OSError) as error:
             _log.error("no recording", file=str(path), reason=str(error))

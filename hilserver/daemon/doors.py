@@ -9,7 +9,12 @@ from hilserver.opcua.settings import Role, needed_role
 from hilserver.signals import MEASURED
 
 EVERYONE, SECTION, NOBODY = "everyone", "its section", "-"
-_EXAMPLES: Final = ("measured.nav.x_m", "twist.linear_m_s", "plant.max_rpm", "LoadSnapshot")
+_EXAMPLES: Final = (
+    "measured.nav.x_m",
+    "twist.linear_m_s",
+    "plant.max_rpm",
+    "LoadSnapshot",
+)
 """Of each right what the table of permissions is asked for."""
 
 
@@ -43,7 +48,9 @@ def rows_of(config: Config) -> Iterator[DoorRow]:
         may += [SECTION if not all(is_measured) else NOBODY]
         yield DoorRow(f"peer {peer.name}", *may)
     if config.opcua.enabled:
-        starts = _who(config, needed_role(config.opcua.permissions.call, "StartScenario"))
+        starts = _who(
+            config, needed_role(config.opcua.permissions.call, "StartScenario")
+        )
         yield DoorRow("scenario", starts, starts, starts)
 
 
@@ -53,7 +60,9 @@ def _people(config: Config) -> list[str]:
     *written, called = _EXAMPLES
     needed = [needed_role(permissions.write, name) for name in written]
     if needed[-1] is not None:
-        needed[-1] = max(needed[-1], Role.ENGINEER)  # of parameters, whatever the table says
+        needed[-1] = max(
+            needed[-1], Role.ENGINEER
+        )  # of parameters, whatever the table says
     needed.append(needed_role(permissions.call, called))
     return [_who(config, role) for role in needed]
 
@@ -62,7 +71,9 @@ def _who(config: Config, needed: Role | None) -> str:
     if needed is None:
         return NOBODY
     stranger = config.opcua.anonymous_role
-    return EVERYONE if stranger is not None and stranger >= needed else needed.name.lower()
+    return (
+        EVERYONE if stranger is not None and stranger >= needed else needed.name.lower()
+    )
 
 
 def table_of_doors(config: Config) -> list[str]:

@@ -69,7 +69,9 @@ def peer_table(peers: Iterable[PeerStatus]) -> Table:
             "round_trip_ms": _ms(p.round_trip.last_ns),
             "one_way_ms": _ms(p.one_way.last_ns),
             "interval_ms": _ms(p.interval.last_ns),
-            "clock_offset_ms": None if p.clock_offset_s is None else p.clock_offset_s * 1e3,
+            "clock_offset_ms": None
+            if p.clock_offset_s is None
+            else p.clock_offset_s * 1e3,
             "granted_publishing_ms": p.granted_publishing_ms,
             "granted_sampling_ms": p.granted_sampling_ms,
             "input_age_s": p.input_age_s(now_ns),
@@ -92,7 +94,9 @@ def audit_table(items: Iterable[Grant]) -> Table:
     return {item.name: {name: getattr(item, name) for name in shown} for item in items}
 
 
-def model_gap(gate: InputGate, table: SignalTable, frame: Frame | None) -> Mapping[str, float]:
+def model_gap(
+    gate: InputGate, table: SignalTable, frame: Frame | None
+) -> Mapping[str, float]:
     """Return measured minus simulated of every channel for which measured values come in.
 
     Both must be Good in `frame`; the difference of two headings lies within half a turn.
@@ -104,5 +108,7 @@ def model_gap(gate: InputGate, table: SignalTable, frame: Frame | None) -> Mappi
         measured, simulated = table.slot(f"{MEASURED}{channel}"), table.slot(channel)
         if frame.status[measured] == GOOD and frame.status[simulated] == GOOD:
             gap = float(frame.values[measured] - frame.values[simulated])
-            gaps[channel] = math.remainder(gap, math.tau) if channel.endswith("yaw_rad") else gap
+            gaps[channel] = (
+                math.remainder(gap, math.tau) if channel.endswith("yaw_rad") else gap
+            )
     return gaps

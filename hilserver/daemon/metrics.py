@@ -47,11 +47,15 @@ GAP_METRICS: Final = gauges(
 )
 
 ALARM_METRICS: Final = gauges(
-    "hil_model_gap_alarm", "1 while the gap of a channel exceeds shadow.limits, else 0.", "channel"
+    "hil_model_gap_alarm",
+    "1 while the gap of a channel exceeds shadow.limits, else 0.",
+    "channel",
 )
 
 OUTPUT_METRICS: Final = gauges(
-    "hil_output", "Newest pose, wheel speeds and gap of the body; names end in the unit.", "signal"
+    "hil_output",
+    "Newest pose, wheel speeds and gap of the body; names end in the unit.",
+    "signal",
 )
 
 TASK_METRICS: Final[tuple[Metric[Supervisor], ...]] = (

@@ -12,16 +12,26 @@ from hilserver.image import Frame
 from hilserver.io.world import Part
 from hilserver.plant.layout import WHEELS, Parameters
 
-EXPORTED = ("pose.x_m", "pose.y_m", "pose.yaw_rad", *(f"wheel.{w}.speed_rpm" for w in WHEELS))
+EXPORTED = (
+    "pose.x_m",
+    "pose.y_m",
+    "pose.yaw_rad",
+    *(f"wheel.{w}.speed_rpm" for w in WHEELS),
+)
 """Outputs that metrics show: few, as each is a time series."""
-OF_THE_BODY = ("mech.gap_m", "mech.gap_yaw_rad")  # also shown, if the mechatronic model runs
+OF_THE_BODY = (
+    "mech.gap_m",
+    "mech.gap_yaw_rad",
+)  # also shown, if the mechatronic model runs
 
 
 class Outputs:
     """What the publish slice shows."""
 
     def __init__(self, core: Core) -> None:
-        self.frame: Frame | None = None  # the newest one that was published; None before the first
+        self.frame: Frame | None = (
+            None  # the newest one that was published; None before the first
+        )
         # from a change of a set-point to the first published output that contains it
         self.end_to_end = Histogram125()
         self._core = core
@@ -68,4 +78,6 @@ class Outputs:
         """Return where the real robot is, None while nothing measures it."""
         core = self._core
         parameters = Parameters.of(core.image.region("p")[0])
-        return measured_pose(core.gate.newest, core.table, core.image.latest(), parameters)
+        return measured_pose(
+            core.gate.newest, core.table, core.image.latest(), parameters
+        )

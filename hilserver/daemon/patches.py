@@ -85,7 +85,11 @@ class Patches:
         parameters = self._core.parameters
         async with self._lock:
             configured = parameters.configured
-            values = {} if self._patch is None else {n: configured[n] for n in self._patch.values}
+            values = (
+                {}
+                if self._patch is None
+                else {n: configured[n] for n in self._patch.values}
+            )
             values |= {} if patch is None else self._checked(patch)
             fitted = fitted_limits(None if patch is None else patch.model)
             try:
@@ -143,9 +147,13 @@ class Patches:
         parameters = self._core.parameters
         async with self._lock:
             values = {n: parameters.configured[n] for n in parameters.differing}
-            tick = await parameters.taken(parameters.apply(values, fitted=fitted_limits()))
+            tick = await parameters.taken(
+                parameters.apply(values, fitted=fitted_limits())
+            )
             self._put(None)
-        self._tell(200, f"all parameters have their configured values from tick {tick} on")
+        self._tell(
+            200, f"all parameters have their configured values from tick {tick} on"
+        )
 
     async def save(self, name: str) -> None:
         """Write the parameters that differ from the configuration as a patch.
@@ -160,9 +168,15 @@ class Patches:
         text = yaml.safe_dump(
             {
                 "schema": SCHEMA_2,
-                "made_from": {"config_sha256": self.config_sha256, "version": __version__},
+                "made_from": {
+                    "config_sha256": self.config_sha256,
+                    "version": __version__,
+                },
                 "parameters": {
-                    n: {"value": None if isnan(v) else v, "unit": parameters.table[n].unit}
+                    n: {
+                        "value": None if isnan(v) else v,
+                        "unit": parameters.table[n].unit,
+                    }
                     for n, v in values.items()
                 },
             },
@@ -180,7 +194,9 @@ def _write(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     n_files = sum(1 for _ in path.parent.glob("*.yaml"))
     if n_files >= MOST_FILES:
-        raise ControlRefused(f"there are {n_files} patches in {path.parent}; remove some first")
+        raise ControlRefused(
+            f"there are {n_files} patches in {path.parent}; remove some first"
+        )
     try:
         file = path.open("x", encoding="utf-8")
     except FileExistsError:

@@ -17,7 +17,12 @@ from hilserver.daemon.assembly import assemble
 from hilserver.daemon.builder import overrun_limits
 from hilserver.daemon.daemon import Daemon
 from hilserver.errors import UserError
-from hilserver.monitoring.logging_setup import Stream, notice, report_repeats, setup_logging
+from hilserver.monitoring.logging_setup import (
+    Stream,
+    notice,
+    report_repeats,
+    setup_logging,
+)
 
 _log = structlog.get_logger(__name__)
 
@@ -33,7 +38,9 @@ class Change:
 
 def changes(before: Config, after: Config) -> list[Change]:
     """Return every key that differs; a list counts as one value."""
-    old, new = (dict(_leaves(config.model_dump(mode="json"))) for config in (before, after))
+    old, new = (
+        dict(_leaves(config.model_dump(mode="json"))) for config in (before, after)
+    )
     keys = sorted(old.keys() | new.keys())
     return [Change(k, old.get(k), new.get(k)) for k in keys if old.get(k) != new.get(k)]
 
@@ -50,7 +57,9 @@ def _use_logging(daemon: Daemon, config: Config, out: Stream | None) -> None:
     if daemon.limiter is not None:
         report_repeats(daemon.limiter, at_end=True)
     logging = config.logging
-    daemon.limiter = setup_logging(logging.level, logging.format, logging.repeat_window_s, out)
+    daemon.limiter = setup_logging(
+        logging.level, logging.format, logging.repeat_window_s, out
+    )
 
 
 def _use_limits(daemon: Daemon, config: Config, _out: Stream | None) -> None:
@@ -74,7 +83,9 @@ class Reloader:
 
     def __init__(self, daemon: Daemon, out: Stream | None = None) -> None:
         self._daemon, self._out = daemon, out
-        self._patches = daemon.desk.patches  # has the file without options: those are not changes
+        self._patches = (
+            daemon.desk.patches
+        )  # has the file without options: those are not changes
         self._lock = asyncio.Lock()
 
     async def reload(self) -> bool:
@@ -90,7 +101,9 @@ class Reloader:
                 new = (await asyncio.to_thread(assemble, path, at, group)).config
             except (UserError, OSError) as error:
                 for line in str(error).splitlines():
-                    _log.error("reload refused, the old configuration stays", reason=line)
+                    _log.error(
+                        "reload refused, the old configuration stays", reason=line
+                    )
                 return False
             self._apply(new)
             return True
@@ -99,7 +112,9 @@ class Reloader:
         found = changes(self._patches.from_file, new)
         uses: set[str] = set()
         for change in found:
-            begin = next((key for key in RELOADABLE if change.key.startswith(key)), None)
+            begin = next(
+                (key for key in RELOADABLE if change.key.startswith(key)), None
+            )
             if begin is None:
                 _log.warning(
                     "reload: needs a restart, the old value stays",
@@ -113,7 +128,12 @@ class Reloader:
             RELOADABLE[begin](self._daemon, new, self._out)
         for change in found:
             if any(change.key.startswith(begin) for begin in uses):
-                notice("reload: changed", key=change.key, before=change.before, now=change.after)
+                notice(
+                    "reload: changed",
+                    key=change.key,
+                    before=change.before,
+                    now=change.after,
+                )
         if not found:
             notice("reload: the configuration has not changed")
         self._patches.from_file = _reloaded(self._patches.from_file, new)

@@ -30,7 +30,12 @@ class GapWatch:
         *,
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        self._config, self._table, self._gaps, self._events = config, table, gaps, events
+        self._config, self._table, self._gaps, self._events = (
+            config,
+            table,
+            gaps,
+            events,
+        )
         self._now_ns = monotonic_ns
         self._since_ns: dict[str, int] = {}
         self._alarms: set[str] = set()
@@ -54,7 +59,10 @@ class GapWatch:
 
     def _exceeds(self, channel: str, gap: float, limit: float, now_ns: int) -> None:
         since_ns = self._since_ns.setdefault(channel, now_ns)
-        if channel not in self._alarms and now_ns - since_ns >= self._config.after_s * 1e9:
+        if (
+            channel not in self._alarms
+            and now_ns - since_ns >= self._config.after_s * 1e9
+        ):
             self._alarms.add(channel)
             unit = self._table[channel].unit
             self._tell(
@@ -68,7 +76,9 @@ class GapWatch:
         self._since_ns.pop(channel, None)
         if channel in self._alarms:
             self._alarms.remove(channel)
-            how = "is no longer measured" if gap is None else "is within its limit again"
+            how = (
+                "is no longer measured" if gap is None else "is within its limit again"
+            )
             self._tell(200, channel, f"model gap: {channel} {how}")
 
     def _tell(self, severity: int, channel: str, text: str) -> None:

@@ -41,7 +41,8 @@ class Supervision:
         self._overruns_seen = 0
         self._causes: set[str] = set()
         self._models = {
-            name: (model, core.image.region(f"{name}.a")[1]) for name, model in core.foreign.items()
+            name: (model, core.image.region(f"{name}.a")[1])
+            for name, model in core.foreign.items()
         }
         self._drivers = {"opcua": "the OPC UA client in control"}
         self._drivers |= {driver.source: driver.title for driver in config.drivers}
@@ -96,7 +97,9 @@ class Supervision:
         for name, (model, a) in self._models.items():
             for news in model.look(a):
                 kind = EventKind.STATE if news.is_fault else EventKind.OVERRUN
-                self._events.publish(Event(kind, 700 if news.is_fault else 500, name, news.text))
+                self._events.publish(
+                    Event(kind, 700 if news.is_fault else 500, name, news.text)
+                )
                 if news.is_fault:
                     self._control.enter_safe(news.text, cause=None)
 
@@ -116,7 +119,9 @@ class Supervision:
                 self._causes |= {cause} if cause else set()
                 self._control.enter_safe(why, cause=cause)
             else:
-                done = "set-points zero" + (", drive disabled" * (lapse.action == "device"))
+                done = "set-points zero" + (
+                    ", drive disabled" * (lapse.action == "device")
+                )
                 text = f"{why}: {done}"
                 self._events.publish(Event(EventKind.STATE, 500, lapse.source, text))
         for source in tuple(self._causes):

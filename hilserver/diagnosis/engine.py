@@ -13,7 +13,11 @@ import numpy as np
 from hilserver import __version__
 from hilserver.compiled import kernel_hash
 from hilserver.daemon.assembly import Assembly
-from hilserver.diagnosis.checks.standstill import at_rest, stood_still, too_little_motion
+from hilserver.diagnosis.checks.standstill import (
+    at_rest,
+    stood_still,
+    too_little_motion,
+)
 from hilserver.diagnosis.compare.comparison import compared
 from hilserver.diagnosis.decide import one_topic
 from hilserver.diagnosis.decide.beginning import Terms
@@ -25,7 +29,11 @@ from hilserver.diagnosis.findings.nested import answers_of
 from hilserver.diagnosis.findings.other_logs import gain_on
 from hilserver.diagnosis.findings.outcome import extension, other_findings, worsened
 from hilserver.diagnosis.findings.worth import Answer
-from hilserver.diagnosis.groups.shared import answers_in_groups, gains_in_groups, smallest_in_groups
+from hilserver.diagnosis.groups.shared import (
+    answers_in_groups,
+    gains_in_groups,
+    smallest_in_groups,
+)
 from hilserver.diagnosis.memory import one_blas_thread
 from hilserver.diagnosis.progress import Report, Tracker
 from hilserver.diagnosis.regression.gain import HORIZON_S
@@ -114,7 +122,8 @@ def judge(
     tracker("measuring the gain", 0.0)
     own = [answer.explained.gains(HORIZON_S, rng) for answer in answers]
     total = _all_of(
-        answer.patch_gains(HORIZON_S, rng, gain) for answer, gain in zip(answers, own, strict=True)
+        answer.patch_gains(HORIZON_S, rng, gain)
+        for answer, gain in zip(answers, own, strict=True)
     )
     possible = _all_of(answer.possible(HORIZON_S, rng) for answer in answers)
     notices, patches = member.log.notices, [total]
@@ -134,7 +143,9 @@ def judge(
     tracker.timed("gain")
     judged = {d.cause for d in sizes} | {c for f in found for c in f.causes}
     reasons = {u.cause: u.reason for u in unseen} | member.reasons
-    reasons = vocabulary_reasons(judged, reasons, set(member.judged), absent(member.log), UNSEEN)
+    reasons = vocabulary_reasons(
+        judged, reasons, set(member.judged), absent(member.log), UNSEEN
+    )
     return _diagnosis(
         [member],
         answers,
@@ -198,7 +209,10 @@ def diagnose_groups(
         smallest_detectable=tuple(sizes),
         not_judged=tuple(unseen),
         notices=tuple(note for m in members for note in m.log.notices),
-        groups={m.name: _group(m, by_group.get(m.name, {}) if fitted else {}) for m in members},
+        groups={
+            m.name: _group(m, by_group.get(m.name, {}) if fitted else {})
+            for m in members
+        },
     )
 
 
@@ -223,7 +237,11 @@ def compare(
     robot = machine(log, assembly.robot)
     both = [one_topic.checked(one, robot) for one in (log, other)]
     result = compared(both, robot, seed, jobs, Tracker(progress))
-    still = [too_little_motion()] if any(stood_still(checked.log) for checked in both) else []
+    still = (
+        [too_little_motion()]
+        if any(stood_still(checked.log) for checked in both)
+        else []
+    )
     faults = _of_both(*(checked.findings for checked in both))
     silent = Overall.NO_DIFFERENCE if result.sizes else Overall.NOT_JUDGED
     verdict = Overall.DIFFERS if result.findings else silent
@@ -254,7 +272,10 @@ def _of_both(first: Sequence[Finding], second: Sequence[Finding]) -> list[Findin
 
 
 def _on_other_logs(
-    member: Member, answers: Sequence[Answer], test: MeasuredLog, rng: np.random.Generator
+    member: Member,
+    answers: Sequence[Answer],
+    test: MeasuredLog,
+    rng: np.random.Generator,
 ) -> dict[str, Gain]:
     """Return the gain of the patch on other logs."""
     log = one_topic.checked(test, member.robot).log
@@ -306,7 +327,9 @@ def _in(group: str, finding: Finding) -> Finding:
 
 
 def _not_judged(reasons: Mapping[str, str]) -> tuple[NotJudged, ...]:
-    return tuple(NotJudged(cause=cause, reason=reason) for cause, reason in reasons.items())
+    return tuple(
+        NotJudged(cause=cause, reason=reason) for cause, reason in reasons.items()
+    )
 
 
 def _diagnosis(
@@ -352,14 +375,23 @@ def _diagnosis(
     return Diagnosis(findings, merged(parts))
 
 
-def _findings(logs: Iterable[MeasuredLog], *, notices: Iterable[str], **fields: Any) -> Findings:
-    files = tuple(LogFile(file=s.file, sha256=s.sha256) for log in logs for s in log.sources)
+def _findings(
+    logs: Iterable[MeasuredLog], *, notices: Iterable[str], **fields: Any
+) -> Findings:
+    files = tuple(
+        LogFile(file=s.file, sha256=s.sha256) for log in logs for s in log.sources
+    )
     once = tuple(dict.fromkeys(notices))
-    return Findings(logs=files, version=__version__, kernels=kernel_hash(), notices=once, **fields)
+    return Findings(
+        logs=files, version=__version__, kernels=kernel_hash(), notices=once, **fields
+    )
 
 
 def _evidence(
-    m: Member, answers: Sequence[Answer], terms: tuple[FittedTerm, ...], tracker: Tracker
+    m: Member,
+    answers: Sequence[Answer],
+    terms: tuple[FittedTerm, ...],
+    tracker: Tracker,
 ) -> Evidence:
     own = [part for a in answers for part in a.explained.parts if part.member == m.name]
     return evidence(m.log, own, terms, tracker.timings_s)

@@ -39,7 +39,11 @@ class Member:
     @property
     def noise(self) -> dict[str, Noise]:
         """Noise, resolution and limits of every channel of all stages."""
-        return {n: o for j in self.judged.values() for n, o in noise_of(j.prepared.problem).items()}
+        return {
+            n: o
+            for j in self.judged.values()
+            for n, o in noise_of(j.prepared.problem).items()
+        }
 
     @property
     def decisions(self) -> list[Decision]:
@@ -47,9 +51,13 @@ class Member:
         rows = (row for j in self.judged.values() for row in j.selected.rows)
         return [replace(row, group=self.name or None) for row in rows]
 
-    def smallest(self, rng: np.random.Generator) -> tuple[list[Detectable], list[NotJudged]]:
+    def smallest(
+        self, rng: np.random.Generator
+    ) -> tuple[list[Detectable], list[NotJudged]]:
         """Return the smallest effects that would have shown, and what the drive did not excite."""
-        return smallest_of([(j.prepared.library, j.point) for j in self.judged.values()], rng)
+        return smallest_of(
+            [(j.prepared.library, j.point) for j in self.judged.values()], rng
+        )
 
 
 def examine(
@@ -89,7 +97,9 @@ def examine(
         if (drive := judged.get("drive")) is not None:
             barred = disproved(as_configured, drive, log, jobs, rng)
             other = (
-                prepare(drive.prepared.problem.stage, jobs, tracker, barred)[0] if barred else None
+                prepare(drive.prepared.problem.stage, jobs, tracker, barred)[0]
+                if barred
+                else None
             )
             if other is not None:
                 drive = judged["drive"] = judge(other, [scores[stage]])
@@ -97,5 +107,10 @@ def examine(
         others = [] if anew else [s for n, s in scores.items() if n != stage]
         judged[stage] = judge(anew or as_configured, others)
     return Member(
-        name, log, robot, (*checked.findings, *limits), judged, reasons | of_kinematics(why)
+        name,
+        log,
+        robot,
+        (*checked.findings, *limits),
+        judged,
+        reasons | of_kinematics(why),
     )

@@ -14,7 +14,11 @@ R = TypeVar("R")
 _M_TRIM_THRESHOLD: Final = -1
 _M_MMAP_THRESHOLD: Final = -3
 _M_ARENA_MAX: Final = -8
-ALLOCATION: Final = {_M_ARENA_MAX: 2, _M_TRIM_THRESHOLD: 1 << 28, _M_MMAP_THRESHOLD: 1 << 25}
+ALLOCATION: Final = {
+    _M_ARENA_MAX: 2,
+    _M_TRIM_THRESHOLD: 1 << 28,
+    _M_MMAP_THRESHOLD: 1 << 25,
+}
 """With one pool per thread, freed large arrays stay in each pool: a tenth of all memory.
 
 If they go back to the system, each page is cleared when the next replay requests it again.

@@ -60,7 +60,9 @@ def write(folder: Path, files: Mapping[str, str]) -> None:
     write_files(folder, files, (FINDINGS, PATCH, REPORT))
 
 
-def write_files(folder: Path, files: Mapping[str, str], known: Sequence[str] = ()) -> None:
+def write_files(
+    folder: Path, files: Mapping[str, str], known: Sequence[str] = ()
+) -> None:
     """Write files, each whole or not at all; remove `known` ones that are not written.
 
     Raises
@@ -76,4 +78,6 @@ def write_files(folder: Path, files: Mapping[str, str], known: Sequence[str] = (
         for name, text in files.items():
             write_whole(folder / name, text.encode())
     except OSError as error:
-        raise FailedError(f"{folder}: {(error.strerror or str(error)).lower()}") from None
+        raise FailedError(
+            f"{folder}: {(error.strerror or str(error)).lower()}"
+        ) from None

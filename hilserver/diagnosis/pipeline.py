@@ -30,7 +30,9 @@ class Task:
     mapping: str | None = None  # mapping file, or the name of a built-in one
     against: tuple[Path, ...] = ()  # not empty: do these differ from `logs`, and how?
     seed: int = 0
-    jobs: int = 1  # threads or processes of the diagnosis itself; results do not depend on it
+    jobs: int = (
+        1  # threads or processes of the diagnosis itself; results do not depend on it
+    )
     # not empty: the gain is measured on these, which are not used for selection or fit
     test: tuple[Path, ...] = ()
     # not empty: groups of logs of one machine, by name, instead of `logs`
@@ -81,13 +83,19 @@ def judge(
     if task.groups:
         read = {name: read_in(paths, name) for name, paths in task.groups}
         refuse_twice(read)
-        return diagnose_groups(read, assembly, seed=task.seed, jobs=task.jobs, progress=progress)
+        return diagnose_groups(
+            read, assembly, seed=task.seed, jobs=task.jobs, progress=progress
+        )
     log = read_in(task.logs)
     if task.against:
         other = read_measured(task.against, task.mapping, sampling)
-        return compare(log, other, assembly, seed=task.seed, jobs=task.jobs, progress=progress)
+        return compare(
+            log, other, assembly, seed=task.seed, jobs=task.jobs, progress=progress
+        )
     test = read_measured(task.test, task.mapping, sampling) if task.test else None
-    return diagnose(log, assembly, seed=task.seed, jobs=task.jobs, progress=progress, test=test)
+    return diagnose(
+        log, assembly, seed=task.seed, jobs=task.jobs, progress=progress, test=test
+    )
 
 
 def refuse_twice(groups: Mapping[str, MeasuredLog]) -> None:
@@ -117,4 +125,6 @@ def run(
     except UserError as error:
         return Outcome(error.exit_code, str(error))
     found = diagnosis.findings
-    return Outcome(line=one_line(found), summary=summary(found), files=documents(diagnosis))
+    return Outcome(
+        line=one_line(found), summary=summary(found), files=documents(diagnosis)
+    )

@@ -58,7 +58,10 @@ def body_of(config: Config, plant: RobotParameters) -> BodyParameters | str:
 
 
 def record(
-    experiment: Experiment, robot: Assembly, out: Path, progress: Callable[[str, float], None]
+    experiment: Experiment,
+    robot: Assembly,
+    out: Path,
+    progress: Callable[[str, float], None],
 ) -> None:
     """Let the robot drive the experiment's scenario; write every signal of every tick to `out`."""
     play = Play(load_scenario(experiment.drive), experiment.drive)
@@ -71,7 +74,11 @@ def record(
 
 
 async def _play(
-    robot: Assembly, play: Play, n_ticks: int, out: Path, progress: Callable[[str, float], None]
+    robot: Assembly,
+    play: Play,
+    n_ticks: int,
+    out: Path,
+    progress: Callable[[str, float], None],
 ) -> None:
     done = 0
     async with Simulation(robot, play) as simulation:
@@ -92,5 +99,7 @@ def as_it_was(log: MeasuredLog) -> MeasuredLog:
     true, kept = {}, slice(None, None, TICKS_A_POSE)
     for name, source in zip(TAG, pose, strict=True):
         channel = log[source]
-        true[name] = Channel(channel.t_s[kept], channel.values[kept], channel.span[kept])
+        true[name] = Channel(
+            channel.t_s[kept], channel.values[kept], channel.span[kept]
+        )
     return log.with_channels(true)

@@ -12,7 +12,9 @@ from hilserver.identify.text import number
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
-TABLE_5_1: Final = "tile 1.052, floating floor 1.019, hard carpet 1.036, soft carpet 1.030"
+TABLE_5_1: Final = (
+    "tile 1.052, floating floor 1.019, hard carpet 1.036, soft carpet 1.030"
+)
 ANSWERS: Final = {True: "yes", False: "no", None: "cannot tell"}
 
 
@@ -31,7 +33,9 @@ class Identified(NamedTuple):
     doubts: list[str]
 
 
-def identify(experiment: Experiment, log: MeasuredLog, robot: RobotParameters) -> Identified:
+def identify(
+    experiment: Experiment, log: MeasuredLog, robot: RobotParameters
+) -> Identified:
     """Return front = rear, sign, K_om and the drive; what a log cannot show says why."""
     parts: list[Callable[[], Identified]] = []
     if experiment.identifies:
@@ -64,10 +68,14 @@ def of_turning(log: MeasuredLog, robot: RobotParameters) -> Identified:
     rows.append(FigureRow("sign", answer, negative))
 
     unsteady, steady = number(gain.unsteady), number(gain.steady)
-    rows.append(FigureRow("K_om by (5.19), all samples", unsteady, f"table 5.1: {TABLE_5_1}"))
+    rows.append(
+        FigureRow("K_om by (5.19), all samples", unsteady, f"table 5.1: {TABLE_5_1}")
+    )
     rows.append(FigureRow("K_om, steady speeds only", steady, "5.2.2: 1.12"))
     rows.append(
-        FigureRow("K_om of the model", f"{gain.configured:.4g} 1/m", "(5.9), (5.22): 1.995")
+        FigureRow(
+            "K_om of the model", f"{gain.configured:.4g} 1/m", "(5.9), (5.22): 1.995"
+        )
     )
     lag = number(gain.lag_s, scale=1e3, unit="ms")
     rows.append(FigureRow("turn rate behind the wheels", lag, "not considered"))

@@ -53,7 +53,9 @@ USED: Final = frozenset(
 )
 """What an experiment needs of a recording; nothing else is checked."""
 APART_S: Final = 1.0  # between spans whose clocks began anew
-FEWEST_AT_REST: Final = 5  # samples of the tag from which the place of the start is taken
+FEWEST_AT_REST: Final = (
+    5  # samples of the tag from which the place of the start is taken
+)
 
 
 class Piece(NamedTuple):
@@ -70,7 +72,9 @@ class Courses:
 
     log: MeasuredLog  # checked: without what its data checks refused
     notes: tuple[str, ...]  # what these checks say
-    are_measured: bool  # False: the wheels are those of the configured drive, from set-points
+    are_measured: (
+        bool  # False: the wheels are those of the configured drive, from set-points
+    )
     t_s: Array  # shape (n,); from 0 on, and no span overlaps another
     span: Indices  # shape (n,)
     wheels_rpm: Array  # shape (n, 4)
@@ -86,7 +90,9 @@ class Courses:
         return channel.t_s + shift_s[channel.span], channel.values, channel.span
 
 
-def run_models(log: MeasuredLog, robot: RobotParameters, body: BodyParameters | str) -> Courses:
+def run_models(
+    log: MeasuredLog, robot: RobotParameters, body: BodyParameters | str
+) -> Courses:
     """Run both models.
 
     LogError if the recording does not show how the wheels turned.
@@ -114,7 +120,9 @@ def run_models(log: MeasuredLog, robot: RobotParameters, body: BodyParameters | 
         paths = [follow(body, piece, wheels, kinematic) for piece in pieces]
         mechatronic = np.concatenate(paths)
         if np.isnan(mechatronic).any():
-            missing = "The mechatronic model ends where its numbers leave their valid range."
+            missing = (
+                "The mechatronic model ends where its numbers leave their valid range."
+            )
 
     said = [finding.explanation for finding in checked.findings]
     lengths = [len(piece.rows) for piece in pieces]
@@ -221,7 +229,9 @@ def all_four(shares: Mapping[int, Array]) -> Array:
     return np.stack([wheels[w] for w in sorted(wheels)], axis=1)
 
 
-def follow(body: BodyParameters, piece: Piece, wheels_rpm: Array, kinematic: Array) -> Array:
+def follow(
+    body: BodyParameters, piece: Piece, wheels_rpm: Array, kinematic: Array
+) -> Array:
     """Run the body with given wheel speeds; return x, y, yaw and turn rate, shape (n, 4).
 
     It begins at rest where the kinematic model does. NaN from where its numbers leave their valid

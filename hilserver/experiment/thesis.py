@@ -57,7 +57,13 @@ EXPERIMENTS: Final[Mapping[str, Experiment]] = {
             "The thesis drove straight lines and turns on the spot on the concrete floor of a hall,"
             " with an input that changed quickly, and compared both models with the pose of a Pozyx"
             " tag. Both were fed with the wheel speeds of the recording; K_om is (5.9).",
-            {"wheels": "5.37 to 5.40", "x": "5.41", "y": "5.42", "path": "5.43", "yaw": "5.44"},
+            {
+                "wheels": "5.37 to 5.40",
+                "x": "5.41",
+                "y": "5.42",
+                "path": "5.43",
+                "yaw": "5.44",
+            },
             POSE,
             identifies=False,
         ),
@@ -67,7 +73,13 @@ EXPERIMENTS: Final[Mapping[str, Experiment]] = {
             "The thesis drove out a little and then in a circle, with linear and angular speed"
             " together, so that the inner wheels nearly stood and slid. Both models were fed with"
             " the wheel speeds of the recording; K_om is (5.9).",
-            {"wheels": "5.45 to 5.48", "x": "5.49", "y": "5.50", "path": "5.51", "yaw": "5.52"},
+            {
+                "wheels": "5.45 to 5.48",
+                "x": "5.49",
+                "y": "5.50",
+                "path": "5.51",
+                "yaw": "5.52",
+            },
             POSE,
             identifies=False,
         ),
@@ -86,4 +98,8 @@ def experiment_of(name: str) -> Experiment:
 def folder() -> Path:
     """Return the folder of the scenarios: ``examples/thesis`` of a checkout, see setup.py."""
     installed = Path(__file__).parent / "drives"
-    return installed if installed.exists() else Path(__file__).parents[2] / "examples" / "thesis"
+    return (
+        installed
+        if installed.exists()
+        else Path(__file__).parents[2] / "examples" / "thesis"
+    )

@@ -52,7 +52,9 @@ def _expect_places(notes: Collection[_Note], remedy: str) -> None:
             f"more than {lay.MAX_MODIFIERS} signals cannot be modified at once; {remedy}"
         )
     if sum(note.rings for note in notes) > lay.MAX_RINGS:
-        raise ValueError(f"more than {lay.MAX_RINGS} signals cannot be delayed at once; {remedy}")
+        raise ValueError(
+            f"more than {lay.MAX_RINGS} signals cannot be delayed at once; {remedy}"
+        )
 
 
 class Faults:
@@ -75,7 +77,9 @@ class Faults:
         self._tick = tick
         self._lines = lines
         self._notes: dict[int, _Note] = {}
-        self._leaving: dict[int, int] = {}  # number: it is gone once this many commands are taken
+        self._leaving: dict[
+            int, int
+        ] = {}  # number: it is gone once this many commands are taken
         # A restored state brings modifiers of earlier runs along: none may have the same number.
         self._numbers = itertools.count(time.time_ns())
 
@@ -115,7 +119,9 @@ class Faults:
 
     def check_all(self, faults: Iterable[Fault]) -> None:
         """ValueError if the plant cannot hold all these faults at once."""
-        _expect_places([_note(fault, self.check(fault)) for fault in faults], "leave some out")
+        _expect_places(
+            [_note(fault, self.check(fault)) for fault in faults], "leave some out"
+        )
 
     def clear(self, name: str | None = None) -> None:
         """End the fault `name`, or all injected faults; forced signals stay forced.
@@ -134,7 +140,9 @@ class Faults:
         on_line = [line for line in self._lines.values() if line.clear(name)]
         removals = self._removals(name)
         if not removals and not on_line:
-            raise ValueError(f"there is no fault '{name}'; active are {self.names or 'none'}")
+            raise ValueError(
+                f"there is no fault '{name}'; active are {self.names or 'none'}"
+            )
         self._mailbox.send(removals)
         self._leave(command.number for command in removals)
         self._forget(lambda note: note.fault.title == name)
@@ -148,7 +156,9 @@ class Faults:
         """Release a forced signal; ValueError if it is not forced."""
         name = f"{FORCE}:{signal}"
         if not self._removals(name):
-            raise ValueError(f"'{signal}' is not forced; forced are {self.forced or 'none'}")
+            raise ValueError(
+                f"'{signal}' is not forced; forced are {self.forced or 'none'}"
+            )
         self.clear(name)
 
     def reset(self) -> None:
@@ -162,8 +172,12 @@ class Faults:
 
     def expect_room(self, faults: Iterable[Fault] = ()) -> None:
         """ControlRefused while the plant has no room for `reset` with `faults` after it."""
-        if self._mailbox.room < _RESET_ROWS + sum(len(self.check(fault)) for fault in faults):
-            raise ControlRefused("the plant has not applied the last faults yet; try again")
+        if self._mailbox.room < _RESET_ROWS + sum(
+            len(self.check(fault)) for fault in faults
+        ):
+            raise ControlRefused(
+                "the plant has not applied the last faults yet; try again"
+            )
 
     def skip_timed(self) -> None:
         """Drop all waiting timed inputs."""
@@ -186,7 +200,13 @@ class Faults:
         }
         tick = self._tick()
         found = [
-            _shown(note.fault.title, note.fault.fault, note.fault.signal or "", acting.get(n), tick)
+            _shown(
+                note.fault.title,
+                note.fault.fault,
+                note.fault.signal or "",
+                acting.get(n),
+                tick,
+            )
             for n, note in self._notes.items()
         ]
         found += [
@@ -224,7 +244,10 @@ class Faults:
         return {
             "injected": {"count": len(active) - len(forces), "names": self.names},
             "forced": {"count": len(forces), "names": self.forced},
-            "command_timeout": {"fired": self._mailbox.timeouts, "holds": self._mailbox.is_silent},
+            "command_timeout": {
+                "fired": self._mailbox.timeouts,
+                "holds": self._mailbox.is_silent,
+            },
         }
 
     # --- inside -----------------------------------------------------------------------------------
@@ -233,7 +256,11 @@ class Faults:
         """Return the modifiers in the arena that no pending command will end."""
         taken = self._mailbox.tail
         self._leaving = {n: mail for n, mail in self._leaving.items() if mail > taken}
-        return [entry for entry in self._mailbox.acting() if entry.number not in self._leaving]
+        return [
+            entry
+            for entry in self._mailbox.acting()
+            if entry.number not in self._leaving
+        ]
 
     def _leave(self, numbers: Iterable[int]) -> None:
         self._leaving |= dict.fromkeys(numbers, self._mailbox.head)
@@ -264,7 +291,9 @@ class Faults:
             return
         removed = {c.number for c in commands if c.operation == lay.OP_REMOVE}
         self.active()
-        kept = {n: note for n, note in self._notes.items() if n not in removed} | dict(notes)
+        kept = {n: note for n, note in self._notes.items() if n not in removed} | dict(
+            notes
+        )
         _expect_places(kept.values(), "clear the other faults first")
         self._mailbox.send(commands)
         self._leave(removed)
@@ -276,7 +305,9 @@ class Faults:
     def _unknown(self, entry: Entry, tick: int) -> ActiveFault:
         """Name a modifier that came with a snapshot."""
         kind = Kind(entry.kind)
-        place = "" if kind is Kind.DEAD_TIMEOUT else self._table.by_slot(entry.slot).name
+        place = (
+            "" if kind is Kind.DEAD_TIMEOUT else self._table.by_slot(entry.slot).name
+        )
         name = kind.name.lower()
         return _shown(f"{name}:{place}", name, place, entry, tick)
 
@@ -284,7 +315,9 @@ class Faults:
         self._events.publish(Event(EventKind.STATE, severity, "faults", text))
 
 
-def _shown(name: str, fault: str, place: str, entry: Entry | None, tick: int) -> ActiveFault:
+def _shown(
+    name: str, fault: str, place: str, entry: Entry | None, tick: int
+) -> ActiveFault:
     if entry is None:
         return ActiveFault(name, fault, place, None, None, is_acting=False)
     until = None if entry.until_tick >= lay.FOREVER else int(entry.until_tick)
@@ -294,6 +327,8 @@ def _shown(name: str, fault: str, place: str, entry: Entry | None, tick: int) ->
 
 def describe(fault: Fault) -> str:
     """Return a fault in one line: its name and all that was given."""
-    given = fault.model_dump(exclude_defaults=True, exclude={"fault", "name", "signal", "peer"})
+    given = fault.model_dump(
+        exclude_defaults=True, exclude={"fault", "name", "signal", "peer"}
+    )
     details = ", ".join(f"{key} {value}" for key, value in given.items())
     return f"{fault.title} ({details})" if details else fault.title

@@ -48,7 +48,9 @@ class LinkFault:
     def delay_s(self) -> float:
         """Return how late a batch comes [s]."""
         fault = self.fault
-        if fault.fault == "reorder" and self.random.random() >= (fault.probability or 0.0):
+        if fault.fault == "reorder" and self.random.random() >= (
+            fault.probability or 0.0
+        ):
             return 0.0
         return (fault.delay_s or 0.0) + self.random.random() * (fault.jitter_s or 0.0)
 
@@ -56,7 +58,9 @@ class LinkFault:
 class Line:
     """The link to one peer, under its faults."""
 
-    def __init__(self, name: str, clock_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, name: str, clock_s: Callable[[], float] = time.monotonic
+    ) -> None:
         self.name = name
         # batches that a fault dropped, and those for which the queue had no room
         self.lost = 0
@@ -158,7 +162,9 @@ class Lane(Generic[T]):
     def take(self) -> list[T]:
         """Return what has arrived, in the order of arrival."""
         now_s = self._line.now_s()
-        due = sorted((item for item in self._queue if item[0] <= now_s), key=lambda item: item[0])
+        due = sorted(
+            (item for item in self._queue if item[0] <= now_s), key=lambda item: item[0]
+        )
         self._queue = deque(item for item in self._queue if item[0] > now_s)
         return [batch for _, batch in due]
 

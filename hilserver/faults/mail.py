@@ -52,7 +52,9 @@ class Mailbox:
         ValueError if the step has no room for them now.
         """
         if len(commands) > self.room:
-            raise ValueError(f"{len(commands)} commands are too many at once; try again")
+            raise ValueError(
+                f"{len(commands)} commands are too many at once; try again"
+            )
         head = self.head
         for offset, command in enumerate(commands):
             self._write(((head + offset) & (lay.MAIL_ROWS - 1)) * lay.MAIL_ROW, command)
@@ -67,7 +69,9 @@ class Mailbox:
     def acting(self) -> list[Entry]:
         """Return a copy of the modifiers in the arena; between two ticks it is exact."""
         table = self._table.copy()
-        return [entry for entry in table.entries[: table.count] if entry.kind in set(Kind)]
+        return [
+            entry for entry in table.entries[: table.count] if entry.kind in set(Kind)
+        ]
 
     @property
     def timeouts(self) -> int:

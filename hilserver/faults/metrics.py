@@ -5,5 +5,7 @@ from typing import Final
 from hilserver.metrics import gauges
 
 METRICS: Final = gauges(
-    "hil_faults", "Active faults and forced signals, by kind: injected or forced.", "kind"
+    "hil_faults",
+    "Active faults and forced signals, by kind: injected or forced.",
+    "kind",
 )

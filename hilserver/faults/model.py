@@ -30,7 +30,9 @@ class Form:
 _BOTH = ("signal", "peer")
 FORMS: Mapping[str, Form] = {
     "stuck": Form("keeps its value, or `value`", takes=("value",)),
-    "noise": Form("Gaussian noise of standard deviation `sd` is added", ("sd",), ("every_s",)),
+    "noise": Form(
+        "Gaussian noise of standard deviation `sd` is added", ("sd",), ("every_s",)
+    ),
     "bias": Form("`offset` is added", ("offset",)),
     "scale": Form("multiplied by `factor`", ("factor",)),
     "delay": Form("arrives `delay_s` late", ("delay_s",), on=_BOTH),
@@ -55,12 +57,17 @@ FORMS: Mapping[str, Form] = {
     "hold": Form("sampled every `every_s`, held in between", ("every_s",)),
     "quantise": Form("rounded to multiples of `step`", ("step",)),
     "spike": Form(
-        "with `probability`, `size` is added or subtracted", ("size", "probability"), ("every_s",)
+        "with `probability`, `size` is added or subtracted",
+        ("size", "probability"),
+        ("every_s",),
     ),
-    "disconnect": Form("keeps its value, quality Uncertain; a link is interrupted", on=_BOTH),
+    "disconnect": Form(
+        "keeps its value, quality Uncertain; a link is interrupted", on=_BOTH
+    ),
     "force": Form("is `value`, whatever is written", ("value",)),
     "shield.yaw_rate_without_60_2pi": Form(
-        "defect 1: the factor 60/(2 pi) is missing, turning is 9.5 times too slow", on=()
+        "defect 1: the factor 60/(2 pi) is missing, turning is 9.5 times too slow",
+        on=(),
     ),
     "shield.dead_command_timeout": Form(
         "defect 2: the command time-out never fires, the robot drives on", on=()
@@ -74,7 +81,9 @@ FORMS: Mapping[str, Form] = {
     "shield.front_wheels_swapped": Form(
         "defect 4: the front wheels are swapped in the published speeds", on=()
     ),
-    "shield.rpm_unsigned": Form("defect 5: speeds are read as unsigned 16-bit numbers", on=()),
+    "shield.rpm_unsigned": Form(
+        "defect 5: speeds are read as unsigned 16-bit numbers", on=()
+    ),
     "shield.imu_raw_units": Form("defect 5: IMU in g and degrees per second", on=()),
 }
 """Every fault by name."""
@@ -103,7 +112,8 @@ def _conditions(schema: dict[str, Any]) -> None:
         {
             "if": {"properties": {"fault": {"const": kind}}},
             "then": {
-                "required": list(form.needs) + (list(form.on) if len(form.on) == 1 else []),
+                "required": list(form.needs)
+                + (list(form.on) if len(form.on) == 1 else []),
                 "properties": {
                     key: False
                     for key in (*PARAMETERS, "signal", "peer")
@@ -126,13 +136,17 @@ class Fault(Section):
         pattern=r"^[A-Za-z0-9_.:-]{1,100}$",
         description="name to end it by; another fault of that name is replaced",
     )
-    signal: str | None = Field(None, description="signal it acts on; arrays are possible")
+    signal: str | None = Field(
+        None, description="signal it acts on; arrays are possible"
+    )
     peer: str | None = Field(None, description="peer link it acts on")
     direction: Literal["in", "out", "both"] = Field(
         "both", description="of a peer link: incoming or outgoing values"
     )
     from_s: Seconds = Field(0.0, description="begins this long after the start [s]")
-    until_s: Seconds | None = Field(None, description="ends this long after the start [s]")
+    until_s: Seconds | None = Field(
+        None, description="ends this long after the start [s]"
+    )
     for_s: Positive | None = Field(None, description="lasts this long [s]")
     seed: int | None = Field(
         None,
@@ -147,7 +161,9 @@ class Fault(Section):
     delay_s: Positive | None = Field(None, description="[s]")
     jitter_s: Positive | None = Field(None, description="[s]")
     probability: float | None = Field(None, ge=0, le=1, description="for each sample")
-    every_s: Positive | None = Field(None, description="length of a sample [s]; default: a tick")
+    every_s: Positive | None = Field(
+        None, description="length of a sample [s]; default: a tick"
+    )
     step: Positive | None = Field(None, description="signal's unit")
     size: Positive | None = Field(None, description="signal's unit")
 
@@ -161,7 +177,9 @@ class Fault(Section):
         for key in given:
             if key not in (*form.needs, *form.takes):
                 known = ", ".join((*form.needs, *form.takes)) or "no parameters"
-                raise ValueError(f"{self.fault} does not take '{key}', it takes {known}")
+                raise ValueError(
+                    f"{self.fault} does not take '{key}', it takes {known}"
+                )
         self._check_place(form)
         if self.until_s is not None and self.for_s is not None:
             raise ValueError("give until_s or for_s, not both")
@@ -172,7 +190,9 @@ class Fault(Section):
     def _check_place(self, form: Form) -> None:
         places = [key for key in _BOTH if getattr(self, key) is not None]
         if len(places) > 1 or any(place not in form.on for place in places):
-            raise ValueError(f"{self.fault} acts on {' or '.join(form.on) or 'the whole shield'}")
+            raise ValueError(
+                f"{self.fault} acts on {' or '.join(form.on) or 'the whole shield'}"
+            )
         if form.on and not places:
             raise ValueError(f"{self.fault} needs '{form.on[0]}'")
 
@@ -193,7 +213,9 @@ def parse_fault(data: object) -> Fault:
     if isinstance(data, Fault):
         return data
     if not isinstance(data, dict):
-        raise ValueError("a fault is a mapping like {'fault': 'bias', 'signal': ..., 'offset': 1}")
+        raise ValueError(
+            "a fault is a mapping like {'fault': 'bias', 'signal': ..., 'offset': 1}"
+        )
     try:
         return Fault.model_validate(data)
     except ValidationError as error:
@@ -218,5 +240,7 @@ def _first_sentence(error: ValidationError) -> str:
         return f"a fault has no key '{key}'"
     if first["type"] == "missing":
         return f"key '{key}' is missing"
-    message = first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    message = (
+        first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    )
     return f"{key}: should be {message}, not {first['input']!r:.60}" if key else message

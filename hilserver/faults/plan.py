@@ -14,7 +14,12 @@ from hilserver.signals import Direction, Signal, SignalTable, ValueType
 DEGREES_PER_RAD = 180.0 / math.pi
 
 
-_DEFAULTS = {"side": lay.NEITHER, "from_tick": lay.NOW, "until_tick": lay.FOREVER, "every": 1}
+_DEFAULTS = {
+    "side": lay.NEITHER,
+    "from_tick": lay.NOW,
+    "until_tick": lay.FOREVER,
+    "every": 1,
+}
 
 
 def _entry(kind: Kind, **given: float) -> Entry:
@@ -37,7 +42,9 @@ class ShieldFigures:
 class Planner:
     """Checks faults against the signal table and lays out their modifiers."""
 
-    def __init__(self, table: SignalTable, base_period_ns: int, shield: ShieldFigures) -> None:
+    def __init__(
+        self, table: SignalTable, base_period_ns: int, shield: ShieldFigures
+    ) -> None:
         self._table = table
         self._period_s = base_period_ns * 1e-9
         self._shield = shield
@@ -66,7 +73,11 @@ class Planner:
 
     def _span(self, fault: Fault, start_tick: int | None) -> tuple[int, int]:
         begin = round(fault.from_s / self._period_s)
-        end = None if fault.end_s is None else max(round(fault.end_s / self._period_s), begin + 1)
+        end = (
+            None
+            if fault.end_s is None
+            else max(round(fault.end_s / self._period_s), begin + 1)
+        )
         if start_tick is None:
             return lay.NOW, lay.FOREVER if end is None else end
         return start_tick + begin, lay.FOREVER if end is None else start_tick + end
@@ -93,7 +104,14 @@ class Planner:
         if ticks + spread > lay.MAX_DELAY_TICKS:
             limit_s = lay.MAX_DELAY_TICKS * self._period_s
             raise ValueError(f"{fault.fault} reaches back at most {limit_s:g} s")
-        numbers = (fault.value, fault.sd, fault.offset, fault.factor, fault.step, fault.size)
+        numbers = (
+            fault.value,
+            fault.sd,
+            fault.offset,
+            fault.factor,
+            fault.step,
+            fault.size,
+        )
         fields = {
             "side": self._side(signal),
             "seed": fault.seed or 0,
@@ -101,7 +119,9 @@ class Planner:
             "ticks": ticks,
             "spread": spread,
             "a": next((number for number in numbers if number is not None), 0.0),
-            "b": fault.value is not None if kind is Kind.STUCK else fault.probability or 0.0,
+            "b": fault.value is not None
+            if kind is Kind.STUCK
+            else fault.probability or 0.0,
             "is_integer": signal.type is not ValueType.DOUBLE,
             "low": signal.low,
             "high": signal.high,
@@ -115,7 +135,9 @@ class Planner:
 
     def _scaled(self, name: str, factor: float) -> Entry:
         signal = self._table[name]
-        return _entry(Kind.SCALE, slot=signal.slots[0], side=self._side(signal), a=factor)
+        return _entry(
+            Kind.SCALE, slot=signal.slots[0], side=self._side(signal), a=factor
+        )
 
     def _yaw_rate(self, _: Fault) -> list[Entry]:
         return [self._scaled("twist.angular_rad_s", 1.0 / RPM_PER_RAD_S)]
@@ -137,7 +159,9 @@ class Planner:
         ]
 
     def _front_wheels(self, _: Fault) -> list[Entry]:
-        left, right = (self._table.slot(f"wheel.{wheel}.speed_rpm") for wheel in ("fl", "fr"))
+        left, right = (
+            self._table.slot(f"wheel.{wheel}.speed_rpm") for wheel in ("fl", "fr")
+        )
         return [_entry(Kind.SWAP, slot=left, other=right, side=lay.OUTPUT)]
 
     def _unsigned(self, _: Fault) -> list[Entry]:

@@ -43,7 +43,10 @@ class Step(Section):
         {}, description="signal: value", max_length=100
     )
     set_: dict[str, bool | float | str | None] = Field(
-        {}, alias="set", description="parameter: value, as in config.yaml", max_length=100
+        {},
+        alias="set",
+        description="parameter: value, as in config.yaml",
+        max_length=100,
     )
 
     model_config = ConfigDict(populate_by_name=True)
@@ -59,8 +62,12 @@ class Scenario(Section):
     """A timed scenario."""
 
     scenario: str = Field("", max_length=200, description="description, for people")
-    seed: int = Field(0, ge=0, lt=2**31, description="for faults without a seed of their own")
-    steps: tuple[Step, ...] = Field((), max_length=MAX_STEPS, description="what is written")
+    seed: int = Field(
+        0, ge=0, lt=2**31, description="for faults without a seed of their own"
+    )
+    steps: tuple[Step, ...] = Field(
+        (), max_length=MAX_STEPS, description="what is written"
+    )
     faults: tuple[Fault, ...] = Field((), max_length=200, description="what is wrong")
 
     @property
@@ -175,7 +182,9 @@ class Stage:
             return
         self._gate.expect_take("scenario")
         if len(rows) > self._image.control.timed_capacity:
-            raise ConfigError(f"{len(rows)} timed values are too many for the input queue")
+            raise ConfigError(
+                f"{len(rows)} timed values are too many for the input queue"
+            )
         if len(rows) > self._image.timed_room:
             raise ControlRefused(
                 "too many steps of a scenario still wait; call Stop and Reset to end them, then try"
@@ -188,7 +197,9 @@ class Stage:
         self._parameters.schedule()
         self.drives = False
 
-    def _sets(self, scenario: Scenario, start_tick: int) -> Iterator[tuple[int, dict[str, float]]]:
+    def _sets(
+        self, scenario: Scenario, start_tick: int
+    ) -> Iterator[tuple[int, dict[str, float]]]:
         for step in scenario.steps:
             if step.set_:
                 tick = start_tick + round(step.at_s / self._period_s)
@@ -204,7 +215,9 @@ class Stage:
                     continue
                 slots = self._table[name].slots
                 places = [self._gate.leases.place("scenario", slot) for slot in slots]
-                rows += [Row(s, n, tick=tick) for s, n in zip(places, numbers, strict=True)]
+                rows += [
+                    Row(s, n, tick=tick) for s, n in zip(places, numbers, strict=True)
+                ]
             rows += self._gate.stamps(step.write, tick * self._period_s, tick=tick)
         return rows
 
@@ -226,5 +239,7 @@ def as_yaml(scenario: Mapping[str, Any]) -> str:
     """Return a scenario made of plain data as it would stand in a file."""
     import yaml  # noqa: PLC0415 - only needed for writing
 
-    text: str = yaml.safe_dump(dict(scenario), sort_keys=False, default_flow_style=None, width=100)
+    text: str = yaml.safe_dump(
+        dict(scenario), sort_keys=False, default_flow_style=None, width=100
+    )
     return text

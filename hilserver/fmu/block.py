@@ -99,7 +99,9 @@ def load_fmu_block(
         inputs=wiring.input_names,
         outputs=(*signals(wiring, outputs), *([LATE] if process else [])),
         state={},
-        parameters={v.name: float(given.get(v.name, v.start)) for v in wiring.parameters},
+        parameters={
+            v.name: float(given.get(v.name, v.start)) for v in wiring.parameters
+        },
         source=fmu.path,
         source_function=calls.run_here,
     )
@@ -166,16 +168,25 @@ class Beside(_Running):
         ended = self._child.look(a, gives_up=status == at.SILENT and not self._is_lost)
         self._is_lost |= ended is not None
         self._status = status
-        news = [] if ended is None else [News(f"FMU '{self._name}' {ended}", is_fault=True)]
+        news = (
+            []
+            if ended is None
+            else [News(f"FMU '{self._name}' {ended}", is_fault=True)]
+        )
         if status != at.SILENT:  # its end is reported already
             news += self._failed(status)
         if late > self._late and not news:
             news.append(self._holds(f"did not answer in {late - self._late} slices"))
         if hurried > self._hurried and not news:
             n = hurried - self._hurried
-            news.append(self._holds(f"had no time in {n} slices while the plant caught up"))
+            news.append(
+                self._holds(f"had no time in {n} slices while the plant caught up")
+            )
         self._late, self._hurried = late, hurried
         return news
 
     def _holds(self, why: str) -> News:
-        return News(f"FMU '{self._name}' {why}: its outputs keep their last values", is_fault=False)
+        return News(
+            f"FMU '{self._name}' {why}: its outputs keep their last values",
+            is_fault=False,
+        )

@@ -11,7 +11,16 @@ from math import inf, isinf, isnan
 from typing import Final
 
 from hilserver.errors import FailedError
-from hilserver.fmu.listing import FLAGS, NAME, TYPE, VALUE, blocks, match, size_of, split
+from hilserver.fmu.listing import (
+    FLAGS,
+    NAME,
+    TYPE,
+    VALUE,
+    blocks,
+    match,
+    size_of,
+    split,
+)
 
 HEAD: Final = """\
 /* Generated: the kernels of the robot, operation by operation. Multiplications and additions are
@@ -78,9 +87,15 @@ def translate(listing: str, entry: str, name: str) -> str:
     name : str
         Its name in C.
     """
-    listed = re.findall(r"^define ([^\n]*)\{\n(.*?)^\}", listing, re.DOTALL | re.MULTILINE)
-    functions = {match(rf".*?@({NAME})\(", head)[0]: (head, body) for head, body in listed}
-    arrays = dict(re.findall(rf'^(@{NAME}) = .*?constant \[\d+ x i8\] c"(.*?)"', listing, re.M))
+    listed = re.findall(
+        r"^define ([^\n]*)\{\n(.*?)^\}", listing, re.DOTALL | re.MULTILINE
+    )
+    functions = {
+        match(rf".*?@({NAME})\(", head)[0]: (head, body) for head, body in listed
+    }
+    arrays = dict(
+        re.findall(rf'^(@{NAME}) = .*?constant \[\d+ x i8\] c"(.*?)"', listing, re.M)
+    )
     wanted, names = [entry], {entry: name}
     for function in wanted:
         for callee in re.findall(rf"call [^\n]*?@({NAME})\(", functions[function][1]):
@@ -109,7 +124,9 @@ class _Function:
     """One function as C; `names`: C names of the functions, by their names in the listing."""
 
     def __init__(self, head: str, body: str, names: Mapping[str, str]) -> None:
-        kind, name, arguments = match(rf"(?:.* )?({TYPE}) @({NAME})\((.*?)\)[^)]*$", head)
+        kind, name, arguments = match(
+            rf"(?:.* )?({TYPE}) @({NAME})\((.*?)\)[^)]*$", head
+        )
         self._functions = names
         self._names: dict[str, str] = {}
         self._declared: list[str] = []
@@ -119,7 +136,9 @@ class _Function:
         inside = [f"{_C[kind_of]} {self._value(value)}" for kind_of, value in given]
         self.head = f"static {_C[kind]} {names[name]}({', '.join(inside)})"
         self._blocks = blocks(body)
-        self._phis = {label: list(self._phis_of(lines)) for label, lines in self._blocks.items()}
+        self._phis = {
+            label: list(self._phis_of(lines)) for label, lines in self._blocks.items()
+        }
 
     def text(self) -> str:
         """Return the definition."""
@@ -147,7 +166,11 @@ class _Function:
             self.arrays.append(text)
             return f"(char *){_c_name(text)}"
         if kind == "double":
-            raw = struct.unpack(">d", bytes.fromhex(text[2:]))[0] if "x" in text else float(text)
+            raw = (
+                struct.unpack(">d", bytes.fromhex(text[2:]))[0]
+                if "x" in text
+                else float(text)
+            )
             return c_number(raw)
         return f"(({_C[kind]}){text}{'LL' if kind == 'i64' else ''})"
 
@@ -162,7 +185,9 @@ class _Function:
     # --- statements -------------------------------------------------------------------------------
 
     def _line(self, line: str, label: str) -> Iterator[str]:
-        name, _, rest = line.partition(" = ") if line.startswith("%") else ("", "", line)
+        name, _, rest = (
+            line.partition(" = ") if line.startswith("%") else ("", "", line)
+        )
         words = rest.split(" ")
         operation = words[1] if words[0] in ("tail", "musttail", "notail") else words[0]
         if operation == "phi":
@@ -170,7 +195,9 @@ class _Function:
         if operation in ("br", "switch", "ret", "unreachable"):
             yield from self._end(rest, label)
         elif operation == "store":
-            kind, value, place = match(rf"store ({TYPE}) ({VALUE}), ptr ({VALUE})", rest)
+            kind, value, place = match(
+                rf"store ({TYPE}) ({VALUE}), ptr ({VALUE})", rest
+            )
             yield f"store_{kind}({self._value(place, 'ptr')}, {self._value(value, kind)});"
         elif operation == "call":
             yield from self._call(name, rest)
@@ -197,7 +224,9 @@ class _Function:
             )
             return kind, f"{v(c, 'i1')} ? {v(a, kind)} : {v(b, kind)}"
         if operation in ("fcmp", "icmp"):
-            how, kind, a, b = match(rf"\wcmp {FLAGS}(\w+) ({TYPE}) ({VALUE}), ({VALUE})", rest)
+            how, kind, a, b = match(
+                rf"\wcmp {FLAGS}(\w+) ({TYPE}) ({VALUE}), ({VALUE})", rest
+            )
             if operation == "fcmp":
                 return "i1", _FLOAT[how].format(v(a), v(b))
             cast = f"({_SIGNED[kind]})" if how[0] == "s" else ""
@@ -235,12 +264,16 @@ class _Function:
             "trunc": f"({_C[kind]})",
         }  # fmt: skip
         if operation not in casts:
-            raise FailedError(f"the kernels' machine code has an operation that C lacks: {rest}")
+            raise FailedError(
+                f"the kernels' machine code has an operation that C lacks: {rest}"
+            )
         text = casts[operation] + value
         return kind, f"({text}) & 1" if kind == "i1" else text
 
     def _place(self, rest: str) -> str:
-        kind, base, more = match(rf"getelementptr {FLAGS}({TYPE}), ptr ({VALUE}), (.*)", rest)
+        kind, base, more = match(
+            rf"getelementptr {FLAGS}({TYPE}), ptr ({VALUE}), (.*)", rest
+        )
         steps = []
         for index in split(more):
             whole, value = match(rf"(i\d+) ({VALUE})", index)
@@ -273,10 +306,14 @@ class _Function:
         if name in ("smax", "smin", "umax", "umin"):
             cast = f"({_SIGNED[kind]})" if name[0] == "s" else ""
             a, b = values
-            return f"{cast}{a} {'>' if name.endswith('ax') else '<'} {cast}{b} ? {a} : {b}"
+            return (
+                f"{cast}{a} {'>' if name.endswith('ax') else '<'} {cast}{b} ? {a} : {b}"
+            )
         if name == "abs":
             return f"({_SIGNED[kind]}){values[0]} < 0 ? 0 - {values[0]} : {values[0]}"
-        raise FailedError(f"the kernels' machine code calls a function that C lacks: {callee}")
+        raise FailedError(
+            f"the kernels' machine code calls a function that C lacks: {callee}"
+        )
 
     # --- jumps ------------------------------------------------------------------------------------
 
@@ -291,7 +328,9 @@ class _Function:
                 rf"switch ({TYPE}) ({VALUE}), label (%[^ ]+) \[(.*)\]", rest
             )
             yield f"switch ({self._value(value, kind)}) {{"
-            for number, target in re.findall(rf"{TYPE} (-?\d+), label (%{NAME})", cases):
+            for number, target in re.findall(
+                rf"{TYPE} (-?\d+), label (%{NAME})", cases
+            ):
                 yield f"case {self._value(number, kind)}: {self._go(target, label)}"
             yield f"default: {self._go(default, label)}"
             yield "}"
@@ -316,7 +355,9 @@ class _Function:
         after = [f"{self._value(phi)} = n{i};" for i, (_, phi, _) in enumerate(taken)]
         return " ".join(["{", *before, *after, f"goto {self._label(name)}; }}"])
 
-    def _phis_of(self, lines: list[str]) -> Iterator[tuple[str, str, Mapping[str, str]]]:
+    def _phis_of(
+        self, lines: list[str]
+    ) -> Iterator[tuple[str, str, Mapping[str, str]]]:
         for line in lines:
             found = re.match(rf"(%\S+) = phi ({TYPE}) (.*)", line)
             if found:
@@ -341,6 +382,8 @@ def _readable(mangled: str, number: int) -> str:
 
 def _words(name: str, text: str) -> str:
     """Return a constant of 8-byte numbers; the listing has it as little-endian bytes."""
-    raw = re.sub(rb"\\([0-9A-F]{2})", lambda m: bytes.fromhex(m[1].decode()), text.encode())
+    raw = re.sub(
+        rb"\\([0-9A-F]{2})", lambda m: bytes.fromhex(m[1].decode()), text.encode()
+    )
     words = ", ".join(f"{word:#x}" for (word,) in struct.iter_unpack("<Q", raw))
     return f"static const uint64_t {_c_name(name)}[] = {{{words}}};\n"

@@ -79,7 +79,9 @@ def access(first: int, n_rows: int, values: Any, a: Any, gets: bool) -> int:
         data = scratch.ctypes.data if converts else piece.ctypes.data
         references, m = a[a[r + at.R_REFERENCES] :].ctypes.data, a[r + at.R_VARIABLES]
         # FMI 3.0 alone takes the number of values; 2.0 ignores a further argument.
-        status = ask(a[r + at.R_FUNCTION], a[at.A_INSTANCE], references, m, data, n, 0, 0.0, 0.0)
+        status = ask(
+            a[r + at.R_FUNCTION], a[at.A_INSTANCE], references, m, data, n, 0, 0.0, 0.0
+        )
         if converts and gets:
             _decode(scratch, kind, size, piece)
         worst, begin = max(worst, status), begin + n
@@ -159,7 +161,17 @@ def store(x: Any, a: Any) -> int:
         return at.STATE_TOO_LARGE
     x[at.X_BYTES] = a[at.A_SIZE]
     return int(
-        ask(a[at.A_SERIALIZE], instance, a[at.A_STATE], bytes_, a[at.A_SIZE], 0, 0, 0.0, 0.0)
+        ask(
+            a[at.A_SERIALIZE],
+            instance,
+            a[at.A_STATE],
+            bytes_,
+            a[at.A_SIZE],
+            0,
+            0,
+            0.0,
+            0.0,
+        )
     )
 
 
@@ -175,7 +187,9 @@ def restore(x: Any, a: Any) -> int:
     if a[at.A_STATE] != 0:
         ask(a[at.A_FREE_STATE], instance, state, 0, 0, 0, 0, 0.0, 0.0)
         a[at.A_STATE] = 0
-    status = ask(a[at.A_DESERIALIZE], instance, bytes_, int(size), state, 0, 0, 0.0, 0.0)
+    status = ask(
+        a[at.A_DESERIALIZE], instance, bytes_, int(size), state, 0, 0, 0.0, 0.0
+    )
     if status > at.WARNING:
         return int(status)
     return int(ask(a[at.A_SET_STATE], instance, a[at.A_STATE], 0, 0, 0, 0, 0.0, 0.0))

@@ -21,7 +21,9 @@ from hilserver.plant.blocks import BlockError
 
 MISSING: Final = "needs FMPy; install it with: pip install 'hilserver[fmu]'"
 MOST_BYTES: Final = 1 << 30  # size of an unpacked FMU
-MOST_DESCRIPTION_BYTES: Final = 1 << 26  # size of its modelDescription.xml, read as a whole
+MOST_DESCRIPTION_BYTES: Final = (
+    1 << 26
+)  # size of its modelDescription.xml, read as a whole
 _MACHINE: Final = {"AMD64": "x86_64", "arm64": "aarch64"}.get(
     platform.machine(), platform.machine()
 )
@@ -39,7 +41,10 @@ _TYPES: Final[Mapping[int, Mapping[str, tuple[str, int, int]]]] = {
     3: {
         **{f"Float{bits}": (f"Float{bits}", FLOAT, bits // 8) for bits in (32, 64)},
         **{f"Int{bits}": (f"Int{bits}", SIGNED, bits // 8) for bits in (8, 16, 32, 64)},
-        **{f"UInt{bits}": (f"UInt{bits}", UNSIGNED, bits // 8) for bits in (8, 16, 32, 64)},
+        **{
+            f"UInt{bits}": (f"UInt{bits}", UNSIGNED, bits // 8)
+            for bits in (8, 16, 32, 64)
+        },
         "Enumeration": ("Int64", SIGNED, 8),
         "Boolean": ("Boolean", BOOLEAN, 1),
         "String": ("String", -1, 0),
@@ -112,7 +117,9 @@ class Fmu:
         """
         found = self.variables.get(name)
         if found is None:
-            hint = meant(name, self.variables, f"known are {', '.join([*self.variables][:12])}")
+            hint = meant(
+                name, self.variables, f"known are {', '.join([*self.variables][:12])}"
+            )
             raise BlockError(f"{self.path.name} has no variable '{name}'; {hint}")
         return found
 
@@ -157,7 +164,9 @@ def _read(path: Path) -> Fmu:
     except zipfile.BadZipFile:
         raise BlockError("is not a zip file; export it again") from None
     except Exception as error:  # noqa: BLE001 - whatever FMPy's readers raise
-        raise BlockError(f"has an invalid modelDescription.xml: {_one_line(error)}") from None
+        raise BlockError(
+            f"has an invalid modelDescription.xml: {_one_line(error)}"
+        ) from None
     version = int(said.fmiVersion.partition(".")[0])
     _check(said, version)
     identifier = said.coSimulation.modelIdentifier
@@ -189,11 +198,17 @@ def _check(said: Any, version: int) -> None:
     if version not in _TYPES:
         raise BlockError(f"is of FMI {said.fmiVersion}; FMI 2.0 and 3.0 run here")
     if any(v.type == "Clock" for v in said.modelVariables):
-        raise BlockError("has clocks, which need event mode; a time slice has no event mode")
+        raise BlockError(
+            "has clocks, which need event mode; a time slice has no event mode"
+        )
     if said.coSimulation is None:
-        raise BlockError("offers no co-simulation; export it with its solver (co-simulation)")
+        raise BlockError(
+            "offers no co-simulation; export it with its solver (co-simulation)"
+        )
     if said.coSimulation.needsExecutionTool:
-        raise BlockError("runs only with the tool that made it; export it as stand-alone")
+        raise BlockError(
+            "runs only with the tool that made it; export it as stand-alone"
+        )
 
 
 def _library(identifier: str, version: int, entries: set[str]) -> str:
@@ -201,9 +216,13 @@ def _library(identifier: str, version: int, entries: set[str]) -> str:
     name = PLATFORM if version == 3 else _FMI_2.get(PLATFORM, PLATFORM)
     wanted = f"binaries/{name}/{identifier}.so"
     if wanted not in entries:
-        others = sorted({n.split("/")[1] for n in entries if re.match("binaries/[^/]+/.", n)})
+        others = sorted(
+            {n.split("/")[1] for n in entries if re.match("binaries/[^/]+/.", n)}
+        )
         if name in others:
-            raise BlockError(f"has no {wanted:.100}, which its description names; export it again")
+            raise BlockError(
+                f"has no {wanted:.100}, which its description names; export it again"
+            )
         raise BlockError(
             f"has no shared library for {name}, only for {', '.join(others) or 'none'}; export it"
             " for this computer"

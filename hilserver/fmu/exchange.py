@@ -51,7 +51,9 @@ def _copy_numbers(source: Any, target: Any) -> None:
 
 
 @kernel()
-def _post(steps: int, pending: int, loads: bool, u: Any, p: Any, a: Any, s: Any) -> None:
+def _post(
+    steps: int, pending: int, loads: bool, u: Any, p: Any, a: Any, s: Any
+) -> None:
     number = s[at.S_ASKED] + 1
     numbers = s[at.N_SHARED :].view(np.float64)
     _copy_numbers(u, numbers[: u.shape[0]])
@@ -69,7 +71,10 @@ def _wait(a: Any, s: Any) -> None:
     """Let simulated time wait for the child."""
     limit_ns = monotonic_ns(a[at.A_TIMESPEC :]) + WAIT_NS
     for look in range(WAIT_NS // NAP_NS):
-        if load_acquire(s, at.S_DONE) == s[at.S_ASKED] or load_acquire(a, at.A_DEAD) != 0:
+        if (
+            load_acquire(s, at.S_DONE) == s[at.S_ASKED]
+            or load_acquire(a, at.A_DEAD) != 0
+        ):
             return
         if look > LOOKS:
             now_ns = monotonic_ns(a[at.A_TIMESPEC :])
@@ -121,7 +126,9 @@ def keep_beside(u: Any, y: Any, x: Any, p: Any, a: Any) -> None:
     s = _shared(a)
     if a[at.A_CAPACITY] != 0 and s[at.S_LOAD] != s[at.S_ASKED]:
         words = x.view(np.int64)
-        _copy_numbers(_store((s[at.S_ASKED] - 1) & 1, u, y[:-1], x, p, s), words[at.X_BYTES :])
+        _copy_numbers(
+            _store((s[at.S_ASKED] - 1) & 1, u, y[:-1], x, p, s), words[at.X_BYTES :]
+        )
 
 
 @kernel(KEEP)
@@ -134,7 +141,9 @@ def adopt_beside(u: Any, y: Any, x: Any, p: Any, a: Any) -> None:
         x[at.X_FAILED] = 1.0 if a[at.A_STATUS] else 0.0
         return
     words = x.view(np.int64)
-    _copy_numbers(words[at.X_BYTES :], _store(2 + ((s[at.S_ASKED] + 1) & 1), u, y[:-1], x, p, s))
+    _copy_numbers(
+        words[at.X_BYTES :], _store(2 + ((s[at.S_ASKED] + 1) & 1), u, y[:-1], x, p, s)
+    )
     a[at.A_STATUS] = 0
     _post(int(x[at.X_STEPS]), int(x[at.X_PENDING]), True, u, p, a, s)
 
@@ -162,7 +171,9 @@ def answer(s: Any, u: Any, y: Any, x: Any, p: Any, a: Any, dt_s: float) -> int:
     status, stores = at.OK, a[at.A_CAPACITY] != 0
     x[at.X_STEPS], n = s[at.S_STEPS], s[at.S_PENDING]
     if loads and stores:
-        _copy_numbers(_store(2 + (number & 1), u, y, x, p, s), x.view(np.int64)[at.X_BYTES :])
+        _copy_numbers(
+            _store(2 + (number & 1), u, y, x, p, s), x.view(np.int64)[at.X_BYTES :]
+        )
         status = restore(x, a)
     s[at.S_CURRENT] = 1
     if status <= at.WARNING:
@@ -170,7 +181,9 @@ def answer(s: Any, u: Any, y: Any, x: Any, p: Any, a: Any, dt_s: float) -> int:
     if status <= at.WARNING and stores:
         status = store(x, a)
         _copy_numbers(x.view(np.int64)[at.X_BYTES :], _store(number & 1, u, y, x, p, s))
-    _copy_numbers(y, numbers[u.shape[0] + p.shape[0] : u.shape[0] + p.shape[0] + y.shape[0]])
+    _copy_numbers(
+        y, numbers[u.shape[0] + p.shape[0] : u.shape[0] + p.shape[0] + y.shape[0]]
+    )
     s[at.S_STATUS] = status
     store_release(s, at.S_DONE, number)
     return 1

@@ -35,7 +35,10 @@ COMPILERS: Final[Mapping[str, tuple[str, str]]] = {
 """Compiler for each platform, and the Debian package that provides it."""
 _FOLDERS: Final = {2: {"x86_64-linux": "linux64", "x86_64-windows": "win64"}, 3: {}}
 _EXPORTED: Final = "{ global: fmi2*; fmi3*; local: *; };\n"
-_HEADERS: Final = {2: ("TypesPlatform", "FunctionTypes"), 3: ("PlatformTypes", "FunctionTypes")}
+_HEADERS: Final = {
+    2: ("TypesPlatform", "FunctionTypes"),
+    3: ("PlatformTypes", "FunctionTypes"),
+}
 _OPTIONS: Final = ("-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math")
 """None of these changes a bit of the results."""
 _MAIN: Final = "robot_fmu.c"  # includes all other sources: it alone is compiled
@@ -64,15 +67,22 @@ def export(
     """
     _check(composition, platforms)
     tunable = variables.tunables(robot)
-    header = f"#define FMI {version}\n" + _header(composition, robot, tunable, base_period_ns)
+    header = f"#define FMI {version}\n" + _header(
+        composition, robot, tunable, base_period_ns
+    )
     token = f"{{{hashlib.sha256(header.encode()).hexdigest()[:32]}}}"
     header += f'#define TOKEN "{token}"\n#define LAYOUT 0x{token[1:16]}ULL\n'
-    text = variables.description(version, composition.table, tunable, base_period_ns * 1e-9, token)
+    text = variables.description(
+        version, composition.table, tunable, base_period_ns * 1e-9, token
+    )
     with tempfile.TemporaryDirectory(prefix="hilserver-fmu-") as name:
         folder = Path(name)
         sources = _sources(folder / "sources", header, version)
         libraries = {p: _linked(folder, p) for p in platforms}
-        with writing(path) as out, zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as packed:
+        with (
+            writing(path) as out,
+            zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as packed,
+        ):
             packed.writestr("modelDescription.xml", text)
             for file in sources:
                 packed.write(file, f"sources/{file.name}")
@@ -97,7 +107,9 @@ def _check(composition: Composition, platforms: Sequence[str]) -> None:
     for platform in platforms:
         if platform not in COMPILERS:
             known = ", ".join(COMPILERS)
-            raise FailedError(f"there is no machine code for {platform!r}; platforms are {known}")
+            raise FailedError(
+                f"there is no machine code for {platform!r}; platforms are {known}"
+            )
         compiler, package = COMPILERS[platform]
         if shutil.which(compiler) is None:
             raise FailedError(
@@ -110,8 +122,13 @@ def _sources(folder: Path, header: str, version: int) -> list[Path]:
     """Write all sources to a folder."""
     folder.mkdir()
     (folder / "robot.h").write_text(header, encoding="utf-8")
-    portable = os.environ | PORTABLE | {"HILSERVER_CACHE_DIR": str(cache_folder("portable"))}
-    _run(children.python("-m", "hilserver.fmu.machine_code", str(folder / "kernels.h")), portable)
+    portable = (
+        os.environ | PORTABLE | {"HILSERVER_CACHE_DIR": str(cache_folder("portable"))}
+    )
+    _run(
+        children.python("-m", "hilserver.fmu.machine_code", str(folder / "kernels.h")),
+        portable,
+    )
     for name in (_MAIN, f"fmi{version}_calls.h"):
         shutil.copy(_HERE / name, folder)
     of_fmi = Path(find_spec("fmpy").origin).parent / "c-code"  # type: ignore[union-attr,arg-type]
@@ -125,7 +142,10 @@ def _sources(folder: Path, header: str, version: int) -> list[Path]:
 def _linked(folder: Path, platform: str) -> Path:
     """Return the shared library for a platform."""
     if platform.endswith("-windows"):
-        library, link = folder / f"{platform}.dll", "-static-libgcc -Wl,--export-all-symbols,-s"
+        library, link = (
+            folder / f"{platform}.dll",
+            "-static-libgcc -Wl,--export-all-symbols,-s",
+        )
     else:
         (folder / "exported.map").write_text(_EXPORTED, encoding="utf-8")
         library, script = folder / f"{platform}.so", folder / "exported.map"
@@ -139,7 +159,12 @@ def _linked(folder: Path, platform: str) -> Path:
 
 def _run(command: Sequence[str], environment: Mapping[str, str]) -> None:
     done = subprocess.run(  # noqa: S603 - of ours
-        command, env=environment, capture_output=True, text=True, check=False, timeout=600
+        command,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=600,
     )
     if done.returncode:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
@@ -154,14 +179,18 @@ def _header(
 ) -> str:
     """Return robot.h: everything that differs between robots."""
     table, sizes = composition.table, _sizes(composition, tunable)
-    ticks = {n: round(s * 1e9 / base_period_ns) for n, s in composition.periods_s.items()}
+    ticks = {
+        n: round(s * 1e9 / base_period_ns) for n, s in composition.periods_s.items()
+    }
     schedule = [
         f"{{{PARTS.index(part.name)}, {ticks[name]}}}"
         for name in composition.slices
         for part in composition.parts
         if part.slice == name
     ]
-    taken = [_row(s.name, i, s.low, s.high) for i, s in enumerate(variables.inputs(table))]
+    taken = [
+        _row(s.name, i, s.low, s.high) for i, s in enumerate(variables.inputs(table))
+    ]
     tuned = [
         _row(t.about.name, t.place, t.low, t.high, t.about.nullable, t.about.is_flag)
         for t in tunable
@@ -186,7 +215,9 @@ def _header(
     return "\n".join(lines) + "\n"
 
 
-def _sizes(composition: Composition, tunable: Sequence[variables.Tunable]) -> dict[str, int]:
+def _sizes(
+    composition: Composition, tunable: Sequence[variables.Tunable]
+) -> dict[str, int]:
     return {
         "N_V": Physical.n_words,
         "N_P": Parameters.n_words,
@@ -205,7 +236,9 @@ def _sizes(composition: Composition, tunable: Sequence[variables.Tunable]) -> di
 
 def _row(name: str, place: int, low: float, high: float, *kinds: bool) -> str:
     bounds = f"{c_number(float(low))}, {c_number(float(high))}"
-    return f'{{"{name}", {place}, {bounds}{"".join(f", {int(kind)}" for kind in kinds)}}}'
+    return (
+        f'{{"{name}", {place}, {bounds}{"".join(f", {int(kind)}" for kind in kinds)}}}'
+    )
 
 
 def _numbers(robot: RobotParameters) -> NDArray[np.float64]:
@@ -223,7 +256,10 @@ def _array(name: str, numbers: NDArray[np.float64]) -> str:
 
 def _soundness() -> str:
     """Return the C function that tells whether a state can be continued from."""
-    heads, counts = ("setpoint_head", "imu_head", "nav_head"), ("imu_count", "nav_count")
+    heads, counts = (
+        ("setpoint_head", "imu_head", "nav_head"),
+        ("imu_count", "nav_count"),
+    )
     at, most = State.where, RING
     tests = [f"x[{at(n).start}] >= 0 && x[{at(n).start}] < {most}" for n in heads]
     tests += [f"x[{at(n).start}] >= 0 && x[{at(n).start}] <= {most}" for n in counts]

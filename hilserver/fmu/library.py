@@ -57,7 +57,9 @@ def _take(status: int, text: Any, buffer: Any) -> None:
 
 
 @c_function(numba.void(_OCTETS, _OCTETS, numba.int32, _OCTETS, _OCTETS))
-def _log_2(environment: Any, _name: Any, status: int, _category: Any, text: Any) -> None:
+def _log_2(
+    environment: Any, _name: Any, status: int, _category: Any, text: Any
+) -> None:
     _take(status, text, environment)
 
 
@@ -75,7 +77,9 @@ class Library:
             self._symbols = ctypes.CDLL(str(fmu.library))
         except OSError as error:
             why = str(error).replace(str(fmu.folder), fmu.path.name)
-            raise BlockError(f"cannot be loaded: {why}; export it for this computer") from None
+            raise BlockError(
+                f"cannot be loaded: {why}; export it for this computer"
+            ) from None
         wanted = [*_NEEDED[fmu.version]]
         if fmu.stores_state:
             wanted += [names[fmu.version - 2] for names in _OF_STATE.values()]
@@ -109,11 +113,15 @@ class Instance:
             raise BlockError(f"does not start: {self.message or 'it gives no reason'}")
         self._set_start(dict(wiring.start))
         self._initialise()
-        self.addresses = self._addresses(wiring, slow_ns)  # the kernels' `a`, valid in this process
+        self.addresses = self._addresses(
+            wiring, slow_ns
+        )  # the kernels' `a`, valid in this process
         self.outputs = np.zeros(wiring.n_outputs)  # `y` at time 0
         a = self.addresses
         n_before = int(a[at.A_INPUTS] + a[at.A_PARAMETERS])
-        self._check(calls.access(n_before, int(a[at.A_OUTPUTS]), self.outputs, a, gets=True))
+        self._check(
+            calls.access(n_before, int(a[at.A_OUTPUTS]), self.outputs, a, gets=True)
+        )
         self.initial = self._state()  # `x` of the kernels at time 0
 
     @property
@@ -139,7 +147,11 @@ class Instance:
             uri = resources.as_uri().encode()
             instantiate = self._library.function("Instantiate", ctypes.c_void_p)
             return int(instantiate(name, 1, token, uri, self._callbacks, 0, 0) or 0)
-        path, none, no = f"{resources}/".encode(), ctypes.c_void_p(None), ctypes.c_bool(False)
+        path, none, no = (
+            f"{resources}/".encode(),
+            ctypes.c_void_p(None),
+            ctypes.c_bool(False),
+        )
         instantiate = self._library.function("InstantiateCoSimulation", ctypes.c_void_p)
         log = ctypes.c_void_p(_log_3.address)
         first = (name, token, path, no, no, no, no, none, ctypes.c_size_t(0))
@@ -159,7 +171,9 @@ class Instance:
             n, first = len(same), same[0]
             references = (ctypes.c_uint32 * n)(*(v.reference for v in same))
             if first.type == "String":
-                data: Any = (ctypes.c_char_p * n)(*(str(given[v]).encode() for v in same))
+                data: Any = (ctypes.c_char_p * n)(
+                    *(str(given[v]).encode() for v in same)
+                )
             else:
                 of_type = _C_TYPES[first.kind, first.bytes] * n
                 data = of_type(*(_as_start(v, given[v]) for v in same))
@@ -177,13 +191,17 @@ class Instance:
         self._call("ExitInitializationMode")
 
     def _addresses(self, wiring: Wiring, slow_ns: int) -> NDArray[np.int64]:
-        groups = [[(verb, same) for same in _of_one_type(vs)] for verb, vs in wiring.rows]
+        groups = [
+            [(verb, same) for same in _of_one_type(vs)] for verb, vs in wiring.rows
+        ]
         rows, references, values = [], np.zeros(0, dtype=np.int64), 0
         first = at.ROWS + at.CALL_WORDS * sum(map(len, groups))
         for verb, same in itertools.chain(*groups):
             n, v = sum(v.count for v in same), same[0]
             function = self._library.address(f"{verb}{v.type}")
-            rows.append((first + references.size, len(same), n, v.bytes, v.kind, function))
+            rows.append(
+                (first + references.size, len(same), n, v.bytes, v.kind, function)
+            )
             references = np.append(references, _packed([v.reference for v in same]))
             values = max(values, n)
         scratch = first + references.size

@@ -6,7 +6,8 @@ from typing import Final
 from hilserver.errors import FailedError
 
 VALUE: Final = (
-    r'(?:[%@]"[^"]+"|[%@][\w.$-]+|-?0x[0-9A-F]+|-?\d[\d.e+-]*|true|false|null|undef|poison)'
+    r'(?:[%@]"[^"]+"|[%@][\w.$-]+|-?0x[0-9A-F]+|-?\d[\d.e+-]*'
+    r"|true|false|null|undef|poison)"
 )
 NAME: Final = r'(?:"[^"]+"|[\w.$-]+)'
 TYPE: Final = r"(?:double|ptr|void|i(?:1|8|32|64)\b|\[[^\]]*\])"
@@ -22,11 +23,15 @@ _SIZES: Final = {"double": 8, "ptr": 8, "i1": 1, "i8": 1, "i32": 4, "i64": 8}
 def blocks(body: str) -> dict[str, list[str]]:
     """Return the lines of every block, by label."""
     blocks: dict[str, list[str]] = {}
-    text = re.sub(r"\[\n(.*?)\n\s*\]", lambda m: f"[{m[1]}]".replace("\n", " "), body, flags=re.S)
+    text = re.sub(
+        r"\[\n(.*?)\n\s*\]", lambda m: f"[{m[1]}]".replace("\n", " "), body, flags=re.S
+    )
     lines: list[str] = []
     for raw in text.splitlines():
         label = re.match(r'^("[^"]+"|[\w.$-]+):', raw)
-        line = re.sub(r"(?:, ![\w.]+ ![\w.]+)+|(?: #\d+)$", "", raw.partition(" ;")[0].strip())
+        line = re.sub(
+            r"(?:, ![\w.]+ ![\w.]+)+|(?: #\d+)$", "", raw.partition(" ;")[0].strip()
+        )
         if label:
             lines = blocks.setdefault(label[1].strip('"'), [])
         elif line:
@@ -43,7 +48,9 @@ def match(pattern: str, text: str) -> tuple[str, ...]:
     """
     found = re.match(pattern, text)
     if found is None:
-        raise FailedError(f"the kernels' machine code has a line that C lacks: {text[:200]}")
+        raise FailedError(
+            f"the kernels' machine code has a line that C lacks: {text[:200]}"
+        )
     return found.groups()
 
 

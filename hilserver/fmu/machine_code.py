@@ -75,7 +75,14 @@ def record(typing_context: Any, pointer: Any, layout: Any) -> Any:
 
 
 def run_part(
-    which: int, p_at: Any, x_at: Any, u_at: Any, y_at: Any, q_at: Any, more_at: Any, n_more: int
+    which: int,
+    p_at: Any,
+    x_at: Any,
+    u_at: Any,
+    y_at: Any,
+    q_at: Any,
+    more_at: Any,
+    n_more: int,
 ) -> int:
     """Run one part of the robot once, as a time slice of the daemon does.
 
@@ -108,7 +115,9 @@ def source() -> str:
 
     FailedError if this numba keeps its code elsewhere, or emits what has no equivalent in C.
     """
-    compiled = numba.cfunc(_SIGNATURE, nopython=True, error_model="numpy", _nrt=False)(run_part)
+    compiled = numba.cfunc(_SIGNATURE, nopython=True, error_model="numpy", _nrt=False)(
+        run_part
+    )
     try:
         listing = str(compiled._library._final_module)
     except AttributeError as error:

@@ -75,7 +75,9 @@ class Child:
         self._map = mmap.mmap(self._memory, 8 * started.n_words)
         self._words = np.frombuffer(self._map, dtype=np.int64)
         self.initial = started.initial  # `x` at time 0
-        self.addresses = self._addresses(started, setting)  # `a` of the kernels of `exchange`
+        self.addresses = self._addresses(
+            started, setting
+        )  # `a` of the kernels of `exchange`
 
     @property
     def message(self) -> str:
@@ -114,7 +116,9 @@ class Child:
 
     def _launch(self, *, is_first: bool) -> "subprocess.Popen[bytes]":
         self._ready, theirs = os.pipe()
-        order = Order(*self._what, self._memory, self._bell, theirs, os.getpid(), is_first)
+        order = Order(
+            *self._what, self._memory, self._bell, theirs, os.getpid(), is_first
+        )
         try:
             process = subprocess.Popen(  # noqa: S603 - of ours
                 children.python("-m", "hilserver.fmu.worker"),
@@ -185,5 +189,7 @@ def _how(process: "subprocess.Popen[bytes]", *, was_killed: bool = False) -> str
     """Return how it ended; one that was dying when we killed it has its own reason."""
     code = process.returncode
     # SIGXCPU: the kernel ended it before we did, see `worker`.
-    is_silence = code == -signal.SIGXCPU or (was_killed and code in (None, -signal.SIGKILL))
+    is_silence = code == -signal.SIGXCPU or (
+        was_killed and code in (None, -signal.SIGKILL)
+    )
     return _NO_ANSWER if is_silence else children.how_ended(code)

@@ -33,7 +33,9 @@ class Tunable:
 
 def inputs(table: SignalTable) -> list[Signal]:
     """Return the inputs in the order of `u`, the daemon's hidden ones included."""
-    return sorted((s for s in table.scalars if s.slots[0] < N_U), key=lambda s: s.slots[0])
+    return sorted(
+        (s for s in table.scalars if s.slots[0] < N_U), key=lambda s: s.slots[0]
+    )
 
 
 def outputs(table: SignalTable) -> list[Signal]:
@@ -46,12 +48,22 @@ def tunables(robot: RobotParameters) -> list[Tunable]:
     """Return the parameters of this robot that act at a tick."""
     fixed = _fixed(robot)
     found = [
-        Tunable(PLANT[name], _place(name), 0.0 if isnan(value) else value, *_range(PLANT[name]))
+        Tunable(
+            PLANT[name],
+            _place(name),
+            0.0 if isnan(value) else value,
+            *_range(PLANT[name]),
+        )
         for name, value in read(robot).items()
         if PLANT[name].when == "tick" and name not in fixed
     ]
-    seed = Parameter("seed", "1", 0, 2.0**53 - 1, 0, nullable=False, meaning="seed of all noise")
-    return [*found, Tunable(seed, _place("seed"), float(robot.seed), seed.low, seed.high)]
+    seed = Parameter(
+        "seed", "1", 0, 2.0**53 - 1, 0, nullable=False, meaning="seed of all noise"
+    )
+    return [
+        *found,
+        Tunable(seed, _place("seed"), float(robot.seed), seed.low, seed.high),
+    ]
 
 
 def _fixed(robot: RobotParameters) -> set[str]:
@@ -61,7 +73,9 @@ def _fixed(robot: RobotParameters) -> set[str]:
     fixed.add("sensors.battery.initial_charge")  # acts on the initial state only
     if robot.is_mecanum:
         fixed.add("plant.icr_offset_m")
-    if (made := physical(robot)).anisotropy_factor != 1.0 or made.anisotropy_shift_m != 0.0:
+    if (
+        made := physical(robot)
+    ).anisotropy_factor != 1.0 or made.anisotropy_shift_m != 0.0:
         fixed |= {"plant.wheelbase_m", "plant.track_m"}
     return fixed
 
@@ -87,12 +101,20 @@ def _range(about: Parameter) -> tuple[float, float]:
 
 
 def description(
-    version: int, table: SignalTable, tunable: Sequence[Tunable], step_s: float, token: str
+    version: int,
+    table: SignalTable,
+    tunable: Sequence[Tunable],
+    step_s: float,
+    token: str,
 ) -> str:
     """Return the modelDescription.xml of FMI 2.0 or 3.0."""
     rows: list[str] = []
-    units = {s.unit for s in (*inputs(table), *outputs(table))} | {t.about.unit for t in tunable}
-    rows.append(_row(version, "time", 0, 'causality="independent" variability="continuous"', ""))
+    units = {s.unit for s in (*inputs(table), *outputs(table))} | {
+        t.about.unit for t in tunable
+    }
+    rows.append(
+        _row(version, "time", 0, 'causality="independent" variability="continuous"', "")
+    )
     for i, s in enumerate(inputs(table)):
         what = f'causality="input" variability="discrete" description={quoteattr(s.description)}'
         more = f'{_unit(s.unit)} min="{s.low:.17g}" max="{s.high:.17g}" start="{s.initial:.17g}"'
@@ -107,9 +129,17 @@ def description(
         low = 0.0 if about.nullable else about.low
         more = f'{_unit(about.unit)} min="{low:.17g}" max="{about.high:.17g}"'
         rows.append(
-            _row(version, about.name, FIRST_TUNABLE + i, what, f'{more} start="{t.start:.17g}"')
+            _row(
+                version,
+                about.name,
+                FIRST_TUNABLE + i,
+                what,
+                f'{more} start="{t.start:.17g}"',
+            )
         )
-    head = _HEADS[version].format(token=token, version=__version__, step=f"{step_s:.17g}")
+    head = _HEADS[version].format(
+        token=token, version=__version__, step=f"{step_s:.17g}"
+    )
     named = "".join(f"<Unit name={quoteattr(u)}/>" for u in sorted(units - {"1"}))
     first = len(inputs(table)) + 2
     return (

@@ -50,7 +50,10 @@ class Wiring:
 
 
 def wire(
-    fmu: Fmu, inputs: Mapping[str, str], outputs: Mapping[str, str], start: Mapping[str, Start]
+    fmu: Fmu,
+    inputs: Mapping[str, str],
+    outputs: Mapping[str, str],
+    start: Mapping[str, Start],
 ) -> Wiring:
     """Find the variables that a configuration names.
 
@@ -69,15 +72,23 @@ def wire(
     taken = [_whole(fmu, name) for name in inputs]
     for name, variable in zip(inputs, taken, strict=True):
         if variable.causality != "input":
-            raise BlockError(f"'{name}' of {fmu.path.name} is {variable.causality}, not input")
+            raise BlockError(
+                f"'{name}' of {fmu.path.name} is {variable.causality}, not input"
+            )
         missing = [n for n in variable.scalars if n not in inputs]
         if missing:
             raise BlockError(f"input '{missing[0]}' of {fmu.path.name} is not wired")
     shown = [_whole(fmu, name) for name in outputs]
     if not outputs:
-        shown = [v for v in fmu.variables.values() if v.causality == "output" and v.kind != _TEXT]
+        shown = [
+            v
+            for v in fmu.variables.values()
+            if v.causality == "output" and v.kind != _TEXT
+        ]
     tunable = [v for v in fmu.variables.values() if _is_tunable(v)]
-    tunable.sort(key=lambda v: v.name not in start)  # those that the user has set come first
+    tunable.sort(
+        key=lambda v: v.name not in start
+    )  # those that the user has set come first
     wiring = Wiring(
         inputs=list(dict.fromkeys(taken)),
         # Those of one type are set in one call: values that only fit together must not be split.
@@ -87,7 +98,9 @@ def wire(
         left_out=max(0, len(tunable) - MOST_PER_BLOCK),
     )
     if not wiring.n_outputs:
-        raise BlockError(f"{fmu.path.name} has no numeric output, so it would have no effect")
+        raise BlockError(
+            f"{fmu.path.name} has no numeric output, so it would have no effect"
+        )
     for what, n in (("inputs", wiring.n_inputs), ("outputs", wiring.n_outputs)):
         if n > MOST_PER_BLOCK:
             raise BlockError(
@@ -112,7 +125,9 @@ def signals(wiring: Wiring, names: Mapping[str, str]) -> tuple[Output, ...]:
             found.append(Output(shown, variable.unit, low, high, variable.description))
     twice = [o.name for o in found if [x.name for x in found].count(o.name) > 1]
     if twice:
-        raise BlockError(f"two outputs would be '{twice[0]}'; give them names in 'outputs'")
+        raise BlockError(
+            f"two outputs would be '{twice[0]}'; give them names in 'outputs'"
+        )
     return tuple(found)
 
 
@@ -125,14 +140,18 @@ def _whole(fmu: Fmu, name: str) -> Variable:
     """Return the variable with a name, or the array with an element: ``u[2]``."""
     variable = fmu.variables.get(name) or fmu.variable(name.partition("[")[0])
     if variable.kind == _TEXT:
-        raise BlockError(f"'{name}' of {fmu.path.name} is text, which cannot be a signal")
+        raise BlockError(
+            f"'{name}' of {fmu.path.name} is text, which cannot be a signal"
+        )
     if variable.count > MOST_PER_BLOCK:
         raise BlockError(
             f"'{variable.name}' of {fmu.path.name} has {variable.count} values; at most"
             f" {MOST_PER_BLOCK} are possible"
         )
     if name not in variable.scalars:
-        raise BlockError(f"{fmu.path.name} has '{variable.scalars[0]}', but no '{name}'")
+        raise BlockError(
+            f"{fmu.path.name} has '{variable.scalars[0]}', but no '{name}'"
+        )
     return variable
 
 
@@ -140,7 +159,9 @@ def _startable(fmu: Fmu, name: str, value: Start) -> Variable:
     variable = fmu.variable(name)
     if variable.causality not in ("parameter", "input") or variable.shape:
         why = "an array" if variable.shape else variable.causality
-        raise BlockError(f"'{name}' of {fmu.path.name} takes no start value: it is {why}")
+        raise BlockError(
+            f"'{name}' of {fmu.path.name} takes no start value: it is {why}"
+        )
     if isinstance(value, str) != (variable.kind == _TEXT):
         kind = "text" if variable.kind == _TEXT else "a number"
         raise BlockError(f"'{name}' of {fmu.path.name} takes {kind}, not {value!r}")
@@ -148,5 +169,7 @@ def _startable(fmu: Fmu, name: str, value: Start) -> Variable:
 
 
 def _is_tunable(variable: Variable) -> bool:
-    is_parameter = variable.causality == "parameter" and variable.variability == "tunable"
+    is_parameter = (
+        variable.causality == "parameter" and variable.variability == "tunable"
+    )
     return is_parameter and not variable.shape and variable.kind != _TEXT

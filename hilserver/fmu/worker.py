@@ -35,7 +35,9 @@ def main() -> int:
             pickle.dump(Started(str(error), np.zeros(0), 0, 0), ready)
         return 1
     x, a, wiring = instance.initial, instance.addresses, order.wiring
-    u, p, y = (np.zeros(n) for n in (wiring.n_inputs, wiring.n_parameters, wiring.n_outputs))
+    u, p, y = (
+        np.zeros(n) for n in (wiring.n_inputs, wiring.n_parameters, wiring.n_outputs)
+    )
     first = at.N_SHARED + u.size + p.size
     store = x.size - at.X_BYTES
     n_words = first + y.size + 4 * store

@@ -32,7 +32,9 @@ def check_sign(gain: RotationGain) -> Check:
     """Return "sign": with the plant's signs K_om is positive."""
     interval = gain.unsteady.ci95
     if interval is None or interval[0] <= 0.0 <= interval[1]:
-        return Check("sign", None, "the robot turns too little to show the sign", gain.unsteady)
+        return Check(
+            "sign", None, "the robot turns too little to show the sign", gain.unsteady
+        )
     passed = interval[0] > 0.0
     text = (
         "left forward and right backward turns the robot as the configured yaw_sign says"

@@ -13,7 +13,9 @@ from hilserver.identify.wheels import files, present
 from hilserver.measured.data import Channel, MeasuredLog
 
 RESTING_RPM: Final = 1.0
-MOSTLY: Final = 0.5  # share of the samples between the edges at which the wheel must rest
+MOSTLY: Final = (
+    0.5  # share of the samples between the edges at which the wheel must rest
+)
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,9 @@ class DeadZone:
     held_rows: int
 
 
-def identify_dead_zone(log: MeasuredLog, resting_rpm: float = RESTING_RPM) -> list[DeadZone]:
+def identify_dead_zone(
+    log: MeasuredLog, resting_rpm: float = RESTING_RPM
+) -> list[DeadZone]:
     """Identify the dead zone of every wheel with duty and speed.
 
     LogError if no wheel is swept across rest.
@@ -63,7 +67,9 @@ def _of_wheel(log: MeasuredLog, wheel: str, resting_rpm: float) -> DeadZone | No
         return None
     low, high = float(level[resting].min()), float(level[resting].max())
     inside = (level >= low) & (level <= high)
-    if np.mean(resting[inside]) < MOSTLY:  # faster than the wheels, which then rest at any duty
+    if (
+        np.mean(resting[inside]) < MOSTLY
+    ):  # faster than the wheels, which then rest at any duty
         return None
     below, above = level[level < low], level[level > high]
     if not (len(below) and len(above)):

@@ -88,7 +88,10 @@ def blocks_of(t_s: Array, span: Indices, block_s: float = LONGEST_BLOCK_S) -> In
     """
     starts = np.flatnonzero(np.diff(span, prepend=span[:1] - 1))
     ends = np.append(starts[1:], len(span))
-    seconds = sum(float(t_s[end - 1] - t_s[first]) for first, end in zip(starts, ends, strict=True))
+    seconds = sum(
+        float(t_s[end - 1] - t_s[first])
+        for first, end in zip(starts, ends, strict=True)
+    )
     length = min(block_s, max(_BLOCK_MIN_S, seconds / _BLOCKS_WANTED))
     block = np.zeros(len(t_s), dtype=np.int64)
     begun = 0

@@ -58,7 +58,9 @@ def identify_noise(log: MeasuredLog, *, everywhere: bool = False) -> list[Channe
     return found
 
 
-def _resting(log: MeasuredLog, span: int, t_s: Array, values: Array) -> list[tuple[Array, Array]]:
+def _resting(
+    log: MeasuredLog, span: int, t_s: Array, values: Array
+) -> list[tuple[Array, Array]]:
     """Return the stretches in which no wheel has turned since the settling time."""
     wheels = present(log, "speed_rpm")
     if not wheels:

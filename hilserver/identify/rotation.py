@@ -99,7 +99,10 @@ class _Samples:
             return np.full(len(t_s), np.nan)
         steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(grid)
         angle = np.concatenate(([0.0], np.cumsum(steps)))
-        ends = [np.interp(at_s, grid, angle, np.nan, np.nan) for at_s in (t_s - before_s, t_s)]
+        ends = [
+            np.interp(at_s, grid, angle, np.nan, np.nan)
+            for at_s in (t_s - before_s, t_s)
+        ]
         mean: Array = (ends[1] - ends[0]) / before_s
         return mean
 
@@ -124,16 +127,26 @@ class _Samples:
                 if own.stop == own.start:
                     good[rows] = False
                     continue
-                left_s = np.maximum.accumulate(np.where(away[own], speed.t_s[own], -np.inf))
+                left_s = np.maximum.accumulate(
+                    np.where(away[own], speed.t_s[own], -np.inf)
+                )
                 left_s = np.maximum(left_s, speed.t_s[own][0])
-                index = np.searchsorted(speed.t_s[own], self.t_s[rows], side="right") - 1
-                since_s = self.t_s[rows] - self._before_s[rows] - left_s[np.maximum(index, 0)]
+                index = (
+                    np.searchsorted(speed.t_s[own], self.t_s[rows], side="right") - 1
+                )
+                since_s = (
+                    self.t_s[rows] - self._before_s[rows] - left_s[np.maximum(index, 0)]
+                )
                 good[rows] &= (index >= 0) & (since_s >= settle_s)
         return good
 
 
 def identify_rotation(
-    log: MeasuredLog, robot: RobotParameters, *, zone_rpm: float = 3.0, settle_s: float = 0.3
+    log: MeasuredLog,
+    robot: RobotParameters,
+    *,
+    zone_rpm: float = 3.0,
+    settle_s: float = 0.3,
 ) -> RotationGain:
     """Identify K_om.
 
@@ -155,12 +168,17 @@ def identify_rotation(
     data = _Samples(log, robot, channel)
     u = data.u()
     good = np.isfinite(u)
-    if good.sum() < _SAMPLES_MIN or np.sqrt(np.mean(u[good] ** 2)) * 2.0 < _TURNING_RAD_S:
+    if (
+        good.sum() < _SAMPLES_MIN
+        or np.sqrt(np.mean(u[good] ** 2)) * 2.0 < _TURNING_RAD_S
+    ):
         raise LogError(
             f"{files(log)}: the robot hardly turns; K_om needs a drive with turns on the spot"
         )
     unsteady = regress(u[good, None], data.y[good], data.block[good])
-    free = regress(np.stack([u[good], np.ones(good.sum())], 1), data.y[good], data.block[good])
+    free = regress(
+        np.stack([u[good], np.ones(good.sum())], 1), data.y[good], data.block[good]
+    )
     flags: list[str] = []
     steady, share = _steady(data, u, good, zone_rpm, settle_s, flags)
     lag, without_lag = _lag(data) if log.has_stamps else (None, None)
@@ -174,14 +192,30 @@ def identify_rotation(
             f"{free.values[0]:.4g} 1/m: turn equally long in both directions"
         )
     if value.ci95 is not None and value.ci95[1] < 0.0:
-        flags.append("K_om is negative: the yaw or the wheels of both sides have the wrong sign")
+        flags.append(
+            "K_om is negative: the yaw or the wheels of both sides have the wrong sign"
+        )
     return RotationGain(
-        channel, zone_rpm, robot.k_om, value, steady, share, without_lag, lag, offset, tuple(flags)
+        channel,
+        zone_rpm,
+        robot.k_om,
+        value,
+        steady,
+        share,
+        without_lag,
+        lag,
+        offset,
+        tuple(flags),
     )
 
 
 def _steady(
-    data: _Samples, u: Array, good: Mask, zone_rpm: float, settle_s: float, flags: list[str]
+    data: _Samples,
+    u: Array,
+    good: Mask,
+    zone_rpm: float,
+    settle_s: float,
+    flags: list[str],
 ) -> tuple[Estimate | None, float]:
     """Return K_om from steady turning, and the share of steady samples."""
     if not present(data.log, "setpoint_rpm", present(data.log, "speed_rpm")):
@@ -189,7 +223,9 @@ def _steady(
         return None, 0.0
     chosen = good & data.steady(zone_rpm, settle_s)
     share = float(chosen.sum() / max(good.sum(), 1))
-    if chosen.sum() < _SAMPLES_MIN or not np.any(np.abs(u[chosen]) > 0.5 * _TURNING_RAD_S):
+    if chosen.sum() < _SAMPLES_MIN or not np.any(
+        np.abs(u[chosen]) > 0.5 * _TURNING_RAD_S
+    ):
         flags.append(
             f"the wheels are never within {zone_rpm:g} rpm of their set-points for {settle_s:g}"
             " s while the robot turns: no steady estimate (is the drive saturated, or the zone"
@@ -229,7 +265,9 @@ def _lag(data: _Samples) -> tuple[Estimate | None, Estimate | None]:
     return Estimate(best + rest.value, interval, "s"), gain_estimate
 
 
-def _flag_lag(lag: Estimate, unsteady: Estimate, corrected: Estimate, flags: list[str]) -> None:
+def _flag_lag(
+    lag: Estimate, unsteady: Estimate, corrected: Estimate, flags: list[str]
+) -> None:
     sure = not lag.holds(0.0) and abs(lag.value) > _LAG_SMALLEST_S
     if sure and abs(corrected.value - unsteady.value) > 0.005 * abs(corrected.value):
         flags.append(
@@ -246,12 +284,18 @@ def _increments(log: MeasuredLog, name: str) -> tuple[Array, Array, Array, Indic
         if len(t_s) < 2:
             continue
         count = max(1, int((t_s[-1] - t_s[0]) / _YAW_STEP_S))
-        picked = np.unique(np.searchsorted(t_s, np.linspace(t_s[0], t_s[-1], count + 1)))
+        picked = np.unique(
+            np.searchsorted(t_s, np.linspace(t_s[0], t_s[-1], count + 1))
+        )
         picked = picked[picked < len(t_s)]
         turned = np.unwrap(yaw)[picked]
         starts, ends = t_s[picked][:-1], t_s[picked][1:]
-        rows.append((starts, ends, np.diff(turned) / (ends - starts), np.full(len(ends), span)))
+        rows.append(
+            (starts, ends, np.diff(turned) / (ends - starts), np.full(len(ends), span))
+        )
     if not rows:
         raise LogError(f"{files(log)}: {name} has too few samples for a yaw rate")
-    starts, ends, rate, owner = (np.concatenate(column) for column in zip(*rows, strict=True))
+    starts, ends, rate, owner = (
+        np.concatenate(column) for column in zip(*rows, strict=True)
+    )
     return starts, ends, rate, owner.astype(np.int64)

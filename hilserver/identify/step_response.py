@@ -61,7 +61,9 @@ def find_steps(log: MeasuredLog, wheel: str, quantity: str) -> list[Step]:
         for i, change in enumerate(changes):
             size = float(values[change] - values[change - 1])
             since_s, at_s = t_s[edges[i]], float(t_s[change])
-            until_s = t_s[edges[i + 2]] if edges[i + 2] < len(t_s) else seen_s[-1] + 1e-9
+            until_s = (
+                t_s[edges[i + 2]] if edges[i + 2] < len(t_s) else seen_s[-1] + 1e-9
+            )
             held = at_s - since_s >= _BEFORE_S and until_s - at_s >= _HOLD_S
             if not held or abs(size) < _SMALLEST_SHARE * largest:
                 continue
@@ -140,7 +142,9 @@ def identify_steps(log: MeasuredLog, source: str | None = None) -> StepResponse:
     tangent = find_tangent(t_s, mean / final)
     pair = two_constants(t_s, mean / final)
     if t_s[-1] < _SETTLED * sum(pair):
-        flags.append("the steps end before the wheels have settled, so the gain is uncertain")
+        flags.append(
+            "the steps end before the wheels have settled, so the gain is uncertain"
+        )
     fits = _Fits(steps, "rpm/%" if quantity == "duty_pct" else "1", final)
     order, chain = fits.chain(sum(pair))
     two = fits.pair(pair)
@@ -162,7 +166,9 @@ def identify_steps(log: MeasuredLog, source: str | None = None) -> StepResponse:
     )
 
 
-def _steps(log: MeasuredLog, inputs: Sequence[str]) -> tuple[str, dict[str, list[Step]]]:
+def _steps(
+    log: MeasuredLog, inputs: Sequence[str]
+) -> tuple[str, dict[str, list[Step]]]:
     """Return the first input that has steps, and those of each wheel."""
     for quantity in inputs:
         wheels = [w for w in present(log, quantity) if f"wheel.{w}.speed_rpm" in log]
@@ -175,7 +181,9 @@ def _steps(log: MeasuredLog, inputs: Sequence[str]) -> tuple[str, dict[str, list
     )
 
 
-def _flags(log: MeasuredLog, quantity: str, by_wheel: dict[str, list[Step]]) -> list[str]:
+def _flags(
+    log: MeasuredLog, quantity: str, by_wheel: dict[str, list[Step]]
+) -> list[str]:
     if quantity == "duty_pct":
         return []
     flags = ["the input is the set-point, so this is the response of the closed loop"]
@@ -183,7 +191,9 @@ def _flags(log: MeasuredLog, quantity: str, by_wheel: dict[str, list[Step]]) -> 
         if steps and f"wheel.{wheel}.duty_pct" in log:
             duty = log[f"wheel.{wheel}.duty_pct"].values
             if np.max(np.abs(duty)) >= SATURATED_PCT:
-                flags.append(f"the drive of {wheel} saturates, so its response is not linear")
+                flags.append(
+                    f"the drive of {wheel} saturates, so its response is not linear"
+                )
     return flags
 
 
@@ -223,7 +233,9 @@ class _Fits:
         """Fit two time constants, the larger first."""
         smallest = 1e-4 * start_s[0]
         start = [math.log(start_s[0]), math.log(max(start_s[1], 20.0 * smallest))]
-        fit = self._fit(lambda t_s, log_t: np.asarray(two_lags(t_s, *np.exp(log_t))), start)
+        fit = self._fit(
+            lambda t_s, log_t: np.asarray(two_lags(t_s, *np.exp(log_t))), start
+        )
         if fit.estimates[0].value < fit.estimates[1].value:
             fit = _Fit(fit.estimates[::-1], fit.gain, fit.rms)
         return fit
@@ -232,9 +244,13 @@ class _Fits:
         """Fit the logarithms of the time constants, and the gain."""
 
         def left(theta: Array) -> Array:
-            return self._centred(self._speed - theta[-1] * self._answer(response, theta[:-1]))
+            return self._centred(
+                self._speed - theta[-1] * self._answer(response, theta[:-1])
+            )
 
-        found = least_squares(left, [*start, self._gain], x_scale=[*([0.1] * len(start)), 1.0])
+        found = least_squares(
+            left, [*start, self._gain], x_scale=[*([0.1] * len(start)), 1.0]
+        )
         theta, rest = found.x, found.fun
         spread = regress(-found.jac, rest, self._blocks)
         estimates = []

@@ -52,7 +52,8 @@ def read_tangent(tangent: Tangent) -> Chain:
     Order 1 means "well below order 2"; `two_constants` then gives more information.
     """
     order = min(
-        range(1, ORDER_MAX + 1), key=lambda n: abs(tangent_of_chain(n).ratio - tangent.ratio)
+        range(1, ORDER_MAX + 1),
+        key=lambda n: abs(tangent_of_chain(n).ratio - tangent.ratio),
     )
     return Chain(order, tangent.rise_s / tangent_of_chain(order).rise_s)
 

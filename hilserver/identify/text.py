@@ -16,7 +16,9 @@ from hilserver.identify.update_rate import Comparison, UpdateRate
 SCHEMA = "hilserver.identify/1"
 
 
-def number(estimate: Estimate | None, *, scale: float = 1.0, unit: str | None = None) -> str:
+def number(
+    estimate: Estimate | None, *, scale: float = 1.0, unit: str | None = None
+) -> str:
     """Return a value with its interval and unit."""
     if estimate is None:
         return "not identified"
@@ -43,7 +45,10 @@ def rotation_lines(gain: RotationGain, checks: Sequence[Check]) -> list[str]:
         ),
         f"K_om, lag taken out        {number(gain.without_lag)}",
         f"lag of the yaw rate        {number(gain.lag_s, scale=1e3, unit='ms')}",
-        *(f"{check.name + '?':<26} {marks[check.passed]}: {check.text}" for check in checks),
+        *(
+            f"{check.name + '?':<26} {marks[check.passed]}: {check.text}"
+            for check in checks
+        ),
         *_flags(gain.flags),
     ]
 
@@ -71,17 +76,26 @@ def step_lines(found: StepResponse) -> list[str]:
     ]
 
 
-def rate_lines(rates: Sequence[UpdateRate], comparisons: Sequence[Comparison]) -> list[str]:
+def rate_lines(
+    rates: Sequence[UpdateRate], comparisons: Sequence[Comparison]
+) -> list[str]:
     """Return periods in ascending order, rises, and which logs can be distinguished."""
     lines = []
     for rate in sorted(rates, key=lambda rate: rate.period_s.value):
         rises = "; ".join(
-            f"{rise.wheel} {number(rise.rise_s, scale=1e3, unit='ms')}" for rise in rate.rises
+            f"{rise.wheel} {number(rise.rise_s, scale=1e3, unit='ms')}"
+            for rise in rate.rises
         )
         period = number(rate.period_s, scale=1e3, unit="ms")
-        lines += [f"{rate.file}", f"  update period  {period}", f"  rise to 63 %   {rises}"]
+        lines += [
+            f"{rate.file}",
+            f"  update period  {period}",
+            f"  rise to 63 %   {rises}",
+        ]
     for pair in comparisons:
-        verdict = "is faster than" if pair.distinguishable else "not distinguishable from"
+        verdict = (
+            "is faster than" if pair.distinguishable else "not distinguishable from"
+        )
         lines.append(f"{pair.faster} {verdict} {pair.slower} (p = {pair.p_value:.2g})")
     return lines
 
@@ -90,7 +104,11 @@ def zone_lines(zones: Iterable[DeadZone]) -> list[str]:
     """Return the dead zone of every wheel."""
     return [
         f"{zone.wheel}: at rest from {number(zone.lower_pct)} to {number(zone.upper_pct)}"
-        + (f"; {zone.held_rows} rows only repeat an old speed" if zone.held_rows else "")
+        + (
+            f"; {zone.held_rows} rows only repeat an old speed"
+            if zone.held_rows
+            else ""
+        )
         for zone in zones
     ]
 

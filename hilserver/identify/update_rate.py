@@ -114,7 +114,9 @@ def compare(rates: Sequence[UpdateRate], level: float = 0.05) -> list[Comparison
 
 
 def _names(wheel: str) -> tuple[str, ...]:
-    return tuple(f"wheel.{wheel}.{q}" for q in ("setpoint_rpm", "duty_pct", "speed_rpm"))
+    return tuple(
+        f"wheel.{wheel}.{q}" for q in ("setpoint_rpm", "duty_pct", "speed_rpm")
+    )
 
 
 def _of_wheel(log: MeasuredLog, wheel: str) -> tuple[WheelRise, Array, float]:
@@ -122,7 +124,9 @@ def _of_wheel(log: MeasuredLog, wheel: str) -> tuple[WheelRise, Array, float]:
     setpoint, duty, speed = (log[name] for name in _names(wheel))
     aims = np.flatnonzero(setpoint.values != 0.0)
     if not len(aims):
-        raise LogError(f"{files(log)}: the set-point of {wheel} is always 0; there is no step")
+        raise LogError(
+            f"{files(log)}: the set-point of {wheel} is always 0; there is no step"
+        )
     span, start_s = int(setpoint.span[aims[0]]), float(setpoint.t_s[aims[0]])
     t_s, values = speed.of(span)
     others = (setpoint.span == span) & (setpoint.values != setpoint.values[aims[0]])
@@ -139,7 +143,8 @@ def _of_wheel(log: MeasuredLog, wheel: str) -> tuple[WheelRise, Array, float]:
     spread = 1.96 * float(np.std(settled)) / math.sqrt(max(len(settled) / 10.0, 1.0))
     way = math.copysign(1.0, final)
     moments = [
-        _first(t_s, way * values, RISE * abs(final) + extra) for extra in (0.0, -spread, spread)
+        _first(t_s, way * values, RISE * abs(final) + extra)
+        for extra in (0.0, -spread, spread)
     ]
     row_s = float(np.median(np.diff(t_s)))
     interval = (moments[1] - row_s - start_s, moments[2] - start_s)

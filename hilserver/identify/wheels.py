@@ -10,7 +10,9 @@ from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
 
 
-def present(log: MeasuredLog, quantity: str, wheels: Sequence[str] = WHEELS) -> list[str]:
+def present(
+    log: MeasuredLog, quantity: str, wheels: Sequence[str] = WHEELS
+) -> list[str]:
     """Return the wheels that have this channel, for example ``speed_rpm``."""
     return [wheel for wheel in wheels if f"wheel.{wheel}.{quantity}" in log]
 
@@ -43,7 +45,9 @@ def at(channel: Channel, span: int, t_s: Array, *, hold: bool = False) -> Array:
     return np.interp(t_s, own_t, values, left=np.nan, right=np.nan)
 
 
-def per_span(log: MeasuredLog, name: str, function: Callable[[int, Array], Array]) -> Array:
+def per_span(
+    log: MeasuredLog, name: str, function: Callable[[int, Array], Array]
+) -> Array:
     """Return `function(span, stamps)` at all samples of a channel, joined."""
     channel = log[name]
     parts = [function(span, channel.of(span)[0]) for span in range(len(log.spans))]
@@ -55,5 +59,7 @@ def side_sum_rpm(log: MeasuredLog, span: int, t_s: Array) -> Array:
     total = np.zeros(len(t_s))
     for side in (LEFT_WHEELS, RIGHT_WHEELS):
         wheels = present(log, "speed_rpm", side)
-        total += np.mean([at(log[f"wheel.{w}.speed_rpm"], span, t_s) for w in wheels], axis=0)
+        total += np.mean(
+            [at(log[f"wheel.{w}.speed_rpm"], span, t_s) for w in wheels], axis=0
+        )
     return total

@@ -72,7 +72,9 @@ class Changes:
             return False
         head = self._image.control.changes_head
         row = self._words[head & (ROWS - 1)]
-        row[NUMBER] = 0  # `find` looks again after its copy: a row that changed meanwhile is none
+        row[NUMBER] = (
+            0  # `find` looks again after its copy: a row that changed meanwhile is none
+        )
         row[DUE], row[TAKEN] = due, -1
         self._values[head & (ROWS - 1), PACKED:] = packed
         row[NUMBER] = number
@@ -81,12 +83,16 @@ class Changes:
 
     def tick_of(self, number: int) -> int | None:
         """Return the tick in which change `number` has acted; None before."""
-        found = np.flatnonzero((self._words[:, NUMBER] == number) & (self._words[:, TAKEN] >= 0))
+        found = np.flatnonzero(
+            (self._words[:, NUMBER] == number) & (self._words[:, TAKEN] >= 0)
+        )
         return int(self._words[found[0], TAKEN]) if found.size else None
 
     def find(self, number: int, tick: int) -> NDArray[np.float64] | None:
         """Return the packed numbers of change `number` that acted in `tick`; None if not there."""
-        found = np.flatnonzero((self._words[:, NUMBER] == number) & (self._words[:, TAKEN] == tick))
+        found = np.flatnonzero(
+            (self._words[:, NUMBER] == number) & (self._words[:, TAKEN] == tick)
+        )
         for row in found.tolist():
             packed: NDArray[np.float64] = self._values[row, PACKED:].copy()
             if self._words[row, NUMBER] == number:

@@ -56,7 +56,12 @@ def padded(length: int) -> int:
 
 
 def make_layout(
-    n_slots: int, *, ring_length: int, queue_rows: int, live: dict[str, int], fixed: dict[str, int]
+    n_slots: int,
+    *,
+    ring_length: int,
+    queue_rows: int,
+    live: dict[str, int],
+    fixed: dict[str, int],
 ) -> Layout:
     """Place every region.
 
@@ -110,11 +115,19 @@ def describe(table: SignalTable, layout: Layout, run: Mapping[str, Any]) -> byte
         }
         for s in (*table.scalars, *(s for s in table if s.is_array))
     ]
-    regions = {name: [region.base, region.length] for name, region in layout.regions.items()}
-    text = json.dumps({"signals": signals, "regions": regions, "run": dict(run)}).encode()
+    regions = {
+        name: [region.base, region.length] for name, region in layout.regions.items()
+    }
+    text = json.dumps(
+        {"signals": signals, "regions": regions, "run": dict(run)}
+    ).encode()
     if len(text) > JSON_WORDS * 8:  # leave out the largest part; a replay then needs -c
         rest = {key: value for key, value in run.items() if key != "configuration"}
-        text = json.dumps({"signals": signals, "regions": regions, "run": rest}).encode()
+        text = json.dumps(
+            {"signals": signals, "regions": regions, "run": rest}
+        ).encode()
     if len(text) > JSON_WORDS * 8:
-        raise ValueError(f"{len(table)} signals are too many for the header of the process image")
+        raise ValueError(
+            f"{len(table)} signals are too many for the header of the process image"
+        )
     return text

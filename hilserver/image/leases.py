@@ -82,7 +82,9 @@ def driving(words: Any) -> Any:
 @inlined
 def lease_at(number: int, words: Any) -> Any:
     """Return a lease by its number."""
-    return record_at(words, words[word.LEASES] + FIRST_LEASE + number * LEASE_WORDS, LEASE)
+    return record_at(
+        words, words[word.LEASES] + FIRST_LEASE + number * LEASE_WORDS, LEASE
+    )
 
 
 @inlined

@@ -99,8 +99,12 @@ class ProcessImage(ImageReader):
     def _describe(self, words: NDArray[np.int64]) -> None:
         text = lay.describe(self._table, self.layout, self._run)
         start = lay.N_CONTROL_WORDS * 8
-        words[word.JSON_BYTES] = 0  # to readers an empty description is not complete yet
-        words.view(np.uint8)[start : start + len(text)] = np.frombuffer(text, dtype=np.uint8)
+        words[word.JSON_BYTES] = (
+            0  # to readers an empty description is not complete yet
+        )
+        words.view(np.uint8)[start : start + len(text)] = np.frombuffer(
+            text, dtype=np.uint8
+        )
         words[word.JSON_BYTES] = len(text)
 
     def tell(self, **run: Any) -> None:
@@ -144,14 +148,18 @@ class ProcessImage(ImageReader):
         return self._push_table(table, word.TIMED_BASE)
 
     def _push(self, rows: Iterable[Row], queue: int) -> bool:
-        table = np.array([(r.tick, r.slot, r.value, r.status) for r in rows], dtype=np.float64)
+        table = np.array(
+            [(r.tick, r.slot, r.value, r.status) for r in rows], dtype=np.float64
+        )
         return self._push_table(table, queue)
 
     def _push_table(self, table: NDArray[np.float64], queue: int) -> bool:
         if table.size == 0:
             return True
         base, capacity = int(self.words[queue]), int(self.words[queue + 1])
-        pushed = push_rows(table, base, capacity, queue + 2, queue + 3, self.values, self.words)
+        pushed = push_rows(
+            table, base, capacity, queue + 2, queue + 3, self.values, self.words
+        )
         return bool(pushed == len(table))
 
     def close(self) -> None:

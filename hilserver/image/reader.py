@@ -39,7 +39,9 @@ class Frame:
     number: int  # how many frames were published before this one
     tick: int  # the tick that computed the values
     planned_ns: int  # planned start of that tick, CLOCK_MONOTONIC
-    latched_rows: int  # input rows latched up to this frame, see `ProcessImage.pushed_rows`
+    latched_rows: (
+        int  # input rows latched up to this frame, see `ProcessImage.pushed_rows`
+    )
     values: NDArray[np.float64]  # shape (n_slots,)
     status: NDArray[np.int64]  # shape (n_slots,); OPC UA status codes
 
@@ -72,7 +74,9 @@ class ImageReader:
         self.control = ControlWords(self.words)  # its first words, by name
         self.n_slots = self.control.n_slots
         base, length = self.words[[word.RING_BASE, word.RING_LENGTH]].tolist()
-        ring = self.words[base : base + length * (lay.FRAME_HEADER_WORDS + 2 * self.n_slots)]
+        ring = self.words[
+            base : base + length * (lay.FRAME_HEADER_WORDS + 2 * self.n_slots)
+        ]
         self._ring = ring.reshape(length, -1)
 
     @classmethod
@@ -84,7 +88,9 @@ class ImageReader:
         buffer = map_read_only(name)
         words = np.frombuffer(buffer, dtype=np.int64, count=2)
         if words[word.MAGIC_WORD] != lay.MAGIC or words[word.VERSION] != lay.VERSION:
-            raise FailedError(f"the process image '{name}' was made by another hilserver version")
+            raise FailedError(
+                f"the process image '{name}' was made by another hilserver version"
+            )
         return cls(buffer)
 
     @property
@@ -126,7 +132,11 @@ class ImageReader:
         """Return frame `number` while it is in the ring, else None."""
         if not 0 <= number < self.head:
             return None
-        row, n, complete = self._ring[number & (len(self._ring) - 1)], self.n_slots, 2 * number + 2
+        row, n, complete = (
+            self._ring[number & (len(self._ring) - 1)],
+            self.n_slots,
+            2 * number + 2,
+        )
         if row[0] != complete:
             return None
         fence()
@@ -146,7 +156,11 @@ class ImageReader:
         ndarray of int64, shape (n, 4 + 2 * n_slots)
             Sequence, tick, planned start [ns], rows latched so far, values, and status codes.
         """
-        numbers = np.arange(first, min(first + most, self.head)) if first >= 0 else np.arange(0)
+        numbers = (
+            np.arange(first, min(first + most, self.head))
+            if first >= 0
+            else np.arange(0)
+        )
         places, complete = numbers & (len(self._ring) - 1), 2 * numbers + 2
         begun = self._ring[places, 0]
         fence()
@@ -208,11 +222,15 @@ def to_batch(frames: Sequence[Frame]) -> FrameBatch:
     heads = [(frame.tick, frame.planned_ns, frame.latched_rows) for frame in frames]
     status = np.stack([frame.status for frame in frames])
     words = np.concatenate([np.array(heads, dtype=np.int64), status], axis=1)
-    return FrameBatch(frames[0].number, words, np.stack([frame.values for frame in frames]))
+    return FrameBatch(
+        frames[0].number, words, np.stack([frame.values for frame in frames])
+    )
 
 
 def read_frames(reader: ImageReader, first: int, limit: int) -> FrameBatch:
     """Copy up to `limit` frames from `first` on; fewer, or none, if the ring has no more."""
     rows, n_slots = reader.rows(first, limit), reader.n_slots
     values = rows[:, 4 : 4 + n_slots].copy().view(np.float64)
-    return FrameBatch(first, np.delete(rows[:, 1:], np.s_[3 : 3 + n_slots], axis=1), values)
+    return FrameBatch(
+        first, np.delete(rows[:, 1:], np.s_[3 : 3 + n_slots], axis=1), values
+    )

@@ -42,7 +42,9 @@ def publish_frame(tick: int, planned_ns: int, values: Any, words: Any) -> None:
 
 
 @inlined
-def copy_frame(number: int, values: Any, words: Any, out_values: Any, out_words: Any) -> int:
+def copy_frame(
+    number: int, values: Any, words: Any, out_values: Any, out_words: Any
+) -> int:
     """Copy frame `number`; return 0, or -1 if the writer has overwritten it.
 
     Parameters

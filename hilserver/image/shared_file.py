@@ -49,7 +49,9 @@ def _remove_left_behind(path: Path) -> bool:
         if not stat.S_ISREG(found.st_mode):
             raise OSError(errno.EINVAL, "is not a regular file")
         if found.st_uid != os.geteuid():
-            raise PermissionError(errno.EPERM, f"belongs to another user (id {found.st_uid})")
+            raise PermissionError(
+                errno.EPERM, f"belongs to another user (id {found.st_uid})"
+            )
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         # without a link it was removed meanwhile, and the path may be another daemon's new file
         if os.fstat(fd).st_nlink:
@@ -143,7 +145,9 @@ def map_read_only(name: str) -> mmap.mmap:
     try:
         found = os.fstat(fd)
         if os.geteuid() not in (0, found.st_uid) and found.st_uid != 0:
-            raise FailedError(f"the process image '{name}' belongs to user {found.st_uid}")
+            raise FailedError(
+                f"the process image '{name}' belongs to user {found.st_uid}"
+            )
         if found.st_size < mmap.PAGESIZE:
             raise FailedError(f"the process image '{name}' is not complete; try again")
         return mmap.mmap(fd, 0, prot=mmap.PROT_READ)

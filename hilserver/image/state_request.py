@@ -22,7 +22,9 @@ def _path(name: str) -> Path:
 def ask_for_state(name: str) -> None:
     """Ask the daemon of the image `name` for a copy of its state."""
     flags = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
-    with contextlib.suppress(OSError):  # if it fails, the recording lacks a state and reports it
+    with contextlib.suppress(
+        OSError
+    ):  # if it fails, the recording lacks a state and reports it
         os.close(os.open(_path(name), flags, 0o600))
 
 

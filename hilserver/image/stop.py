@@ -25,19 +25,27 @@ def press_stop(name: str) -> int:
     if there is no such image, or it has another version.
     """
     try:
-        file = os.open(path_of(name), os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+        file = os.open(
+            path_of(name), os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+        )
     except OSError as error:
         reason = (error.strerror or "refused").lower()
-        raise FailedError(f"cannot stop '{name}': its process image: {reason}") from None
+        raise FailedError(
+            f"cannot stop '{name}': its process image: {reason}"
+        ) from None
     try:
         memory = mmap.mmap(file, _BYTES)
     except (OSError, ValueError):
-        raise FailedError(f"cannot stop '{name}': its process image is not complete") from None
+        raise FailedError(
+            f"cannot stop '{name}': its process image is not complete"
+        ) from None
     finally:
         os.close(file)
     words = (ctypes.c_int64 * lay.N_CONTROL_WORDS).from_buffer(memory)
     if (words[word.MAGIC_WORD], words[word.VERSION]) != (lay.MAGIC, lay.VERSION):
-        raise FailedError(f"cannot stop '{name}': another hilserver version made its image")
+        raise FailedError(
+            f"cannot stop '{name}': another hilserver version made its image"
+        )
     pressed_ns = time.monotonic_ns()
     words[word.STOP_REQUEST] = pressed_ns  # one store of eight bytes
     return pressed_ns

@@ -53,4 +53,6 @@ SETPOINT_SLOTS = 52  # how many slots, from the first, are set-points
 COMMAND_LIMIT = 53  # ticks without a set-point until they become zero; 0: never
 COMMANDED = 54  # 1: a set-point was latched in this tick
 STOP_REQUEST = 55  # time of the last press of Stop [ns], by any process
-STOP_ACKNOWLEDGED = 56  # the press that Reset acknowledged; if they differ, Stop is in force
+STOP_ACKNOWLEDGED = (
+    56  # the press that Reset acknowledged; if they differ, Stop is in force
+)

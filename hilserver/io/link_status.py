@@ -32,7 +32,9 @@ class PeerStatus:
     endpoint: str = ""
     connected: bool = False  # a session exists and its heartbeat was answered
     state: LinkState = LinkState.STOPPED  # where the connection stands
-    mode: str = ""  # how values come in: ``subscribe``, ``poll``; empty while not connected
+    mode: str = (
+        ""  # how values come in: ``subscribe``, ``poll``; empty while not connected
+    )
     mode_reason: str = ""  # why this mode, in words
     stale: bool = True  # inputs are older than `stale_after_ms`, or none has come yet
     last_connect_ns: int | None = None  # CLOCK_MONOTONIC [ns] of the newest session
@@ -86,7 +88,10 @@ class FaultBook:
     """Keeps `PeerStatus.faults`; an intermittent fault counts as one."""
 
     def __init__(
-        self, status: PeerStatus, publish: Callable[[Event], None], kinds: Iterable[StrEnum] = ()
+        self,
+        status: PeerStatus,
+        publish: Callable[[Event], None],
+        kinds: Iterable[StrEnum] = (),
     ) -> None:
         # Counts exist before the first fault: the increase of a series begins at its first value.
         status.fault_counts.update(dict.fromkeys(map(str, kinds), 0))
@@ -107,7 +112,9 @@ class FaultBook:
             return
         self._status.faults[key] = sentence
         message = f"peer {self._status.name}: {sentence}"
-        self._publish(Event(EventKind.PEER_FAULT, 500, self._status.name, message, now_ns))
+        self._publish(
+            Event(EventKind.PEER_FAULT, 500, self._status.name, message, now_ns)
+        )
 
     def refuse(self, kind: StrEnum, subject: str, sentence: str, now_ns: int) -> None:
         """Note why there is no session; kept until `admit` or another reason."""
@@ -125,7 +132,9 @@ class FaultBook:
 
     def expire(self, now_ns: int) -> None:
         """End the faults that have not been seen for `HOLD_NS`."""
-        for key in [k for k, seen_ns in self._seen_ns.items() if now_ns - seen_ns > HOLD_NS]:
+        for key in [
+            k for k, seen_ns in self._seen_ns.items() if now_ns - seen_ns > HOLD_NS
+        ]:
             if key != self._refusal:
                 self._end(key)
 

@@ -43,7 +43,9 @@ class KeptPlace:
 class PlaceKeeper:
     """Decides who comes in, and who yields to whom."""
 
-    def __init__(self, most: int, monotonic_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, most: int, monotonic_s: Callable[[], float] = time.monotonic
+    ) -> None:
         self._most, self._now_s = most, monotonic_s
         self._held: dict[KeptPlace, None] = {}
 
@@ -76,4 +78,6 @@ class PlaceKeeper:
         crowd = Counter(place.address for place in self._held)
         late_s = self._now_s() - YIELDS_AFTER_S
         may_yield = (p for p in among if p.use is PlaceUse.OPENS or p.since_s <= late_s)
-        return min(may_yield, key=lambda p: (p.use, -crowd[p.address], p.since_s), default=None)
+        return min(
+            may_yield, key=lambda p: (p.use, -crowd[p.address], p.since_s), default=None
+        )

@@ -62,7 +62,9 @@ class Source:
         self._label, self._gate, self._publish = label, gate, publish
         self._on_stale, self._fresh = driver.on_stale, fresh
         self._arrivals, self._is_exact = Arrivals(self.staleness.limit_ns), is_exact
-        self._has_written = False  # if the first command lapsed at once, nothing could start
+        self._has_written = (
+            False  # if the first command lapsed at once, nothing could start
+        )
 
     def came_ns(self, now_ns: int) -> int:
         """Return when the data that is read now came in."""
@@ -109,7 +111,9 @@ class Source:
         transition = self.staleness.check(now_ns)
         self.status.stale = self.staleness.stale
         if transition is Transition.LOST:
-            text = f"{self._label}: {self.staleness.reason}; on_stale is {self._on_stale}"
+            text = (
+                f"{self._label}: {self.staleness.reason}; on_stale is {self._on_stale}"
+            )
             self._tell(EventKind.PEER_LOST, 800, text, now_ns)
             self._gate.mark_stale(self.name)
         elif transition is not None:

@@ -81,6 +81,8 @@ class World:
     description: Callable[[str], str]
     # value, status and planned start [ns] of a signal in the newest frame
     read_output: Callable[[str], tuple[Any, int, int]]
-    tables: Mapping[str, Provider]  # figures besides signals: "slices", "peers" and "audit"
+    tables: Mapping[
+        str, Provider
+    ]  # figures besides signals: "slices", "peers" and "audit"
     files: Any  # starts and stops what is named by a file
     tasks: Supervisor  # keeps the tasks of all links

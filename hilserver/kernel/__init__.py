@@ -6,4 +6,11 @@ This is the only room that knows both the plant's arrays and their places in the
 from hilserver.kernel.build import compose, limit_silence, watch_communication
 from hilserver.kernel.composition import BlockUse, Composition, Part
 
-__all__ = ["BlockUse", "Composition", "Part", "compose", "limit_silence", "watch_communication"]
+__all__ = [
+    "BlockUse",
+    "Composition",
+    "Part",
+    "compose",
+    "limit_silence",
+    "watch_communication",
+]

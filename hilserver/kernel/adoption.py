@@ -22,7 +22,9 @@ _ENTRY: Mapping[str, tuple[int, int]] = {
 """Least and largest value of the fields of a fault's entry."""
 
 
-def unfit(state: NDArray[np.int64], regions: Mapping[str, Region], n_slots: int) -> str | None:
+def unfit(
+    state: NDArray[np.int64], regions: Mapping[str, Region], n_slots: int
+) -> str | None:
     """Return what in a state would break the step, None if it is sound.
 
     Parameters
@@ -39,7 +41,9 @@ def unfit(state: NDArray[np.int64], regions: Mapping[str, Region], n_slots: int)
 
     if "x" in regions:
         x = State.of(part("x"))
-        if not all(0 <= head < RING for head in (x.setpoint_head, x.imu_head, x.nav_head)):
+        if not all(
+            0 <= head < RING for head in (x.setpoint_head, x.imu_head, x.nav_head)
+        ):
             return "place in a ring of samples"
         if not all(0 <= count <= RING for count in (x.imu_count, x.nav_count)):
             return "number of samples"
@@ -49,7 +53,9 @@ def unfit(state: NDArray[np.int64], regions: Mapping[str, Region], n_slots: int)
 
 
 def _unfit_faults(m: Modifiers, n_slots: int) -> str | None:
-    if not (0 <= m.count <= at.MAX_MODIFIERS and 0 <= m.touched <= 2 * at.MAX_MODIFIERS):
+    if not (
+        0 <= m.count <= at.MAX_MODIFIERS and 0 <= m.touched <= 2 * at.MAX_MODIFIERS
+    ):
         return "number of faults"
     slots = m.slots[: m.touched].tolist()
     for entry in m.entries[: m.count]:

@@ -3,7 +3,13 @@
 from typing import Any
 
 from hilserver.body.layout import ADDRESSES, CONSTANTS, MOTION, SIGNALS, Signals
-from hilserver.body.slice import body_imu, body_nav, body_ranges, hand_over_wheels, run_slice
+from hilserver.body.slice import (
+    body_imu,
+    body_nav,
+    body_ranges,
+    hand_over_wheels,
+    run_slice,
+)
 from hilserver.compiled import inlined
 from hilserver.compiled.records import record_at
 from hilserver.kernel.places import BodyPlaces, Places, p, q, u, x, y

@@ -51,11 +51,15 @@ class News(NamedTuple):
 class Foreign(Protocol):
     """A foreign model that was started: compiled functions that call it, and what they need."""
 
-    step: Callable[..., int]  # ``(tick, dt_s, u, y, x, p, a) -> int``, a fault number or 0
+    step: Callable[
+        ..., int
+    ]  # ``(tick, dt_s, u, y, x, p, a) -> int``, a fault number or 0
     # ``(u, y, x, p, a)``: write the state to `x` before a snapshot; continue from `x` after one
     keep: Callable[..., None]
     adopt: Callable[..., None]
-    addresses: NDArray[np.int64]  # `a` at the start, of this process; must outlive the step
+    addresses: NDArray[
+        np.int64
+    ]  # `a` at the start, of this process; must outlive the step
     initial: NDArray[np.float64]  # `x` at the start
     key: str  # hash of the functions' sources
 
@@ -102,7 +106,9 @@ class BlockUse:
     inputs: Mapping[str, str]  # signal for each declared input
     # values that replace the declared defaults
     parameters: Mapping[str, float] = field(default_factory=dict)
-    model: ForeignModel | None = None  # model behind the block, if it is not a user's function
+    model: ForeignModel | None = (
+        None  # model behind the block, if it is not a user's function
+    )
     foreign: Foreign | None = None  # that model, started for this robot
     # signal that an output commands; a block with any is a controller
     drives: Mapping[str, str] = field(default_factory=dict)
@@ -118,7 +124,9 @@ class BlockUse:
         return {
             f"{self.name}.u": len(d.inputs),
             f"{self.name}.y": len(d.outputs),
-            f"{self.name}.x": len(d.state) if self.foreign is None else self.foreign.initial.size,
+            f"{self.name}.x": len(d.state)
+            if self.foreign is None
+            else self.foreign.initial.size,
         }
 
     @property
@@ -133,7 +141,9 @@ class ObserverUse:
     """The observer, assigned to a slice."""
 
     source: str  # simulated or measured
-    constants: NDArray[np.float64]  # `c` of its kernels, computed at the parameters `base`
+    constants: NDArray[
+        np.float64
+    ]  # `c` of its kernels, computed at the parameters `base`
     base: robot.Parameters
     nav_ticks: int  # period of the simulated navigation's slice
     imu_ticks: int
@@ -143,7 +153,9 @@ class ObserverUse:
         c, n, base = self.constants.copy(), robot.Parameters.n_words, self.base.numbers
         for first in range(Figures.n_words, c.size, n):
             moved = c[first : first + n]
-            by = np.where(moved == base, 0.0, moved) - np.where(moved == base, 0.0, base)
+            by = np.where(moved == base, 0.0, moved) - np.where(
+                moved == base, 0.0, base
+            )
             c[first : first + n] = now.numbers + by
         return c
 
@@ -163,7 +175,9 @@ class Composition:
     hall: NDArray[np.float64]
     # ranges in which the terms of a patch were fitted, see `fitted_limits`
     fitted: NDArray[np.float64] = field(default_factory=fitted_limits)
-    body: Engine | None = None  # the mechatronic model; its addresses must outlive the step
+    body: Engine | None = (
+        None  # the mechatronic model; its addresses must outlive the step
+    )
     observer: ObserverUse | None = None  # the filter that estimates where the robot is
     # value of every parameter by its name, see `hilserver.parameters`; NaN is null
     settings: Mapping[str, float] = field(default_factory=dict)

@@ -9,7 +9,12 @@ from hilserver.kernel.modifier_layout import RING_TICKS, Entry, Kind, Modifiers
 from hilserver.plant.noise import normal, uniform
 from hilserver.status import GOOD_LOCAL_OVERRIDE, UNCERTAIN_NO_COMMUNICATION
 
-STUCK, NOISE, BIAS, SCALE = (int(Kind.STUCK), int(Kind.NOISE), int(Kind.BIAS), int(Kind.SCALE))
+STUCK, NOISE, BIAS, SCALE = (
+    int(Kind.STUCK),
+    int(Kind.NOISE),
+    int(Kind.BIAS),
+    int(Kind.SCALE),
+)
 DELAY, JITTER, DROP = int(Kind.DELAY), int(Kind.JITTER), int(Kind.DROP)
 REORDER, HOLD, QUANTISE = int(Kind.REORDER), int(Kind.HOLD), int(Kind.QUANTISE)
 SPIKE, DISCONNECT, FORCE = int(Kind.SPIKE), int(Kind.DISCONNECT), int(Kind.FORCE)

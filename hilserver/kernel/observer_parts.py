@@ -57,7 +57,10 @@ def find_observer(
         speed=table.slot(f"{MEASURED}wheel.fl.speed_rpm"),
         gyro=table.slot(f"{MEASURED}imu.gyro_z_rad_s"),
         nav=table.slot(f"{MEASURED}nav.x_m"),
-        samples=(table.slot("internal.samples_imu"), table.slot("internal.samples_nav")),
+        samples=(
+            table.slot("internal.samples_imu"),
+            table.slot("internal.samples_nav"),
+        ),
         stamps=(table.slot("internal.time_imu_s"), table.slot("internal.time_nav_s")),
     )
 
@@ -68,7 +71,9 @@ def _seconds(tick: int, words: Any) -> float:
 
 
 @inlined
-def simulated(at: Places, ob: ObserverPlaces, tick: int, values: Any, words: Any) -> None:
+def simulated(
+    at: Places, ob: ObserverPlaces, tick: int, values: Any, words: Any
+) -> None:
     """Observe the simulated robot through its simulated sensors."""
     c, f = values[ob.c : ob.c_end], values[ob.f : ob.f_end]
     plant, state, shown = p(at, values), x(at, values), y(at, values)
@@ -86,7 +91,9 @@ def simulated(at: Places, ob: ObserverPlaces, tick: int, values: Any, words: Any
 
 
 @inlined
-def measured(at: Places, ob: ObserverPlaces, tick: int, values: Any, words: Any) -> None:
+def measured(
+    at: Places, ob: ObserverPlaces, tick: int, values: Any, words: Any
+) -> None:
     """Observe the real robot through its measured values."""
     c, f = values[ob.c : ob.c_end], values[ob.f : ob.f_end]
     plant, now = p(at, values), _seconds(tick, words)
@@ -98,10 +105,29 @@ def measured(at: Places, ob: ObserverPlaces, tick: int, values: Any, words: Any)
     begin_run(c, f, now, speed, 0.0)
     if words[status + ob.gyro] == GOOD:
         came = when(values[frame + ob.stamps[0]], now)
-        new_gyro(plant, c, f, values[frame + ob.samples[0]], came, values[frame + ob.gyro])
+        new_gyro(
+            plant, c, f, values[frame + ob.samples[0]], came, values[frame + ob.gyro]
+        )
     first = frame + ob.nav
-    if words[status + ob.nav] == words[status + ob.nav + 1] == words[status + ob.nav + 2] == GOOD:
-        count, came = values[frame + ob.samples[1]], when(values[frame + ob.stamps[1]], now)
-        new_pose(plant, c, f, count, came, values[first], values[first + 1], values[first + 2])
+    if (
+        words[status + ob.nav]
+        == words[status + ob.nav + 1]
+        == words[status + ob.nav + 2]
+        == GOOD
+    ):
+        count, came = (
+            values[frame + ob.samples[1]],
+            when(values[frame + ob.stamps[1]], now),
+        )
+        new_pose(
+            plant,
+            c,
+            f,
+            count,
+            came,
+            values[first],
+            values[first + 1],
+            values[first + 2],
+        )
     codes = words[ob.status : ob.status + N_SHOWN]
     end_run(plant, c, f, is_read, record_at(values, ob.out, SHOWN), codes)

@@ -38,13 +38,17 @@ def imu(at: Places, values: Any, words: Any) -> None:
 @inlined
 def battery(at: Places, values: Any, words: Any) -> None:
     """Subtract the charge used in this run from the battery and show its voltage."""
-    battery_step(p(at, values), x(at, values), u(at, values), y(at, values), q(at, words))
+    battery_step(
+        p(at, values), x(at, values), u(at, values), y(at, values), q(at, words)
+    )
 
 
 @inlined
 def shield(at: Places, values: Any, words: Any) -> None:
     """Show the blinking lamps and the temperature."""
-    shield_step(p(at, values), x(at, values), u(at, values), y(at, values), q(at, words))
+    shield_step(
+        p(at, values), x(at, values), u(at, values), y(at, values), q(at, words)
+    )
 
 
 @inlined
@@ -93,7 +97,9 @@ def write_outputs(slots: Any, y: Any, values: Any, words: Any) -> None:
 
 
 @inlined
-def drive(slots: Any, outputs: Any, ranges: Any, y: Any, values: Any, words: Any) -> None:
+def drive(
+    slots: Any, outputs: Any, ranges: Any, y: Any, values: Any, words: Any
+) -> None:
     """Let a block's outputs command the signals they are wired to, as the source `scenario`.
 
     NaN or a value outside the range is not commanded; the previous command stays.

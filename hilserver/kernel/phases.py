@@ -6,12 +6,24 @@ from hilserver.compiled import inlined, part
 from hilserver.compiled.atomics import load_acquire
 from hilserver.image import leases, word
 from hilserver.image.layout import REQUEST_LOAD, REQUEST_RESTART
-from hilserver.image.leases import Lease, adopt_outcome, driving, end_leases, lease_at, show_outcome
+from hilserver.image.leases import (
+    Lease,
+    adopt_outcome,
+    driving,
+    end_leases,
+    lease_at,
+    show_outcome,
+)
 from hilserver.image.queues import latch_rows
 from hilserver.image.requests import serve
 from hilserver.image.ring import publish_frame
 from hilserver.kernel.changes import drop_changes, take_changes
-from hilserver.kernel.modifiers import modifiers, modify_inputs, modify_outputs, restore_true_values
+from hilserver.kernel.modifiers import (
+    modifiers,
+    modify_inputs,
+    modify_outputs,
+    restore_true_values,
+)
 from hilserver.kernel.places import Places
 from hilserver.plant.layout import COMMAND_NORMAL, COMMAND_SAFE, Inputs, Outputs
 from hilserver.scheduler import faults
@@ -83,7 +95,9 @@ def _take_state(at: Places, values: Any, words: Any) -> None:
     is_stopped = load_acquire(words, word.STOP_REQUEST) != words[word.STOP_ACKNOWLEDGED]
     is_safe = is_stopped or state == SAFE or words[word.FIRST_FAULT] != 0
     values[words[word.FRAME_BASE] + at.state] = state
-    values[words[word.FRAME_BASE] + at.command] = COMMAND_SAFE if is_safe else COMMAND_NORMAL
+    values[words[word.FRAME_BASE] + at.command] = (
+        COMMAND_SAFE if is_safe else COMMAND_NORMAL
+    )
     words[word.SAFE_TICKS] = words[word.SAFE_TICKS] + 1 if is_safe else 0
 
 
@@ -121,11 +135,17 @@ def task(request: int, words: Any) -> int:
     """Return what `latch` will do with a request: save the state, restore one, or nothing."""
     if request == words[word.REQUEST_DONE]:
         return NOTHING
-    return RESTORES if words[word.REQUEST_KIND] in (REQUEST_LOAD, REQUEST_RESTART) else SAVES
+    return (
+        RESTORES
+        if words[word.REQUEST_KIND] in (REQUEST_LOAD, REQUEST_RESTART)
+        else SAVES
+    )
 
 
 @part
-def latch(request: int, tick: int, planned_ns: int, at: Places, values: Any, words: Any) -> int:
+def latch(
+    request: int, tick: int, planned_ns: int, at: Places, values: Any, words: Any
+) -> int:
     """Apply parameters, serve a snapshot request, latch the inputs; return the tick to execute.
 
     The daemon's state is an input like any other, so that a replay shows it at the same ticks.

@@ -48,15 +48,28 @@ def step_source(composition: Composition, layout: Layout) -> str:
     """Return the source of the step, a module with the function ``step``."""
     blocks = list(enumerate(composition.blocks))
     places = find_places(layout, composition.table)._asdict()
-    lines = ["AT = Places(", *(f"    {name}={place}," for name, place in places.items()), ")"]
+    lines = [
+        "AT = Places(",
+        *(f"    {name}={place}," for name, place in places.items()),
+        ")",
+    ]
     if composition.body is not None:
         numbers = find_body(layout, composition.table)._asdict().items()
-        lines += ["BODY = BodyPlaces(", *(f"    {name}={place}," for name, place in numbers), ")"]
+        lines += [
+            "BODY = BodyPlaces(",
+            *(f"    {name}={place}," for name, place in numbers),
+            ")",
+        ]
     observer = composition.observer
     if observer is not None:
-        found = find_observer(layout, composition.table, observer.nav_ticks, observer.imu_ticks)
+        found = find_observer(
+            layout, composition.table, observer.nav_ticks, observer.imu_ticks
+        )
         lines += ["OBSERVER = observer_parts.ObserverPlaces("]
-        lines += [*(f"    {name}={place}," for name, place in found._asdict().items()), ")"]
+        lines += [
+            *(f"    {name}={place}," for name, place in found._asdict().items()),
+            ")",
+        ]
     for number, block in blocks:
         lines += _block_slots(number, block, composition)
     body: list[str] = []
@@ -65,12 +78,16 @@ def step_source(composition: Composition, layout: Layout) -> str:
         in_slice = [(number, block) for number, block in blocks if block.slice == name]
         body.append(f"if phase == {index}:  # slice '{name}', every {period_s:g} s")
         own = [part for part in composition.parts if part.slice == name]
-        body += [f"    {_part_call(part, observer)}" for part in own if part.name != BODY]
+        body += [
+            f"    {_part_call(part, observer)}" for part in own if part.name != BODY
+        ]
         has_body = any(part.name == BODY for part in own)
         if has_body or in_slice:
             body.append(f"    fault = {_BODY_CALL if has_body else 0}")
         for number, block in in_slice:
-            body += [f"    {line}" for line in _block_call(number, block, period_s, layout)]
+            body += [
+                f"    {line}" for line in _block_call(number, block, period_s, layout)
+            ]
         body.append(f"    return {'fault' if has_body or in_slice else '0'}")
     body.append("return 0")
     rooms, names = "fitted, parts, phases", "Places"
@@ -158,10 +175,16 @@ def _replayed(number: int, block: BlockUse, layout: Layout) -> list[str]:
     n = sum(output.is_replayed for output in block.declaration.outputs)
     y = layout.regions[f"{block.name}.y"]
     last = f"values[{y.base + y.length - n} : {y.base + y.length}]"
-    return [f"parts.read_inputs(OUTPUTS_{number}[-{n}:], {last}, values, words)"] if n else []
+    return (
+        [f"parts.read_inputs(OUTPUTS_{number}[-{n}:], {last}, values, words)"]
+        if n
+        else []
+    )
 
 
-def _block_call(number: int, block: BlockUse, period_s: float, layout: Layout) -> list[str]:
+def _block_call(
+    number: int, block: BlockUse, period_s: float, layout: Layout
+) -> list[str]:
     drive = f"parts.drive(COMMANDS_{number}, FROM_{number}, RANGES_{number}, {{y}}, values, words)"
     u, y, x, p = (_piece(layout.regions[f"{block.name}.{array}"]) for array in "uyxp")
     if block.foreign is not None:

@@ -22,7 +22,9 @@ from hilserver.logs.unpacking import PIECE_BYTES, ZSTD_MAGIC, Budget
 
 SUFFIXES = (".db3", ".mcap")
 PACKED = tuple(f"{suffix}.zstd" for suffix in SUFFIXES)
-STEPS_PER_BYTE: Final = 10  # of sqlite's machine: more than any table of this size needs
+STEPS_PER_BYTE: Final = (
+    10  # of sqlite's machine: more than any table of this size needs
+)
 _BROKEN = (ValueError, KeyError, struct.error, EndOfFile, McapError, RuntimeError)
 _TORN = "the recorder did not close the file; its contents were read"
 
@@ -76,10 +78,18 @@ def read_messages(path: Path, wanted: set[str], most: int | None = None) -> list
 def _files(path: Path) -> Sequence[Path]:
     if not path.is_dir():
         return [path]
-    files = {file.name: file for file in sorted(path.iterdir()) if is_bag(file) and file.is_file()}
-    twice = {name for name in files if name.removesuffix(".zstd") in files.keys() - {name}}
+    files = {
+        file.name: file
+        for file in sorted(path.iterdir())
+        if is_bag(file) and file.is_file()
+    }
+    twice = {
+        name for name in files if name.removesuffix(".zstd") in files.keys() - {name}
+    }
     if not files:
-        raise LogError(f"{path}: the folder contains no bag (.db3 or .mcap); name the log itself")
+        raise LogError(
+            f"{path}: the folder contains no bag (.db3 or .mcap); name the log itself"
+        )
     return [file for name, file in files.items() if name not in twice]
 
 
@@ -92,7 +102,9 @@ def _read_file(path: Path, wanted: set[str], most: int | None) -> Bag:
         try:
             budget.unzstd_file(path, plain)
         except zstandard.ZstdError as error:
-            raise LogError(f"{path}: cannot be decompressed ({error}); copy it again") from None
+            raise LogError(
+                f"{path}: cannot be decompressed ({error}); copy it again"
+            ) from None
         return _read_plain(bag, plain, wanted, budget)
 
 
@@ -112,13 +124,18 @@ def _read_sqlite(bag: Bag, file: Path, wanted: set[str], budget: Budget) -> None
     connection.set_progress_handler(lambda: next(calls, None) is None, 1000)
     try:
         _take_sqlite(connection, bag, wanted, budget)
-    except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter in an error message of sqlite
+    except (
+        sqlite3.Error,
+        UnicodeDecodeError,
+    ) as error:  # the latter in an error message of sqlite
         if not any(bag.messages.values()):
             raise LogError(
                 f"{bag.path}: not a readable bag ({error}); copy it again, or run 'ros2 bag"
                 " reindex'"
             ) from None
-        bag.notices.append(f"{bag.path}: is damaged ({error}); everything before that was read")
+        bag.notices.append(
+            f"{bag.path}: is damaged ({error}); everything before that was read"
+        )
     finally:
         connection.close()
 
@@ -136,12 +153,16 @@ def _take_sqlite(
     definitions: dict[str, tuple[str, str]] = {}
     if "message_definitions" in tables:
         query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
-        definitions = {row[0]: (str(row[2]), str(row[1])) for row in connection.execute(query)}
+        definitions = {
+            row[0]: (str(row[2]), str(row[1])) for row in connection.execute(query)
+        }
     names = {}
     query = "SELECT id, name, type, serialization_format FROM topics"
     for number, name, kind, serialization in connection.execute(query):
         given = definitions.get(kind, ("", "ros2msg"))
-        bag.topics[str(name)] = Topic(str(kind), *given, serialization=str(serialization))
+        bag.topics[str(name)] = Topic(
+            str(kind), *given, serialization=str(serialization)
+        )
         names[number] = str(name)
     query = "SELECT topic_id, timestamp, data FROM messages ORDER BY id"
     damaged = 0
@@ -173,7 +194,11 @@ def _read_mcap(bag: Bag, file: Path, wanted: set[str], budget: Budget) -> None:
                 for record in _opened(opcode, body, budget):
                     _take_mcap(record, bag, wanted, schemas, names, budget)
             except (*_BROKEN, zstandard.ZstdError) as error:
-                why = str(error) if isinstance(error, ValueError) else type(error).__name__
+                why = (
+                    str(error)
+                    if isinstance(error, ValueError)
+                    else type(error).__name__
+                )
                 bag.notices.append(
                     f"{bag.path}: the record at byte {offset} is damaged ({why:.80});"
                     " everything before it was read"
@@ -221,5 +246,8 @@ def _take_mcap(
             schema.encoding,
             record.message_encoding,
         )
-    elif isinstance(record, rec.Message) and (name := names.get(record.channel_id)) in wanted:
+    elif (
+        isinstance(record, rec.Message)
+        and (name := names.get(record.channel_id)) in wanted
+    ):
         bag.take(str(name), record.log_time, record.data, budget)

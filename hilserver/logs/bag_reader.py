@@ -22,7 +22,9 @@ def is_own_bag(path: Path) -> bool:
 
 def read_own_bag(path: Path) -> Log:
     """Read one of our bags, a folder or its file; see `reading.read_log`."""
-    bags = read_messages(path, {topics.FRAMES, topics.RUN, topics.STATES, topics.CHANGES})
+    bags = read_messages(
+        path, {topics.FRAMES, topics.RUN, topics.STATES, topics.CHANGES}
+    )
     types = Types()
     types.add(topics.STATE_TYPE, topics.STATE_TEXT)
     runs, frames = _all(bags, topics.RUN), _all(bags, topics.FRAMES)
@@ -36,7 +38,9 @@ def read_own_bag(path: Path) -> Log:
         contents = Contents(names=list(run.pop("order")), run=run, ended=True)
         contents.configuration = run.pop("configuration", None)
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
-        raise LogError(f"{path}: its message on {topics.RUN} is damaged; record it again") from None
+        raise LogError(
+            f"{path}: its message on {topics.RUN} is damaged; record it again"
+        ) from None
     dtype = payload_dtype(len(contents.names))
     if any(len(frame) != dtype.itemsize for frame in frames):
         raise LogError(
@@ -48,7 +52,9 @@ def read_own_bag(path: Path) -> Log:
         words = np.array(state.words, dtype=np.int64)
         contents.states.append(State(int(state.segment), int(state.tick), words))
     for data in _all(bags, topics.CHANGES):
-        contents.changes.append(sparse.from_text(types.decode(data, topics.RUN_TYPE).data))
+        contents.changes.append(
+            sparse.from_text(types.decode(data, topics.RUN_TYPE).data)
+        )
     notices = [notice for bag in bags for notice in bag.notices]
     return to_log(path, contents, notices)
 

@@ -20,7 +20,9 @@ RUN, RUN_TYPE = "/hilserver/run", "std_msgs/msg/String"
 STATES, STATE_TYPE = "/hilserver/state", "hilserver/msg/State"  # states to replay from
 STATE_TEXT: Final = "int64 segment\nint64 tick\nint64[] words\n"
 
-TARGET: Final = Published("iotbot/rpm", "iotbot_interface/msg/RotationSpeed", outgoing.rpm_target)
+TARGET: Final = Published(
+    "iotbot/rpm", "iotbot_interface/msg/RotationSpeed", outgoing.rpm_target
+)
 EDUART: Final[tuple[Published, ...]] = (
     TARGET,
     *FLAVOURS["iotbot_shield"].published,
@@ -44,9 +46,13 @@ class Eduart:
         self._robot = Robot(types, nowhere, Odometer(nowhere))
         self._names = names
         self._robot.values = dict.fromkeys(names, 0.0)
-        self.topics = [published for published in EDUART if self._is_possible(published)]
+        self.topics = [
+            published for published in EDUART if self._is_possible(published)
+        ]
         self.every = {
-            published.topic: max(1, round((published.period_s or 1.0) * 1e9 / period_ns))
+            published.topic: max(
+                1, round((published.period_s or 1.0) * 1e9 / period_ns)
+            )
             for published in self.topics
         }
 
@@ -56,7 +62,9 @@ class Eduart:
         except KeyError:
             return False
 
-    def messages(self, tick: int, stamp_ns: int, values: np.ndarray) -> list[tuple[str, Any]]:
+    def messages(
+        self, tick: int, stamp_ns: int, values: np.ndarray
+    ) -> list[tuple[str, Any]]:
         """Return topic and message of everything that is due at a tick."""
         due = [p for p in self.topics if tick % self.every[p.topic] == 0]
         if not due:

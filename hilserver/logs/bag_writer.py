@@ -42,7 +42,9 @@ class BagWriter:
             )
         slot_of = {run["signals"][slot]["name"]: slot for slot in slots}
         self._layout = make_layout(list(slot_of))
-        self._slots = np.array([slot_of[name] for name in self._layout.names], dtype=np.intp)
+        self._slots = np.array(
+            [slot_of[name] for name in self._layout.names], dtype=np.intp
+        )
         self._utc_ns, self._bytes = utc_minus_monotonic_ns, 0
         self._types = Types()
         self._types.add(topics.FRAME_TYPE, self._layout.schema)
@@ -89,10 +91,14 @@ class BagWriter:
         stamps = (frames.planned_ns + self._utc_ns).tolist()
         if self._newest_ns is None:
             self._release(stamps[0])
-        for row, stamp_ns, tick in zip(table, stamps, frames.ticks.tolist(), strict=True):
+        for row, stamp_ns, tick in zip(
+            table, stamps, frames.ticks.tolist(), strict=True
+        ):
             self._append(topics.FRAMES, stamp_ns, row.tobytes())
             for topic, message in self._eduart.messages(tick, stamp_ns, row["values"]):
-                self._append(topics.absolute(topic), stamp_ns, self._types.encode(message))
+                self._append(
+                    topics.absolute(topic), stamp_ns, self._types.encode(message)
+                )
         for change in batch.changes:
             text = self._types.make(topics.RUN_TYPE, data=sparse.as_text(change))
             self._add(topics.CHANGES, self._types.encode(text))

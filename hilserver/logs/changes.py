@@ -28,7 +28,10 @@ SCHEMA: Final[Mapping[str, Any]] = {
             "description": "every value by name; null as in config.yaml",
             "additionalProperties": {"type": ["number", "null"]},
         },
-        "packed": {"type": "string", "description": "float64, little-endian, in base64"},
+        "packed": {
+            "type": "string",
+            "description": "float64, little-endian, in base64",
+        },
     },
 }
 """JSON Schema of a message."""
@@ -39,7 +42,9 @@ def as_text(change: Change) -> str:
     values = {name: v if isfinite(v) else None for name, v in change.values.items()}
     packed = base64.b64encode(change.packed.astype("<f8").tobytes()).decode()
     own = {"segment": change.segment, "tick": change.tick, "number": change.number}
-    return json.dumps({**own, "parameters": values, "packed": packed}, separators=(",", ":"))
+    return json.dumps(
+        {**own, "parameters": values, "packed": packed}, separators=(",", ":")
+    )
 
 
 def from_text(text: str | bytes) -> Change:

@@ -33,7 +33,11 @@ def decimal_notice(path: Path, separator: str) -> str:
 
 
 def with_points(
-    table: Table, reader: Any, rows: Iterable[list[str]], separator: str, dates: str | None
+    table: Table,
+    reader: Any,
+    rows: Iterable[list[str]],
+    separator: str,
+    dates: str | None,
 ) -> Iterator[list[str]]:
     """Yield the rows of a file not separated by commas; numbers that are read get points.
 
@@ -47,7 +51,10 @@ def with_points(
                 if mark in text:
                     if other in text or used == other:
                         where = place_of(
-                            table.path, reader.line_num, table.header, table.header[place]
+                            table.path,
+                            reader.line_num,
+                            table.header,
+                            table.header[place],
                         )
                         raise LogError(
                             f"{where}: {text!r:.60}: the file has both decimal commas and"

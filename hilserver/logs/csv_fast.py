@@ -54,7 +54,9 @@ def parse_clean(data: bytes) -> tuple[list[str], NDArray[np.float64], str] | Non
 def _pieces(data: bytes, begin: int) -> Iterator[bytes]:
     """Yield whole lines, a limited amount at a time, to keep the parser's own memory small."""
     while begin < len(data):
-        end = data.rfind(b"\n", begin, begin + _PIECE) + 1 or data.find(b"\n", begin) + 1
+        end = (
+            data.rfind(b"\n", begin, begin + _PIECE) + 1 or data.find(b"\n", begin) + 1
+        )
         yield data[begin:end]
         begin = end
 
@@ -70,7 +72,9 @@ def _is_regular(body: bytes, n_columns: int) -> bool:
 
 
 def _numbers(body: bytes) -> NDArray[np.float64] | None:
-    for _ in range(2):  # with three commas in a row, one pass fills only every other gap
+    for _ in range(
+        2
+    ):  # with three commas in a row, one pass fills only every other gap
         body = body.replace(b",,", b",nan,")
     text = body.replace(b",\n", b",nan\n").replace(b"\n", b",").decode("ascii")
     with warnings.catch_warnings():

@@ -40,7 +40,9 @@ def read_csv(path: Path, known: Container[str] | None = None) -> Log:
         t_s=table.column(TIME),
         segment=table.segment(),
         block=table.integers(BLOCK),
-        columns={n: table.column(n) for n in table.names if n not in (TIME, SEGMENT, BLOCK)},
+        columns={
+            n: table.column(n) for n in table.names if n not in (TIME, SEGMENT, BLOCK)
+        },
         run=run,
         states=states,
         changes=_read_changes(path),
@@ -51,7 +53,9 @@ def read_csv(path: Path, known: Container[str] | None = None) -> Log:
 class _Names:
     """Which columns a log may have."""
 
-    def __init__(self, known: Container[str] | None, run: Mapping[str, Any] | None) -> None:
+    def __init__(
+        self, known: Container[str] | None, run: Mapping[str, Any] | None
+    ) -> None:
         own = [] if run is None else [s["name"] for s in run["signals"]]
         self._known, self._own = known, own
         iterable = known if isinstance(known, Sequence | set | frozenset | dict) else ()
@@ -113,7 +117,9 @@ def read_table(
         except UnicodeDecodeError as error:
             raise _undecodable(path, error) from None
         except csv.Error as error:
-            raise LogError(f"{path}: not CSV: {error}; write UTF-8 text with commas") from None
+            raise LogError(
+                f"{path}: not CSV: {error}; write UTF-8 text with commas"
+            ) from None
 
 
 def _undecodable(path: Path, error: UnicodeDecodeError) -> LogError:
@@ -123,11 +129,17 @@ def _undecodable(path: Path, error: UnicodeDecodeError) -> LogError:
     except UnicodeDecodeError as again:
         error = again
     row = data.count(b"\n", 0, error.start) + 1
-    return LogError(f"{path}: row {row}: byte {error.start} is not UTF-8; save the file as UTF-8")
+    return LogError(
+        f"{path}: row {row}: byte {error.start} is not UTF-8; save the file as UTF-8"
+    )
 
 
 def _plain(
-    table: Table, reader: Any, header: list[str] | None, separator: str, dates: str | None
+    table: Table,
+    reader: Any,
+    header: list[str] | None,
+    separator: str,
+    dates: str | None,
 ) -> Iterable[list[str]]:
     """Return the rows with decimal points, and with numbers in the column `dates`."""
     rows: Iterable[list[str]] = _without(header, table, reader)
@@ -136,7 +148,9 @@ def _plain(
     return rows if dates is None else with_stamps(table, reader, rows, dates)
 
 
-def _without(header: list[str] | None, table: Table, reader: Any) -> Iterator[list[str]]:
+def _without(
+    header: list[str] | None, table: Table, reader: Any
+) -> Iterator[list[str]]:
     """Yield the rows without repeated headers, which recorders write when they begin anew."""
     again: list[int] = []
     for row in reader:
@@ -200,7 +214,9 @@ def _begin(
 ) -> Table:
     """Return the checked, empty table of a header."""
     if header is None:
-        raise LogError(f"{path}: is empty; the first row must be the header 't_s,<signal>,...'")
+        raise LogError(
+            f"{path}: is empty; the first row must be the header 't_s,<signal>,...'"
+        )
     header = [name.strip() for name in header]
     if header[:1] and header[0].startswith(NO_NAME):
         raise LogError(
@@ -217,7 +233,9 @@ def _begin(
             f"{path}: row 1: there is no column '{time}'; give the time column this name, in s,"
             " or map it with --mapping"
         )
-    read = [i for i, name in enumerate(header) if name and (used is None or name in used)]
+    read = [
+        i for i, name in enumerate(header) if name and (used is None or name in used)
+    ]
     for index in read:
         name = header[index]
         if name in header[:index]:
@@ -245,7 +263,9 @@ def _append(table: Table, line: int, row: list[str], at: int) -> None:
     if len(row) < width or any(map(str.strip, row[width:])):
         remedy = "remove or complete the row"
         if len(row) > width:
-            remedy += ", or separate the columns with semicolons if decimals have commas"
+            remedy += (
+                ", or separate the columns with semicolons if decimals have commas"
+            )
         raise LogError(
             f"{table.path}: row {line} has {len(row)} columns, the header has {width}; {remedy}"
         )

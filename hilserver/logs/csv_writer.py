@@ -33,8 +33,14 @@ def changes_path(path: Path) -> Path:
 class CsvWriter:
     """Writes one CSV log; see `LogWriter`."""
 
-    def __init__(self, path: Path, run: Mapping[str, Any], slots: Sequence[int]) -> None:
-        self._path, self._run, self._slots = path, dict(run), np.asarray(slots, dtype=np.intp)
+    def __init__(
+        self, path: Path, run: Mapping[str, Any], slots: Sequence[int]
+    ) -> None:
+        self._path, self._run, self._slots = (
+            path,
+            dict(run),
+            np.asarray(slots, dtype=np.intp),
+        )
         self._period_s = int(run["base_period_ns"]) * 1e-9
         self._states: list[State] = []
         self._file = WholeFile(path)  # before the files next to it: it may be in use
@@ -55,11 +61,15 @@ class CsvWriter:
         values[(frames.status[:, self._slots] & BAD) != 0] = np.nan
         times = (frames.ticks * self._period_s).tolist()
         rows = zip(times, batch.segments.tolist(), values.tolist(), strict=True)
-        lines = [f"{t!r},{segment},{','.join(map(repr, row))}\n" for t, segment, row in rows]
+        lines = [
+            f"{t!r},{segment},{','.join(map(repr, row))}\n" for t, segment, row in rows
+        ]
         self._file.append("".join(lines).encode())
         if batch.changes:
             with changes_path(self._path).open("a", encoding="utf-8") as file:
-                file.writelines(f"{sparse.as_text(change)}\n" for change in batch.changes)
+                file.writelines(
+                    f"{sparse.as_text(change)}\n" for change in batch.changes
+                )
 
     def add_state(self, state: State) -> None:
         """Append a state to replay from."""

@@ -39,7 +39,9 @@ class Log:
 
     path: Path
     t_s: NDArray[np.float64]  # shape (n,); time of each row [s]; rises within a segment
-    segment: NDArray[np.int64]  # shape (n,); between two segments the robot's pose starts anew
+    segment: NDArray[
+        np.int64
+    ]  # shape (n,); between two segments the robot's pose starts anew
     # shape (n,); signal name to values; NaN where there is no sample
     columns: Mapping[str, NDArray[np.float64]]
     block: NDArray[np.int64] | None = None  # shape (n,); unit of held-out splits

@@ -73,7 +73,9 @@ class Contents:
             }
         elif isinstance(record, rec.Attachment) and record.name == CONFIG_ATTACHMENT:
             self.configuration = record.data.decode() or None
-        elif isinstance(record, rec.Attachment) and record.name.startswith(STATE_ATTACHMENT):
+        elif isinstance(record, rec.Attachment) and record.name.startswith(
+            STATE_ATTACHMENT
+        ):
             _, segment, tick = record.name.split("-")
             words = np.frombuffer(record.data, dtype="<i8").astype(np.int64)
             self.states.append(State(int(segment), int(tick), words))
@@ -105,7 +107,9 @@ def read_mcap(path: Path) -> Log:
                 break
             try:
                 if opcode in _READ:
-                    contents.take(_READ[Opcode(opcode)](ReadDataStream(BytesIO(body))), budget)
+                    contents.take(
+                        _READ[Opcode(opcode)](ReadDataStream(BytesIO(body))), budget
+                    )
             except (
                 ValueError,
                 KeyError,
@@ -160,7 +164,9 @@ def to_log(path: Path, contents: Contents, notices: Sequence[str] = ()) -> Log:
         if run.get("foreign") and TIME not in contents.names:
             raise ValueError("is damaged: it has no times")
     except ValueError as error:
-        raise LogError(f"{path}: its record of the run {error}; record it again") from None
+        raise LogError(
+            f"{path}: its record of the run {error}; record it again"
+        ) from None
     table = (
         np.concatenate(contents.tables)
         if contents.tables
@@ -171,7 +177,9 @@ def to_log(path: Path, contents: Contents, notices: Sequence[str] = ()) -> Log:
     values[(status & BAD) != 0] = np.nan
     notices = list(notices)
     if not contents.ended:
-        notices.append(f"{path}: the recorder did not close the file; its last part is missing")
+        notices.append(
+            f"{path}: the recorder did not close the file; its last part is missing"
+        )
     lost = int((np.diff(table["number"]) - 1).sum()) if len(table) else 0
     if lost > 0:
         notices.append(f"{path}: {lost} frames were lost while recording")

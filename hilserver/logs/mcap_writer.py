@@ -24,7 +24,12 @@ from numpy.typing import NDArray
 from hilserver import __version__
 from hilserver.logs import changes as sparse
 from hilserver.logs.log import Change, State
-from hilserver.logs.message import CDR_LITTLE_ENDIAN, SCHEMA_NAME, make_layout, payload_dtype
+from hilserver.logs.message import (
+    CDR_LITTLE_ENDIAN,
+    SCHEMA_NAME,
+    make_layout,
+    payload_dtype,
+)
 from hilserver.logs.writer import Segmented, WholeFile
 
 TOPIC = "/hilserver/frame"
@@ -41,7 +46,12 @@ USUAL_COMPRESSION = 8
 
 def record_dtype(n_signals: int) -> np.dtype[np.void]:
     """Return a whole Message record, from opcode to payload, as a packed NumPy record."""
-    head = [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")]
+    head = [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+    ]
     times = [("log_time", "<u8"), ("publish_time", "<u8")]
     return np.dtype([*head, *times, ("payload", payload_dtype(n_signals))])
 
@@ -50,7 +60,11 @@ class McapWriter:
     """Writes one MCAP recording; see `LogWriter`."""
 
     def __init__(
-        self, path: Path, run: Mapping[str, Any], slots: Sequence[int], utc_minus_monotonic_ns: int
+        self,
+        path: Path,
+        run: Mapping[str, Any],
+        slots: Sequence[int],
+        utc_minus_monotonic_ns: int,
     ) -> None:
         signals = [run["signals"][slot] for slot in slots]
         slot_of = {s["name"]: slot for s, slot in zip(signals, slots, strict=True)}
@@ -70,7 +84,9 @@ class McapWriter:
             topic=TOPIC,
             message_encoding="cdr",
             schema_id=1,
-            metadata={"signals": json.dumps({name: units[name] for name in layout.names})},
+            metadata={
+                "signals": json.dumps({name: units[name] for name in layout.names})
+            },
         )
         self._summary = _Summary([self._schema], [self._channel])
         self._file = WholeFile(path)
@@ -78,7 +94,9 @@ class McapWriter:
         self._append(self._schema)
         self._append(self._channel)
         self.tell(run)
-        self._attach(CONFIG_ATTACHMENT, "application/yaml", (run["configuration"] or "").encode())
+        self._attach(
+            CONFIG_ATTACHMENT, "application/yaml", (run["configuration"] or "").encode()
+        )
 
     @property
     def n_bytes(self) -> int:
@@ -103,14 +121,18 @@ class McapWriter:
         payload["status"] = frames.status[:, self._slots]
         self._pending.append(table)
         self._pending_bytes += table.nbytes
-        self._changed += [(int(frames.planned_ns[0]) + self._utc_ns, c) for c in batch.changes]
+        self._changed += [
+            (int(frames.planned_ns[0]) + self._utc_ns, c) for c in batch.changes
+        ]
         if self._pending_bytes >= CHUNK_BYTES:
             self.flush()
 
     def add_state(self, state: State) -> None:
         """Append a state to replay from."""
         name = f"{STATE_ATTACHMENT}-{state.segment}-{state.tick}"
-        self._attach(name, "application/octet-stream", state.words.astype("<i8").tobytes())
+        self._attach(
+            name, "application/octet-stream", state.words.astype("<i8").tobytes()
+        )
 
     def tell(self, run: Mapping[str, Any]) -> None:
         """Say where the recording comes from; the last call counts."""
@@ -128,7 +150,9 @@ class McapWriter:
         offset, now_ns = self._file.size, time.time_ns()
         length = self._append(rec.Attachment(now_ns, now_ns, name, media_type, data))
         self._summary.attachments.append(
-            rec.AttachmentIndex(offset, length, now_ns, now_ns, len(data), name, media_type)
+            rec.AttachmentIndex(
+                offset, length, now_ns, now_ns, len(data), name, media_type
+            )
         )
 
     def _append(self, record: rec.McapRecord, *, magic: bool = False) -> int:
@@ -142,7 +166,9 @@ class McapWriter:
             table = np.concatenate(self._pending)
             self._pending, self._pending_bytes = [], 0
             times = table["log_time"].tolist()
-            self._summary.add(self._file, CHANNEL, times, table.tobytes(), table.dtype.itemsize)
+            self._summary.add(
+                self._file, CHANNEL, times, table.tobytes(), table.dtype.itemsize
+            )
         if self._changed:
             changed, self._changed = self._changed, []
             self._write_changes(changed)
@@ -151,7 +177,9 @@ class McapWriter:
         if len(self._summary.channels) == 1:
             schema = json.dumps(sparse.SCHEMA).encode()
             own: tuple[rec.Schema, rec.Channel] = (
-                rec.Schema(data=schema, encoding="jsonschema", id=CHANGES, name=CHANGES_SCHEMA),
+                rec.Schema(
+                    data=schema, encoding="jsonschema", id=CHANGES, name=CHANGES_SCHEMA
+                ),
                 rec.Channel(CHANGES, sparse.TOPIC, "json", {}, CHANGES),
             )
             self._summary.schemas.append(own[0])
@@ -201,12 +229,19 @@ class _Summary:
         self._compressor = zstandard.ZstdCompressor(level=1)
 
     def add(
-        self, file: WholeFile, channel: int, times_ns: Sequence[int], data: bytes, each: int
+        self,
+        file: WholeFile,
+        channel: int,
+        times_ns: Sequence[int],
+        data: bytes,
+        each: int,
     ) -> None:
         """Write messages of `each` bytes as a chunk with its index, and remember its position."""
         start_ns, end_ns = min(times_ns), max(times_ns)
         packed = self._compressor.compress(data)
-        chunk = _encode(rec.Chunk("zstd", packed, end_ns, start_ns, zlib.crc32(data), len(data)))
+        chunk = _encode(
+            rec.Chunk("zstd", packed, end_ns, start_ns, zlib.crc32(data), len(data))
+        )
         index = _message_index(channel, times_ns, each)
         offset = file.size
         file.append(chunk + index)
@@ -246,7 +281,9 @@ class _Summary:
             chunk_count=len(self.chunks),
             message_count=sum(counts.values()),
             message_end_time=max((c.message_end_time for c in self.chunks), default=0),
-            message_start_time=min((c.message_start_time for c in self.chunks), default=0),
+            message_start_time=min(
+                (c.message_start_time for c in self.chunks), default=0
+            ),
             metadata_count=len(self.metadata),
             schema_count=len(self.schemas),
         )
@@ -264,12 +301,16 @@ class _Summary:
         for opcode, group in groups:
             text = b"".join(_encode(record) for record in group)
             if text:
-                offsets += _encode(rec.SummaryOffset(opcode, start + len(summary), len(text)))
+                offsets += _encode(
+                    rec.SummaryOffset(opcode, start + len(summary), len(text))
+                )
             summary += text
         offset_start = start + len(summary)
         head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start)
         crc = zlib.crc32(summary + offsets + head)
-        return data_end + summary + offsets + head + struct.pack("<I", crc) + MCAP0_MAGIC
+        return (
+            data_end + summary + offsets + head + struct.pack("<I", crc) + MCAP0_MAGIC
+        )
 
 
 def _encode(record: rec.McapRecord) -> bytes:

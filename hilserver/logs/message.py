@@ -75,14 +75,17 @@ def make_layout(names: Sequence[str]) -> MessageLayout:
     own_type = f"{'=' * 80}\nMSG: hilserver/RecordedFrame\n{own}"
     head = f"hilserver/RecordedFrame {root.claim('frame')}\n"
     status = f"uint32[{len(order)}] {root.claim('status')}\n"
-    return MessageLayout(tuple(order), head + texts[0] + status + own_type + "".join(texts[1:]))
+    return MessageLayout(
+        tuple(order), head + texts[0] + status + own_type + "".join(texts[1:])
+    )
 
 
 def _collect(group: _Group, order: list[str], texts: list[str]) -> None:
     """Write a group's definition, its leaves first, then those of its own groups."""
     lines = [f"float64 {leaf}\n" for leaf in group.leaves]
     lines += [
-        f"hilserver/{inner.type_name} {inner.field_name}\n" for inner in group.groups.values()
+        f"hilserver/{inner.type_name} {inner.field_name}\n"
+        for inner in group.groups.values()
     ]
     head = "" if not texts else f"{'=' * 80}\nMSG: hilserver/{group.type_name}\n"
     texts.append(head + "".join(lines))

@@ -43,7 +43,10 @@ def write_mf4(log: Log, path: Path, unit_of: Callable[[str], str]) -> None:
     master = log.t_s + offset_ns / NS_PER_S
     channels = [
         Signal(
-            np.ascontiguousarray(values), master, name=name, unit=units.get(name) or unit_of(name)
+            np.ascontiguousarray(values),
+            master,
+            name=name,
+            unit=units.get(name) or unit_of(name),
         )
         for name, values in _columns(log)
     ]
@@ -106,15 +109,22 @@ def _table(mdf: "MDF", path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _as_log(
-    path: Path, table: dict[str, NDArray[Any]], run: dict[str, Any] | None, states: list[State]
+    path: Path,
+    table: dict[str, NDArray[Any]],
+    run: dict[str, Any] | None,
+    states: list[State],
 ) -> Log:
     t_s, segment, block = table.pop(TIME), table.pop(SEGMENT), table.pop(BLOCK, None)
-    names = [name for name in table if name.removesuffix(STATUS) not in table.keys() - {name}]
+    names = [
+        name for name in table if name.removesuffix(STATUS) not in table.keys() - {name}
+    ]
     if run is not None:
         try:
             check_run(run, names)
         except ValueError as error:
-            raise LogError(f"{path}: its record of the run {error}; record it again") from None
+            raise LogError(
+                f"{path}: its record of the run {error}; record it again"
+            ) from None
     good = np.zeros(len(t_s), dtype=np.int64)
     status = {name: table.get(name + STATUS, good).astype(np.int64) for name in names}
     return Log(

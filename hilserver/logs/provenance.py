@@ -35,7 +35,9 @@ def make_run(description: Mapping[str, Any]) -> dict[str, Any]:
 
 def as_yaml(configuration: Mapping[str, Any]) -> str:
     """Return a configuration as YAML text, with secrets masked."""
-    return yaml.safe_dump(_without_secrets(configuration), sort_keys=False, allow_unicode=True)
+    return yaml.safe_dump(
+        _without_secrets(configuration), sort_keys=False, allow_unicode=True
+    )
 
 
 def configuration_of(run: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -64,7 +66,8 @@ def _without_secrets(node: Any) -> Any:
 def pack_meta(run: Mapping[str, Any], states: Sequence[State]) -> str:
     """Return run and states as JSON, for formats that have no room for them."""
     entries = [
-        {"segment": s.segment, "tick": s.tick, "zlib_base64": _pack_words(s)} for s in states
+        {"segment": s.segment, "tick": s.tick, "zlib_base64": _pack_words(s)}
+        for s in states
     ]
     return json.dumps({**run, "states": entries}, indent=1)
 

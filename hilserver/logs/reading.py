@@ -29,10 +29,14 @@ def read_log(path: Path, known: Container[str] | None = None) -> Log:
         if path.suffix == ".mf4":
             return read_mf4(path)
     except OSError as error:
-        raise LogError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
+        raise LogError(
+            f"{path}: {(error.strerror or 'cannot be read').lower()}"
+        ) from None
     if not path.exists():
         raise LogError(f"{path}: no such file or folder")
-    raise LogError(f"{path}: not a readable log; supported are .csv, .mcap, bags and .mf4")
+    raise LogError(
+        f"{path}: not a readable log; supported are .csv, .mcap, bags and .mf4"
+    )
 
 
 def is_bag_of_ros(path: Path) -> bool:
@@ -50,9 +54,13 @@ def refuse_others(path: Path) -> None:
     try:
         path.stat()
     except OSError as error:
-        raise LogError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
+        raise LogError(
+            f"{path}: {(error.strerror or 'cannot be read').lower()}"
+        ) from None
     if not path.is_file() and not path.is_dir():
-        raise LogError(f"{path}: is a device or pipe, not a file; save the log to a file first")
+        raise LogError(
+            f"{path}: is a device or pipe, not a file; save the log to a file first"
+        )
     if path.is_file():
         with path.open("rb") as file:
             is_ros1 = file.read(len(ROS1_BEGINNING)) == ROS1_BEGINNING

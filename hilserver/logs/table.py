@@ -23,9 +23,13 @@ class Table:
     path: Path
     header: list[str]  # names of the file's columns
     # row after row, of the columns `read`
-    numbers: "array[float] | NDArray[np.float64]" = field(default_factory=lambda: array("d"))
+    numbers: "array[float] | NDArray[np.float64]" = field(
+        default_factory=lambda: array("d")
+    )
     # line of each row in the file
-    lines: "array[int] | range | NDArray[np.int64]" = field(default_factory=lambda: array("q"))
+    lines: "array[int] | range | NDArray[np.int64]" = field(
+        default_factory=lambda: array("q")
+    )
     notices: list[str] = field(default_factory=list)
     # indices in the header of the columns that were read; all if not given
     read: list[int] = field(default_factory=list)
@@ -76,7 +80,9 @@ def place_of(path: Path, line: int, header: Sequence[str], name: str) -> str:
     return f"{path}: row {line}, column {header.index(name) + 1} '{name:.60}'"
 
 
-def in_time(table: Table, time: str, segment: str = SEGMENT, block: str = BLOCK) -> Table:
+def in_time(
+    table: Table, time: str, segment: str = SEGMENT, block: str = BLOCK
+) -> Table:
     """Return the table with one row for every stamp.
 
     LogError if a time is missing, or decreases within a segment.
@@ -115,7 +121,9 @@ def _falls(
         repr(float(t[i])) if not table.origin else str(table.origin + int(t[i]))
         for i in (row, row - 1)
     )
-    return LogError(f"{table.where(row, time)}: {now} is not later than {before}; {remedy}")
+    return LogError(
+        f"{table.where(row, time)}: {now} is not later than {before}; {remedy}"
+    )
 
 
 def first_of_equal(

@@ -12,9 +12,13 @@ from mcap.records import Chunk
 
 from hilserver.errors import LogError
 
-PIECE_BYTES: Final = 1 << 28  # of a chunk, a message, a blob; recorders write chunks of a few MB
+PIECE_BYTES: Final = (
+    1 << 28
+)  # of a chunk, a message, a blob; recorders write chunks of a few MB
 FREE_BYTES: Final = 1 << 28
-KEPT_BYTES: Final = 1 << 31  # of messages in total; a diagnosis of eight hours at 100 Hz needs less
+KEPT_BYTES: Final = (
+    1 << 31
+)  # of messages in total; a diagnosis of eight hours at 100 Hz needs less
 RATIO: Final = 1000
 """Beyond `FREE_BYTES`, largest size relative to the file; a robot at rest packs 350 to 1."""
 
@@ -79,7 +83,9 @@ class Budget:
         if chunk.compression == "zstd":
             data = self.unzstd(chunk.data, most)
         elif chunk.compression == "lz4":
-            data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=most + 1)
+            data = lz4.frame.LZ4FrameDecompressor().decompress(
+                chunk.data, max_length=most + 1
+            )
             self.take(len(data))
         elif chunk.compression == "":
             data = chunk.data

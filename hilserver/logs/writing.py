@@ -60,7 +60,9 @@ def write_log(log: Log, path: Path, bag: Storage | None = None) -> None:
         write_table_csv(log, path)
         return
     described = run_of(log)
-    with closing(open_writer(path, described, range(len(described["signals"])), 0, bag)) as writer:
+    with closing(
+        open_writer(path, described, range(len(described["signals"])), 0, bag)
+    ) as writer:
         rewrite(log, writer)
 
 
@@ -75,4 +77,6 @@ def forget(path: Path) -> None:
 def check_suffix(path: Path) -> None:
     """Refuse a suffix that is not one of our formats."""
     if path.suffix not in SUFFIXES:
-        raise FailedError(f"{path}: the name of a log must end in {' or '.join(SUFFIXES)}")
+        raise FailedError(
+            f"{path}: the name of a log must end in {' or '.join(SUFFIXES)}"
+        )

@@ -79,17 +79,29 @@ def _part(
         messages, list(channels.values()), from_header=mapping.time.stamp == "header"
     )
     converted = [
-        as_signal(mapping, signal, column, at, lambda row, at: f"{where}: message {row + 1}, {at}")
+        as_signal(
+            mapping,
+            signal,
+            column,
+            at,
+            lambda row, at: f"{where}: message {row + 1}, {at}",
+        )
         for (signal, at), column in zip(channels.items(), values.T, strict=True)
     ]
     order = np.argsort(stamps, kind="stable")
     values, first, repeated = first_of_equal(
-        stamps[order], np.zeros(len(order), dtype=np.int64), np.stack(converted, axis=1)[order]
+        stamps[order],
+        np.zeros(len(order), dtype=np.int64),
+        np.stack(converted, axis=1)[order],
     )
     notices += [*decoder.notices, *repeated_stamps(where, repeated, "messages")]
     return stamps[order][first], dict(zip(channels, values.T, strict=True))
 
 
 def _empty(path: Path, name: str, mapping: LogMapping) -> str:
-    signals = ", ".join(s for s, channel in mapping.channels.items() if channel.topic == name)
-    return f"{path}: topic '{name}' contains no messages; there are no data for {signals}"
+    signals = ", ".join(
+        s for s, channel in mapping.channels.items() if channel.topic == name
+    )
+    return (
+        f"{path}: topic '{name}' contains no messages; there are no data for {signals}"
+    )

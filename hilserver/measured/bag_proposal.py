@@ -72,8 +72,12 @@ def refuse_unmapped(path: Path) -> NoReturn:
     bags = read_messages(path, set())
     topics = {name: topic for bag in bags for name, topic in bag.topics.items()}
     fitting = next((name for name in builtin_mappings() if _fits(name, topics)), None)
-    offer = f"{fitting} with --mapping, which fits" if fitting else "a file with --mapping"
-    known = ", ".join(f"{name} ({topic.type})" for name, topic in sorted(topics.items()))
+    offer = (
+        f"{fitting} with --mapping, which fits" if fitting else "a file with --mapping"
+    )
+    known = ", ".join(
+        f"{name} ({topic.type})" for name, topic in sorted(topics.items())
+    )
     raise ForeignLog(
         f"{path}: a bag needs a mapping of its topics; give {offer}; its topics are {known:.600}",
         "" if fitting else _proposal(path, topics),
@@ -106,7 +110,12 @@ def _proposal(path: Path, topics: Mapping[str, Topic]) -> str:
 
 
 def _may_be_ours(kind: str) -> bool:
-    return kind in _MEASURED or kind in _COMMANDED or kind == _JOINTS or not _OF_ROS.match(kind)
+    return (
+        kind in _MEASURED
+        or kind in _COMMANDED
+        or kind == _JOINTS
+        or not _OF_ROS.match(kind)
+    )
 
 
 def _guesses(name: str, topic: Topic, sent: list[bytes]) -> Iterator[tuple[str, str]]:
@@ -146,7 +155,9 @@ def _numbers(message: Any, place: str = "") -> Iterator[str]:
             yield f"{at}.yaw"
         elif isinstance(value, list | np.ndarray):
             names = names_of(message, value) or range(min(len(value), _LONGEST + 1))
-            for label, item in zip(names, value, strict=False) if len(value) <= _LONGEST else ():
+            for label, item in (
+                zip(names, value, strict=False) if len(value) <= _LONGEST else ()
+            ):
                 yield from _elements(item, f"{at}[{label}]")
         elif items_of(value):
             yield from _numbers(value, f"{at}.")

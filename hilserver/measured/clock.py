@@ -39,7 +39,9 @@ class Segments:
     def times(self, index: int) -> Array:
         """Return the times of the rows of a segment."""
         n = int(self.first[index + 1] - self.first[index])
-        return np.asarray(self.start_s[index] - self.lead_s + self.period_s * np.arange(n))
+        return np.asarray(
+            self.start_s[index] - self.lead_s + self.period_s * np.arange(n)
+        )
 
     def locate(self, span: Indices, t_s: Array) -> tuple[Indices, Array]:
         """Return the segment of each sample (-1: none) and its row as a fraction."""
@@ -48,7 +50,9 @@ class Segments:
         for i in range(len(self)):
             low, high = np.searchsorted(span, [self.span[i], self.span[i] + 1])
             t = t_s[low:high]
-            a, b = low + np.searchsorted(t, [self.start_s[i] - 1e-9, self.end_s[i] - 1e-9])
+            a, b = low + np.searchsorted(
+                t, [self.start_s[i] - 1e-9, self.end_s[i] - 1e-9]
+            )
             segment[a:b] = i
             since_s = t_s[a:b] - self.start_s[i] + self.lead_s
             at[a:b] = self.first[i] + since_s / self.period_s
@@ -71,7 +75,9 @@ def cut(
             since = period_s * np.rint(since / period_s)
         span += [i] * n
         edges += pairwise([*(s.start_s + since[:-1]).tolist(), s.end_s + period_s])
-    start, end_s = (np.array(e) for e in zip(*edges, strict=True)) if edges else ([], [])
+    start, end_s = (
+        (np.array(e) for e in zip(*edges, strict=True)) if edges else ([], [])
+    )
     lead_s = period_s * round(lead_s / period_s)
     length = np.asarray(end_s) - np.asarray(start) + lead_s
     ticks = np.ceil(length / period_s).astype(np.int64) + 2

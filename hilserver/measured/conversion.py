@@ -30,7 +30,9 @@ def read_any(path: Path, mapping: str | None = None) -> Log:
             refuse_unmapped(path)
         return read_log(path, known_columns())
     except OSError as error:
-        raise LogError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
+        raise LogError(
+            f"{path}: {(error.strerror or 'cannot be read').lower()}"
+        ) from None
 
 
 def _one_table(recording: Recording) -> Log:
@@ -39,7 +41,12 @@ def _one_table(recording: Recording) -> Log:
         (part,) = recording.parts
         columns = dict(part.columns)
         return Log(
-            recording.path, part.t_s, part.segment, columns, part.block, notices=recording.notices
+            recording.path,
+            part.t_s,
+            part.segment,
+            columns,
+            part.block,
+            notices=recording.notices,
         )
     t_s = np.unique(np.concatenate([part.t_s for part in recording.parts]))
     columns = {}

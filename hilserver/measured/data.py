@@ -63,7 +63,9 @@ class MeasuredLog:
     has_stamps: bool = True  # False: times were made from a rate; delays are not judged
     # keys of the plant configuration that the mapping file sets
     plant: Mapping[str, object] = field(default_factory=dict)
-    notices: tuple[str, ...] = ()  # what a reader should know: rows dropped, the file ends early
+    notices: tuple[
+        str, ...
+    ] = ()  # what a reader should know: rows dropped, the file ends early
     # True: the daemon wrote the rows. All stamps are ticks of its plant, and a set-point that first
     # appears in a row came at one of the ticks since the row before
     on_ticks: bool = False

@@ -52,7 +52,9 @@ class Field:
         It is also NaN if its covariance marks it as not measured (sensor_msgs/Imu).
         """
         covariance = getattr(message, f"{self._steps[0]}_covariance", None)
-        if isinstance(covariance, np.ndarray | list) and list(covariance[:1]) == [NOT_MEASURED]:
+        if isinstance(covariance, np.ndarray | list) and list(covariance[:1]) == [
+            NOT_MEASURED
+        ]:
             return math.nan
         try:
             return self._number(message)
@@ -73,7 +75,9 @@ class Field:
                 )
         return None
 
-    def _gone(self, reason: Callable[[], str], *, is_mistake: bool = True) -> _AbsentError:
+    def _gone(
+        self, reason: Callable[[], str], *, is_mistake: bool = True
+    ) -> _AbsentError:
         """Count a message that does not hold the field; the first one gives the reason."""
         self.absent += 1
         self.reason = self.reason or reason()
@@ -88,7 +92,9 @@ class Field:
             elif step == "yaw" and hasattr(value, "w"):
                 return self._yaw(value)
             elif not hasattr(value, step):
-                raise self._gone(lambda: f"there is no field '{self.path}'; {self._hint(message)}")
+                raise self._gone(
+                    lambda: f"there is no field '{self.path}'; {self._hint(message)}"
+                )
             else:
                 holder, value = value, getattr(value, step)
         if value is None:
@@ -109,12 +115,16 @@ class Field:
         if isinstance(key, str) and key not in names:
             known = f"it has {', '.join(names):.200}" if names else "indices start at 0"
             raise self._gone(
-                lambda: f"field '{self.path}': there is no '{key}'; {meant(key, names, known)}"
+                lambda: (
+                    f"field '{self.path}': there is no '{key}'; {meant(key, names, known)}"
+                )
             )
         place = names.index(key) if isinstance(key, str) else key
         if not isinstance(items, list | np.ndarray) or place >= len(items):
             raise self._gone(
-                lambda: f"the list in field '{self.path}' is shorter; indices start at 0"
+                lambda: (
+                    f"the list in field '{self.path}' is shorter; indices start at 0"
+                )
             )
         if key == place and place < len(names):
             self._at.setdefault(place, {})[names[place]] = None
@@ -130,7 +140,9 @@ class Field:
                 lambda: f"the quaternion in field '{self.path}' has norm {norm:.3g}",
                 is_mistake=False,
             )
-        return math.atan2(2.0 * (q.w * q.z + q.x * q.y), norm**2 - 2.0 * (q.y**2 + q.z**2))
+        return math.atan2(
+            2.0 * (q.w * q.z + q.x * q.y), norm**2 - 2.0 * (q.y**2 + q.z**2)
+        )
 
 
 def items_of(message: Any) -> list[tuple[str, Any]]:
@@ -148,7 +160,11 @@ def names_of(holder: Any, items: Any) -> list[str]:
             if all(isinstance(name, str) for name in names):
                 return [str(name) for name in names]
     for _, other in items_of(holder):
-        if isinstance(other, list) and other and all(isinstance(name, str) for name in other):
+        if (
+            isinstance(other, list)
+            and other
+            and all(isinstance(name, str) for name in other)
+        ):
             return other
     return []
 

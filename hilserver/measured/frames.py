@@ -25,7 +25,9 @@ COMMAND: Final = "internal.command"
 POSE_REQUEST: Final = "internal.pose_request"
 SECTIONS: Final = ("scheduler", "sensors", "plant")
 RARE: Final = 0.05  # share of the samples
-GAP_STEPS: Final = 1.5  # times the usual time between samples; from there one is missing
+GAP_STEPS: Final = (
+    1.5  # times the usual time between samples; from there one is missing
+)
 OLDEST_S: Final = 1.0  # a stamp that makes a sample older than this is wrong
 
 
@@ -49,8 +51,13 @@ class Sampling:
         robot = every(config.plant.slice)
         nav = every(sensors.nav.slice)
         samples = max(round(1e3 / (sensors.nav.rate_hz * nav * base_ms)), 1)
-        ticks = dict.fromkeys(("wheel", "pose", "velocity"), robot) | {"nav": nav * samples}
-        ticks |= {name: every(getattr(sensors, name).slice) for name in ("imu", "battery", "tof")}
+        ticks = dict.fromkeys(("wheel", "pose", "velocity"), robot) | {
+            "nav": nav * samples
+        }
+        ticks |= {
+            name: every(getattr(sensors, name).slice)
+            for name in ("imu", "battery", "tof")
+        }
         ticks |= dict.fromkeys(("shield", "lights"), ticks["battery"])
         return cls(base_ms * 1e-3, ticks)
 
@@ -106,10 +113,16 @@ def frames_of(log: Log, sampling: Sampling | None) -> Frames:
     taken = {} if sampling is None else _taken(rows, log.t_s, sampling)
     segment = log.segment.copy()
     if POSE_REQUEST in rows:
-        segment += np.cumsum(np.diff(rows[POSE_REQUEST], prepend=rows[POSE_REQUEST][:1]) != 0)
+        segment += np.cumsum(
+            np.diff(rows[POSE_REQUEST], prepend=rows[POSE_REQUEST][:1]) != 0
+        )
     measured = _measured(rows, _rows(log) if tick is None else tick, taken)
     columns: dict[str, Array] = dict(measured)
-    age_s = {name: own.age_s for name in measured if (own := _of_group(taken, name)) is not None}
+    age_s = {
+        name: own.age_s
+        for name in measured
+        if (own := _of_group(taken, name)) is not None
+    }
     for name, values in _chosen(rows, measured).items():
         columns[name] = values
         if sampling is None or tick is None or is_input(name):
@@ -122,11 +135,15 @@ def frames_of(log: Log, sampling: Sampling | None) -> Frames:
             fresh &= enough
         columns[name] = np.where(fresh, values, np.nan)
         if period > 1:
-            age_s[name] = np.multiply(tick % period, sampling.base_period_s, dtype=np.float64)
+            age_s[name] = np.multiply(
+                tick % period, sampling.base_period_s, dtype=np.float64
+            )
     return Frames(columns, age_s, segment, on_ticks=sampling is not None and not taken)
 
 
-def _taken(rows: Mapping[str, Array], t_s: Array, sampling: Sampling) -> dict[str, _Taken]:
+def _taken(
+    rows: Mapping[str, Array], t_s: Array, sampling: Sampling
+) -> dict[str, _Taken]:
     """Return the samples of the measured groups whose count and time are recorded.
 
     They arrived with the delay of their transport; their source's stamps place them when they were
@@ -134,7 +151,9 @@ def _taken(rows: Mapping[str, Array], t_s: Array, sampling: Sampling) -> dict[st
     """
     came: dict[str, tuple[Indices, Array]] = {}
     for group in SAMPLED:
-        count, stamp = (rows.get(f"internal.{n}") for n in (f"samples_{group}", f"taken_{group}_s"))
+        count, stamp = (
+            rows.get(f"internal.{n}") for n in (f"samples_{group}", f"taken_{group}_s")
+        )
         if count is None or stamp is None:
             continue
         at = np.flatnonzero(np.diff(count, prepend=count[:1]) > 0.0)
@@ -145,8 +164,12 @@ def _taken(rows: Mapping[str, Array], t_s: Array, sampling: Sampling) -> dict[st
     if "wheel" in came:
         tick_s = sampling.period("wheel") * sampling.base_period_s
         at, stamps = came["wheel"]
-        phase = np.angle(np.exp(2j * np.pi * (stamps - t_s[0]) / tick_s).mean()) / (2.0 * np.pi)
-        came = {group: (at, stamps - phase * tick_s) for group, (at, stamps) in came.items()}
+        phase = np.angle(np.exp(2j * np.pi * (stamps - t_s[0]) / tick_s).mean()) / (
+            2.0 * np.pi
+        )
+        came = {
+            group: (at, stamps - phase * tick_s) for group, (at, stamps) in came.items()
+        }
         at, stamps = came["wheel"]
         came["wheel"] = at, t_s[0] + tick_s * np.rint((stamps - t_s[0]) / tick_s)
     return {group: _risen(t_s, *own) for group, own in came.items()}
@@ -243,19 +266,31 @@ def _measured(
             sampled = np.where(own.fresh & own.follows, values, np.nan)
             found[name] = _without_rare_repeats(sampled)
     if not all(name in found for name in SETPOINTS):
-        found = {name: values for name, values in found.items() if name not in SETPOINTS}
+        found = {
+            name: values for name, values in found.items() if name not in SETPOINTS
+        }
     return found
 
 
-def _chosen(rows: Mapping[str, Array], measured: Mapping[str, Array]) -> dict[str, Array]:
+def _chosen(
+    rows: Mapping[str, Array], measured: Mapping[str, Array]
+) -> dict[str, Array]:
     """Return the inputs that the robot acted on, and its own outputs if nothing was measured."""
     if SETPOINTS[0] in measured:
         return {}  # the robot itself reports what it was asked for
     known = known_signals()
-    inputs = {name: values for name, values in rows.items() if name in known and is_input(name)}
-    inputs |= {COMMAND: rows[COMMAND]} if COMMAND in rows and rows[COMMAND].any() else {}
+    inputs = {
+        name: values
+        for name, values in rows.items()
+        if name in known and is_input(name)
+    }
+    inputs |= (
+        {COMMAND: rows[COMMAND]} if COMMAND in rows and rows[COMMAND].any() else {}
+    )
     outputs = {
-        name: values for name, values in rows.items() if name in known and name not in inputs
+        name: values
+        for name, values in rows.items()
+        if name in known and name not in inputs
     }
     return _obeyed(inputs) | ({} if measured else outputs)
 
@@ -266,7 +301,9 @@ def _obeyed(inputs: dict[str, Array]) -> dict[str, Array]:
         return inputs
     mode_of = {name: mode for mode, names in enumerate(OF_MODE) for name in names}
     return {
-        name: np.where(inputs[MODE] == mode_of[name], values, np.nan) if name in mode_of else values
+        name: np.where(inputs[MODE] == mode_of[name], values, np.nan)
+        if name in mode_of
+        else values
         for name, values in inputs.items()
     }
 
@@ -274,7 +311,9 @@ def _obeyed(inputs: dict[str, Array]) -> dict[str, Array]:
 def _fresh(values: Array, sample: Indices, segment: Indices) -> Mask | None:
     """Return the first row of every sample; None if values within one differ."""
     there = np.flatnonzero(np.isfinite(values))
-    new = (np.diff(sample[there], prepend=-1) != 0) | (np.diff(segment[there], prepend=-1) != 0)
+    new = (np.diff(sample[there], prepend=-1) != 0) | (
+        np.diff(segment[there], prepend=-1) != 0
+    )
     if (np.diff(values[there])[~new[1:]] != 0.0).any():
         return None
     fresh = np.zeros(len(values), dtype=np.bool_)

@@ -46,7 +46,9 @@ class Lag:
     # of the log
     middle_s: float
     length_s: float
-    least_s: float = CLOCK_LEAST_S  # a smaller offset is a latency, or hidden by slow samples
+    least_s: float = (
+        CLOCK_LEAST_S  # a smaller offset is a latency, or hidden by slow samples
+    )
 
     @property
     def is_early(self) -> bool:
@@ -67,13 +69,17 @@ class Lag:
         )
 
 
-def wheel_motion(log: MeasuredLog, robot: RobotParameters) -> tuple[Channel, Channel] | None:
+def wheel_motion(
+    log: MeasuredLog, robot: RobotParameters
+) -> tuple[Channel, Channel] | None:
     """Return forward and turning speed of the wheels, up to a factor.
 
     One wheel per side is enough, but not if a mecanum robot moves sideways: its wheels then differ.
     """
     taken = slice(None) if robot.is_mecanum else slice(1)
-    sides = [[f"wheel.{w}.speed_rpm" for w in s[taken]] for s in (LEFT_WHEELS, RIGHT_WHEELS)]
+    sides = [
+        [f"wheel.{w}.speed_rpm" for w in s[taken]] for s in (LEFT_WHEELS, RIGHT_WHEELS)
+    ]
     if not log.has(*sides[0], *sides[1]):
         return None
     first = log[sides[0][0]]
@@ -157,7 +163,10 @@ def lag_behind(rate: Channel, path: Channel | None, *, is_angle: bool) -> Lag | 
         return None
     borders = np.linspace(begin, end, n + 1)
     delays = np.array(
-        [_delay(t_rate, s_rate, t_path, s_path, first, last) for first, last in pairwise(borders)]
+        [
+            _delay(t_rate, s_rate, t_path, s_path, first, last)
+            for first, last in pairwise(borders)
+        ]
     )
     middle = (borders[:-1] + borders[1:]) / 2.0
     good = np.isfinite(delays)
@@ -167,7 +176,9 @@ def lag_behind(rate: Channel, path: Channel | None, *, is_angle: bool) -> Lag | 
     return _line_through(middle[good], delays[good], float(end - begin), least_s)
 
 
-def _line_through(t: Array, delay: Array, length_s: float, least_s: float) -> Lag | None:
+def _line_through(
+    t: Array, delay: Array, length_s: float, least_s: float
+) -> Lag | None:
     """Fit offset and drift, leaving out chunks far from the others."""
     keep = np.ones(len(t), dtype=np.bool_)
     for _ in range(2):
@@ -186,7 +197,9 @@ def _line_through(t: Array, delay: Array, length_s: float, least_s: float) -> La
     return Lag(offset, offset_sd, float(slope), sd / spread, middle, length_s, least_s)
 
 
-def _delay(t_rate: Array, s_rate: Array, t: Array, s: Array, begin: float, end: float) -> float:
+def _delay(
+    t_rate: Array, s_rate: Array, t: Array, s: Array, begin: float, end: float
+) -> float:
     """Return the delay with which distances over a second fit best; NaN without motion."""
     first, last = np.searchsorted(t, [begin, end])
     times = t[first:last]
@@ -215,5 +228,7 @@ def _unexplained(y: Array, x: Array) -> Array:
     """Return the share of the variance of y, shape (n,), that no line in each row of x explains."""
     y, x = y - y.mean(), x - x.mean(axis=1, keepdims=True)
     total = (y**2).sum() * (x**2).sum(axis=1)
-    share = np.divide((x * y).sum(axis=1) ** 2, total, out=np.zeros(len(x)), where=total > 0.0)
+    share = np.divide(
+        (x * y).sum(axis=1) ** 2, total, out=np.zeros(len(x)), where=total > 0.0
+    )
     return np.asarray(1.0 - share)

@@ -20,14 +20,18 @@ def machine(log: MeasuredLog, robot: RobotParameters) -> RobotParameters:
         If the mapping's machine does not fit the rest of the configured one.
     """
     names = {item.name for item in fields(robot)}
-    given: dict[str, Any] = {key: value for key, value in log.plant.items() if key in names}
+    given: dict[str, Any] = {
+        key: value for key, value in log.plant.items() if key in names
+    }
     for key in ("controller", "process"):
         if isinstance(given.get(key), Mapping):
             given[key] = replace(getattr(robot, key), **given[key])
     try:
         return replace(robot, **given, body_wheels=False)
     except PlantError as error:
-        raise LogError(f"{log.sources[0].file}: plant section of its mapping: {error}") from None
+        raise LogError(
+            f"{log.sources[0].file}: plant section of its mapping: {error}"
+        ) from None
 
 
 def machine_config(log: MeasuredLog, config: Config) -> Config:

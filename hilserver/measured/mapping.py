@@ -33,13 +33,16 @@ class TimeMap(Section):
         description="if the file has no time stamps: rate of the rows; delays are then not judged",
     )
     stamp: Literal["received", "header"] = Field(
-        "received", description="bags: time of reception by the recorder, or header.stamp"
+        "received",
+        description="bags: time of reception by the recorder, or header.stamp",
     )
 
     @model_validator(mode="after")
     def _one_of_them(self) -> Self:
         if self.column is not None and self.rate_hz is not None:
-            raise ValueError("column and rate_hz exclude each other; remove one of them")
+            raise ValueError(
+                "column and rate_hz exclude each other; remove one of them"
+            )
         return self
 
 
@@ -59,7 +62,9 @@ class ChannelMap(Section):
         description="number in the message: a.b.c, list[2] or list[name]; quaternion.yaw is"
         " computed",
     )
-    unit: str | None = Field(None, description="default: that of the signal; 1: any, see scale")
+    unit: str | None = Field(
+        None, description="default: that of the signal; 1: any, see scale"
+    )
     sign: Literal[-1, 1] = Field(1, description="-1 reverses it")
     scale: float | None = Field(None, description="factor, applied after the unit")
     offset: float = Field(0.0, description="added last, in the unit of the signal")
@@ -86,7 +91,9 @@ class OdometryMap(Section):
 class LogMapping(Section):
     """A mapping file."""
 
-    time: TimeMap = Field(default_factory=TimeMap, description="source of the time stamps")
+    time: TimeMap = Field(
+        default_factory=TimeMap, description="source of the time stamps"
+    )
     segment: ColumnMap | None = Field(None, description="column that numbers the runs")
     block: ColumnMap | None = Field(
         None, description="column that numbers the blocks held out together"
@@ -111,7 +118,11 @@ class LogMapping(Section):
         if "track_m" in keys:
             keys.setdefault("wheelbase_m", None)
         if keys.get("wheelbase_m", ...) is None:
-            two_wheels = {"drive": "skid", "icr_offset_m": 0.0, "rotation_gain": "geometric_diff"}
+            two_wheels = {
+                "drive": "skid",
+                "icr_offset_m": 0.0,
+                "rotation_gain": "geometric_diff",
+            }
             keys = two_wheels | keys
         return keys
 
@@ -134,7 +145,11 @@ class LogMapping(Section):
 
 def builtin_mappings() -> tuple[str, ...]:
     """Return the names of the mappings that come with hilserver."""
-    return tuple(sorted(Path(f.name).stem for f in _folder().iterdir() if f.name.endswith(".yaml")))
+    return tuple(
+        sorted(
+            Path(f.name).stem for f in _folder().iterdir() if f.name.endswith(".yaml")
+        )
+    )
 
 
 def _folder() -> Traversable:

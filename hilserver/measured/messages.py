@@ -54,7 +54,9 @@ class Decoder:
     def _decoder(self) -> Callable[[bytes], Any]:
         topic = self._topic
         if topic.serialization == "json":
-            return lambda data: json.loads(data, object_hook=lambda d: SimpleNamespace(**d))
+            return lambda data: json.loads(
+                data, object_hook=lambda d: SimpleNamespace(**d)
+            )
         if topic.serialization not in ("cdr", "ros1"):
             raise TopicError(
                 f"{self._where}: its messages are"
@@ -67,7 +69,11 @@ class Decoder:
                 f"{self._where}: the definition of its type '{topic.type}' is not in the bag;"
                 " record it with ROS 2 Iron or newer, or convert the topic to CSV"
             )
-        decode = store.deserialize_ros1 if topic.serialization == "ros1" else store.deserialize_cdr
+        decode = (
+            store.deserialize_ros1
+            if topic.serialization == "ros1"
+            else store.deserialize_cdr
+        )
         return lambda data: decode(data, name)
 
     def _store(self) -> Any:
@@ -91,7 +97,13 @@ class Decoder:
             )
             store = get_typestore(Stores.EMPTY)
             store.register({**known.fielddefs, **types})
-        except (TypesysError, ValueError, LookupError, TypeError, RecursionError) as error:
+        except (
+            TypesysError,
+            ValueError,
+            LookupError,
+            TypeError,
+            RecursionError,
+        ) as error:
             self.notices.append(
                 f"{self._where}: the definition of its type '{topic.type}' cannot be read"
                 f" ({type(error).__name__}); that of ROS 2 Humble is used"
@@ -100,7 +112,11 @@ class Decoder:
         return store
 
     def numbers(
-        self, messages: Sequence[tuple[int, bytes]], fields: Sequence[str], *, from_header: bool
+        self,
+        messages: Sequence[tuple[int, bytes]],
+        fields: Sequence[str],
+        *,
+        from_header: bool,
     ) -> tuple[Indices, Array]:
         """Return stamps [ns] and the fields of every message, shapes (n,) and (n, n_fields).
 
@@ -121,7 +137,9 @@ class Decoder:
         for row, (received_ns, data) in enumerate(messages):
             try:
                 message = self.decode(data)
-                stamps[row] = _header_ns(self._where, message) if from_header else received_ns
+                stamps[row] = (
+                    _header_ns(self._where, message) if from_header else received_ns
+                )
             except LogError:
                 raise
             except Exception as error:  # noqa: BLE001 -- foreign bytes fail decoders in many ways
@@ -135,7 +153,9 @@ class Decoder:
                 f"{self._where}: none of its messages can be decoded as '{self._topic.type}'"
                 f" ({failed}); was the type changed while recording?"
             )
-        self._leave_out(int((~decoded).sum()), f"messages that cannot be decoded ({failed})")
+        self._leave_out(
+            int((~decoded).sum()), f"messages that cannot be decoded ({failed})"
+        )
         self._complain(readers, int(decoded.sum()))
         if from_header:
             decoded &= stamps != 0
@@ -144,7 +164,8 @@ class Decoder:
                     f"{self._where}: its headers have no time stamps; use 'stamp: received'"
                 )
             self._leave_out(
-                int((stamps == 0).sum()), "messages without a time stamp in their header"
+                int((stamps == 0).sum()),
+                "messages without a time stamp in their header",
             )
         return stamps[decoded], values[decoded]
 
@@ -157,7 +178,9 @@ class Decoder:
         for read in readers:
             if (mistake := read.mistake(n)) is not None:
                 raise LogError(f"{self._where}: {mistake}")
-        for absent, reason in dict.fromkeys((r.absent, r.reason) for r in readers if r.absent):
+        for absent, reason in dict.fromkeys(
+            (r.absent, r.reason) for r in readers if r.absent
+        ):
             self.notices.append(
                 f"{self._where}: {absent} of {n} messages contain no sample: {reason}"
             )
@@ -175,4 +198,6 @@ def _header_ns(where: str, message: Any) -> int:
         rest = stamp.nanosec if hasattr(stamp, "nanosec") else stamp.nsec
         return int(stamp.sec) * 1_000_000_000 + int(rest)
     except AttributeError:
-        raise LogError(f"{where}: its messages have no header; use 'stamp: received'") from None
+        raise LogError(
+            f"{where}: its messages have no header; use 'stamp: received'"
+        ) from None

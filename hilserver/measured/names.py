@@ -7,7 +7,14 @@ from typing import Final
 from hilserver.measured.channels import ODOM_ANGULAR, ODOM_LINEAR
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RAD_S_PER_RPM
-from hilserver.signals import MEASURED, Direction, Ranges, Signal, SignalTable, robot_table
+from hilserver.signals import (
+    MEASURED,
+    Direction,
+    Ranges,
+    Signal,
+    SignalTable,
+    robot_table,
+)
 
 ODOMETRY_UNITS: Final = {ODOM_LINEAR: "m/s", ODOM_ANGULAR: "rad/s"}
 _OF_THE_DAEMON = ("sim.", "internal.")
@@ -25,13 +32,19 @@ def known_signals() -> dict[str, Signal]:
     return {
         signal.name: signal
         for signal in _table()
-        if not (signal.is_array or signal.is_measured or signal.name.startswith(_OF_THE_DAEMON))
+        if not (
+            signal.is_array
+            or signal.is_measured
+            or signal.name.startswith(_OF_THE_DAEMON)
+        )
     }
 
 
 def mapped_units() -> dict[str, str]:
     """Return the unit of everything that a mapping may name: signals, and a driver's odometry."""
-    return {name: signal.unit for name, signal in known_signals().items()} | ODOMETRY_UNITS
+    return {
+        name: signal.unit for name, signal in known_signals().items()
+    } | ODOMETRY_UNITS
 
 
 def signal_unit(name: str) -> str:

@@ -49,16 +49,24 @@ def series_of(
         common = np.intersect1d(times, other)
         times = common if len(common) else times
     both = [
-        RAD_S_PER_RPM * np.array([np.interp(times, *log[name].of(span)) for name in side])
+        RAD_S_PER_RPM
+        * np.array([np.interp(times, *log[name].of(span)) for name in side])
         for side in sides
     ]
-    (left, right), apart = [side.mean(axis=0) for side in both], [s[0] - s[-1] for s in both]
-    turned = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(times) * (left[1:] + left[:-1]))])
+    (left, right), apart = (
+        [side.mean(axis=0) for side in both],
+        [s[0] - s[-1] for s in both],
+    )
+    turned = np.concatenate(
+        [[0.0], np.cumsum(0.5 * np.diff(times) * (left[1:] + left[:-1]))]
+    )
     samples = _samples(log, span, robot, nav_late_s)
     return Series(np.column_stack([times, left, right, turned, *apart]), samples)
 
 
-def _samples(log: MeasuredLog, span: int, robot: RobotParameters, nav_late_s: float) -> Array:
+def _samples(
+    log: MeasuredLog, span: int, robot: RobotParameters, nav_late_s: float
+) -> Array:
     nav = robot.nav
     rows = [np.zeros((0, 4))]
     if GYRO_CHANNEL in log:

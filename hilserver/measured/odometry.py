@@ -31,10 +31,14 @@ def with_wheels(log: MeasuredLog, mapping: LogMapping | None) -> MeasuredLog:
     file = log.sources[0].file
     if len(there) == 1:
         (missing,) = {ODOM_LINEAR, ODOM_ANGULAR} - set(there)
-        raise LogError(f"{file}: odometry needs {missing} beside {there[0]}; map it, too")
+        raise LogError(
+            f"{file}: odometry needs {missing} beside {there[0]}; map it, too"
+        )
     bare = log.without(there)
     if any(name in log for name in SPEEDS):
-        return replace(bare, notices=(*log.notices, "the odometry is not used beside wheel speeds"))
+        return replace(
+            bare, notices=(*log.notices, "the odometry is not used beside wheel speeds")
+        )
 
     radius_m, track_m, unknown = _dimensions(mapping.odom, log, file)
     linear, angular = log[ODOM_LINEAR], log[ODOM_ANGULAR]
@@ -55,11 +59,16 @@ def with_wheels(log: MeasuredLog, mapping: LogMapping | None) -> MeasuredLog:
     return replace(bare.with_channels(made), notices=(*log.notices, note))
 
 
-def _dimensions(odom: OdometryMap, log: MeasuredLog, file: str) -> tuple[float, float, list[str]]:
+def _dimensions(
+    odom: OdometryMap, log: MeasuredLog, file: str
+) -> tuple[float, float, list[str]]:
     """Return the driver's wheel radius and track, and which of them are only the machine's."""
     found: list[float] = []
     unknown: list[str] = []
-    for key, own in (("wheel_radius_m", odom.wheel_radius_m), ("track_m", odom.track_m)):
+    for key, own in (
+        ("wheel_radius_m", odom.wheel_radius_m),
+        ("track_m", odom.track_m),
+    ):
         value = own if own is not None else log.plant.get(key)
         if not isinstance(value, float | int):
             raise LogError(

@@ -42,7 +42,9 @@ def read_parquet(path: Path, used: Container[str] | None = None) -> Table:
         raise LogError(f"{path}: not a readable Parquet file: {reason:.120}") from None
     columns = [_numbers(path, name, table.column(i)) for i, name in enumerate(names)]
     numbers = np.stack(columns, axis=1) if columns else np.empty((0, 0))
-    return Table(path, header, numbers.reshape(-1), range(1, len(numbers) + 1), read=read)
+    return Table(
+        path, header, numbers.reshape(-1), range(1, len(numbers) + 1), read=read
+    )
 
 
 def _numbers(path: Path, name: str, column: Any) -> Array:
@@ -59,4 +61,6 @@ def _numbers(path: Path, name: str, column: Any) -> Array:
         converted = column.cast("float64", safe=False)
         return np.asarray(converted.to_numpy(), dtype=np.float64)
     except (ArrowException, ValueError):
-        raise LogError(f"{path}: column '{name}' contains no numbers; leave it out") from None
+        raise LogError(
+            f"{path}: column '{name}' contains no numbers; leave it out"
+        ) from None

@@ -53,7 +53,9 @@ def cut(log: MeasuredLog, edges: list[Pieces]) -> MeasuredLog:
         for start_s, end_s in of_span
     ]
     spans = tuple(replace(span, number=number) for number, span in enumerate(pieces))
-    channels = {name: _cut(name, channel, edges) for name, channel in log.channels.items()}
+    channels = {
+        name: _cut(name, channel, edges) for name, channel in log.channels.items()
+    }
     return replace(log, channels=channels, spans=spans)
 
 
@@ -75,7 +77,10 @@ def _cut(name: str, channel: Channel, edges: list[Pieces]) -> Channel:
     for index, of_span in enumerate(edges):
         t_s, values = channel.of(index)
         for start_s, end_s in of_span:
-            low, high = np.searchsorted(t_s, start_s), np.searchsorted(t_s, end_s, side="right")
+            low, high = (
+                np.searchsorted(t_s, start_s),
+                np.searchsorted(t_s, end_s, side="right"),
+            )
             t, v = t_s[low:high], values[low:high]
             if is_input(name) and low > 0 and not (len(t) and t[0] == start_s):
                 # a set-point that was sent before still holds

@@ -23,13 +23,46 @@ _WHEELS: Final = (
 )
 _TIMES: Final = {"t", "time", "timestamp", "stamp", "secs", "seconds", "nsecs"}
 _TIME_UNITS: Final = {"ms": "ms", "us": "us", "ns": "ns", "nsecs": "ns"}
-_TIME_DIGITS: Final = {19: "ns", 16: "us", 13: "ms"}  # of whole numbers counted from 1970
-SENT: Final = {"setpoint", "set", "cmd", "command", "target", "ref", "desired", "sp", "goal"}
+_TIME_DIGITS: Final = {
+    19: "ns",
+    16: "us",
+    13: "ms",
+}  # of whole numbers counted from 1970
+SENT: Final = {
+    "setpoint",
+    "set",
+    "cmd",
+    "command",
+    "target",
+    "ref",
+    "desired",
+    "sp",
+    "goal",
+}
 _DUTY: Final = {"duty", "pwm", "effort"}
 _SPEED: Final = {"speed", "vel", "velocity", "rpm", "omega", "w"}
-_COUNTS: Final = {"tick", "ticks", "count", "counts", "counter", "enc", "encoder", "pulses"}
+_COUNTS: Final = {
+    "tick",
+    "ticks",
+    "count",
+    "counts",
+    "counter",
+    "enc",
+    "encoder",
+    "pulses",
+}
 _ANGLE: Final = {"angle", "position", "pos"}
-_OTHER: Final = {"current", "torque", "temp", "temperature", "force", "amps", "acc", "name", "id"}
+_OTHER: Final = {
+    "current",
+    "torque",
+    "temp",
+    "temperature",
+    "force",
+    "amps",
+    "acc",
+    "name",
+    "id",
+}
 """Other quantities of a wheel, for which there is no signal."""
 ODOMETRY: Final = {"odom", "odometry", "wheelodom"}
 _NUMBERED: Final = re.compile(r"(.*?)\[?(\d)\]?(\D*)")
@@ -54,7 +87,9 @@ class ForeignLog(LogError):
 
     def __init__(self, message: str, proposal: str) -> None:
         super().__init__(message)
-        self.proposal = proposal  # text of a mapping file that may fit; empty without a guess
+        self.proposal = (
+            proposal  # text of a mapping file that may fit; empty without a guess
+        )
 
 
 def propose(header: Sequence[str], row: Sequence[str] = ()) -> str:
@@ -79,7 +114,8 @@ def propose(header: Sequence[str], row: Sequence[str] = ()) -> str:
             channels.setdefault(signal, at)
     return text(
         channels,
-        time or "time: {rate_hz: 50}   # no time column was recognised: write the row rate",
+        time
+        or "time: {rate_hz: 50}   # no time column was recognised: write the row rate",
     )
 
 
@@ -117,13 +153,18 @@ def line(signal: str, name: str, words: set[str], at: str) -> str:
     if signal.endswith("angle_rad") and words & _COUNTS:
         unit = ', unit: "1", scale: 0.001'
         note = "   # counts: the scale is 2 pi / counts per revolution"
-    elif signal.endswith(("speed_rpm", "setpoint_rpm")) and not unit and "velocity" in words:
+    elif (
+        signal.endswith(("speed_rpm", "setpoint_rpm"))
+        and not unit
+        and "velocity" in words
+    ):
         unit, note = ", unit: rad/s", "   # rad/s, as in JointState?"
     elif signal.endswith("speed_rpm") and not unit and "rpm" not in words:
         note = "   # rpm? For counts use wheel.fl.angle_rad with a scale"
     elif signal.startswith("nav.") and words & ODOMETRY:
         note = (
-            "   # computed from the wheel speeds? Then it shows none of their errors: leave it out"
+            "   # computed from the wheel speeds? "
+            "Then it shows none of their errors: leave it out"
         )
     sign = ", sign: -1" if signal.startswith(("wheel.fr", "wheel.rr")) else ""
     return f"  {signal}: {{{at}{unit}{sign}}}{note}"
@@ -168,7 +209,10 @@ def _signals(words: set[str], unit: str) -> list[str]:
         if words & _OTHER:
             return []
         is_angle = words & {*_COUNTS, *_ANGLE} and not words & _SPEED and not unit
-        return [f"wheel.{wheel}.{'angle_rad' if is_angle else 'speed_rpm'}" for wheel in wheels]
+        return [
+            f"wheel.{wheel}.{'angle_rad' if is_angle else 'speed_rpm'}"
+            for wheel in wheels
+        ]
     if words & SENT and words & {"linear", "v", "x"}:
         return ["twist.linear_m_s"]
     if words & SENT and words & {"angular", "w", "z", "omega"}:
@@ -197,4 +241,8 @@ def _unit(name: str, signal: str) -> str:
 
 def quoted(name: str) -> str:
     """Return a name in valid YAML."""
-    return name if re.fullmatch(r"[A-Za-z_][\w.]*", name) else '"' + name.replace('"', '\\"') + '"'
+    return (
+        name
+        if re.fullmatch(r"[A-Za-z_][\w.]*", name)
+        else '"' + name.replace('"', '\\"') + '"'
+    )

@@ -38,7 +38,9 @@ from hilserver.plant.layout import MODE_TWIST
 
 
 def read_measured(
-    paths: Sequence[Path], mapping: Path | str | None = None, sampling: Sampling | None = None
+    paths: Sequence[Path],
+    mapping: Path | str | None = None,
+    sampling: Sampling | None = None,
 ) -> MeasuredLog:
     """Read the logs of one machine and pool them.
 
@@ -69,7 +71,9 @@ def read_measured(
         spans=(),
         has_stamps=all(recording.has_stamps for recording in recordings),
         plant={} if table is None else table.plant_keys,
-        notices=tuple(notice for recording in recordings for notice in recording.notices),
+        notices=tuple(
+            notice for recording in recordings for notice in recording.notices
+        ),
         on_ticks=any(recording.on_ticks for recording in recordings),
     )
     pooled = with_wheels(without_jumps(cut_at_pauses(_pool(log, recordings))), table)
@@ -82,7 +86,9 @@ def read_measured(
 def _refuse_slow(path: Path, recording: Recording) -> None:
     """Refuse rows so far apart that their unit must be wrong, or nothing of a drive is visible."""
     steps_s = [np.diff(p.t_s)[np.diff(p.segment) == 0] for p in recording.parts]
-    usual_s = min((float(np.median(steps)) for steps in steps_s if steps.size), default=0.0)
+    usual_s = min(
+        (float(np.median(steps)) for steps in steps_s if steps.size), default=0.0
+    )
     if recording.has_stamps and usual_s > SLOWEST_ROWS_S:
         raise LogError(
             f"{path}: its rows are {usual_s:.3g} s apart, too far to show the motion of a robot;"
@@ -105,13 +111,19 @@ def _refuse_lengths(path: Path, lengths_s: Sequence[float]) -> None:
         )
 
 
-def _read(path: Path, mapping: LogMapping | None, sampling: Sampling | None) -> Recording:
+def _read(
+    path: Path, mapping: LogMapping | None, sampling: Sampling | None
+) -> Recording:
     try:
         refuse_others(path)
         recording = _by_kind(path, mapping, sampling)
     except OSError as error:
-        raise LogError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
-    if not any(np.isfinite(v).any() for part in recording.parts for v in part.columns.values()):
+        raise LogError(
+            f"{path}: {(error.strerror or 'cannot be read').lower()}"
+        ) from None
+    if not any(
+        np.isfinite(v).any() for part in recording.parts for v in part.columns.values()
+    ):
         raise LogError(
             f"{path}: contains no samples of any signal; record some, or map its columns"
         )
@@ -130,7 +142,9 @@ def _read(path: Path, mapping: LogMapping | None, sampling: Sampling | None) -> 
     return recording
 
 
-def _by_kind(path: Path, mapping: LogMapping | None, sampling: Sampling | None) -> Recording:
+def _by_kind(
+    path: Path, mapping: LogMapping | None, sampling: Sampling | None
+) -> Recording:
     if mapping is None:
         if is_bag_of_ros(path) and not is_own_bag(path):
             refuse_unmapped(path)
@@ -161,7 +175,9 @@ def _refuse_others(
     for index, path in enumerate(paths):
         for earlier in range(index):
             if sources[index].sha256 == sources[earlier].sha256:
-                raise LogError(f"{path}: is the same log as {paths[earlier]}; name it only once")
+                raise LogError(
+                    f"{path}: is the same log as {paths[earlier]}; name it only once"
+                )
             machines = {recordings[earlier].machine, recordings[index].machine} - {None}
             if len(machines) > 1:
                 raise LogError(
@@ -180,7 +196,9 @@ def _shown(path: Path) -> str:
 
 def _sha256(path: Path) -> str:
     digest = hashlib.sha256()
-    files = sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
+    files = (
+        sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
+    )
     for file in files:
         with file.open("rb") as opened:
             while chunk := opened.read(1 << 20):
@@ -213,7 +231,11 @@ def _commanded(channels: Mapping[str, Channel]) -> dict[str, Channel]:
     by_twist = MODE in found and (found[MODE].values == MODE_TWIST).any()
     asked = all(name in channels for name in DEMANDS)
     known = found.keys() & {*TWIST, *DUTY_COMMANDS}
-    if not asked or known or (all(name in found for name in SETPOINTS) and not by_twist):
+    if (
+        not asked
+        or known
+        or (all(name in found for name in SETPOINTS) and not by_twist)
+    ):
         return found
     found.pop(MODE, None)
     return found | {s: channels[d] for s, d in zip(SETPOINTS, DEMANDS, strict=True)}
@@ -228,12 +250,16 @@ def _spans(recording: Recording, offset: int) -> tuple[list[Span], list[Indices]
         start_s = min(float(part.t_s[0]) for part in recording.parts)
         end_s = max(float(part.t_s[-1]) for part in recording.parts)
         span = Span(offset, None, start_s, end_s)
-        return [span], [np.zeros(len(part.t_s), dtype=np.int64) for part in recording.parts]
+        return [span], [
+            np.zeros(len(part.t_s), dtype=np.int64) for part in recording.parts
+        ]
     (part,) = recording.parts
     block = np.zeros_like(part.segment) if part.block is None else part.block
     begins = (np.diff(part.segment) != 0) | (np.diff(block) != 0)
     starts = (
-        np.concatenate(([0], np.flatnonzero(begins) + 1)) if len(part.t_s) else np.empty(0, int)
+        np.concatenate(([0], np.flatnonzero(begins) + 1))
+        if len(part.t_s)
+        else np.empty(0, int)
     )
     _refuse_scattered(recording.path, part, starts)
     ends = np.append(starts[1:], len(part.t_s))

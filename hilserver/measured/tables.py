@@ -14,7 +14,12 @@ from hilserver.logs.csv_dialects import separator_of
 from hilserver.logs.csv_reader import NO_NAME, read_table
 from hilserver.logs.provenance import configuration_of
 from hilserver.logs.table import BLOCK, SEGMENT, TIME, Table, in_time
-from hilserver.measured.frames import Sampling, frames_of, is_of_the_daemon, own_sampling
+from hilserver.measured.frames import (
+    Sampling,
+    frames_of,
+    is_of_the_daemon,
+    own_sampling,
+)
 from hilserver.measured.mapping import DATED, PER_SECOND, LogMapping
 from hilserver.measured.names import known_columns
 from hilserver.measured.parquet import read_parquet
@@ -54,7 +59,9 @@ def read_own(path: Path, sampling: Sampling | None = None) -> Recording:
     """
     log = read_log(path, known_columns())
     for name, values in log.columns.items():
-        refuse_absurd(values, name, lambda row, name: f"{path}: row {row + 2}, column '{name}'")
+        refuse_absurd(
+            values, name, lambda row, name: f"{path}: row {row + 2}, column '{name}'"
+        )
     return _own(log, sampling)
 
 
@@ -98,10 +105,16 @@ def _machine(log: Log) -> str | None:
 
 
 def _own(log: Log, sampling: Sampling | None) -> Recording:
-    frames = frames_of(log, own_sampling(log) or sampling if is_of_the_daemon(log) else None)
+    frames = frames_of(
+        log, own_sampling(log) or sampling if is_of_the_daemon(log) else None
+    )
     part = Stamped(log.t_s, frames.segment, frames.columns, log.block, frames.age_s)
     return Recording(
-        log.path, [part], notices=list(log.notices), machine=_machine(log), on_ticks=frames.on_ticks
+        log.path,
+        [part],
+        notices=list(log.notices),
+        machine=_machine(log),
+        on_ticks=frames.on_ticks,
     )
 
 
@@ -117,7 +130,9 @@ def log_of_parquet(path: Path) -> tuple[Log, Table]:
     table = in_time(table, TIME)
     columns = {name: table.column(name) for name in names}
     block = table.integers(BLOCK)
-    log = Log(path, table.column(TIME), table.segment(), columns, block, notices=table.notices)
+    log = Log(
+        path, table.column(TIME), table.segment(), columns, block, notices=table.notices
+    )
     return log, table
 
 
@@ -185,7 +200,9 @@ def _counted(segment: Indices, rate_hz: float) -> Array:
 
 def _demand(table: Table, column: str, key: str) -> None:
     if column not in table.header:
-        hint = meant(column, table.header, f"the columns are {', '.join(table.header):.200}")
+        hint = meant(
+            column, table.header, f"the columns are {', '.join(table.header):.200}"
+        )
         raise LogError(
             f"{table.path}: row 1: there is no column '{column}', which the mapping names for"
             f" {key}; {hint}"
@@ -199,7 +216,11 @@ def _mapped(table: Table, mapping: LogMapping, name: str) -> Array:
 
 
 def as_signal(
-    mapping: LogMapping, name: str, values: Array, at: str, where: Callable[[int, str], str]
+    mapping: LogMapping,
+    name: str,
+    values: Array,
+    at: str,
+    where: Callable[[int, str], str],
 ) -> Array:
     """Return the numbers of a foreign log as a signal; LogError if one is impossibly large."""
     refuse_absurd(values, at, where)

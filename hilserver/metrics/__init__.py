@@ -96,6 +96,8 @@ def by_name(figures: Mapping[str, float]) -> Iterator[Row]:
         yield (name,), float(value)
 
 
-def gauges(name: str, about: str, label: str) -> tuple[Metric[Mapping[str, float]], ...]:
+def gauges(
+    name: str, about: str, label: str
+) -> tuple[Metric[Mapping[str, float]], ...]:
     """Return a metric table with one gauge that has a row for every entry of a table of numbers."""
     return (Metric(name, about, (label,), by_name),)

@@ -10,7 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from hilserver.metrics import gauges
-from hilserver.scheduler.realtime import CAP_IPC_LOCK, CAP_SYS_NICE, Grant, has_capability
+from hilserver.scheduler.realtime import (
+    CAP_IPC_LOCK,
+    CAP_SYS_NICE,
+    Grant,
+    has_capability,
+)
 
 if TYPE_CHECKING:
     from hilserver.scheduler import Scheduler
@@ -31,30 +36,43 @@ def kernel(root: Path) -> Grant:
     """Check for a PREEMPT_RT kernel."""
     version = _read(root, "proc/version")
     is_rt = _read(root, "sys/kernel/realtime") == "1" or "PREEMPT_RT" in version
-    kind = next((k for k in ("PREEMPT_RT", "PREEMPT_DYNAMIC", "PREEMPT") if k in version), "plain")
-    return _item("kernel", is_rt, kind, "PREEMPT_RT", "install a kernel with PREEMPT_RT")
+    kind = next(
+        (k for k in ("PREEMPT_RT", "PREEMPT_DYNAMIC", "PREEMPT") if k in version),
+        "plain",
+    )
+    return _item(
+        "kernel", is_rt, kind, "PREEMPT_RT", "install a kernel with PREEMPT_RT"
+    )
 
 
 def governor(root: Path) -> Grant:
     """Check that the cores keep their clock frequency."""
-    paths = sorted(root.glob("sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor"))
+    paths = sorted(
+        root.glob("sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor")
+    )
     found = sorted({path.read_text(encoding="ascii").strip() for path in paths})
     ok = found in ([], ["performance"])
     text = ", ".join(found) or "none (not scaled by this system)"
-    return _item("governor", ok, text, "performance", "cpupower frequency-set -g performance")
+    return _item(
+        "governor", ok, text, "performance", "cpupower frequency-set -g performance"
+    )
 
 
 def isolated_cores(root: Path) -> Grant:
     """Check that a core is kept free of other work."""
     isolated = _read(root, "sys/devices/system/cpu/isolated")
     remedy = "boot with isolcpus=N nohz_full=N and set scheduler.realtime.cpu to N"
-    return _item("isolated_cores", bool(isolated), isolated or "none", "at least one", remedy)
+    return _item(
+        "isolated_cores", bool(isolated), isolated or "none", "at least one", remedy
+    )
 
 
 def rtprio_limit(root: Path) -> Grant:
     """Check that a thread of this process may have a real-time priority."""
     if has_capability(CAP_SYS_NICE, root):
-        return _item("rtprio_limit", True, "CAP_SYS_NICE", "LimitRTPRIO or CAP_SYS_NICE", "")
+        return _item(
+            "rtprio_limit", True, "CAP_SYS_NICE", "LimitRTPRIO or CAP_SYS_NICE", ""
+        )
     limit = _limit(root, "Max realtime priority")
     remedy = "LimitRTPRIO=95 in the unit, or ulimit -r 95"
     wanted = "LimitRTPRIO, CAP_SYS_NICE"
@@ -64,17 +82,23 @@ def rtprio_limit(root: Path) -> Grant:
 def memlock_limit(root: Path) -> Grant:
     """Check that this process may lock its memory."""
     if has_capability(CAP_IPC_LOCK, root):
-        return _item("memlock_limit", True, "CAP_IPC_LOCK", "unlimited or CAP_IPC_LOCK", "")
+        return _item(
+            "memlock_limit", True, "CAP_IPC_LOCK", "unlimited or CAP_IPC_LOCK", ""
+        )
     limit = _limit(root, "Max locked memory")
     remedy = "LimitMEMLOCK=infinity in the unit, or ulimit -l unlimited"
-    return _item("memlock_limit", limit == "unlimited", limit, "unlimited, CAP_IPC_LOCK", remedy)
+    return _item(
+        "memlock_limit", limit == "unlimited", limit, "unlimited, CAP_IPC_LOCK", remedy
+    )
 
 
 def clock_source(root: Path) -> Grant:
     """Check that the clock is read without a system call."""
     path = "sys/devices/system/clocksource/clocksource0/current_clocksource"
     found = _read(root, path) or "unknown"
-    return _item("clock_source", found in _GOOD_CLOCKS, found, "tsc", "boot with tsc=reliable")
+    return _item(
+        "clock_source", found in _GOOD_CLOCKS, found, "tsc", "boot with tsc=reliable"
+    )
 
 
 def cpu_dma_latency(root: Path) -> Grant:
@@ -96,7 +120,9 @@ def cgroup_cpu(root: Path) -> Grant:
     for line in _read(root, "proc/self/cgroup").splitlines():
         _, controllers, path = line.split(":", 2)
         if "cpu" in controllers.split(","):
-            folder = next(iter(root.glob(f"sys/fs/cgroup/cpu*{path}")), root / "nowhere")
+            folder = next(
+                iter(root.glob(f"sys/fs/cgroup/cpu*{path}")), root / "nowhere"
+            )
             quota_us = _read(folder, "cpu.cfs_quota_us")
             if quota_us and not quota_us.startswith("-"):
                 found = f"quota {quota_us} {_read(folder, 'cpu.cfs_period_us')}"
@@ -108,7 +134,9 @@ def cgroup_cpu(root: Path) -> Grant:
         if not controllers:
             quota = _read(root, f"sys/fs/cgroup{path}/cpu.max")
             if quota and not quota.startswith("max"):
-                return _item("cgroup_cpu", False, f"quota {quota}", wanted, "remove CPUQuota")
+                return _item(
+                    "cgroup_cpu", False, f"quota {quota}", wanted, "remove CPUQuota"
+                )
     return _item("cgroup_cpu", True, wanted, wanted, "")
 
 
@@ -127,7 +155,9 @@ def virtualised(root: Path) -> Grant:
 def swap(root: Path) -> Grant:
     """Check that no memory can be swapped to a disk."""
     devices = [line.split()[0] for line in _read(root, "proc/swaps").splitlines()[1:]]
-    return _item("swap", not devices, ", ".join(devices) or "none", "none", "swapoff -a")
+    return _item(
+        "swap", not devices, ", ".join(devices) or "none", "none", "swapoff -a"
+    )
 
 
 def timer_slack(root: Path, thread_id: int) -> Grant:
@@ -135,7 +165,9 @@ def timer_slack(root: Path, thread_id: int) -> Grant:
     found = _read(root, f"proc/{thread_id or 'self'}/timerslack_ns")
     ok = found.isdigit() and int(found) <= 1
     text = f"{found} ns" if found else "unknown"
-    return _item("timer_slack", ok, text, "at most 1 ns", "pace with scheduler.backend: thread")
+    return _item(
+        "timer_slack", ok, text, "at most 1 ns", "pace with scheduler.backend: thread"
+    )
 
 
 CHECKS: tuple[Callable[[Path], Grant], ...] = (
@@ -153,7 +185,9 @@ CHECKS: tuple[Callable[[Path], Grant], ...] = (
 
 
 METRICS: Final = gauges(
-    "hil_audit_ok", "1 if the system fulfils this item of the real-time audit, else 0.", "item"
+    "hil_audit_ok",
+    "1 if the system fulfils this item of the real-time audit, else 0.",
+    "item",
 )
 
 
@@ -161,9 +195,13 @@ def as_lines(items: Sequence[Grant]) -> list[str]:
     """Return the audit as lines of text for a terminal."""
     lines = []
     for item in items:
-        lines.append(f"{'ok     ' if item.ok else 'missing'} {item.name:20} {item.found}")
+        lines.append(
+            f"{'ok     ' if item.ok else 'missing'} {item.name:20} {item.found}"
+        )
         if not item.ok:
-            lines[-1] += f" (wanted: {item.wanted}{'; ' if item.remedy else ''}{item.remedy})"
+            lines[-1] += (
+                f" (wanted: {item.wanted}{'; ' if item.remedy else ''}{item.remedy})"
+            )
     return lines
 
 

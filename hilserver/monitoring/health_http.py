@@ -19,7 +19,11 @@ from http import HTTPStatus
 import structlog
 
 from hilserver.errors import address_refused
-from hilserver.monitoring.health_request import RefusedRequestError, Request, parse_request
+from hilserver.monitoring.health_request import (
+    RefusedRequestError,
+    Request,
+    parse_request,
+)
 from hilserver.signals import State
 from hilserver.tasks import SupervisedTask, Supervisor
 from hilserver.time_limit import time_limit
@@ -42,7 +46,9 @@ class HealthSources:
     heartbeat_ns: Callable[[], int]
     # True once the first ticks after the warm-up met their deadlines
     first_ticks_met: Callable[[], bool]
-    tasks_down: Callable[[], str] = lambda: ""  # which task does not run although it should
+    tasks_down: Callable[[], str] = lambda: (
+        ""
+    )  # which task does not run although it should
     heartbeat_limit_s: float = 1.0  # a pacing back end silent for longer [s] is dead
 
 
@@ -136,7 +142,9 @@ class HttpServer:
         self._timeout_s = timeout_s
         self._clock_ns = clock_ns
         self._server: asyncio.Server | None = None
-        self._names = {name.lower() for name in ("localhost", socket.gethostname(), *host_names)}
+        self._names = {
+            name.lower() for name in ("localhost", socket.gethostname(), *host_names)
+        }
         self._open: dict[
             SupervisedTask, asyncio.WriteTransport
         ] = {}  # connections, the oldest first
@@ -176,7 +184,9 @@ class HttpServer:
         await self._server.wait_closed()
         self._server = None
 
-    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    def _accept(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
         if len(self._open) >= CONNECTIONS_MAX:
             oldest = next(iter(self._open))
             self._open.pop(oldest).abort()
@@ -190,8 +200,12 @@ class HttpServer:
 
         job.on_end = ended
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        writer.transport.set_write_buffer_limits(high=0)  # so that drain waits for the last byte
+    async def _serve(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
+        writer.transport.set_write_buffer_limits(
+            high=0
+        )  # so that drain waits for the last byte
         try:
             answer = await self._answer(reader)
             async with time_limit(self._timeout_s):
@@ -217,7 +231,9 @@ class HttpServer:
         except RefusedRequestError as refused:
             is_method = refused.status is HTTPStatus.METHOD_NOT_ALLOWED
             headers = (("Allow", "GET, HEAD"),) if is_method else ()
-            return Response(refused.status, _sentence(str(refused)), headers=headers).encode()
+            return Response(
+                refused.status, _sentence(str(refused)), headers=headers
+            ).encode()
 
     def _respond(self, request: Request) -> Response:
         route = self._routes.get(request.path)
@@ -228,7 +244,9 @@ class HttpServer:
             return route(request)
         except Exception as error:  # noqa: BLE001 (one bad source)
             _log.error("cannot answer", path=request.path, error=repr(error))
-            return Response(HTTPStatus.INTERNAL_SERVER_ERROR, _sentence(f"{request.path} failed"))
+            return Response(
+                HTTPStatus.INTERNAL_SERVER_ERROR, _sentence(f"{request.path} failed")
+            )
 
     def _metrics(self, request: Request) -> Response:
         now_ns = self._clock_ns()
@@ -242,7 +260,11 @@ class HttpServer:
 
     def _probe(self, verdict: Verdict) -> Response:
         status = HTTPStatus.OK if verdict.ok else HTTPStatus.SERVICE_UNAVAILABLE
-        fields = {"ok": verdict.ok, "state": self._health.state(), "reason": verdict.reason}
+        fields = {
+            "ok": verdict.ok,
+            "state": self._health.state(),
+            "reason": verdict.reason,
+        }
         return Response(status, json.dumps(fields).encode() + b"\n", "application/json")
 
 

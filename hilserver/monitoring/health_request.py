@@ -11,7 +11,9 @@ from http import HTTPStatus
 from ipaddress import ip_address
 
 _REQUEST_LINE = re.compile(rb"([A-Z]{1,16}) (/[\x21-\x7e]*) HTTP/1\.([01])")
-_HEADER = re.compile(rb"([!#$%&'*+\-.^_`|~0-9A-Za-z]+):[ \t]*([\x20-\x7e\x80-\xff\t]*?)[ \t]*")
+_HEADER = re.compile(
+    rb"([!#$%&'*+\-.^_`|~0-9A-Za-z]+):[ \t]*([\x20-\x7e\x80-\xff\t]*?)[ \t]*"
+)
 
 
 class RefusedRequestError(Exception):
@@ -40,17 +42,23 @@ def parse_request(head: bytes, names: Collection[str] = ("localhost",)) -> Reque
     request_line, *header_lines = head.removesuffix(b"\r\n\r\n").split(b"\r\n")
     match = _REQUEST_LINE.fullmatch(request_line)
     if match is None:
-        raise RefusedRequestError(HTTPStatus.BAD_REQUEST, "this is not an HTTP/1.1 request line")
+        raise RefusedRequestError(
+            HTTPStatus.BAD_REQUEST, "this is not an HTTP/1.1 request line"
+        )
     method, target, minor_version = match.groups()
     headers = _parse_headers(header_lines)
     if minor_version == b"1" and len(headers.get("host", [])) != 1:
-        raise RefusedRequestError(HTTPStatus.BAD_REQUEST, "HTTP/1.1 needs exactly one Host header")
+        raise RefusedRequestError(
+            HTTPStatus.BAD_REQUEST, "HTTP/1.1 needs exactly one Host header"
+        )
     for host in headers.get("host", []):
         if not _is_ours(host, names):
             reason = "this server is not known by that name; see metrics.host_names"
             raise RefusedRequestError(HTTPStatus.MISDIRECTED_REQUEST, reason)
     if method not in {b"GET", b"HEAD"}:
-        raise RefusedRequestError(HTTPStatus.METHOD_NOT_ALLOWED, "only GET and HEAD are answered")
+        raise RefusedRequestError(
+            HTTPStatus.METHOD_NOT_ALLOWED, "only GET and HEAD are answered"
+        )
     return Request(
         path=target.split(b"?", 1)[0].decode("ascii"),
         is_head=method == b"HEAD",
@@ -66,7 +74,9 @@ def _parse_headers(lines: list[bytes]) -> dict[str, list[str]]:
             reason = f"line {number} is not a header of the form 'Name: value'"
             raise RefusedRequestError(HTTPStatus.BAD_REQUEST, reason)
         name, value = match.groups()
-        headers.setdefault(name.decode("ascii").lower(), []).append(value.decode("latin-1"))
+        headers.setdefault(name.decode("ascii").lower(), []).append(
+            value.decode("latin-1")
+        )
     return headers
 
 

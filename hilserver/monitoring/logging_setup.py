@@ -35,10 +35,17 @@ EventDict = MutableMapping[str, Any]
 KEYS_MAX = 1024
 # Every change of state must show, even if a robot starts and stops often within a minute.
 ALLOWED_AT_ONCE = 20
-_OFTEN = {EventKind.STATE, EventKind.SAFE_STATE, EventKind.PEER_LOST, EventKind.PEER_RESTORED}
+_OFTEN = {
+    EventKind.STATE,
+    EventKind.SAFE_STATE,
+    EventKind.PEER_LOST,
+    EventKind.PEER_RESTORED,
+}
 TEXT_LENGTH_MAX = 2000
 EXPECTED_ERRORS = (UserError, OSError, TimeoutError, EOFError, asyncio.CancelledError)
-TRACING_LIBRARY = "asyncua"  # logs a traceback whenever a client disconnects in mid-answer
+TRACING_LIBRARY = (
+    "asyncua"  # logs a traceback whenever a client disconnects in mid-answer
+)
 LIBRARIES = ("asyncua", "asyncio")  # their INFO lines do not help a user of the robot
 _NUMBERS = re.compile(r"0x[0-9a-fA-F]+|[-+]?\d+(?:\.\d+)?")
 
@@ -62,7 +69,9 @@ class RepeatLimiter:
     one not seen for longest is forgotten.
     """
 
-    def __init__(self, window_s: float, clock_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, window_s: float, clock_s: Callable[[], float] = time.monotonic
+    ) -> None:
         self.suppressed = 0  # lines dropped so far
         self._window_s = window_s
         self._clock_s = clock_s
@@ -134,7 +143,9 @@ def setup_logging(
             *_rendering(is_console, colors=out.isatty()),
         ],
         wrapper_class=structlog.make_filtering_bound_logger(number),
-        logger_factory=lambda *names: _StreamLogger(out, str(names[0]) if names else ""),
+        logger_factory=lambda *names: _StreamLogger(
+            out, str(names[0]) if names else ""
+        ),
         cache_logger_on_first_use=False,
     )
     logging.basicConfig(handlers=[_ToStructlog()], level=number, force=True)
@@ -194,7 +205,11 @@ def log_event(event: Event) -> None:
         return
     log = structlog.get_logger("hilserver.events")
     write = (
-        log.error if event.severity >= 700 else log.warning if event.severity >= 300 else log.info
+        log.error
+        if event.severity >= 700
+        else log.warning
+        if event.severity >= 300
+        else log.info
     )
     write(event.message, kind=str(event.kind), source=event.source)
 
@@ -209,7 +224,9 @@ class _StreamLogger:
     def msg(self, line: str) -> None:
         with contextlib.suppress(OSError, ValueError):
             encoding = getattr(self._stream, "encoding", None) or "utf-8"
-            self._stream.write(line.encode(encoding, "backslashreplace").decode(encoding) + "\n")
+            self._stream.write(
+                line.encode(encoding, "backslashreplace").decode(encoding) + "\n"
+            )
             self._stream.flush()
 
     debug = info = warning = error = critical = exception = log = msg
@@ -252,7 +269,9 @@ def _add_logger_name(logger: Any, _method: str, event: EventDict) -> EventDict:
     return event
 
 
-def _drop_what_is_for_programs(_logger: Any, _method: str, event: EventDict) -> EventDict:
+def _drop_what_is_for_programs(
+    _logger: Any, _method: str, event: EventDict
+) -> EventDict:
     for key in ("logger", "details"):
         event.pop(key, None)
     return event
@@ -271,4 +290,6 @@ def _escape(text: str) -> str:
         text = f"{text[:TEXT_LENGTH_MAX]}... ({len(text) - TEXT_LENGTH_MAX} characters more)"
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return "".join(
+        c if c.isprintable() else c.encode("unicode_escape").decode() for c in text
+    )

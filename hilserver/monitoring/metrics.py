@@ -58,7 +58,9 @@ class LifetimeTotals:
         """Add the newest `reading` of `key`; return its total since the process started."""
         entry = self._entry(key, reading)
         was_reset = bool((reading.counts < entry.last.counts).any())
-        entry.total += reading.counts if was_reset else reading.counts - entry.last.counts
+        entry.total += (
+            reading.counts if was_reset else reading.counts - entry.last.counts
+        )
         entry.total_sum_ns += reading.sum_ns - (0 if was_reset else entry.last.sum_ns)
         entry.last = reading
         return Reading(entry.total.copy(), entry.total_sum_ns)
@@ -95,7 +97,9 @@ class Metrics:
 
     def render(self, is_openmetrics: bool = False) -> tuple[bytes, str]:
         """Return (body, content type) in Prometheus' text format or in OpenMetrics."""
-        encode, content_type = choose_encoder(_OPENMETRICS if is_openmetrics else "text/plain")
+        encode, content_type = choose_encoder(
+            _OPENMETRICS if is_openmetrics else "text/plain"
+        )
         return encode(self.registry), content_type
 
     @contextmanager
@@ -146,7 +150,9 @@ class _HilCollector(Collector):
             if metric.kind is Kind.COUNTER:
                 family.add_metric(labels, int(total.counts[0]))
             else:
-                family.add_metric(labels, _buckets(metric, total.counts), total.sum_ns / 1e9)
+                family.add_metric(
+                    labels, _buckets(metric, total.counts), total.sum_ns / 1e9
+                )
         return cast("Family", family)
 
 
@@ -158,5 +164,7 @@ def _is_known(row: Row) -> bool:
 def _buckets(metric: Metric[Any], counts: Counts) -> list[tuple[str, float]]:
     """Return (upper bound [s] as text, cumulated count) of the exported buckets and ``+Inf``."""
     cumulated = np.cumsum(counts).tolist()
-    exported = [(_BOUNDS_TEXT[index], cumulated[index]) for index in metric.bound_indices]
+    exported = [
+        (_BOUNDS_TEXT[index], cumulated[index]) for index in metric.bound_indices
+    ]
     return [*exported, ("+Inf", cumulated[-1])]

@@ -25,7 +25,9 @@ def notify(*assignments: str) -> bool:
     if address.startswith("@"):  # an abstract socket
         address = "\0" + address[1:]
     try:
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sender:
+        with socket.socket(
+            socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC
+        ) as sender:
             sender.setblocking(False)  # a full queue must not stop the event loop
             sender.sendto("\n".join(assignments).encode(), address)
     except OSError:

@@ -17,7 +17,9 @@ from hilserver.plant.terms import TERMS
 BLOCKS: Final = ("kinematics", "navigation", "inertial")
 ENCODERS: Final = ("encoder_scale.a", "encoder_scale.wheel")
 """Terms that the observer takes into account: those of these blocks, and of the encoders."""
-LEAST_SHARE: Final = 1e-6  # share of the largest variance below which a direction is left out
+LEAST_SHARE: Final = (
+    1e-6  # share of the largest variance below which a direction is left out
+)
 
 
 def _is_seen(name: str) -> bool:
@@ -49,11 +51,15 @@ def directions(
     found = []
     for k in kept:
         move = np.sqrt(sizes[k]) * axes[:, k] * sd
-        found.append(_moved(robot, dict(zip((names[i] for i in seen), move, strict=True))))
+        found.append(
+            _moved(robot, dict(zip((names[i] for i in seen), move, strict=True)))
+        )
     return found
 
 
-def alternatives(robot: RobotParameters, groups: Sequence[Mapping[str, float]]) -> list[Parameters]:
+def alternatives(
+    robot: RobotParameters, groups: Sequence[Mapping[str, float]]
+) -> list[Parameters]:
     """Return directions towards models that a diagnosis cannot distinguish from the present one.
 
     The other cause of a group is as likely as the one in the model, so the mean square of the error
@@ -67,12 +73,20 @@ def alternatives(robot: RobotParameters, groups: Sequence[Mapping[str, float]]) 
     found, base = [], pack(robot)
     for group in groups:
         terms = {name: value for name, value in group.items() if _is_seen(name)}
-        taken = {TERMS[name].cause for name in terms if robot.terms.get(name) not in {None, 0.0}}
+        taken = {
+            TERMS[name].cause
+            for name in terms
+            if robot.terms.get(name) not in {None, 0.0}
+        }
         if not taken:
             continue
         kept = {n: v for n, v in robot.terms.items() if n not in terms}
         for cause in dict.fromkeys(TERMS[name].cause for name in terms):
-            own = {name: value for name, value in terms.items() if TERMS[name].cause == cause}
+            own = {
+                name: value
+                for name, value in terms.items()
+                if TERMS[name].cause == cause
+            }
             if cause in taken:
                 continue
             try:

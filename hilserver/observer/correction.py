@@ -42,7 +42,10 @@ from hilserver.plant.pose import wrap
 
 GATE_1, GATE_2 = 15.137, 18.421
 """Normalised squared innovations (1 and 2 values) that 1 of 10,000 good samples exceeds."""
-UNKNOWN_M2, UNKNOWN_RAD2 = 1e6, 1e2  # variances of an unknown place and an unknown heading
+UNKNOWN_M2, UNKNOWN_RAD2 = (
+    1e6,
+    1e2,
+)  # variances of an unknown place and an unknown heading
 
 
 @part
@@ -104,7 +107,9 @@ def take_gyro(p: Parameters, c: Any, h: Head, m: Moment, dt: float) -> None:
     gyro_row(p, h.rows[0])
     gyro_shared(p, c, m, h)
     _weigh(m, n, 0, h)
-    variance = _spread(n, 0, h) + figures.gyro_sd * figures.gyro_sd + figures.gyro_drift / dt
+    variance = (
+        _spread(n, 0, h) + figures.gyro_sd * figures.gyro_sd + figures.gyro_drift / dt
+    )
     shown = show_gyro(p, m.estimate, m.gyro_back, m.turning)
     _correct(m, n, h, m.gyro - shown, variance)
 
@@ -154,7 +159,9 @@ def take_position(p: Parameters, c: Any, h: Head, m: Moment, is_new: bool) -> No
     syy = _spread(n, 1, h) + noise
     _weigh(m, n, 0, h)
     sxx, sxy = _spread(n, 0, h) + noise, _spread(n, 1, h)
-    nis = (syy * ix * ix - 2.0 * sxy * ix * iy + sxx * iy * iy) / (sxx * syy - sxy * sxy)
+    nis = (syy * ix * ix - 2.0 * sxy * ix * iy + sxx * iy * iy) / (
+        sxx * syy - sxy * sxy
+    )
     if m.fixed_position != 0.0:
         m.nis = 0.5 * nis
         if nis > GATE_2:

@@ -20,9 +20,20 @@ WANDER_S: Final = 60.0
 INSTANT_SD: Final = 1.0 / math.sqrt(24.0)
 """Share of a step by which all jumps of the wheels are early or late together: half the variance of
 an unknown instant, see `motion.BEND`."""
-READMIT_AFTER: Final = 10  # consecutive refused samples until the robot counts as carried
-OF_SPEED: Final = ("wheel_radius", "traction_slip", "longitudinal_slip", "acceleration_slip")
-OF_TURNING: Final = ("rotation_gain", "rotation_gain_speed", "friction_anisotropy.ratio")
+READMIT_AFTER: Final = (
+    10  # consecutive refused samples until the robot counts as carried
+)
+OF_SPEED: Final = (
+    "wheel_radius",
+    "traction_slip",
+    "longitudinal_slip",
+    "acceleration_slip",
+)
+OF_TURNING: Final = (
+    "rotation_gain",
+    "rotation_gain_speed",
+    "friction_anisotropy.ratio",
+)
 """Terms of slip: if a model has one, the state of the same kind is neither uncertain nor drifts."""
 _LEAST_RPM: Final = 0.01
 _LEAST_M: Final = 1e-3
@@ -33,7 +44,9 @@ _LEAST_RAD: Final = 1e-4
 class Noise:
     """Noise of a channel, in its unit."""
 
-    white: float = 0.0  # standard deviation of the part that is independent in every sample
+    white: float = (
+        0.0  # standard deviation of the part that is independent in every sample
+    )
     slow: float = 0.0  # of the part that is correlated in time, over `tau_s`
     tau_s: float = 1.0
     step: float = 0.0  # resolution: readings are multiples of it; 0: not rounded
@@ -120,10 +133,18 @@ def figures(
 
 
 def _leave_unknown(
-    c: Figures, robot: RobotParameters, unknown: Mapping[str, float] | None, *, wanders: bool
+    c: Figures,
+    robot: RobotParameters,
+    unknown: Mapping[str, float] | None,
+    *,
+    wanders: bool,
 ) -> None:
     """Set how far gyro bias, slip and rotation gain may be off, and how fast they drift."""
-    on = {name for name, value in robot.terms.items() if value not in (None, TERMS[name].null)}
+    on = {
+        name
+        for name, value in robot.terms.items()
+        if value not in (None, TERMS[name].null)
+    }
     for name, cause, covered_by in (
         ("bias", "gyro_bias", ("gyro_bias",)),
         ("slip", "wheel_radius", OF_SPEED),

@@ -56,12 +56,16 @@ def open_moment(c: Any, f: Any, time: float, wheels: Any) -> None:
     h.redo = 0.0
     m = moment(f, 0)
     read(m, time, wheels)
-    m.has_gyro = m.has_position = m.has_yaw = m.turning = m.bend_left = m.bend_right = 0.0
+    m.has_gyro = m.has_position = m.has_yaw = m.turning = m.bend_left = m.bend_right = (
+        0.0
+    )
     if h.count > 2.0:
         older = moment(f, 2)
         bend(older.time, older.left, older.right, moment(f, 1), m)
     if h.count == 1.0:
-        m.fixed_position = m.fixed_yaw = m.refused_position = m.refused_yaw = m.last_fix = 0.0
+        m.fixed_position = m.fixed_yaw = m.refused_position = m.refused_yaw = (
+            m.last_fix
+        ) = 0.0
         begin(record_at(c, 0, FIGURES), m)
 
 
@@ -125,7 +129,10 @@ def close_moment(p: Parameters, c: Any, f: Any) -> None:
             dt = now.time - before.time
             predict(p, c, h, before, now)
             now.fixed_position, now.fixed_yaw = before.fixed_position, before.fixed_yaw
-            now.refused_position, now.refused_yaw = before.refused_position, before.refused_yaw
+            now.refused_position, now.refused_yaw = (
+                before.refused_position,
+                before.refused_yaw,
+            )
             now.last_fix, now.nis = before.last_fix, before.nis
         if now.has_gyro != 0.0:
             take_gyro(p, c, h, now, dt)

@@ -42,9 +42,13 @@ class Figures(Record):
     instant_sd: float  # see `figures.INSTANT_SD`
     nav_period: float  # [s] of the slice in which its latency is counted
     imu_period: float  # [s]
-    readmit_after: float  # consecutive refused samples until the robot counts as carried
+    readmit_after: (
+        float  # consecutive refused samples until the robot counts as carried
+    )
     wheel_sd: float  # [rad/s] of the mean speed of a side, one sample
-    wheel_drift: float  # [rad2/s]: the part correlated in time, as variance of the angle per s
+    wheel_drift: (
+        float  # [rad2/s]: the part correlated in time, as variance of the angle per s
+    )
     gyro_sd: float  # [rad/s]
     gyro_drift: float  # [rad2/s]
     position_sd: float  # [m] of one sample
@@ -74,11 +78,15 @@ class Head(Record):
     restarts: float  # restarts because a number was no longer finite
     seen_gyro: float  # counter of its last sample
     seen_position: float
-    rows: Annotated[NDArray[np.float64], (2, N_ESTIMATED)]  # derivatives of a sensor by state
+    rows: Annotated[
+        NDArray[np.float64], (2, N_ESTIMATED)
+    ]  # derivatives of a sensor by state
     shared: Annotated[NDArray[np.float64], (2, CONSIDERED)]  # and by direction
     weight: Vector  # covariance of the state with one reading
     weight_shared: Directions
-    noise: Annotated[NDArray[np.float64], (5, N_ESTIMATED)]  # effect of the wheels' noise on a step
+    noise: Annotated[
+        NDArray[np.float64], (5, N_ESTIMATED)
+    ]  # effect of the wheels' noise on a step
     push: Cross  # effect of each direction on a step
 
 

@@ -22,7 +22,9 @@ METRICS: Final[tuple[Metric[Sequence[Head]], ...]] = (
         "hil_observer_samples_total",
         "Navigation samples: accepted, rejected as outliers, or too late to be used.",
         ("outcome",),
-        lambda all_: [((name,), counter(int(one[name]))) for one in all_ for name in SAMPLES],
+        lambda all_: [
+            ((name,), counter(int(one[name]))) for one in all_ for name in SAMPLES
+        ],
     ),
     Metric(
         "hil_observer_readmitted_total",

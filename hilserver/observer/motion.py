@@ -73,7 +73,9 @@ def wheel_velocity(p: Parameters, before: Moment, now: Moment) -> tuple[float, f
 
 
 @inlined
-def _turned(p: Parameters, front: int, mean: float, apart: float) -> tuple[float, float]:
+def _turned(
+    p: Parameters, front: int, mean: float, apart: float
+) -> tuple[float, float]:
     """Return mean and difference of a side's wheel speeds [rad/s] from those of its encoders."""
     ahead = (mean + 0.5 * apart) / p.encoder_gain[front]
     behind = (mean - 0.5 * apart) / p.encoder_gain[front + 1]
@@ -83,7 +85,9 @@ def _turned(p: Parameters, front: int, mean: float, apart: float) -> tuple[float
 @inlined
 def _sides(p: Parameters, m: Moment) -> tuple[float, float]:
     """Return the mean speeds of the wheels of both sides [rad/s]."""
-    return _turned(p, 0, m.left, m.apart_left)[0], _turned(p, 2, m.right, m.apart_right)[0]
+    return _turned(p, 0, m.left, m.apart_left)[0], _turned(
+        p, 2, m.right, m.apart_right
+    )[0]
 
 
 @inlined
@@ -206,7 +210,9 @@ def transition(p: Parameters, c: Figures, before: Moment, now: Moment) -> Any:
 
 
 @inlined
-def _wheel_noise(p: Parameters, c: Figures, before: Moment, now: Moment, f: Any, h: Head) -> None:
+def _wheel_noise(
+    p: Parameters, c: Figures, before: Moment, now: Moment, f: Any, h: Head
+) -> None:
     """Write the effect of one standard deviation of the wheels' noise on the step.
 
     Rows 0 and 1: noise of either side's reading. Rows 2 and 3: motion of the wheels between two
@@ -262,7 +268,10 @@ def _push_instant(c: Figures, before: Moment, now: Moment, h: Head) -> None:
     dv = late * (now.estimate[V] - before.estimate[V])
     for i in range(OM + 1):
         h.push[i, j] = 0.0
-    h.push[X, j], h.push[Y, j] = dv * math.cos(now.estimate[YAW]), dv * math.sin(now.estimate[YAW])
+    h.push[X, j], h.push[Y, j] = (
+        dv * math.cos(now.estimate[YAW]),
+        dv * math.sin(now.estimate[YAW]),
+    )
     h.push[YAW, j] = late * (now.estimate[OM] - before.estimate[OM])
 
 

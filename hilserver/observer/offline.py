@@ -54,7 +54,15 @@ class Course:
 
 @part
 def _run(
-    numbers: Any, c: Any, f: Any, wheels: Any, samples: Any, x: Any, m: Any, shown: Any, nis: Any
+    numbers: Any,
+    c: Any,
+    f: Any,
+    wheels: Any,
+    samples: Any,
+    x: Any,
+    m: Any,
+    shown: Any,
+    nis: Any,
 ) -> None:
     p, at = record_at(numbers, 0, PARAMETERS), 0
     for k in range(wheels.shape[0]):

@@ -41,8 +41,12 @@ def _state(c: Figures, m: Moment) -> int:
     if m.time - m.last_fix > SILENT_S:
         return DEAD_RECKONING
     place = max(m.covariance[X, X], m.covariance[Y, Y])
-    is_far = place > BETTER * (c.position_sd * c.position_sd + c.position_ou * c.position_ou)
-    is_turned = m.covariance[YAW, YAW] > BETTER * (c.yaw_sd * c.yaw_sd + c.yaw_ou * c.yaw_ou)
+    is_far = place > BETTER * (
+        c.position_sd * c.position_sd + c.position_ou * c.position_ou
+    )
+    is_turned = m.covariance[YAW, YAW] > BETTER * (
+        c.yaw_sd * c.yaw_sd + c.yaw_ou * c.yaw_ou
+    )
     return CONVERGING if is_far or is_turned else TRACKING
 
 

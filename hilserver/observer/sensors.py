@@ -30,7 +30,9 @@ from hilserver.plant.layout import PARAMETERS, Parameters
 
 
 @part
-def show_position(p: Parameters, x: Any, aside: float, back: float) -> tuple[float, float]:
+def show_position(
+    p: Parameters, x: Any, aside: float, back: float
+) -> tuple[float, float]:
     """Return the position [m] that the tag shows; `aside` [m/s] is the speed to the left."""
     dx, dy = shift(p, x[YAW], x[V], x[OM], aside, -back)
     yaw = x[YAW] - x[OM] * back

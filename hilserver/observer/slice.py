@@ -38,7 +38,9 @@ def begin_run(c: Any, f: Any, time: float, speed: Any, angle_left: float) -> Non
 
 
 @inlined
-def new_gyro(p: Parameters, c: Any, f: Any, count: float, time: float, rate: float) -> None:
+def new_gyro(
+    p: Parameters, c: Any, f: Any, count: float, time: float, rate: float
+) -> None:
     """Add the gyro's reading [rad/s], which came at `time` [s], if its counter has changed."""
     h = record_at(f, 0, HEAD)
     if count != h.seen_gyro:
@@ -48,7 +50,14 @@ def new_gyro(p: Parameters, c: Any, f: Any, count: float, time: float, rate: flo
 
 @part
 def new_pose(
-    p: Parameters, c: Any, f: Any, count: float, time: float, x: float, y: float, yaw: float
+    p: Parameters,
+    c: Any,
+    f: Any,
+    count: float,
+    time: float,
+    x: float,
+    y: float,
+    yaw: float,
 ) -> None:
     """Add the navigation's sample, which came at `time` [s], if its counter has changed."""
     h, period = record_at(f, 0, HEAD), record_at(c, 0, FIGURES).nav_period
@@ -74,7 +83,9 @@ def _is_sound(f: Any) -> bool:
 
 
 @part
-def end_run(p: Parameters, c: Any, f: Any, is_read: bool, out: Shown, codes: Any) -> None:
+def end_run(
+    p: Parameters, c: Any, f: Any, is_read: bool, out: Shown, codes: Any
+) -> None:
     """Process the new readings and show the estimate, which is Uncertain without a fix.
 
     Parameters

@@ -39,7 +39,15 @@ _REGULAR = 1e-14
 
 @part
 def _predicted(
-    numbers: Any, c: Any, h: Head, wheels: Any, k: int, x: Any, m: Any, a: Moment, b: Moment
+    numbers: Any,
+    c: Any,
+    h: Head,
+    wheels: Any,
+    k: int,
+    x: Any,
+    m: Any,
+    a: Moment,
+    b: Moment,
 ) -> Any:
     """Predict moment k + 1 into `b` from the estimate at k; return the entries of F."""
     p = record_at(numbers, 0, PARAMETERS)
@@ -88,13 +96,23 @@ def smooth(
     for k in range(len(x) - 2, first - 1, -1):
         f = _dense(
             _predicted(
-                p.numbers, sure, h, series.wheels, k, course.estimate, course.covariance, a, b
+                p.numbers,
+                sure,
+                h,
+                series.wheels,
+                k,
+                course.estimate,
+                course.covariance,
+                a,
+                b,
             )
         )
         ahead = b.covariance.copy()
         scale = np.sqrt(np.diag(ahead)) + _REGULAR
         whole = ahead / np.outer(scale, scale) + _REGULAR * np.eye(N_ESTIMATED)
-        gain = (np.linalg.solve(whole, (f @ course.covariance[k]) / scale[:, None])).T / scale
+        gain = (
+            np.linalg.solve(whole, (f @ course.covariance[k]) / scale[:, None])
+        ).T / scale
         x[k] += gain @ (x[k + 1] - b.estimate)
         m[k] += gain @ (m[k + 1] - ahead) @ gain.T
     return x, m

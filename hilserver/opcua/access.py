@@ -85,10 +85,16 @@ class Access:
         if any(self._attempts.is_blocked(key, now_s) for key in keys) or (
             self._waiting >= _MAX_WAITING
         ):
-            log.warning("opcua log-in refused: too many failures", user=name[:64], address=address)
+            log.warning(
+                "opcua log-in refused: too many failures",
+                user=name[:64],
+                address=address,
+            )
             return None
         user = self._users.get(name)
-        is_right = await self._is_right(password, user.password if user else self._nobodys_hash)
+        is_right = await self._is_right(
+            password, user.password if user else self._nobodys_hash
+        )
         if user is None or not is_right:
             for key in keys:
                 self._attempts.failed(key, now_s)
@@ -125,7 +131,13 @@ def _is_enough(user: User, table: Mapping[str, str], name: str) -> bool:
 
 
 async def identify(
-    access: Access, token: Any, *, is_encrypted: bool, key: Any, nonce: bytes, address: str
+    access: Access,
+    token: Any,
+    *,
+    is_encrypted: bool,
+    key: Any,
+    nonce: bytes,
+    address: str,
 ) -> RoleUser:
     """Return the user that a token names.
 
@@ -141,7 +153,8 @@ async def identify(
         The last one that we sent to the client; an encrypted password must contain it.
     """
     is_empty = token is None or (
-        isinstance(token, ua.ExtensionObject) and token.TypeId == ua.NodeId(ua.ObjectIds.Null)
+        isinstance(token, ua.ExtensionObject)
+        and token.TypeId == ua.NodeId(ua.ObjectIds.Null)
     )
     if is_empty or isinstance(token, ua.AnonymousIdentityToken):
         user = access.anonymous()

@@ -49,9 +49,13 @@ class CallAnswer(NamedTuple):
 ACCEPTED = Answer(_Codes.Good)
 
 
-def refused(code: int, text: str = "", results: list[ua.StatusCode] | None = None) -> CallAnswer:
+def refused(
+    code: int, text: str = "", results: list[ua.StatusCode] | None = None
+) -> CallAnswer:
     """Return the answer to a call that is refused."""
-    result = ua.CallMethodResult(StatusCode=ua.StatusCode(code), InputArgumentResults=results or [])
+    result = ua.CallMethodResult(
+        StatusCode=ua.StatusCode(code), InputArgumentResults=results or []
+    )
     return CallAnswer(result, text)
 
 
@@ -109,12 +113,18 @@ class Application:
         if item.AttributeId != _Attributes.Value or not self.is_writable(item.NodeId):
             return Answer(_Codes.BadNotWritable, "only inputs can be written")
         if not self.may_write(user, item.NodeId):
-            return Answer(_Codes.BadUserAccessDenied, "your role does not allow this write")
+            return Answer(
+                _Codes.BadUserAccessDenied, "your role does not allow this write"
+            )
         if item.IndexRange:
             return Answer(_Codes.BadWriteNotSupported, "write the whole array")
-        if item.Value.StatusCode is not None and item.Value.StatusCode.value != _Codes.Good:
+        if (
+            item.Value.StatusCode is not None
+            and item.Value.StatusCode.value != _Codes.Good
+        ):
             return Answer(
-                _Codes.BadWriteNotSupported, "only values with status Good can be written"
+                _Codes.BadWriteNotSupported,
+                "only values with status Good can be written",
             )
         return None
 
@@ -142,8 +152,14 @@ class Application:
     def _has_shape(self, item: ua.WriteValue) -> bool:
         """Whether there is a value, and an array where one is expected; asyncua checks the type."""
         variant = item.Value.Value
-        rank = self._space[item.NodeId].attributes[_Attributes.ValueRank].value.Value.Value
-        return variant is not None and variant.Value is not None and variant.is_array == (rank >= 0)
+        rank = (
+            self._space[item.NodeId].attributes[_Attributes.ValueRank].value.Value.Value
+        )
+        return (
+            variant is not None
+            and variant.Value is not None
+            and variant.is_array == (rank >= 0)
+        )
 
     def is_method(self, method_id: ua.NodeId) -> bool:
         """Whether there is something to call."""
@@ -156,9 +172,13 @@ class Application:
         if owner is None or not any(
             r.IsForward and r.NodeId == request.MethodId for r in owner.references
         ):
-            return refused(_Codes.BadMethodInvalid, "the method belongs to another object")
+            return refused(
+                _Codes.BadMethodInvalid, "the method belongs to another object"
+            )
         if not self.may_call(session.user, request.MethodId):
-            return refused(_Codes.BadUserAccessDenied, "your role does not allow this call")
+            return refused(
+                _Codes.BadUserAccessDenied, "your role does not allow this call"
+            )
         name = self.name_of(request.MethodId)
         wanted = self._arguments(self._space[request.MethodId])
         wrong = _check_arguments(name, wanted, request.InputArguments or [])
@@ -182,11 +202,16 @@ class Application:
 def _check_arguments(
     name: str, wanted: Sequence[ua.Argument], given: Sequence[ua.Variant]
 ) -> CallAnswer | None:
-    signature = ", ".join(f"{_type_name(a.DataType)} {a.Name}" for a in wanted) or "no arguments"
+    signature = (
+        ", ".join(f"{_type_name(a.DataType)} {a.Name}" for a in wanted)
+        or "no arguments"
+    )
     text = f"{name} takes {signature}"
     if len(given) != len(wanted):
         is_short = len(given) < len(wanted)
-        return refused(_Codes.BadArgumentsMissing if is_short else _Codes.BadTooManyArguments, text)
+        return refused(
+            _Codes.BadArgumentsMissing if is_short else _Codes.BadTooManyArguments, text
+        )
     results = [
         ua.StatusCode(_Codes.Good if _fits(argument, value) else _Codes.BadTypeMismatch)
         for argument, value in zip(wanted, given, strict=True)
@@ -198,7 +223,11 @@ def _check_arguments(
 
 def _type_name(data_type: ua.NodeId) -> str:
     is_standard = data_type.NamespaceIndex == 0
-    return str(ua.ObjectIdNames.get(data_type.Identifier) if is_standard else data_type.to_string())
+    return str(
+        ua.ObjectIdNames.get(data_type.Identifier)
+        if is_standard
+        else data_type.to_string()
+    )
 
 
 def _fits(argument: ua.Argument, given: ua.Variant) -> bool:

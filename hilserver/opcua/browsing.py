@@ -67,7 +67,11 @@ _FIELDS = (
     _Mask.DisplayName, _Mask.TypeDefinition,
 )  # fmt: skip
 _TO_THE_END = ua.Index(2**32 - 1)
-_DIRECTIONS = (ua.BrowseDirection.Forward, ua.BrowseDirection.Inverse, ua.BrowseDirection.Both)
+_DIRECTIONS = (
+    ua.BrowseDirection.Forward,
+    ua.BrowseDirection.Inverse,
+    ua.BrowseDirection.Both,
+)
 _Codes = ua.StatusCodes
 Types = frozenset[ua.NodeId] | None  # types of references that are followed; None: all
 
@@ -106,7 +110,11 @@ class ContinuationPoints:
         if kind is not None and not kind.is_null():
             if not self._is_reference_type(kind):
                 raise ServiceError(_Codes.BadReferenceTypeIdInvalid)
-            types = self._types.closure(kind) if asked.IncludeSubtypes else frozenset((kind,))
+            types = (
+                self._types.closure(kind)
+                if asked.IncludeSubtypes
+                else frozenset((kind,))
+            )
         found = []
         for number, reference in enumerate(node.references):
             if number % _GIVE_WAY_EVERY == _GIVE_WAY_EVERY - 1:
@@ -157,7 +165,11 @@ def translate(address_space: Any, types: TypeTree, path: ua.BrowsePath) -> Porti
 
 
 def _step(
-    address_space: Any, types: TypeTree, node_id: Any, element: Any, found: dict[ua.NodeId, None]
+    address_space: Any,
+    types: TypeTree,
+    node_id: Any,
+    element: Any,
+    found: dict[ua.NodeId, None],
 ) -> Generator[None, None, None]:
     node, kind = address_space.get(node_id), element.ReferenceTypeId
     wanted: Types = None

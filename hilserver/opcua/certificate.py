@@ -51,7 +51,10 @@ def make_certificate(
         ]
     )
     signer = key if issuer is None else issuer[1]
-    names = [x509.UniformResourceIdentifier(application_uri), *map(_general_name, hosts)]
+    names = [
+        x509.UniformResourceIdentifier(application_uri),
+        *map(_general_name, hosts),
+    ]
     uses = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
     builder = (
         x509.CertificateBuilder()
@@ -65,9 +68,12 @@ def make_certificate(
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(_key_usage(issuer is None), critical=True)
         .add_extension(x509.ExtendedKeyUsage(uses), critical=False)
-        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
         .add_extension(
-            x509.AuthorityKeyIdentifier.from_issuer_public_key(signer.public_key()), critical=False
+            x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False
+        )
+        .add_extension(
+            x509.AuthorityKeyIdentifier.from_issuer_public_key(signer.public_key()),
+            critical=False,
         )
     )
     return builder.sign(signer, hashes.SHA256())
@@ -145,7 +151,9 @@ def host_names(certificate: x509.Certificate) -> Sequence[str]:
 
 def _alternative_names(certificate: x509.Certificate, kind: type) -> list[str]:
     try:
-        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        names = certificate.extensions.get_extension_for_class(
+            x509.SubjectAlternativeName
+        ).value
     except (x509.ExtensionNotFound, ValueError):
         return []
     return list(names.get_values_for_type(kind))
@@ -160,7 +168,9 @@ def common_name(certificate: x509.Certificate) -> str:
 def key_to_pem(key: rsa.RSAPrivateKey) -> bytes:
     """Return the key as PKCS #8; the file that holds it must be 0600."""
     return key.private_bytes(
-        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+        serialization.Encoding.PEM,
+        serialization.PrivateFormat.PKCS8,
+        serialization.NoEncryption(),
     )
 
 
@@ -169,7 +179,9 @@ def parse_key(data: bytes) -> rsa.RSAPrivateKey:
     try:
         key = serialization.load_pem_private_key(data, password=None)
     except TypeError:
-        raise ValueError("the key has a password; store it without, readable by you only") from None
+        raise ValueError(
+            "the key has a password; store it without, readable by you only"
+        ) from None
     except ValueError:
         raise ValueError("not a private key in PEM form") from None
     if not isinstance(key, rsa.RSAPrivateKey):

@@ -44,14 +44,21 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
     _sequence_number: int
 
     def __init__(
-        self, policies: Sequence[SecurityPolicyFactory], trust: TrustList | None, peer: str
+        self,
+        policies: Sequence[SecurityPolicyFactory],
+        trust: TrustList | None,
+        peer: str,
     ) -> None:
         super().__init__(SecurityPolicyNone(), TransportLimits())
         self.set_policy_factories(list(policies))
         # the channel is not protected, and the server does not offer that for sessions
         self.is_discovery_only = False
-        self.max_bytes = MAX_BYTES_BEFORE_LOGIN  # longest request accepted at this point
-        self.max_response_bytes = 0  # longest response that the client accepts, 0 for any
+        self.max_bytes = (
+            MAX_BYTES_BEFORE_LOGIN  # longest request accepted at this point
+        )
+        self.max_response_bytes = (
+            0  # longest response that the client accepts, 0 for any
+        )
         self._expiring = (0, 0.0)
         self._trust = trust
         self._peer = peer
@@ -59,9 +66,13 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
     def greet(self, hello: ua.Hello, max_bytes: int) -> ua.Acknowledge:
         """Agree on sizes; TransportError if the client's buffer sizes are invalid."""
         if min(hello.ReceiveBufferSize, hello.SendBufferSize) < MIN_BUFFER_BYTES:
-            raise TransportError(_Codes.BadConnectionRejected, "buffers below 8192 bytes")
+            raise TransportError(
+                _Codes.BadConnectionRejected, "buffers below 8192 bytes"
+            )
         if len(hello.EndpointUrl or "") > _MAX_URL_BYTES:
-            raise TransportError(_Codes.BadTcpEndpointUrlInvalid, "endpoint URL too long")
+            raise TransportError(
+                _Codes.BadTcpEndpointUrlInvalid, "endpoint URL too long"
+            )
         answer = ua.Acknowledge()
         answer.ReceiveBufferSize = min(hello.SendBufferSize, MAX_CHUNK_BYTES)
         answer.SendBufferSize = min(hello.ReceiveBufferSize, MAX_CHUNK_BYTES)
@@ -80,14 +91,21 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
         return bool(self._incoming_parts)
 
     def select_policy(
-        self, uri: str, peer_certificate: bytes | None, mode: ua.MessageSecurityMode | None = None
+        self,
+        uri: str,
+        peer_certificate: bytes | None,
+        mode: ua.MessageSecurityMode | None = None,
     ) -> None:
         """Choose the policy of a new channel; asyncua calls this before and after decrypting."""
         if uri == SecurityPolicyNone.URI:
-            self.is_discovery_only = not any(p.matches(uri, _None) for p in self._policies)
+            self.is_discovery_only = not any(
+                p.matches(uri, _None) for p in self._policies
+            )
             self.security_policy = SecurityPolicyNone()
             if mode not in (None, _None):
-                raise TransportError(_Codes.BadSecurityModeRejected, "mode without a policy")
+                raise TransportError(
+                    _Codes.BadSecurityModeRejected, "mode without a policy"
+                )
             return
         factory = next((p for p in self._policies if p.matches(uri, mode)), None)
         if factory is None:
@@ -103,7 +121,9 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
         self.security_policy = factory.create(first_of_chain(peer_certificate or b""))
 
     def _judge(self, certificate: bytes) -> None:
-        verdict = Verdict.INVALID if self._trust is None else self._trust.judge(certificate)
+        verdict = (
+            Verdict.INVALID if self._trust is None else self._trust.judge(certificate)
+        )
         if verdict is Verdict.GOOD:
             return
         kept = remedy = None
@@ -124,18 +144,24 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
         code = verdict.value if verdict not in _CONCEALED else "BadSecurityChecksFailed"
         raise TransportError(getattr(_Codes, code), "certificate refused")
 
-    def check_asymmetric(self, header: ua.AsymmetricAlgorithmHeader, channel_id: int) -> None:
+    def check_asymmetric(
+        self, header: ua.AsymmetricAlgorithmHeader, channel_id: int
+    ) -> None:
         """Check that an OpenSecureChannel is meant for us and for this channel."""
         policy = self.security_policy
         if header.SecurityPolicyURI != policy.URI:
-            raise TransportError(_Codes.BadSecurityChecksFailed, "not the policy of the channel")
+            raise TransportError(
+                _Codes.BadSecurityChecksFailed, "not the policy of the channel"
+            )
         if self._open and channel_id != self.security_token.ChannelId:
             raise TransportError(_Codes.BadSecureChannelIdInvalid, "another channel")
         if policy.URI == SecurityPolicyNone.URI:
             return
         ours = hashlib.sha1(policy.host_certificate, usedforsecurity=False).digest()
         if header.ReceiverCertificateThumbPrint != ours:
-            raise TransportError(_Codes.BadCertificateInvalid, "encrypted for another certificate")
+            raise TransportError(
+                _Codes.BadCertificateInvalid, "encrypted for another certificate"
+            )
         if first_of_chain(header.SenderCertificate or b"") != policy.peer_certificate:
             raise TransportError(_Codes.BadSecurityChecksFailed, "another certificate")
 
@@ -146,13 +172,17 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
             raise TransportError(_Codes.BadRequestTypeInvalid, "issue once, then renew")
         is_secure = self.security_policy.Mode != _None
         if params.SecurityMode != self.security_policy.Mode:
-            raise TransportError(_Codes.BadSecurityModeRejected, "not the mode of the channel")
+            raise TransportError(
+                _Codes.BadSecurityModeRejected, "not the mode of the channel"
+            )
         if is_secure and len(params.ClientNonce or b"") != _NONCE_BYTES:
             raise TransportError(_Codes.BadNonceInvalid, "the nonce has 32 bytes")
         if self._open and is_secure:
             self._judge(self.security_policy.peer_certificate)
         asked_ms = params.RequestedLifetime or _MAX_LIFETIME_MS
-        params.RequestedLifetime = min(max(asked_ms, _MIN_LIFETIME_MS), _MAX_LIFETIME_MS)
+        params.RequestedLifetime = min(
+            max(asked_ms, _MIN_LIFETIME_MS), _MAX_LIFETIME_MS
+        )
         return super().open(params, server)
 
     def receive_plain(self, frame: bytes) -> tuple[int, Buffer] | None:
@@ -188,11 +218,16 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
 
     def _check_incoming_chunk(self, chunk: Any) -> None:
         is_open = chunk.MessageHeader.MessageType == ua.MessageType.SecureOpen
-        if not is_open and chunk.MessageHeader.ChannelId != self.security_token.ChannelId:
+        if (
+            not is_open
+            and chunk.MessageHeader.ChannelId != self.security_token.ChannelId
+        ):
             raise TransportError(_Codes.BadSecureChannelIdInvalid, "another channel")
         number, last = chunk.SequenceHeader.SequenceNumber, self._peer_sequence_number
         expected = number if last is None else last + 1
-        if number != expected and not (number < _WRAP and expected > _MAX_SEQUENCE - _WRAP):
+        if number != expected and not (
+            number < _WRAP and expected > _MAX_SEQUENCE - _WRAP
+        ):
             raise TransportError(_Codes.BadSequenceNumberInvalid, "out of order")
         super()._check_incoming_chunk(chunk)
 
@@ -210,12 +245,19 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
         try:
             super()._check_sym_header(security_hdr)
         except ua.UaError:
-            raise TransportError(_Codes.BadSecureChannelTokenUnknown, "no such token") from None
+            raise TransportError(
+                _Codes.BadSecureChannelTokenUnknown, "no such token"
+            ) from None
         if self._has_expired():
-            raise TransportError(_Codes.BadSecureChannelTokenUnknown, "the channel has expired")
+            raise TransportError(
+                _Codes.BadSecureChannelTokenUnknown, "the channel has expired"
+            )
 
     def _receive(self, msg: Any) -> ua.Message | None:
-        if msg.MessageHeader.ChunkType == ua.ChunkType.Abort and not self._incoming_parts:
+        if (
+            msg.MessageHeader.ChunkType == ua.ChunkType.Abort
+            and not self._incoming_parts
+        ):
             raise TransportError(_Codes.BadTcpMessageTypeInvalid, "nothing to abort")
         self._limits.max_message_size = self.max_bytes
         self._limits.max_chunk_count = max(1, self.max_bytes // _MIN_CHUNK_BYTES)

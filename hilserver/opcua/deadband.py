@@ -26,7 +26,9 @@ class ChangeFilter:
     trigger: ua.DataChangeTrigger = _STATUS_VALUE
     band: float = 0.0  # changes up to this, in the variable's unit, are not reported; 0 reports any
 
-    def is_worth_reporting(self, last: FixedDataValue | None, new: FixedDataValue) -> bool:
+    def is_worth_reporting(
+        self, last: FixedDataValue | None, new: FixedDataValue
+    ) -> bool:
         """Whether `new` is to be reported after `last`, which was reported before."""
         if last is None:
             return True
@@ -39,7 +41,9 @@ class ChangeFilter:
         if self._has_changed(last.Value, new.Value):
             return True
         is_stamp_of_interest = self.trigger == _Trigger.StatusValueTimestamp
-        return bool(is_stamp_of_interest and last.SourceTimestamp != new.SourceTimestamp)
+        return bool(
+            is_stamp_of_interest and last.SourceTimestamp != new.SourceTimestamp
+        )
 
     def _has_changed(self, last: Any, new: Any) -> bool:
         old_value = None if last is None else last.Value
@@ -71,7 +75,9 @@ def change_filter(
     """
     if asked is None or _is_empty(asked):
         return ChangeFilter()
-    if not isinstance(asked, uaprotocol_auto.DataChangeFilter):  # asyncua decodes this one
+    if not isinstance(
+        asked, uaprotocol_auto.DataChangeFilter
+    ):  # asyncua decodes this one
         raise ServiceError(_Codes.BadFilterNotAllowed)
     if not isinstance(asked.Trigger, _Trigger):
         raise ServiceError(_Codes.BadMonitoredItemFilterInvalid)
@@ -92,4 +98,6 @@ def change_filter(
 
 
 def _is_empty(asked: Any) -> bool:
-    return isinstance(asked, ua.ExtensionObject) and asked.TypeId == ua.NodeId(ua.ObjectIds.Null)
+    return isinstance(asked, ua.ExtensionObject) and asked.TypeId == ua.NodeId(
+        ua.ObjectIds.Null
+    )

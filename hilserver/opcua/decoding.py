@@ -61,7 +61,9 @@ def bound_decoder() -> None:
                 if hasattr(cached, "cache_clear"):
                     cached.cache_clear()
     if not hasattr(ua_binary.create_enum_deserializer, "is_lenient"):
-        ua_binary.create_enum_deserializer = _lenient(ua_binary.create_enum_deserializer)
+        ua_binary.create_enum_deserializer = _lenient(
+            ua_binary.create_enum_deserializer
+        )
 
 
 def _lenient(create: Callable[[Any], Callable[[Any], Any]]) -> Callable[[Any], Any]:
@@ -89,9 +91,13 @@ def _bounded(create: Callable[[Any], Callable[[Any], Any]]) -> Callable[[Any], A
         def decode_bounded(data: Any) -> Any:
             rest = data.copy() if isinstance(data, ua.utils.Buffer) else None
             if rest is not None and len(rest) >= _LENGTH_BYTES:
-                announced = int.from_bytes(rest.read(_LENGTH_BYTES), "little", signed=True)
+                announced = int.from_bytes(
+                    rest.read(_LENGTH_BYTES), "little", signed=True
+                )
                 if announced > len(rest):
-                    raise NotEnoughData(f"{announced} elements announced, {len(rest)} bytes left")
+                    raise NotEnoughData(
+                        f"{announced} elements announced, {len(rest)} bytes left"
+                    )
                 _left[0] -= weight * max(announced, 0)
                 if _left[0] < 0:
                     raise ServiceError(ua.StatusCodes.BadEncodingLimitsExceeded)

@@ -29,7 +29,12 @@ _SCALARS = {
     }.items()
 }
 _HAS_VALUE, _HAS_STATUS, _HAS_SOURCE, _HAS_SERVER = 1, 2, 4, 8
-_MASKS = (_HAS_SOURCE, _HAS_SERVER, _HAS_SOURCE | _HAS_SERVER, 0)  # by number of TimestampsToReturn
+_MASKS = (
+    _HAS_SOURCE,
+    _HAS_SERVER,
+    _HAS_SOURCE | _HAS_SERVER,
+    0,
+)  # by number of TimestampsToReturn
 _U32, _I32 = struct.Struct("<I"), struct.Struct("<i")
 _RESPONSE = struct.Struct("<4sqIIBi3s")
 _REQUEST = struct.Struct("<qIIiI3s")
@@ -67,7 +72,9 @@ class FixedDataValue(ua.DataValue):  # type: ignore[misc]
         """Return `value` as one that does not change."""
         if isinstance(value, cls):
             return value
-        return cls(value.Value, value.StatusCode, value.SourceTimestamp, value.ServerTimestamp)
+        return cls(
+            value.Value, value.StatusCode, value.SourceTimestamp, value.ServerTimestamp
+        )
 
     @classmethod
     def good(
@@ -168,10 +175,17 @@ def notification_message(sequence: int, data: list[bytes]) -> bytes:
 
 
 def publish_response(
-    handle: int, subscription: int, available: list[int], more: bool, message: bytes, results: bytes
+    handle: int,
+    subscription: int,
+    available: list[int],
+    more: bool,
+    message: bytes,
+    results: bytes,
 ) -> bytes:
     """Return a Publish response."""
-    numbers = struct.pack(f"<Ii{len(available)}I?", subscription, len(available), *available, more)
+    numbers = struct.pack(
+        f"<Ii{len(available)}I?", subscription, len(available), *available, more
+    )
     head = response_head(_PUBLISH_RESPONSE, handle)
     return b"".join((head, numbers, message, results, _NONE))
 
@@ -215,7 +229,9 @@ def request_head(body: Buffer, token: bytes) -> Head | None:
     end = start + len(token)
     if len(body) < len(token) + _REQUEST.size or body._data[start:end] != token:
         return None
-    sent, handle, diagnostics, audit_id, timeout_ms, more = _REQUEST.unpack_from(body._data, end)
+    sent, handle, diagnostics, audit_id, timeout_ms, more = _REQUEST.unpack_from(
+        body._data, end
+    )
     if audit_id > 0 or more != _NULL_HEADER:
         return None
     body.skip(len(token) + _REQUEST.size)
@@ -262,6 +278,8 @@ def read_items(body: Buffer, most: int) -> Generator[None, None, ReadItems]:
         index_range = Primitives.String.unpack(body) or ""
         namespace = int.from_bytes(body.read(2), "little")
         name = Primitives.String.unpack(body)
-        encoding = ua.QualifiedName(name, namespace) if name or namespace else _NO_ENCODING
+        encoding = (
+            ua.QualifiedName(name, namespace) if name or namespace else _NO_ENCODING
+        )
         items.append(ReadItem(node_id, attribute, index_range, encoding))
     return ReadItems(max_age_ms, stamps, items)

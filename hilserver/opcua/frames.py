@@ -70,13 +70,19 @@ class FrameReader:
     def _judge_header(self) -> tuple[bytes, int]:
         kind, chunk, size = _HEADER.unpack_from(self._buffer)
         if kind not in _MIN_BYTES or chunk not in (b"F", b"C", b"A"):
-            raise TransportError(_Codes.BadTcpMessageTypeInvalid, "not an OPC UA message")
+            raise TransportError(
+                _Codes.BadTcpMessageTypeInvalid, "not an OPC UA message"
+            )
         if chunk != b"F" and kind != b"MSG":
-            raise TransportError(_Codes.BadTcpMessageTypeInvalid, "only messages have chunks")
+            raise TransportError(
+                _Codes.BadTcpMessageTypeInvalid, "only messages have chunks"
+            )
         if size > (MAX_HELLO_BYTES if kind == b"HEL" else MAX_CHUNK_BYTES):
             raise TransportError(_Codes.BadTcpMessageTooLarge, "larger than agreed")
         if size < _MIN_BYTES[kind]:
-            raise TransportError(_Codes.BadDecodingError, "too short for its message type")
+            raise TransportError(
+                _Codes.BadDecodingError, "too short for its message type"
+            )
         return kind, size
 
 
@@ -84,5 +90,7 @@ def check_order(stage: Stage, kind: bytes) -> None:
     """Raise TransportError if a message of that type is not allowed at this stage."""
     if kind not in _ALLOWED[stage]:
         if kind == b"MSG":
-            raise TransportError(_Codes.BadTcpSecureChannelUnknown, "no channel is open")
+            raise TransportError(
+                _Codes.BadTcpSecureChannelUnknown, "no channel is open"
+            )
         raise TransportError(_Codes.BadTcpMessageTypeInvalid, "not at this point")

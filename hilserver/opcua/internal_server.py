@@ -25,7 +25,10 @@ class InnerServer(QuickInternalServer):
     """asyncua's inner server with our sessions, subscriptions and limits."""
 
     def __init__(
-        self, settings: OpcUaSettings, trust: TrustList | None, spawn: Spawn = spawn_plainly
+        self,
+        settings: OpcUaSettings,
+        trust: TrustList | None,
+        spawn: Spawn = spawn_plainly,
     ) -> None:
         self.spawn = spawn
         self._clock: Running | None = None
@@ -34,7 +37,9 @@ class InnerServer(QuickInternalServer):
         self.disabled_clock = True  # asyncua's task, which nothing would begin again
         self.settings, self.trust = settings, trust
         self.access = access = Access(settings)
-        self.application = Application(self, access)  # may be replaced before the first client
+        self.application = Application(
+            self, access
+        )  # may be replaced before the first client
         self._places = Places(
             settings.max_sessions,
             lambda user: self.application.has_reserve(user),  # noqa: PLW0108 - it may be replaced
@@ -46,10 +51,14 @@ class InnerServer(QuickInternalServer):
         self.types = TypeTree(self.aspace)
         self.subscription_service = Subscriptions(self.aspace, self.types, settings)
         # asyncua's event generators send through the server's own session, which was made before.
-        self.isession.subscription_service.trigger_event = self.subscription_service.trigger_event
+        self.isession.subscription_service.trigger_event = (
+            self.subscription_service.trigger_event
+        )
         self.reader = Reader(self)
         self.sessions: dict[ua.NodeId, Session] = {}
-        tokens: list[type] = [ua.AnonymousIdentityToken] if access.admits_anonymous else []
+        tokens: list[type] = (
+            [ua.AnonymousIdentityToken] if access.admits_anonymous else []
+        )
         if access.has_users:
             tokens.append(ua.UserNameIdentityToken)
         self.supported_tokens = tuple(tokens)
@@ -77,7 +86,9 @@ class InnerServer(QuickInternalServer):
     async def start(self) -> None:
         """Start, with the clock in a task of ours."""
         await super().start()
-        self._clock = self.spawn(self._set_current_time_loop, "opcua clock", lasting=True)
+        self._clock = self.spawn(
+            self._set_current_time_loop, "opcua clock", lasting=True
+        )
 
     async def stop(self) -> None:
         """Stop at once: end sessions that outlived their connection, and the clock."""

@@ -14,7 +14,9 @@ from hilserver.opcua.encoding import DATA_CHANGE, EVENTS, FixedDataValue
 
 HANDLE = struct.Struct("<I")
 _NULL = ua.Variant()
-_OVERFLOW = 0x480  # InfoType DataValue and Overflow of a status code (OPC 10000-4, 7.39.1)
+_OVERFLOW = (
+    0x480  # InfoType DataValue and Overflow of a status code (OPC 10000-4, 7.39.1)
+)
 
 
 @dataclass
@@ -67,7 +69,9 @@ class ValueItem(_Item):
             now_s += min(slack_s, self.interval_s / 2)
             if now_s < self.due_s:
                 return False
-            missed = math.floor((now_s - self.due_s) / self.interval_s) if self.due_s else 0
+            missed = (
+                math.floor((now_s - self.due_s) / self.interval_s) if self.due_s else 0
+            )
             self.due_s = (self.due_s or now_s) + (missed + 1) * self.interval_s
         self.seen = value
         fixed = FixedDataValue.of(value)
@@ -126,7 +130,9 @@ class EventItem(_Item):
         """Queue an event that passes the filter; return whether it did."""
         if self.mode == ua.MonitoringMode.Disabled or not self.where(event):
             return False
-        fields = ua.EventFieldList(EventFields=event.selected(self.filter.SelectClauses))
+        fields = ua.EventFieldList(
+            EventFields=event.selected(self.filter.SelectClauses)
+        )
         if len(self.queue) >= self.size:
             if not self.discard_oldest:
                 return False

@@ -31,7 +31,9 @@ async def create_session(processor: Any, params: Any) -> ua.CreateSessionRespons
     _check_client(processor, params)
     asked = ua.GetEndpointsParameters(EndpointUrl=params.EndpointUrl)
     endpoints = await iserver.get_endpoints(asked, processor.sockname)
-    processor.session = session = iserver.new_session(processor, policy, params.SessionName)
+    processor.session = session = iserver.new_session(
+        processor, policy, params.SessionName
+    )
     response = ua.CreateSessionResponse()
     result = response.Parameters = session.create(params)
     result.ServerEndpoints = endpoints
@@ -63,11 +65,15 @@ def _check_client(processor: Any, params: ua.CreateSessionParameters) -> None:
         raise ServiceError(_Codes.BadCertificateUriInvalid)
 
 
-async def activate_session(processor: Any, token: Any, params: Any) -> ua.ActivateSessionResponse:
+async def activate_session(
+    processor: Any, token: Any, params: Any
+) -> ua.ActivateSessionResponse:
     """Answer ActivateSession: admit a proven client of the session with a known user."""
     iserver, policy = processor.iserver, processor.policy
     session = iserver.sessions.get(token)
-    if session is None or (processor.session is not None and session is not processor.session):
+    if session is None or (
+        processor.session is not None and session is not processor.session
+    ):
         raise ServiceError(_Codes.BadSessionIdInvalid)
     session.touch()
     is_moved = session.processor is not processor

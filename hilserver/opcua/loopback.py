@@ -35,7 +35,9 @@ def is_own_program(client: tuple[str, int], server: tuple[str, int]) -> bool:
     return owner_of(client, server, lines) == os.getuid()
 
 
-def owner_of(client: tuple[str, int], server: tuple[str, int], lines: Iterable[str]) -> int | None:
+def owner_of(
+    client: tuple[str, int], server: tuple[str, int], lines: Iterable[str]
+) -> int | None:
     """Return the user of the socket from `client` to `server` in the table, None if it is none."""
     ends = [_as_listed(*client), _as_listed(*server)]
     for line in lines:
@@ -48,5 +50,8 @@ def owner_of(client: tuple[str, int], server: tuple[str, int], lines: Iterable[s
 def _as_listed(host: str, port: int) -> str:
     """Return an address as the table writes it: words of four bytes, in this machine's order."""
     packed = ipaddress.ip_address(host).packed
-    words = [int.from_bytes(packed[at : at + 4], sys.byteorder) for at in range(0, len(packed), 4)]
+    words = [
+        int.from_bytes(packed[at : at + 4], sys.byteorder)
+        for at in range(0, len(packed), 4)
+    ]
     return "".join(f"{word:08X}" for word in words) + f":{port:04X}"

@@ -88,7 +88,9 @@ class MonitoredItems:
         item = make(request, stamps, room)
         self._rearrange()
         result = ua.MonitoredItemCreateResult(
-            MonitoredItemId=item.item_id, RevisedQueueSize=item.size, RevisedSamplingInterval=0.0
+            MonitoredItemId=item.item_id,
+            RevisedQueueSize=item.size,
+            RevisedSamplingInterval=0.0,
         )
         if isinstance(item, ValueItem):
             result.RevisedSamplingInterval = item.interval_s * 1e3
@@ -118,7 +120,10 @@ class MonitoredItems:
         read, asked = request.ItemToMonitor, request.RequestedParameters
         place = find(self._address_space, read.NodeId, read.AttributeId)
         notifier = value_at(place, read.NodeId, read.AttributeId).Value
-        if notifier is None or not (notifier.Value or 0) & ua.EventNotifier.SubscribeToEvents.mask:
+        if (
+            notifier is None
+            or not (notifier.Value or 0) & ua.EventNotifier.SubscribeToEvents.mask
+        ):
             raise ServiceError(_Codes.BadAttributeIdInvalid)
         wanted = check_event_filter(asked.Filter)
         where = compile_where(wanted.WhereClause, self._types)
@@ -153,7 +158,9 @@ class MonitoredItems:
         item.discard_oldest = asked.DiscardOldest
         room.items += 1
         room.queued_values += item.size - 1
-        item.size = result.RevisedQueueSize = room.take(asked.QueueSize, self._longest_queue)
+        item.size = result.RevisedQueueSize = room.take(
+            asked.QueueSize, self._longest_queue
+        )
         while len(item.queue) > item.size:
             item.queue.popleft()
         self._rearrange()
@@ -221,7 +228,9 @@ class MonitoredItems:
         """Sample all items that are due, or due nearer to this publishing than to the next."""
         return self._in_portions(self._all, now_s, self._publishing_ms() / 2e3)
 
-    def _in_portions(self, items: list[ValueItem], now_s: float, slack_s: float = 0.0) -> Portions:
+    def _in_portions(
+        self, items: list[ValueItem], now_s: float, slack_s: float = 0.0
+    ) -> Portions:
         """Sample items as listed at the start; all at once if one may trigger others."""
         size = max(1, len(items)) if self._has_links else GIVE_WAY_EVERY
         for first in range(0, len(items), size):
@@ -250,12 +259,15 @@ class MonitoredItems:
         for item in self._all:
             item.forget()
 
-    def _look_at(self, items: list[ValueItem], now_s: float, slack_s: float = 0.0) -> None:
+    def _look_at(
+        self, items: list[ValueItem], now_s: float, slack_s: float = 0.0
+    ) -> None:
         # All are sampled before any is noted: one may trigger a later one.
         news = [
             item
             for item in items
-            if (value := item.place.value) is not item.seen and item.sample(value, now_s, slack_s)
+            if (value := item.place.value) is not item.seen
+            and item.sample(value, now_s, slack_s)
         ]
         for item in news:
             self._note(item)
@@ -302,8 +314,14 @@ class MonitoredItems:
 
     def _eu_range(self, node: Any) -> ua.Range | None:
         for reference in node.references if node else ():
-            if reference.IsForward and reference.BrowseName == ua.QualifiedName("EURange", 0):
-                place = self._address_space[reference.NodeId].attributes[_Attributes.Value].value
+            if reference.IsForward and reference.BrowseName == ua.QualifiedName(
+                "EURange", 0
+            ):
+                place = (
+                    self._address_space[reference.NodeId]
+                    .attributes[_Attributes.Value]
+                    .value
+                )
                 found = place.Value.Value if place is not None and place.Value else None
                 return found if isinstance(found, ua.Range) else None
         return None
@@ -322,7 +340,9 @@ def check_event_filter(asked: Any) -> ua.EventFilter:
 
 
 def _built_in(data_type: ua.DataValue | None) -> ua.VariantType | None:
-    node_id = data_type.Value.Value if data_type is not None and data_type.Value else None
+    node_id = (
+        data_type.Value.Value if data_type is not None and data_type.Value else None
+    )
     if not isinstance(node_id, ua.NodeId) or node_id.NamespaceIndex != 0:
         return None
     try:

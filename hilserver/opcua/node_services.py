@@ -62,21 +62,33 @@ def call(session: Session, params: ua.CallParameters) -> Portions:
         if request.MethodId == _GET_MONITORED_ITEMS and request.ObjectId == _SERVER:
             return _monitored_items(session, request.InputArguments or [])
         is_known = request.MethodId in session.server.aspace
-        raise ServiceError(_Codes.BadNotImplemented if is_known else _Codes.BadMethodInvalid)
+        raise ServiceError(
+            _Codes.BadNotImplemented if is_known else _Codes.BadMethodInvalid
+        )
 
-    return each(session, params.MethodsToCall, act, ua.CallResponse(), ua.CallMethodResult)
+    return each(
+        session, params.MethodsToCall, act, ua.CallResponse(), ua.CallMethodResult
+    )
 
 
-def _monitored_items(session: Session, arguments: list[ua.Variant]) -> ua.CallMethodResult:
+def _monitored_items(
+    session: Session, arguments: list[ua.Variant]
+) -> ua.CallMethodResult:
     if len(arguments) != 1:
-        raise ServiceError(_Codes.BadTooManyArguments if arguments else _Codes.BadArgumentsMissing)
+        raise ServiceError(
+            _Codes.BadTooManyArguments if arguments else _Codes.BadArgumentsMissing
+        )
     if arguments[0].VariantType != ua.VariantType.UInt32:
         wrong = status_codes([_Codes.BadTypeMismatch])
         return refused(_Codes.BadInvalidArgument, results=wrong).result
     handles = session.own(arguments[0].Value).items.handles()
     kind = ua.VariantType.UInt32
-    columns = [ua.Variant([pair[i] for pair in handles], kind, None, True) for i in (0, 1)]
-    return ua.CallMethodResult(StatusCode=ua.StatusCode(_Codes.Good), OutputArguments=columns)
+    columns = [
+        ua.Variant([pair[i] for pair in handles], kind, None, True) for i in (0, 1)
+    ]
+    return ua.CallMethodResult(
+        StatusCode=ua.StatusCode(_Codes.Good), OutputArguments=columns
+    )
 
 
 # --- views ----------------------------------------------------------------------------------------
@@ -95,7 +107,9 @@ def browse(session: Session, params: ua.BrowseParameters) -> Portions:
         room -= len(result.References)
         return result
 
-    return each(session, params.NodesToBrowse, page, ua.BrowseResponse(), ua.BrowseResult)
+    return each(
+        session, params.NodesToBrowse, page, ua.BrowseResponse(), ua.BrowseResult
+    )
 
 
 def browse_next(session: Session, params: ua.BrowseNextParameters) -> Portions:
@@ -129,7 +143,9 @@ def register_nodes(
 ) -> ua.RegisterNodesResponse:
     """Answer RegisterNodes: node ids are as fast as handles here and are returned as they are."""
     response = ua.RegisterNodesResponse()
-    response.Parameters.RegisteredNodeIds = list(limited(session, params.NodesToRegister))
+    response.Parameters.RegisteredNodeIds = list(
+        limited(session, params.NodesToRegister)
+    )
     return response
 
 

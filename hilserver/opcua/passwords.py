@@ -33,7 +33,9 @@ def hash_password(password: str, log_n: int = _LOG_N) -> str:
 def is_password(password: bytes, text: str) -> bool:
     """Whether `password` belongs to the hash; takes the same time for a wrong one."""
     log_n, r, p, salt, expected = _parts(text)
-    return hmac.compare_digest(_scrypt(password, salt, log_n, r, p, len(expected)), expected)
+    return hmac.compare_digest(
+        _scrypt(password, salt, log_n, r, p, len(expected)), expected
+    )
 
 
 def _parts(text: str) -> tuple[int, int, int, bytes, bytes]:
@@ -42,7 +44,13 @@ def _parts(text: str) -> tuple[int, int, int, bytes, bytes]:
         raise ValueError("not a scrypt hash")
     log_n, r, p, salt, key = found.groups()
     decode = base64.b64decode
-    return int(log_n), int(r), int(p), decode(salt, validate=True), decode(key, validate=True)
+    return (
+        int(log_n),
+        int(r),
+        int(p),
+        decode(salt, validate=True),
+        decode(key, validate=True),
+    )
 
 
 def _scrypt(

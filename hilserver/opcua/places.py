@@ -42,7 +42,10 @@ class Places:
         now_s = time.monotonic()
         if len(own) >= self._most:
             for session in own:
-                if not session.is_activated and now_s - session.last_active_s > ACTIVATION_WITHIN_S:
+                if (
+                    not session.is_activated
+                    and now_s - session.last_active_s > ACTIVATION_WITHIN_S
+                ):
                     session.close()
         if address and not is_loopback(address):
             self._limit([s for s in own if s.address == address], self._share)
@@ -70,7 +73,12 @@ class Places:
 
         def rank(session: Any) -> tuple[bool, bool, int, float]:
             has_client = session.processor is not None
-            return session.is_activated, has_client, -crowd[session.holder], session.last_active_s
+            return (
+                session.is_activated,
+                has_client,
+                -crowd[session.holder],
+                session.last_active_s,
+            )
 
         for session in sorted(living, key=rank):
             patience_s = YIELDS_AFTER_S if session.is_activated else ACTIVATION_YIELDS_S

@@ -13,7 +13,12 @@ from typing import Any, get_args, get_origin
 
 from asyncua import ua
 from asyncua.common.utils import Buffer, ServiceError
-from asyncua.ua.ua_binary import create_type_serializer, from_binary, get_safe_type_hints, to_binary
+from asyncua.ua.ua_binary import (
+    create_type_serializer,
+    from_binary,
+    get_safe_type_hints,
+    to_binary,
+)
 
 from hilserver.opcua.decoding import within_bounds
 from hilserver.opcua.rotation import Portions

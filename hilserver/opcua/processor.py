@@ -152,7 +152,9 @@ class Processor:
         else:
             secure = self._connection.security_policy.Mode != _None or kind == b"OPN"
             code = _Codes.BadSecurityChecksFailed if secure else _Codes.BadDecodingError
-            log.warning("opcua message refused", address=self.address, error=repr(error)[:200])
+            log.warning(
+                "opcua message refused", address=self.address, error=repr(error)[:200]
+            )
             self.refuse(code, "cannot be processed")
 
     def _greet(self, hello: ua.Hello) -> None:
@@ -162,19 +164,25 @@ class Processor:
 
     def _open_channel(self, security: Any, request_id: int, body: Buffer) -> None:
         if nodeid_from_binary(body) != _OPEN:
-            raise TransportError(_Codes.BadTcpMessageTypeInvalid, "no OpenSecureChannel")
+            raise TransportError(
+                _Codes.BadTcpMessageTypeInvalid, "no OpenSecureChannel"
+            )
         head = take(ua.RequestHeader, body)
         params = take(ua.OpenSecureChannelParameters, body)
         connection = self._connection
         if not connection.is_open():
             connection.select_policy(
-                security.SecurityPolicyURI, security.SenderCertificate, params.SecurityMode
+                security.SecurityPolicyURI,
+                security.SenderCertificate,
+                params.SecurityMode,
             )
         response = ua.OpenSecureChannelResponse()
         response.Parameters = connection.open(params, self.iserver)
         response.ResponseHeader.RequestHandle = head.RequestHandle
         data = bytes(struct_to_binary(response))
-        self._transport.write(connection.message_to_binary(data, _Type.SecureOpen, request_id))
+        self._transport.write(
+            connection.message_to_binary(data, _Type.SecureOpen, request_id)
+        )
 
     def refuse(self, code: int, text: str) -> None:
         """Send an Error message and close."""
@@ -220,7 +228,11 @@ class Processor:
         """Answer one message, or start to; raise if not even its header can be read."""
         service = encoding.service_id(body)
         session, token = self.session, None
-        head = None if session is None else encoding.request_head(body, session.token_bytes)
+        head = (
+            None
+            if session is None
+            else encoding.request_head(body, session.token_bytes)
+        )
         if head is None:
             header = take(ua.RequestHeader, body)
             token = header.AuthenticationToken
@@ -256,11 +268,19 @@ class Processor:
             return int(error.code)
         if isinstance(error, _UNDECODABLE):
             return int(_Codes.BadDecodingError)
-        log.warning("opcua request failed", address=self.address, error=repr(error)[:200])
+        log.warning(
+            "opcua request failed", address=self.address, error=repr(error)[:200]
+        )
         return int(_Codes.BadInternalError)
 
     def _serve(
-        self, service: Any, session: Any, token: Any, head: Any, request_id: int, body: Buffer
+        self,
+        service: Any,
+        session: Any,
+        token: Any,
+        head: Any,
+        request_id: int,
+        body: Buffer,
     ) -> Any:
         if service in (_GET_ENDPOINTS, _FIND_SERVERS):
             return self._discover(service, body)
@@ -272,7 +292,9 @@ class Processor:
             return create_session(self, take(ua.CreateSessionParameters, body))
         if service == _ACTIVATE:
             token = session.auth_token if session is not None else token
-            return activate_session(self, token, take(ua.ActivateSessionParameters, body))
+            return activate_session(
+                self, token, take(ua.ActivateSessionParameters, body)
+            )
         if session is None:
             raise ServiceError(_Codes.BadSessionIdInvalid)
         session.touch()
@@ -311,12 +333,18 @@ class Processor:
         return is_late and is_loopback(self.address)
 
     def _read(self, session: Any, head: Any, body: Buffer) -> Portions:
-        items = yield from encoding.read_items(body, self.iserver.settings.max_operations)
+        items = yield from encoding.read_items(
+            body, self.iserver.settings.max_operations
+        )
         values = yield from read(session, items)
         return encoding.read_response(head.handle, values)
 
-    def _answer(self, session: Any, parameters: type, answer: Any, body: Buffer) -> Portions:
-        params = yield from decoded(parameters, body, self.iserver.settings.max_operations)
+    def _answer(
+        self, session: Any, parameters: type, answer: Any, body: Buffer
+    ) -> Portions:
+        params = yield from decoded(
+            parameters, body, self.iserver.settings.max_operations
+        )
         response = answer(session, params)
         return (yield from response) if inspect.isgenerator(response) else response
 

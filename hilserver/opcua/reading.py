@@ -48,13 +48,17 @@ def value_at(place: Any, node_id: Any, attribute: int) -> ua.DataValue:
     return place.value
 
 
-def check_encoding(encoding: ua.QualifiedName | None, attribute: int, value: ua.DataValue) -> None:
+def check_encoding(
+    encoding: ua.QualifiedName | None, attribute: int, value: ua.DataValue
+) -> None:
     """Raise ServiceError unless the value is available in this encoding."""
     name = None if encoding is None else encoding.Name
     if not name:
         return
     variant = value.Value
-    is_structure = variant is not None and variant.VariantType is ua.VariantType.ExtensionObject
+    is_structure = (
+        variant is not None and variant.VariantType is ua.VariantType.ExtensionObject
+    )
     if attribute != _Attributes.Value or not is_structure:
         raise ServiceError(_Codes.BadDataEncodingInvalid)
     if name != _BINARY:
@@ -72,7 +76,9 @@ def parse_range(text: str | None) -> slice | None:
             raise ServiceError(_Codes.BadIndexRangeInvalid)
         bounds.append((int(found[1]), int(found[2] or found[1])))
     if len(bounds) > 1:
-        raise ServiceError(_Codes.BadIndexRangeNoData)  # nothing here has two dimensions
+        raise ServiceError(
+            _Codes.BadIndexRangeNoData
+        )  # nothing here has two dimensions
     low, high = bounds[0]
     return slice(low, high + 1)
 
@@ -89,7 +95,9 @@ def cut(value: ua.DataValue, part: slice) -> FixedDataValue:
     if not found:
         raise ServiceError(_Codes.BadIndexRangeNoData)
     piece = ua.Variant(found, variant.VariantType, None, isinstance(whole, list))
-    return FixedDataValue(piece, value.StatusCode, value.SourceTimestamp, value.ServerTimestamp)
+    return FixedDataValue(
+        piece, value.StatusCode, value.SourceTimestamp, value.ServerTimestamp
+    )
 
 
 class RangePlace(AttributeValue):  # type: ignore[misc]
@@ -110,7 +118,9 @@ class RangePlace(AttributeValue):  # type: ignore[misc]
                 self._cut = cut(whole, self._part)
             except ServiceError as error:
                 code = ua.StatusCode(error.code)
-                self._cut = FixedDataValue(None, code, whole.SourceTimestamp, whole.ServerTimestamp)
+                self._cut = FixedDataValue(
+                    None, code, whole.SourceTimestamp, whole.ServerTimestamp
+                )
             self._cut_of = whole
         return self._cut
 
@@ -126,7 +136,10 @@ def completed(value: ua.DataValue, attribute: int, born: datetime) -> FixedDataV
     source, status = value.SourceTimestamp, value.StatusCode
     if attribute == _Attributes.Value:
         source = source or born
-        has_value = value.Value is not None and value.Value.VariantType is not ua.VariantType.Null
+        has_value = (
+            value.Value is not None
+            and value.Value.VariantType is not ua.VariantType.Null
+        )
         if not has_value and (status is None or status.is_good()):
             status = _NO_VALUE
     return FixedDataValue(value.Value, status, source, datetime.now(UTC))

@@ -44,7 +44,9 @@ def advance(work: Portions, answer: Any = None) -> Any:
     """
     end_s = time.monotonic() + PORTION_S
     while True:
-        wanted = work.throw(answer) if isinstance(answer, Exception) else work.send(answer)
+        wanted = (
+            work.throw(answer) if isinstance(answer, Exception) else work.send(answer)
+        )
         if wanted is not None or time.monotonic() >= end_s:
             return wanted
         answer = None

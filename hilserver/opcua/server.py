@@ -73,7 +73,9 @@ class HardenedServer(Server):  # type: ignore[misc]
         self._application_uri = application_uri(settings)
         self.application_type = ua.ApplicationType.Server
         self.set_endpoint(settings.endpoint)
-        self.set_security_policy([_POLICY_TYPES[name] for name in settings.offered_policies])
+        self.set_security_policy(
+            [_POLICY_TYPES[name] for name in settings.offered_policies]
+        )
         if trust is not None:
             self._load_certificate(trust)
 
@@ -115,7 +117,9 @@ class HardenedServer(Server):  # type: ignore[misc]
         except OSError as error:
             await self.iserver.stop()
             where = f"{self.settings.host} port {self.settings.port}"
-            raise address_refused(f"opcua.endpoint: cannot listen on {where}", error) from None
+            raise address_refused(
+                f"opcua.endpoint: cannot listen on {where}", error
+            ) from None
 
     def sample(self) -> None:
         """Let subscriptions sample the values written since the last call.
@@ -139,7 +143,9 @@ class HardenedServer(Server):  # type: ignore[misc]
         left = certificate.not_valid_after_utc - datetime.now(UTC)
         if left < _WARN_BEFORE:
             log.warning(
-                "opcua certificate ends", days_left=left.days, remedy="run 'hilserver certs renew'"
+                "opcua certificate ends",
+                days_left=left.days,
+                remedy="run 'hilserver certs renew'",
             )
         self.iserver.certificate, self.iserver.private_key = certificate, private_key
         trust.ours = certificate

@@ -24,7 +24,9 @@ from hilserver.opcua.subscriptions import Subscription
 _TOKEN_BYTES = 32
 _LEAST_RESPONSE_BYTES = 8192
 _MAX_STATUS_CHANGES = 10
-_SPARE_PUBLISH_REQUESTS = 10  # besides two per subscription, which python-opcua sends at once
+_SPARE_PUBLISH_REQUESTS = (
+    10  # besides two per subscription, which python-opcua sends at once
+)
 _Codes = ua.StatusCodes
 _numbers = iter(range(1000, 2**31))
 
@@ -41,13 +43,17 @@ class PublishRequest(NamedTuple):
 class Session:
     """A client's session."""
 
-    def __init__(self, server: Any, processor: Any, policy: Any, visitor: Visitor) -> None:
+    def __init__(
+        self, server: Any, processor: Any, policy: Any, visitor: Visitor
+    ) -> None:
         self.server = server
         self.user: Any = User(role=UserRole.User)
         # whether a user has logged in, and whether it has not ended
         self.is_activated, self.is_open = False, True
         self.session_id = ua.NodeId(next(_numbers))
-        self.auth_token = ua.NodeId(secrets.token_bytes(_TOKEN_BYTES), 0, ua.NodeIdType.ByteString)
+        self.auth_token = ua.NodeId(
+            secrets.token_bytes(_TOKEN_BYTES), 0, ua.NodeIdType.ByteString
+        )
         self.token_bytes = bytes(nodeid_to_binary(self.auth_token))
         self.nonce = create_nonce(32)
         # why operations of the last Write or Call were refused, empty if accepted
@@ -85,12 +91,17 @@ class Session:
 
     def is_of(self, policy: Any) -> bool:
         """Whether the channel was opened by the client that this session belongs to."""
-        return (policy.peer_certificate, policy.URI) == (self._certificate, self._policy_uri)
+        return (policy.peer_certificate, policy.URI) == (
+            self._certificate,
+            self._policy_uri,
+        )
 
     def is_named_by(self, token: ua.NodeId) -> bool:
         """Whether `token` is our authentication token."""
         given = token.Identifier if isinstance(token.Identifier, bytes) else b""
-        return self.is_open and secrets.compare_digest(given, self.auth_token.Identifier)
+        return self.is_open and secrets.compare_digest(
+            given, self.auth_token.Identifier
+        )
 
     @property
     def holder(self) -> tuple[Any, ...]:
@@ -110,9 +121,16 @@ class Session:
     def create(self, params: ua.CreateSessionParameters) -> ua.CreateSessionResult:
         """Agree on time-out and sizes."""
         asked_ms = params.RequestedSessionTimeout
-        shortest, longest = self.server.min_session_timeout_ms, self.server.max_session_timeout_ms
+        shortest, longest = (
+            self.server.min_session_timeout_ms,
+            self.server.max_session_timeout_ms,
+        )
         # A time-out of NaN would never expire.
-        revised_ms = min(max(asked_ms, shortest), longest) if math.isfinite(asked_ms) else longest
+        revised_ms = (
+            min(max(asked_ms, shortest), longest)
+            if math.isfinite(asked_ms)
+            else longest
+        )
         self.timeout_s = revised_ms / 1e3
         asked = int(params.MaxResponseMessageSize or 0)
         self.max_response_bytes = max(asked, _LEAST_RESPONSE_BYTES) if asked else 0
@@ -183,8 +201,13 @@ class Session:
         if len(self._requests) >= 2 * n_own + _SPARE_PUBLISH_REQUESTS:
             oldest = self._requests.popleft()
             is_late = oldest.expires_s < now_s
-            self._refuse(oldest, _Codes.BadTimeout if is_late else _Codes.BadTooManyPublishRequests)
-        self._requests.append(PublishRequest(head.handle, request_id, expires_s, results))
+            self._refuse(
+                oldest,
+                _Codes.BadTimeout if is_late else _Codes.BadTooManyPublishRequests,
+            )
+        self._requests.append(
+            PublishRequest(head.handle, request_id, expires_s, results)
+        )
         if self._status_changes:
             self._send_status_change()
         else:
@@ -221,7 +244,12 @@ class Session:
             self.server.subscription_service.rotation.add(subscription)
 
     def answer_publish(
-        self, request: PublishRequest, number: int, available: list[int], more: bool, message: bytes
+        self,
+        request: PublishRequest,
+        number: int,
+        available: list[int],
+        more: bool,
+        message: bytes,
     ) -> None:
         """Send the message of a subscription."""
         if self.processor is not None:
@@ -241,7 +269,9 @@ class Session:
     def _send_status_change(self) -> None:
         number, reason = self._status_changes.popleft()
         request = self._requests.popleft()
-        change = encoding.extension(encoding.STATUS_CHANGE, reason.to_bytes(4, "little"), b"\0")
+        change = encoding.extension(
+            encoding.STATUS_CHANGE, reason.to_bytes(4, "little"), b"\0"
+        )
         message = encoding.notification_message(1, [change])
         self.answer_publish(request, number, [], False, message)
 

@@ -9,7 +9,14 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 from urllib.parse import urlsplit
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    model_validator,
+)
 
 from hilserver.opcua.loopback import is_loopback
 
@@ -39,7 +46,9 @@ def _none_is_a_policy(value: object) -> object:
 
 def _check_hash(text: str) -> str:
     if _PASSWORD_HASH.fullmatch(text) is None:
-        raise ValueError("is not a scrypt hash; make one with 'hilserver certs password'")
+        raise ValueError(
+            "is not a scrypt hash; make one with 'hilserver certs password'"
+        )
     return text
 
 
@@ -64,11 +73,15 @@ def check_endpoint(text: str) -> str:
     """
     try:
         parts = urlsplit(text)
-        complete = parts.scheme == "opc.tcp" and parts.hostname and parts.port is not None
+        complete = (
+            parts.scheme == "opc.tcp" and parts.hostname and parts.port is not None
+        )
     except ValueError:
         complete = False
     if not complete:
-        raise ValueError(f"'{text}' is not an endpoint: write opc.tcp://<host>:<port>/<path>")
+        raise ValueError(
+            f"'{text}' is not an endpoint: write opc.tcp://<host>:<port>/<path>"
+        )
     if "@" in parts.netloc:
         raise ValueError("an endpoint must not contain a user name or password")
     return text
@@ -95,18 +108,24 @@ class OpcUaPermissions(_Checked):
     """
 
     write: dict[str, RoleName] = Field(
-        default={"*": "operator"}, description="Pattern of signal names: lowest role that may write"
+        default={"*": "operator"},
+        description="Pattern of signal names: lowest role that may write",
     )
     call: dict[str, RoleName] = Field(
-        default={"*": "engineer"}, description="Pattern of method names: lowest role that may call"
+        default={"*": "engineer"},
+        description="Pattern of method names: lowest role that may call",
     )
 
 
 class OpcUaShare(_Checked):
     """What one session may hold."""
 
-    subscriptions: int = Field(ge=1, le=10_000, description="Subscriptions of one session")
-    monitored_items: int = Field(ge=1, le=100_000, description="Monitored items of one session")
+    subscriptions: int = Field(
+        ge=1, le=10_000, description="Subscriptions of one session"
+    )
+    monitored_items: int = Field(
+        ge=1, le=100_000, description="Monitored items of one session"
+    )
     queued_values: int = Field(
         ge=0,
         le=1_000_000,
@@ -117,9 +136,15 @@ class OpcUaShare(_Checked):
 class OpcUaLimits(_Checked):
     """What one session may hold, by the role of its user."""
 
-    observer: OpcUaShare = OpcUaShare(subscriptions=10, monitored_items=1000, queued_values=5000)
-    operator: OpcUaShare = OpcUaShare(subscriptions=20, monitored_items=2000, queued_values=10_000)
-    engineer: OpcUaShare = OpcUaShare(subscriptions=50, monitored_items=5000, queued_values=20_000)
+    observer: OpcUaShare = OpcUaShare(
+        subscriptions=10, monitored_items=1000, queued_values=5000
+    )
+    operator: OpcUaShare = OpcUaShare(
+        subscriptions=20, monitored_items=2000, queued_values=10_000
+    )
+    engineer: OpcUaShare = OpcUaShare(
+        subscriptions=50, monitored_items=5000, queued_values=20_000
+    )
 
     def of(self, role: Role) -> OpcUaShare:
         """Return the share of a role."""
@@ -139,7 +164,9 @@ class OpcUaSettings(_Checked):
         max_length=256,
         description="Application URI; default: urn:<host name>:hilserver",
     )
-    policies: Annotated[tuple[Policy, ...], BeforeValidator(_none_is_a_policy)] | None = Field(
+    policies: (
+        Annotated[tuple[Policy, ...], BeforeValidator(_none_is_a_policy)] | None
+    ) = Field(
         default=None,
         min_length=1,
         description="Security policies that clients may choose, all but None with SignAndEncrypt;"
@@ -180,10 +207,16 @@ class OpcUaSettings(_Checked):
         description="Longest request, all chunks together [bytes]; 65536 before the log-in",
     )
     max_operations: int = Field(
-        default=1000, ge=10, le=10_000, description="Nodes in one request of any service"
+        default=1000,
+        ge=10,
+        le=10_000,
+        description="Nodes in one request of any service",
     )
     max_monitored_items: int = Field(
-        default=10_000, ge=1, le=100_000, description="Monitored items of all sessions together"
+        default=10_000,
+        ge=1,
+        le=100_000,
+        description="Monitored items of all sessions together",
     )
     min_publishing_ms: float = Field(
         default=5.0,
@@ -191,10 +224,15 @@ class OpcUaSettings(_Checked):
         le=1000.0,
         description="Shortest publishing interval granted to a subscription",
     )
-    max_connections: int = Field(default=200, ge=1, le=10_000, description="Open TCP connections")
+    max_connections: int = Field(
+        default=200, ge=1, le=10_000, description="Open TCP connections"
+    )
     max_sessions: int = Field(default=100, ge=1, le=10_000, description="Open sessions")
     max_subscriptions: int = Field(
-        default=200, ge=1, le=10_000, description="Subscriptions of all sessions together"
+        default=200,
+        ge=1,
+        le=10_000,
+        description="Subscriptions of all sessions together",
     )
     max_queue_size: int = Field(
         default=1000, ge=1, le=10_000, description="Longest queue of a monitored item"
@@ -258,7 +296,11 @@ class OpcUaSettings(_Checked):
 
     @model_validator(mode="after")
     def _closed_to_network(self) -> Self:
-        if not self.is_used or not self.is_open_to_network or self.allow_insecure_network:
+        if (
+            not self.is_used
+            or not self.is_open_to_network
+            or self.allow_insecure_network
+        ):
             return self
         place = f"endpoint '{self.endpoint}' is reachable from the network"
         if not self.is_secure:

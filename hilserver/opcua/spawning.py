@@ -39,7 +39,9 @@ class _Plain:
     def _begin(self) -> None:
         if self._is_cancelled:
             return
-        self._task = asyncio.get_running_loop().create_task(self._make(), name=self._name)
+        self._task = asyncio.get_running_loop().create_task(
+            self._make(), name=self._name
+        )
         self._task.add_done_callback(self._ended)
 
     def _ended(self, task: asyncio.Task[Any]) -> None:

@@ -69,7 +69,11 @@ class _Pickler(pickle.Pickler):
     """Writes an attribute as a call: reading it takes half the memory of object and state."""
 
     def reducer_override(self, part: Any) -> Any:
-        return (AttributeValue, (part.value,)) if type(part) is AttributeValue else NotImplemented
+        return (
+            (AttributeValue, (part.value,))
+            if type(part) is AttributeValue
+            else NotImplemented
+        )
 
 
 def _share(nodes: Any) -> None:

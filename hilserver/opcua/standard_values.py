@@ -32,7 +32,11 @@ def fill(address_space: Any, settings: OpcUaSettings) -> None:
         place = node.attributes[_Attributes.Value]
         if node_id.Identifier in known:
             _put(place, *_type_of(address_space, node), known[node_id.Identifier])
-        elif place.value is None or place.value.Value is None or place.value.Value.Value is None:
+        elif (
+            place.value is None
+            or place.value.Value is None
+            or place.value.Value.Value is None
+        ):
             _put(place, *_type_of(address_space, node), None)
 
 
@@ -55,18 +59,27 @@ def _known(settings: OpcUaSettings) -> dict[int, Any]:
     for service in _OPERATION_LIMITS:
         values[f"OperationLimits_MaxNodesPer{service}"] = settings.max_operations
     return {
-        getattr(_Ids, f"Server_ServerCapabilities_{name}"): value for name, value in values.items()
+        getattr(_Ids, f"Server_ServerCapabilities_{name}"): value
+        for name, value in values.items()
     }
 
 
 def _variables(address_space: Any) -> Iterator[tuple[ua.NodeId, Any]]:
     """Yield the standard variables below Objects, which are instances, not types."""
     seen, rest = {_OBJECTS}, [_OBJECTS]
-    below = {_Ids.Organizes, _Ids.HasProperty, _Ids.HasComponent, _Ids.HasOrderedComponent}
+    below = {
+        _Ids.Organizes,
+        _Ids.HasProperty,
+        _Ids.HasComponent,
+        _Ids.HasOrderedComponent,
+    }
     while rest:
         node_id = rest.pop()
         node = address_space[node_id]
-        if node.attributes[_Attributes.NodeClass].value.Value.Value == ua.NodeClass.Variable:
+        if (
+            node.attributes[_Attributes.NodeClass].value.Value.Value
+            == ua.NodeClass.Variable
+        ):
             yield node_id, node
         for reference in node.references:
             target = reference.NodeId
@@ -103,7 +116,9 @@ _BUILT_IN |= {24: _Type.Variant, 26: _Type.Double, 27: _Type.Int64, 28: _Type.UI
 """By number of the data type; abstract number types map to their widest one."""
 
 
-def _put(place: Any, kind: ua.VariantType, data_type: Any, is_array: bool, value: Any) -> None:
+def _put(
+    place: Any, kind: ua.VariantType, data_type: Any, is_array: bool, value: Any
+) -> None:
     if value is None:
         value = [] if is_array else _zero(kind, data_type)
     place.value = FixedDataValue.good(value, kind, is_array=is_array)

@@ -27,16 +27,22 @@ def modify_subscription(
     return ua.ModifySubscriptionResponse(Parameters=result)
 
 
-def delete_subscriptions(session: Session, params: ua.DeleteSubscriptionsParameters) -> Portions:
+def delete_subscriptions(
+    session: Session, params: ua.DeleteSubscriptionsParameters
+) -> Portions:
     """Answer DeleteSubscriptions; those of others do not exist for this session."""
 
     def delete(number: int) -> None:
         session.server.subscription_service.remove(session.own(number))
 
-    return each(session, params.SubscriptionIds, delete, ua.DeleteSubscriptionsResponse())
+    return each(
+        session, params.SubscriptionIds, delete, ua.DeleteSubscriptionsResponse()
+    )
 
 
-def set_publishing_mode(session: Session, params: ua.SetPublishingModeParameters) -> Portions:
+def set_publishing_mode(
+    session: Session, params: ua.SetPublishingModeParameters
+) -> Portions:
     """Answer SetPublishingMode."""
 
     def switch(number: int) -> None:
@@ -47,7 +53,9 @@ def set_publishing_mode(session: Session, params: ua.SetPublishingModeParameters
 
 def republish(session: Session, params: ua.RepublishParameters) -> bytes:
     """Answer Republish with the message exactly as sent before."""
-    message = session.own(params.SubscriptionId).retained.get(params.RetransmitSequenceNumber)
+    message = session.own(params.SubscriptionId).retained.get(
+        params.RetransmitSequenceNumber
+    )
     if message is None:
         raise ServiceError(_Codes.BadMessageNotAvailable)
     return message
@@ -80,37 +88,60 @@ def transfer_subscriptions(
 # --- monitored items ------------------------------------------------------------------------------
 
 
-def create_monitored_items(session: Session, params: ua.CreateMonitoredItemsParameters) -> Portions:
+def create_monitored_items(
+    session: Session, params: ua.CreateMonitoredItemsParameters
+) -> Portions:
     """Answer CreateMonitoredItems."""
-    items, response = session.own(params.SubscriptionId).items, ua.CreateMonitoredItemsResponse()
+    items, response = (
+        session.own(params.SubscriptionId).items,
+        ua.CreateMonitoredItemsResponse(),
+    )
     stamps = check_stamps(params.TimestampsToReturn)
     room = session.server.subscription_service.room(session)
 
     def create(request: ua.MonitoredItemCreateRequest) -> ua.MonitoredItemCreateResult:
         return items.create(request, stamps, room)
 
-    return each(session, params.ItemsToCreate, create, response, ua.MonitoredItemCreateResult)
+    return each(
+        session, params.ItemsToCreate, create, response, ua.MonitoredItemCreateResult
+    )
 
 
-def modify_monitored_items(session: Session, params: ua.ModifyMonitoredItemsParameters) -> Portions:
+def modify_monitored_items(
+    session: Session, params: ua.ModifyMonitoredItemsParameters
+) -> Portions:
     """Answer ModifyMonitoredItems."""
-    items, response = session.own(params.SubscriptionId).items, ua.ModifyMonitoredItemsResponse()
+    items, response = (
+        session.own(params.SubscriptionId).items,
+        ua.ModifyMonitoredItemsResponse(),
+    )
     stamps = check_stamps(params.TimestampsToReturn)
     room = session.server.subscription_service.room(session)
 
     def modify(request: ua.MonitoredItemModifyRequest) -> ua.MonitoredItemModifyResult:
         return items.modify(request, stamps, room)
 
-    return each(session, params.ItemsToModify, modify, response, ua.MonitoredItemModifyResult)
+    return each(
+        session, params.ItemsToModify, modify, response, ua.MonitoredItemModifyResult
+    )
 
 
-def delete_monitored_items(session: Session, params: ua.DeleteMonitoredItemsParameters) -> Portions:
+def delete_monitored_items(
+    session: Session, params: ua.DeleteMonitoredItemsParameters
+) -> Portions:
     """Answer DeleteMonitoredItems."""
     items = session.own(params.SubscriptionId).items
-    return each(session, params.MonitoredItemIds, items.delete, ua.DeleteMonitoredItemsResponse())
+    return each(
+        session,
+        params.MonitoredItemIds,
+        items.delete,
+        ua.DeleteMonitoredItemsResponse(),
+    )
 
 
-def set_monitoring_mode(session: Session, params: ua.SetMonitoringModeParameters) -> Portions:
+def set_monitoring_mode(
+    session: Session, params: ua.SetMonitoringModeParameters
+) -> Portions:
     """Answer SetMonitoringMode."""
     items, mode = session.own(params.SubscriptionId).items, params.MonitoringMode
     if not isinstance(mode, ua.MonitoringMode):
@@ -119,7 +150,9 @@ def set_monitoring_mode(session: Session, params: ua.SetMonitoringModeParameters
     def switch(number: int) -> None:
         items.set_mode(number, mode)
 
-    return each(session, params.MonitoredItemIds, switch, ua.SetMonitoringModeResponse())
+    return each(
+        session, params.MonitoredItemIds, switch, ua.SetMonitoringModeResponse()
+    )
 
 
 def set_triggering(

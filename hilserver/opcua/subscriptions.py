@@ -22,7 +22,9 @@ from hilserver.period import Period
 
 LONGEST_LIFETIME_S = 600.0
 """Without its client a subscription ends within this time and a third, whatever its cycle."""
-LONGEST_KEEP_ALIVE_S = LONGEST_LIFETIME_S / 3  # OPC 10000-4, 5.14.2: three times as often
+LONGEST_KEEP_ALIVE_S = (
+    LONGEST_LIFETIME_S / 3
+)  # OPC 10000-4, 5.14.2: three times as often
 LONGEST_PUBLISHING_MS = LONGEST_KEEP_ALIVE_S * 1e3
 MAX_NOTIFICATIONS = 1000
 _MAX_MESSAGE_BYTES = 48 * 1024
@@ -68,17 +70,25 @@ class Subscription:
         shortest = self._service.settings.min_publishing_ms
         asked_ms = params.RequestedPublishingInterval
         # `not >=` also catches NaN.
-        interval_ms = shortest if not asked_ms >= shortest else min(asked_ms, LONGEST_PUBLISHING_MS)
+        interval_ms = (
+            shortest
+            if not asked_ms >= shortest
+            else min(asked_ms, LONGEST_PUBLISHING_MS)
+        )
         # Agreed on as counts of cycles, but a budget is a time.
         most = int(LONGEST_PUBLISHING_MS // interval_ms)
         keep_alive = _bounded(params.RequestedMaxKeepAliveCount, most)
-        lifetime = max(_bounded(params.RequestedLifetimeCount, 3 * most), 3 * keep_alive)
+        lifetime = max(
+            _bounded(params.RequestedLifetimeCount, 3 * most), 3 * keep_alive
+        )
         for target in (result, self.revised):
             target.RevisedPublishingInterval = interval_ms
             target.RevisedMaxKeepAliveCount = keep_alive
             target.RevisedLifetimeCount = lifetime
         asked = params.MaxNotificationsPerPublish
-        self.max_notifications = min(asked, MAX_NOTIFICATIONS) if asked else MAX_NOTIFICATIONS
+        self.max_notifications = (
+            min(asked, MAX_NOTIFICATIONS) if asked else MAX_NOTIFICATIONS
+        )
         self._unserved_cycles = 0
         self.start()
 
@@ -178,14 +188,19 @@ class Subscription:
         message = encoding.notification_message(self._sequence, data)
         if data:
             self._retain(message)
-        self.session.answer_publish(request, self.number, list(self.retained), is_more, message)
+        self.session.answer_publish(
+            request, self.number, list(self.retained), is_more, message
+        )
         return is_more
 
     def _take(self, longest: int) -> list[bytes]:
         """Return as many notifications as a message may hold."""
         room = min(longest, _MAX_MESSAGE_BYTES) if longest else _MAX_MESSAGE_BYTES
         room -= _ANSWER_BYTES + 4 * len(self.retained)
-        parts: dict[bytes, list[bytes]] = {encoding.DATA_CHANGE: [], encoding.EVENTS: []}
+        parts: dict[bytes, list[bytes]] = {
+            encoding.DATA_CHANGE: [],
+            encoding.EVENTS: [],
+        }
         count, ready = 0, self.items.ready
         for number, item in tuple(ready.items()):
             own = parts[item.kind]
@@ -196,14 +211,17 @@ class Subscription:
             if item.queue:
                 break
             del ready[number]
-        return [encoding.notification_list(kind, own) for kind, own in parts.items() if own]
+        return [
+            encoding.notification_list(kind, own) for kind, own in parts.items() if own
+        ]
 
     def _retain(self, message: bytes) -> None:
         self.retained[self._sequence] = message
         self._retained_bytes += len(message)
         self._sequence = self._sequence % _MAX_SEQUENCE + 1
         while len(self.retained) > 1 and (
-            len(self.retained) > _MAX_RETAINED or self._retained_bytes > _MAX_RETAINED_BYTES
+            len(self.retained) > _MAX_RETAINED
+            or self._retained_bytes > _MAX_RETAINED_BYTES
         ):
             _, oldest = self.retained.popitem(last=False)
             self._retained_bytes -= len(oldest)
@@ -221,7 +239,9 @@ class Subscriptions:
     lost its connection yield, the oldest first.
     """
 
-    def __init__(self, address_space: Any, types: TypeTree, settings: OpcUaSettings) -> None:
+    def __init__(
+        self, address_space: Any, types: TypeTree, settings: OpcUaSettings
+    ) -> None:
         self.address_space, self.types, self.settings = address_space, types, settings
         self.rotation = Rotation()
         self.subscriptions: dict[int, Subscription] = {}
@@ -245,8 +265,13 @@ class Subscriptions:
 
     async def trigger_event(self, event: Any, subscription_id: None = None) -> None:  # noqa: ARG002
         """Queue an event of asyncua's event generators."""
-        found = {name: (getattr(event, name), kind) for name, kind in event.data_types.items()}
-        fields = {name: ua.Variant(*row) for name, row in found.items() if row[0] is not None}
+        found = {
+            name: (getattr(event, name), kind)
+            for name, kind in event.data_types.items()
+        }
+        fields = {
+            name: ua.Variant(*row) for name, row in found.items() if row[0] is not None
+        }
         self.take_event(FixedEvent(event.emitting_node, fields))
 
     def create(self, session: Any, params: Any) -> ua.CreateSubscriptionResult:
@@ -281,10 +306,14 @@ class Subscriptions:
         )
         while True:
             everybody = self.subscriptions.values()
-            items = self.settings.max_monitored_items - sum(len(s.items) for s in everybody)
+            items = self.settings.max_monitored_items - sum(
+                len(s.items) for s in everybody
+            )
             if items > 0 or room.items <= 0 or not self._drop_orphan():
                 break
-        queued = self.settings.max_queued_values - sum(s.items.queued_values for s in everybody)
+        queued = self.settings.max_queued_values - sum(
+            s.items.queued_values for s in everybody
+        )
         return Room(min(room.items, items), max(0, min(room.queued_values, queued)))
 
     def _share(self, session: Any) -> OpcUaShare:
@@ -295,6 +324,9 @@ class Subscriptions:
         orphan = next((s for s in everybody if s.session.processor is None), None)
         if orphan is None:
             return False
-        log.info("opcua subscription without a connection makes room", subscription=orphan.number)
+        log.info(
+            "opcua subscription without a connection makes room",
+            subscription=orphan.number,
+        )
         self.remove(orphan, _Codes.BadTimeout)
         return True

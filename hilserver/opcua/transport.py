@@ -65,7 +65,9 @@ class Connection(asyncio.Protocol):
         """Start to serve a client, if there is room."""
         self.began_s = self._stage_since_s = time.monotonic()
         self.transport = transport
-        self.processor = Processor(self._server.iserver, transport, self._server.policies)
+        self.processor = Processor(
+            self._server.iserver, transport, self._server.policies
+        )
         self.address = self.processor.address
         if not self._server.make_room(self.address):
             log.warning("opcua connection refused: too many are open")
@@ -143,7 +145,9 @@ class Connection(asyncio.Protocol):
         if wanted is None and self.processor.spent_s < _LONG_S:
             return True
         if wanted is None:
-            asyncio.get_running_loop().call_later(_LONG_REST_S, self._rotation.add, self)
+            asyncio.get_running_loop().call_later(
+                _LONG_REST_S, self._rotation.add, self
+            )
             return False
         waits = partial(self._wait, wanted)
         self._waiting = self._server.iserver.spawn(waits, "opcua request")
@@ -203,11 +207,17 @@ class Connection(asyncio.Protocol):
                 self.transport.abort()
             return
         if self._unread_since_s and now_s - self._unread_since_s > UNREAD_DEADLINE_S:
-            log.warning("opcua client does not read its answers: closed", address=self.address)
+            log.warning(
+                "opcua client does not read its answers: closed", address=self.address
+            )
             self.transport.abort()
             return
         limit_s = READ_DEADLINE_S - 2 * _SWEEP_S
-        since_s = [s for s in (self._reader.since_s, self._parts_since_s) if s and self._is_reading]
+        since_s = [
+            s
+            for s in (self._reader.since_s, self._parts_since_s)
+            if s and self._is_reading
+        ]
         is_late = any(now_s - since > limit_s for since in since_s)
         if self.processor.stage is not Stage.ACTIVE:
             is_late = is_late or self._stays_too_long(now_s)
@@ -218,14 +228,22 @@ class Connection(asyncio.Protocol):
         """Whether it has been without a session for longer than its stage allows."""
         stayed_s = now_s - self._stage_since_s
         is_open = self.processor.stage is Stage.OPEN
-        if stayed_s <= (LOGIN_DEADLINE_S if is_open else READ_DEADLINE_S - 2 * _SWEEP_S):
+        if stayed_s <= (
+            LOGIN_DEADLINE_S if is_open else READ_DEADLINE_S - 2 * _SWEEP_S
+        ):
             return False
-        waits_for_us = bool(self._frames) or self._work is not None or self._waiting is not None
-        return stayed_s > BUSY_DEADLINE_S or not (waits_for_us or self._is_of_our_user())
+        waits_for_us = (
+            bool(self._frames) or self._work is not None or self._waiting is not None
+        )
+        return stayed_s > BUSY_DEADLINE_S or not (
+            waits_for_us or self._is_of_our_user()
+        )
 
     def _is_of_our_user(self) -> bool:
         if self._is_own is None:
-            ends = [self.transport.get_extra_info(name) for name in ("peername", "sockname")]
+            ends = [
+                self.transport.get_extra_info(name) for name in ("peername", "sockname")
+            ]
             is_here = is_loopback(self.address) and None not in ends
             self._is_own = is_here and is_own_program(*(end[:2] for end in ends))
         return self._is_own

@@ -82,7 +82,9 @@ class _Folder:
     path: Path
     effect: str  # of a file that cannot be read
     stamp: dict[Path, tuple[int, ...] | None] = field(default_factory=dict)
-    unread: dict[Path, str] = field(default_factory=dict)  # files that cannot be read, and why
+    unread: dict[Path, str] = field(
+        default_factory=dict
+    )  # files that cannot be read, and why
     certificates: dict[str, x509.Certificate] = field(default_factory=dict)
     lists: list[x509.CertificateRevocationList] = field(default_factory=list)
 
@@ -104,10 +106,14 @@ class _Folder:
             except (ValueError, OSError) as error:
                 why = self.unread[path] = getattr(error, "strerror", None) or str(error)
                 if isinstance(error, OSError) and error.errno != errno.EFBIG:
-                    self.stamp[path] = None  # equals no stamp: the error may pass, so read again
+                    self.stamp[path] = (
+                        None  # equals no stamp: the error may pass, so read again
+                    )
                 if why != before.get(path):
                     log.error(
-                        f"{self.effect}: replace or remove this file", file=str(path), reason=why
+                        f"{self.effect}: replace or remove this file",
+                        file=str(path),
+                        reason=why,
                     )
 
     def _take(self, path: Path) -> None:
@@ -198,9 +204,16 @@ class TrustList:
                 return Verdict.UNTRUSTED
         if not isinstance(key, rsa.RSAPublicKey) or not _is_strong(certificate, key):
             return Verdict.POLICY
-        if not certificate.not_valid_before_utc <= now <= certificate.not_valid_after_utc:
+        if (
+            not certificate.not_valid_before_utc
+            <= now
+            <= certificate.not_valid_after_utc
+        ):
             return Verdict.TIME
-        if issuer and not issuer.not_valid_before_utc <= now <= issuer.not_valid_after_utc:
+        if (
+            issuer
+            and not issuer.not_valid_before_utc <= now <= issuer.not_valid_after_utc
+        ):
             return Verdict.ISSUER_TIME
         if not _may_authenticate(certificate, use):
             return Verdict.USE
@@ -287,13 +300,17 @@ class TrustList:
         if is_exposed:
             raise ConfigError(f"{path} can be read by others: run 'chmod 600 {path}'")
         if certificate.public_key() != key.public_key():
-            raise ConfigError(f"{certificate_path} does not belong to the key {key_path}")
+            raise ConfigError(
+                f"{certificate_path} does not belong to the key {key_path}"
+            )
         return certificate, key
 
 
 def file_name(certificate: x509.Certificate) -> str:
     """Return the name under which a certificate is stored: common name and thumbprint."""
-    readable = re.sub(r"[^A-Za-z0-9._-]+", "_", common_name(certificate))[:40].strip("._")
+    readable = re.sub(r"[^A-Za-z0-9._-]+", "_", common_name(certificate))[:40].strip(
+        "._"
+    )
     return f"{readable or 'unnamed'}-{thumbprint(certificate)}.der"
 
 
@@ -336,7 +353,9 @@ def _issuer_of(
 
 def _is_authority(certificate: x509.Certificate) -> bool:
     try:
-        return certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
+        return certificate.extensions.get_extension_for_class(
+            x509.BasicConstraints
+        ).value.ca
     except (x509.ExtensionNotFound, ValueError):
         return False
 
@@ -355,12 +374,15 @@ def _plain_host(host: str) -> str:
         return host.lower().removesuffix(".")
 
 
-def _may_authenticate(certificate: x509.Certificate, use: x509.ObjectIdentifier) -> bool:
+def _may_authenticate(
+    certificate: x509.Certificate, use: x509.ObjectIdentifier
+) -> bool:
     """Whether the extensions allow this use of the key; absent ones forbid nothing."""
     for extension in certificate.extensions:
         value = extension.value
         if isinstance(value, x509.KeyUsage) and not (
-            value.digital_signature and (value.key_encipherment or value.data_encipherment)
+            value.digital_signature
+            and (value.key_encipherment or value.data_encipherment)
         ):
             return False
         if isinstance(value, x509.ExtendedKeyUsage) and use not in value:
@@ -378,7 +400,9 @@ def _is_on_a_list(
     return any(
         revocations.issuer == issuer.subject
         and revocations.is_signature_valid(key)
-        and revocations.get_revoked_certificate_by_serial_number(certificate.serial_number)
+        and revocations.get_revoked_certificate_by_serial_number(
+            certificate.serial_number
+        )
         is not None
         for revocations in lists
     )

@@ -77,7 +77,10 @@ class _Compiler:
     def _operand(self, operand: Any, index: int, depth: int) -> Evaluate:
         if isinstance(operand, ua.ElementOperand):
             # Only forwards, and each once: no circles, no element evaluated twice.
-            if not index < operand.Index < len(self._elements) or operand.Index in self._named:
+            if (
+                not index < operand.Index < len(self._elements)
+                or operand.Index in self._named
+            ):
                 raise ServiceError(_Codes.BadEventFilterInvalid)
             self._named.add(operand.Index)
             return self.element(operand.Index, depth + 1)
@@ -110,4 +113,6 @@ class _Compiler:
             return lambda event: values[1](event) <= first(event) <= values[2](event)
         if kind == _Op.InList:
             return lambda event: first(event) in [value(event) for value in values[1:]]
-        return lambda event: event.field("EventType") in self._types.closure(second(event))
+        return lambda event: (
+            event.field("EventType") in self._types.closure(second(event))
+        )

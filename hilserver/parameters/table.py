@@ -68,20 +68,28 @@ class Parameter:
     default: float  # NaN: null
     nullable: bool  # whether it may be null
     meaning: str
-    jumps: str = ""  # words of `JUMPS`, or outputs, that may jump in the tick of a change
+    jumps: str = (
+        ""  # words of `JUMPS`, or outputs, that may jump in the tick of a change
+    )
     when: When = "tick"  # when a change takes effect
-    names: tuple[tuple[str, float], ...] = ()  # values that have a name, which stands for them
+    names: tuple[
+        tuple[str, float], ...
+    ] = ()  # values that have a name, which stands for them
 
     @property
     def outputs(self) -> tuple[str, ...]:
         """Patterns of the outputs that may jump."""
-        return tuple(name for word in self.jumps.split() for name in JUMPS.get(word, (word,)))
+        return tuple(
+            name for word in self.jumps.split() for name in JUMPS.get(word, (word,))
+        )
 
     @property
     def range_text(self) -> str:
         """The range in words."""
         unit = "" if self.unit == "1" else f" {self.unit}"
-        return f"{self.low:g} .. {self.high:g}{unit}" + (" or null" if self.nullable else "")
+        return f"{self.low:g} .. {self.high:g}{unit}" + (
+            " or null" if self.nullable else ""
+        )
 
     @property
     def is_flag(self) -> bool:
@@ -163,7 +171,9 @@ def block_parameters(name: str, declared: BlockDeclaration) -> Iterator[Paramete
         yield Parameter(path, "1", -WIDEST, WIDEST, default, False, text, outputs)
 
 
-def table_of(blocks: Iterable[tuple[str, BlockDeclaration]] = ()) -> dict[str, Parameter]:
+def table_of(
+    blocks: Iterable[tuple[str, BlockDeclaration]] = (),
+) -> dict[str, Parameter]:
     """Return the parameters of a robot with these own blocks, by name."""
     own = [p for name, declared in blocks for p in block_parameters(name, declared)]
     return dict(PLANT) | {p.name: p for p in own}

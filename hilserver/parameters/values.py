@@ -9,7 +9,15 @@ from math import isinf, isnan, nan
 from typing import Any, Final
 
 from hilserver.errors import meant
-from hilserver.parameters.table import BODY, EXCLUSIVE, GAIN, PLANT, SECTIONS, TERM, Parameter
+from hilserver.parameters.table import (
+    BODY,
+    EXCLUSIVE,
+    GAIN,
+    PLANT,
+    SECTIONS,
+    TERM,
+    Parameter,
+)
 from hilserver.plant.errors import PlantError
 from hilserver.plant.parameters import GEOMETRIC_GAINS, RobotParameters
 from hilserver.plant.terms import complete, main_part
@@ -100,7 +108,9 @@ def _part(robot: RobotParameters, section: str) -> Any:
 
 
 def with_values(
-    robot: RobotParameters, values: Mapping[str, float], geometric_gain: str = GEOMETRIC_GAINS[0]
+    robot: RobotParameters,
+    values: Mapping[str, float],
+    geometric_gain: str = GEOMETRIC_GAINS[0],
 ) -> RobotParameters:
     """Return the robot with other values, checked together except for the checks of `packing.pack`.
 

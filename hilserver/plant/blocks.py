@@ -53,7 +53,9 @@ class Output:
     low: float = -1e9
     high: float = 1e9
     description: str = ""  # one line for the address space
-    is_replayed: bool = False  # hidden, and also an input: a replay uses the recorded value
+    is_replayed: bool = (
+        False  # hidden, and also an input: a replay uses the recorded value
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +95,9 @@ def block(
         Names and defaults.
     """
     if isinstance(inputs, str) or isinstance(state, str):
-        raise TypeError('inputs and state are tuples of names: one name is written ("name",)')
+        raise TypeError(
+            'inputs and state are tuples of names: one name is written ("name",)'
+        )
     initial = dict(state) if isinstance(state, Mapping) else dict.fromkeys(state, 0.0)
 
     def declare(function: Callable[..., None]) -> Callable[..., None]:
@@ -135,10 +139,14 @@ def load_block(reference: str, base_dir: Path) -> BlockDeclaration:
     module = _import(place, reference, base_dir)
     function = getattr(module, name, None)
     if function is None:
-        raise BlockError(f"block {reference!r}: there is no function {name!r} in {place}.")
+        raise BlockError(
+            f"block {reference!r}: there is no function {name!r} in {place}."
+        )
     declaration = getattr(function, _ATTRIBUTE, None)
     if not isinstance(declaration, BlockDeclaration):
-        raise BlockError(f"block {reference!r}: {name} is not declared; put @block(...) above it.")
+        raise BlockError(
+            f"block {reference!r}: {name} is not declared; put @block(...) above it."
+        )
     _check(declaration, reference)
     return _compile(declaration, reference)
 
@@ -183,7 +191,9 @@ def _line_of(error: BaseException, path: Path) -> int:
 def _one_line(error: BaseException) -> str:
     text = re.sub(r"\x1b\[[0-9;]*m", "", str(error)).strip()
     lines = [line.strip() for line in text.splitlines() if line.strip()]
-    useful = [line for line in lines if not line.startswith(("Failed in", "During:", "File "))]
+    useful = [
+        line for line in lines if not line.startswith(("Failed in", "During:", "File "))
+    ]
     return (useful or lines or [type(error).__name__])[0].rstrip(".")
 
 
@@ -227,7 +237,9 @@ def _wrong_name(declaration: BlockDeclaration) -> str:
         if twice:
             return f"{twice[0]!r} appears twice in {group}"
         if len(names) > MOST_PER_BLOCK:
-            return f"{group} has {len(names)} names, at most {MOST_PER_BLOCK} are possible"
+            return (
+                f"{group} has {len(names)} names, at most {MOST_PER_BLOCK} are possible"
+            )
     return ""
 
 

@@ -88,6 +88,8 @@ def carry_over(old: Parameters, new: Parameters, x: State) -> None:
         x.imu_count = 0.0
     x.nav_wait = min(x.nav_wait, new.nav_every)
     for i in range(3):
-        before, after = (old.nav_ou, new.nav_ou) if i < 2 else (old.nav_yaw_ou, new.nav_yaw_ou)
+        before, after = (
+            (old.nav_ou, new.nav_ou) if i < 2 else (old.nav_yaw_ou, new.nav_yaw_ou)
+        )
         if before == 0.0 and after != 0.0:
             x.nav_ou[i] = 0.0

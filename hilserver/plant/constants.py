@@ -70,7 +70,9 @@ def delay_runs(delay_s: float, period_s: float) -> float:
 def _command(v: Any, p: Parameters) -> int:
     if abs(v.yaw_sign) != 1.0:
         return YAW_SIGN
-    k_om = nominal_gain(v.rotation_gain, v.geometric_diff, v.mecanum, v.wheelbase_m, v.track_m)
+    k_om = nominal_gain(
+        v.rotation_gain, v.geometric_diff, v.mecanum, v.wheelbase_m, v.track_m
+    )
     p.max_rpm = v.max_rpm
     p.rpm_per_m_s = RPM_PER_RAD_S / v.wheel_radius_m
     p.rpm_per_rad_s = RPM_PER_RAD_S / (2.0 * v.yaw_sign * v.wheel_radius_m * k_om)
@@ -82,7 +84,9 @@ def _command(v: Any, p: Parameters) -> int:
     runs = delay_runs(v.term_actuation_delay, v.period_s)
     if runs > RING - 1:
         return ACTUATION
-    p.delay_ticks = float(math.ceil(runs))  # set-points hold between ticks: that of t - tau
+    p.delay_ticks = float(
+        math.ceil(runs)
+    )  # set-points hold between ticks: that of t - tau
     limited = not math.isnan(v.term_setpoint_rate_limit)
     p.rate_step = v.term_setpoint_rate_limit * v.period_s if limited else math.inf
     p.command_terms = _flag(v.term_actuation_delay > 0.0 or limited)
@@ -194,12 +198,16 @@ def _process(v: Any, p: Parameters) -> int:
 def _kinematics(v: Any, p: Parameters) -> int:
     if abs(v.icr_offset_m) >= v.wheelbase_m / 2.0:  # never true with two wheels: NaN
         return FAR_CENTRE
-    k_om = nominal_gain(v.rotation_gain, v.geometric_diff, v.mecanum, v.wheelbase_m, v.track_m)
+    k_om = nominal_gain(
+        v.rotation_gain, v.geometric_diff, v.mecanum, v.wheelbase_m, v.track_m
+    )
     radius = v.wheel_radius_m * (1.0 + v.term_wheel_radius)
     half_difference = v.term_wheel_radius_difference / 2.0
     p.radius_left = radius * (1.0 + half_difference)
     p.radius_right = radius * (1.0 - half_difference)
-    p.yaw_gain = v.yaw_sign * (k_om * (1.0 + v.term_rotation_gain) * v.anisotropy_factor)
+    p.yaw_gain = v.yaw_sign * (
+        k_om * (1.0 + v.term_rotation_gain) * v.anisotropy_factor
+    )
     p.icr = v.icr_offset_m + (v.term_icr_offset + v.anisotropy_shift_m)
     p.base_turn = k_om * v.wheel_radius_m
     return FITS
@@ -283,7 +291,9 @@ def _navigation(v: Any, p: Parameters) -> int:
     p.nav_enabled = v.nav_enabled
     p.nav_every = max(nearest, 1.0)
     p.nav_delay = delay_runs(v.nav_latency_s + v.term_nav_latency, v.nav_period_s)
-    p.nav_yaw_delay = delay_runs(v.nav_yaw_latency_s + v.term_yaw_latency, v.nav_period_s)
+    p.nav_yaw_delay = delay_runs(
+        v.nav_yaw_latency_s + v.term_yaw_latency, v.nav_period_s
+    )
     if p.nav_delay > RING - 2:
         return NAV_DELAY
     if p.nav_yaw_delay > RING - 2:

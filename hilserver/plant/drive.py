@@ -193,7 +193,14 @@ def drive_terms(p: Parameters, x: State, y: Outputs) -> Sums:
     x.control_phase -= 1.0
     a00, a01, a10, a11, b0, b1 = process_of_tick(p, x.battery_v)
     half_turn = p.dt * (0.5 * RAD_S_PER_RPM)
-    left, right, mean_left, mean_right, accel_left, accel_right = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    left, right, mean_left, mean_right, accel_left, accel_right = (
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )
     for i in range(N_WHEELS):
         speed, motor = x.speed[i], x.motor[i]
         seen = encoder(p, x, i)
@@ -219,7 +226,15 @@ def drive_terms(p: Parameters, x: State, y: Outputs) -> Sums:
             if speed == 0.0:
                 accel = 0.0
         if i < 2:
-            left, mean_left, accel_left = left + speed, mean_left + mean, accel_left + accel
+            left, mean_left, accel_left = (
+                left + speed,
+                mean_left + mean,
+                accel_left + accel,
+            )
         else:
-            right, mean_right, accel_right = right + speed, mean_right + mean, accel_right + accel
+            right, mean_right, accel_right = (
+                right + speed,
+                mean_right + mean,
+                accel_right + accel,
+            )
     return left, right, mean_left, mean_right, accel_left, accel_right

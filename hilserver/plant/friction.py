@@ -20,7 +20,9 @@ _SMOOTHING = 1e-9  # slip, as a share of delta, below which friction fades
 
 def _slip(
     wheelbase_m: float, track_m: float, offset_m: float, turn: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[
+    NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]
+]:
     """Return the slips along and across, positions x and loads of the contacts fl, fr, rl, rr."""
     ahead = np.array([0.5, 0.5, -0.5, -0.5]) * wheelbase_m - offset_m
     aside = np.array([0.5, -0.5, 0.5, -0.5]) * track_m
@@ -44,11 +46,15 @@ def balance(
         Centre of mass in front of the wheels' centre, below half the wheelbase.
     """
     aside = np.array([0.5, -0.5, 0.5, -0.5]) * track_m
-    turn = np.array([2 * track_m / (wheelbase_m**2 + track_m**2), 0.0])  # per delta = 1 m/s
+    turn = np.array(
+        [2 * track_m / (wheelbase_m**2 + track_m**2), 0.0]
+    )  # per delta = 1 m/s
 
     def loss(at: NDArray[np.float64]) -> float:
         along, across, _, share = _slip(wheelbase_m, track_m, offset_m, at)
-        return float(np.sum(share * slip_size.py_func(along, across, ratio, _SMOOTHING)))
+        return float(
+            np.sum(share * slip_size.py_func(along, across, ratio, _SMOOTHING))
+        )
 
     for _ in range(_STEPS):
         along, across, ahead, share = _slip(wheelbase_m, track_m, offset_m, turn)
@@ -60,7 +66,9 @@ def balance(
         outer = np.einsum("ik,jk->ijk", d_along, d_along)
         outer = outer + ratio**2 * np.einsum("ik,jk->ijk", d_across, d_across)
         curved = outer / size - np.einsum("ik,jk->ijk", inner, inner) / size**3
-        step = -np.linalg.solve((share * curved).sum(axis=2) + 1e-15 * np.eye(2), gradient)
+        step = -np.linalg.solve(
+            (share * curved).sum(axis=2) + 1e-15 * np.eye(2), gradient
+        )
         length = 1.0
         while loss(turn + length * step) > loss(turn) and length > 1e-12:
             length *= 0.5

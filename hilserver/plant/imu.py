@@ -16,7 +16,9 @@ CHANNEL_ACCEL_Y = 2
 
 
 @inlined
-def _remember(x: State, rate: float, yaw: float, accel_x: float, accel_y: float) -> None:
+def _remember(
+    x: State, rate: float, yaw: float, accel_x: float, accel_y: float
+) -> None:
     row, x.imu_count = push(x.imu_head, x.imu_count)
     x.imu_head = row
     x.imu_ring[row, 0] = rate

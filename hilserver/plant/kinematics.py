@@ -29,7 +29,11 @@ Passed by value: compiled code keeps it in registers and computes several ticks 
 
 @plain
 def nominal_gain(
-    given: float, geometric_diff: float, mecanum: float, wheelbase_m: float, track_m: float
+    given: float,
+    geometric_diff: float,
+    mecanum: float,
+    wheelbase_m: float,
+    track_m: float,
 ) -> float:
     """Return K_om [1/m]: `given`, or if that is NaN the geometric value, (5.8) or (5.9)."""
     if not math.isnan(given):
@@ -42,13 +46,22 @@ def nominal_gain(
 
 
 @inlined
-def velocity_base(p: Parameters, w_l: float, w_r: float, dw_l: float, dw_r: float) -> Velocity:
+def velocity_base(
+    p: Parameters, w_l: float, w_r: float, dw_l: float, dw_r: float
+) -> Velocity:
     """Return the velocity of the base model for side speeds [rad/s] and their rates [rad/s2]."""
     left, right = p.radius_left * w_l, p.radius_right * w_r
     dleft, dright = p.radius_left * dw_l, p.radius_right * dw_r
     om = p.yaw_gain * (left + right)
     dom = p.yaw_gain * (dleft + dright)
-    return (0.5 * (left - right), -p.icr * om, om, 0.5 * (dleft - dright), -p.icr * dom, dom)
+    return (
+        0.5 * (left - right),
+        -p.icr * om,
+        om,
+        0.5 * (dleft - dright),
+        -p.icr * dom,
+        dom,
+    )
 
 
 @inlined
@@ -69,12 +82,21 @@ def sideways(p: Parameters, x: State) -> tuple[float, float]:
 @inlined
 def in_region(p: Parameters, px: float, py: float) -> bool:
     """Return whether a centre of mass at this point is on the patch of `surface_change`."""
-    return bool(p.region_x_min <= px <= p.region_x_max and p.region_y_min <= py <= p.region_y_max)
+    return bool(
+        p.region_x_min <= px <= p.region_x_max
+        and p.region_y_min <= py <= p.region_y_max
+    )
 
 
 @inlined
 def turning_gain(
-    p: Parameters, v0: float, dv0: float, w_l: float, w_r: float, dw_l: float, dw_r: float
+    p: Parameters,
+    v0: float,
+    dv0: float,
+    w_l: float,
+    w_r: float,
+    dw_l: float,
+    dw_r: float,
 ) -> tuple[float, float]:
     """Return the factor that speed and path radius apply to K_om, and its rate (step 9)."""
     speed, dspeed = abs(v0), dv0 if v0 >= 0.0 else -dv0
@@ -93,7 +115,13 @@ def turning_gain(
 
 @part
 def velocity_terms(
-    p: Parameters, inside: bool, angle_left: float, w_l: float, w_r: float, dw_l: float, dw_r: float
+    p: Parameters,
+    inside: bool,
+    angle_left: float,
+    w_l: float,
+    w_r: float,
+    dw_l: float,
+    dw_r: float,
 ) -> tuple[float, float, float, float]:
     """Return v, om and their rates that the wheels produce, with the kinematic terms.
 
@@ -122,7 +150,9 @@ def velocity_terms(
 
 
 @part
-def across(p: Parameters, v: float, om: float, dv: float, dom: float) -> tuple[float, float]:
+def across(
+    p: Parameters, v: float, om: float, dv: float, dom: float
+) -> tuple[float, float]:
     """Return the lateral velocity [m/s] of a body that moves so, and its rate [m/s2] (step 10)."""
     vy, dvy = -p.icr * om, -p.icr * dom
     if p.side_slip != 0.0:
@@ -137,7 +167,12 @@ def across(p: Parameters, v: float, om: float, dv: float, dom: float) -> tuple[f
 @inlined
 def speeds_suffice(p: Parameters) -> bool:
     """Return whether the velocity now depends on place and wheel speeds alone."""
-    return p.gain_radius == 0.0 and p.runout == 0.0 and p.body_lag == 0.0 and p.mecanum == 0.0
+    return (
+        p.gain_radius == 0.0
+        and p.runout == 0.0
+        and p.body_lag == 0.0
+        and p.mecanum == 0.0
+    )
 
 
 @inlined

@@ -56,7 +56,9 @@ class Inputs(Record):
     k_i: float  # [%/(rpm s)]
 
 
-N_SETPOINTS: Final = Inputs.where("mode").start  # how many inputs, from the first, are set-points
+N_SETPOINTS: Final = Inputs.where(
+    "mode"
+).start  # how many inputs, from the first, are set-points
 N_COMMANDS: Final = Inputs.where("enable").stop
 """How many inputs, from the first, are commands: the set-points, mode and enable."""
 
@@ -179,8 +181,12 @@ class Parameters(Record):
     half_track: float  # [m]
     exclusive: float  # flag: v or om, never both
     mecanum: float  # flag: rollers let the wheels drive sideways
-    roller_keep: float  # share of the lateral speed that is left after the rollers' slip
-    body_wheels: float  # flag: the mechatronic model turns the wheels, instead of the process
+    roller_keep: (
+        float  # share of the lateral speed that is left after the rollers' slip
+    )
+    body_wheels: (
+        float  # flag: the mechatronic model turns the wheels, instead of the process
+    )
     ramp_step: float  # share of the safe ramp per tick
     command_terms: float  # flag: delay or rate limit is on
     drive_terms: float  # flag: `drive_terms` instead of `drive_base`
@@ -192,7 +198,9 @@ class Parameters(Record):
     derivative_keep: float  # D <- keep D + gain (e - e_last)
     derivative_gain: float  # [%/rpm]
     encoder_gain: Wheels
-    encoder_share: float  # weight of the newest speed in the encoder filter's output; 1: no filter
+    encoder_share: (
+        float  # weight of the newest speed in the encoder filter's output; 1: no filter
+    )
     encoder_keep: float  # weight of its last output
     quantum: float  # [rpm]
     dead_zone: float  # [%]

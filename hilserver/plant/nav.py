@@ -68,13 +68,18 @@ def _sample(p: Parameters, x: State) -> None:
         if sample == 0.0:
             x.nav_ou[axis] = fresh
         else:
-            x.nav_ou[axis] = keep * x.nav_ou[axis] + math.sqrt(1.0 - keep * keep) * fresh
+            x.nav_ou[axis] = (
+                keep * x.nav_ou[axis] + math.sqrt(1.0 - keep * keep) * fresh
+            )
         shown[axis] += x.nav_ou[axis]
 
     if p.nav_white != 0.0:
         shown[0] += p.nav_white * normal(seed, sample, CHANNEL_WHITE)
         shown[1] += p.nav_white * normal(seed, sample, CHANNEL_WHITE + 1)
-    if p.outlier_share > 0.0 and uniform(seed, sample, CHANNEL_OUTLIER) < p.outlier_share:
+    if (
+        p.outlier_share > 0.0
+        and uniform(seed, sample, CHANNEL_OUTLIER) < p.outlier_share
+    ):
         direction = 2.0 * math.pi * uniform(seed, sample, CHANNEL_OUTLIER + 1)
         shown[0] += p.outlier_size * math.cos(direction)
         shown[1] += p.outlier_size * math.sin(direction)

@@ -42,7 +42,12 @@ def _sentence(code: int, robot: RobotParameters) -> str:
     latency_s = nav.latency_s + terms["nav_latency"]
     yaw_latency_s = nav.yaw_latency_s + terms["yaw_latency"]
     delays = {
-        ACTUATION: ("actuation_delay", terms["actuation_delay"], robot.period_s, RING - 1),
+        ACTUATION: (
+            "actuation_delay",
+            terms["actuation_delay"],
+            robot.period_s,
+            RING - 1,
+        ),
         IMU_DELAY: ("imu_latency", terms["imu_latency"], imu.period_s, RING - 2),
         NAV_DELAY: ("nav_latency", latency_s, nav.period_s, RING - 2),
         YAW_DELAY: ("yaw_latency", yaw_latency_s, nav.period_s, RING - 2),

@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 from hilserver.plant.errors import PlantError
 from hilserver.plant.hall import Solid, default_hall, default_solids
 from hilserver.plant.kinematics import nominal_gain
-from hilserver.plant.parts import Battery, Controller, Imu, Navigation, Process, RangeFinders
+from hilserver.plant.parts import (
+    Battery,
+    Controller,
+    Imu,
+    Navigation,
+    Process,
+    RangeFinders,
+)
 from hilserver.plant.quantity import quantity, refused
 from hilserver.plant.stability import Loop
 from hilserver.plant.terms import TERMS, complete
@@ -49,7 +56,13 @@ MECANUM_GEOMETRY: Final[Mapping[str, float]] = {
 """EduArt's mecanum build, edu_robot."""
 
 NOT_FOR_MECANUM: Final = frozenset(
-    ("friction_anisotropy", "icr_offset", "rotation_gain_radius", "side_slip", "backlash")
+    (
+        "friction_anisotropy",
+        "icr_offset",
+        "rotation_gain_radius",
+        "side_slip",
+        "backlash",
+    )
 )
 """Causes in scrubbing wheels, or formulated for the two sides of a robot with such wheels."""
 
@@ -78,7 +91,9 @@ class RobotParameters:
     PlantError when a value is not finite, out of range, or the wheel loop would be unstable.
     """
 
-    period_s: float = quantity(0.001, "period of its slice", jumps="fixed", gt=0)  # plant slice T
+    period_s: float = quantity(
+        0.001, "period of its slice", jumps="fixed", gt=0
+    )  # plant slice T
     slice_name: str = "plant"  # its name, for messages
     # ``skid``: four wheels that scrub when the robot turns; ``mecanum``: their rollers let it drive
     # sideways, and the centre of rotation is that of the wheels
@@ -95,7 +110,11 @@ class RobotParameters:
         le=100,
     )
     track_m: float = quantity(
-        0.31, "l_y, between left and right wheels", jumps="velocity duty", ge=0.001, le=100
+        0.31,
+        "l_y, between left and right wheels",
+        jumps="velocity duty",
+        ge=0.001,
+        le=100,
     )
     icr_offset_m: float = quantity(
         0.02,
@@ -105,10 +124,18 @@ class RobotParameters:
         le=10,
     )
     max_rpm: float = quantity(
-        90.0, "largest set-point; all wheels are scaled together", jumps="duty", gt=0, le=10_000
+        90.0,
+        "largest set-point; all wheels are scaled together",
+        jumps="duty",
+        gt=0,
+        le=10_000,
     )
     safe_ramp_s: float = quantity(
-        0.5, "time in which the safe state ramps the set-points to zero", jumps="fixed", ge=0, le=60
+        0.5,
+        "time in which the safe state ramps the set-points to zero",
+        jumps="fixed",
+        ge=0,
+        le=60,
     )
     discretization: Literal["exact", "euler"] = "exact"
     exclusive_twist: bool = False
@@ -128,9 +155,13 @@ class RobotParameters:
     # values of `terms.TERMS`; those not given are null
     terms: Mapping[str, float | None] = field(default_factory=dict)
     # shape (4 n,); walls for the range finders
-    hall: NDArray[np.float64] = field(default_factory=default_hall, compare=False, repr=False)
+    hall: NDArray[np.float64] = field(
+        default_factory=default_hall, compare=False, repr=False
+    )
     # obstacles and floors of the mechatronic model
-    solids: tuple[Solid, ...] = field(default_factory=default_solids, compare=False, repr=False)
+    solids: tuple[Solid, ...] = field(
+        default_factory=default_solids, compare=False, repr=False
+    )
 
     def __post_init__(self) -> None:
         _check_numbers(self)
@@ -160,7 +191,9 @@ class RobotParameters:
         given = ROTATION_GAINS.get(gain, nan) if isinstance(gain, str) else float(gain)
         wheelbase_m = nan if self.wheelbase_m is None else self.wheelbase_m
         is_diff = gain == "geometric_diff"
-        return float(nominal_gain(given, is_diff, self.is_mecanum, wheelbase_m, self.track_m))
+        return float(
+            nominal_gain(given, is_diff, self.is_mecanum, wheelbase_m, self.track_m)
+        )
 
     @property
     def is_mecanum(self) -> bool:
@@ -172,9 +205,13 @@ class RobotParameters:
         """By cause, why it has no meaning for this robot."""
         reasons: dict[str, str] = {}
         if self.is_mecanum:
-            reasons |= dict.fromkeys(NOT_FOR_MECANUM, "has no meaning for mecanum wheels")
+            reasons |= dict.fromkeys(
+                NOT_FOR_MECANUM, "has no meaning for mecanum wheels"
+            )
         else:
-            reasons |= dict.fromkeys(FOR_MECANUM_ALONE, "needs mecanum wheels (plant.drive)")
+            reasons |= dict.fromkeys(
+                FOR_MECANUM_ALONE, "needs mecanum wheels (plant.drive)"
+            )
         if self.body_wheels:
             torque = "is the body's when mechatronic.driven_by is torque"
             reasons |= dict.fromkeys(NOT_FOR_TORQUE, torque)
@@ -194,12 +231,21 @@ class RobotParameters:
     def ranges(self) -> Ranges:
         """The limits that max_rpm sets."""
         lateral_m_s = self.max_linear_m_s if self.is_mecanum else 0.0
-        return Ranges(self.max_rpm, self.max_linear_m_s, self.max_angular_rad_s, lateral_m_s)
+        return Ranges(
+            self.max_rpm, self.max_linear_m_s, self.max_angular_rad_s, lateral_m_s
+        )
 
 
 def _check_numbers(robot: RobotParameters) -> None:
-    plant = {"plant": robot, "plant.controller": robot.controller, "plant.process": robot.process}
-    sensors = {f"sensors.{name}": getattr(robot, name) for name in ("imu", "battery", "tof", "nav")}
+    plant = {
+        "plant": robot,
+        "plant.controller": robot.controller,
+        "plant.process": robot.process,
+    }
+    sensors = {
+        f"sensors.{name}": getattr(robot, name)
+        for name in ("imu", "battery", "tof", "nav")
+    }
     for path, part in (plant | sensors).items():
         for name, value, wanted in refused(part):
             raise PlantError(f"{path}.{name}: {wanted}, not {value:g}.")
@@ -225,7 +271,10 @@ def _check_geometry(robot: RobotParameters) -> None:
         raise PlantError(
             f"plant.discretization: must be exact or euler, not {robot.discretization!r}."
         )
-    if robot.wheelbase_m is not None and abs(robot.icr_offset_m) >= robot.wheelbase_m / 2.0:
+    if (
+        robot.wheelbase_m is not None
+        and abs(robot.icr_offset_m) >= robot.wheelbase_m / 2.0
+    ):
         raise PlantError(
             f"plant.icr_offset_m: {robot.icr_offset_m:g} m must be below half the wheelbase, "
             f"{robot.wheelbase_m / 2.0:g} m."
@@ -236,7 +285,9 @@ def _check_terms(robot: RobotParameters) -> None:
     """Refuse unknown terms, and those that have no meaning for the robot's wheels."""
     given = complete(robot.terms)
     if robot.is_mecanum and robot.wheelbase_m is None:
-        raise PlantError("plant.wheelbase_m: a mecanum robot has four wheels; give their distance.")
+        raise PlantError(
+            "plant.wheelbase_m: a mecanum robot has four wheels; give their distance."
+        )
     if robot.is_mecanum and robot.icr_offset_m != 0.0:
         raise PlantError(
             "plant.icr_offset_m: mecanum wheels turn about their centre; leave it out."
@@ -269,7 +320,9 @@ def _check_loop(robot: RobotParameters) -> None:
         limit_s = loop.largest_period_s(period_s)
         remedy = "choose a shorter period or smaller controller gains"
         if limit_s < 1e-6:
-            remedy = "no period is stable with these controller gains; choose smaller ones"
+            remedy = (
+                "no period is stable with these controller gains; choose smaller ones"
+            )
         raise PlantError(
             f"{where}, but the wheel speed loop is unstable from {limit_s * 1e3:.1f} ms on: "
             f"{remedy}."

@@ -49,7 +49,9 @@ def _names() -> Iterator[str]:
     yield from MORE
 
 
-Physical: Any = type("Physical", (Record,), {"__annotations__": dict.fromkeys(_names(), float)})
+Physical: Any = type(
+    "Physical", (Record,), {"__annotations__": dict.fromkeys(_names(), float)}
+)
 """The record itself."""
 
 FITS: Final = 0
@@ -80,7 +82,15 @@ def physical(robot: RobotParameters) -> SimpleNamespace:
     PlantError if friction_anisotropy does not fit it.
     """
     v = SimpleNamespace()
-    own = (robot, robot.controller, robot.process, robot.imu, robot.battery, robot.tof, robot.nav)
+    own = (
+        robot,
+        robot.controller,
+        robot.process,
+        robot.imu,
+        robot.battery,
+        robot.tof,
+        robot.nav,
+    )
     for part, (prefix, names) in zip(own, NUMBERS.items(), strict=True):
         for name in names:
             v.__dict__[prefix + name] = _number(getattr(part, name))
@@ -91,7 +101,10 @@ def physical(robot: RobotParameters) -> SimpleNamespace:
     v.geometric_diff = float(gain == "geometric_diff")
     v.mecanum, v.body_wheels = float(robot.is_mecanum), float(robot.body_wheels)
     v.exclusive, v.euler = float(robot.exclusive_twist), float(robot.loop.euler)
-    v.imu_enabled, v.battery_enabled = float(robot.imu.enabled), float(robot.battery.enabled)
+    v.imu_enabled, v.battery_enabled = (
+        float(robot.imu.enabled),
+        float(robot.battery.enabled),
+    )
     v.tof_enabled, v.nav_enabled = float(robot.tof.enabled), float(robot.nav.enabled)
     v.yaw_sign = float(robot.yaw_sign)
     v.anisotropy_factor, v.anisotropy_shift_m = _anisotropy(robot, v)
@@ -103,7 +116,10 @@ def _number(value: float | None) -> float:
 
 
 def _anisotropy(robot: RobotParameters, v: SimpleNamespace) -> tuple[float, float]:
-    ratio, offset_m = v.term_friction_anisotropy_ratio, v.term_friction_anisotropy_offset
+    ratio, offset_m = (
+        v.term_friction_anisotropy_ratio,
+        v.term_friction_anisotropy_offset,
+    )
     if ratio == 1.0 and offset_m == 0.0:
         return 1.0, 0.0
     if robot.wheelbase_m is None:

@@ -8,7 +8,9 @@ from hilserver.compiled import inlined
 from hilserver.plant.layout import Inputs, State
 
 TURN = 2.0 * math.pi
-SERIES_LIMIT_RAD = 0.05  # below this, the series' next term is under half a unit in the last place
+SERIES_LIMIT_RAD = (
+    0.05  # below this, the series' next term is under half a unit in the last place
+)
 
 
 @inlined
@@ -33,12 +35,16 @@ def sinc(half_rad: float) -> float:
     """Return sin(h)/h: the ratio of chord to arc when the heading turns by 2 h."""
     if abs(half_rad) < SERIES_LIMIT_RAD:
         square = half_rad * half_rad
-        return 1.0 - square * (1.0 / 6.0 - square * (1.0 / 120.0 - square * (1.0 / 5040.0)))
+        return 1.0 - square * (
+            1.0 / 6.0 - square * (1.0 / 120.0 - square * (1.0 / 5040.0))
+        )
     return math.sin(half_rad) / half_rad
 
 
 @inlined
-def shift(yaw: float, v: float, vy: float, om: float, dt_s: float) -> tuple[float, float]:
+def shift(
+    yaw: float, v: float, vy: float, om: float, dt_s: float
+) -> tuple[float, float]:
     """Return the displacement [m] after `dt_s` of constant body velocity [m/s, m/s, rad/s].
 
     The chord of the arc points along the mean heading, and its length is sin(h)/h of the arc's, so

@@ -40,7 +40,12 @@ def unit_of(name: str) -> str:
 
 
 def quantity(
-    default: float | None, meaning: str, *, unit: str = "", jumps: str = "", **bounds: float
+    default: float | None,
+    meaning: str,
+    *,
+    unit: str = "",
+    jumps: str = "",
+    **bounds: float,
 ) -> Any:
     """Return the field of a dataclass.
 
@@ -74,5 +79,9 @@ def _wanted(bounds: Mapping[str, float], value: float) -> str | None:
     for name, bound in bounds.items():
         holds, wanted = _BOUNDS[name]
         if not holds(value, bound):
-            return "must not be negative" if (name, bound) == ("ge", 0) else wanted.format(bound)
+            return (
+                "must not be negative"
+                if (name, bound) == ("ge", 0)
+                else wanted.format(bound)
+            )
     return None

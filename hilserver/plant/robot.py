@@ -9,7 +9,13 @@ import math
 from hilserver.compiled import inlined, part
 from hilserver.plant.command import command
 from hilserver.plant.drive import drive_base, drive_terms
-from hilserver.plant.kinematics import across, in_region, sideways, velocity_base, velocity_terms
+from hilserver.plant.kinematics import (
+    across,
+    in_region,
+    sideways,
+    velocity_base,
+    velocity_terms,
+)
 from hilserver.plant.layout import N_WHEELS, Inputs, Outputs, Parameters, State, Status
 from hilserver.plant.pose import move, set_pose
 from hilserver.plant.units import RAD_S_PER_RPM
@@ -20,7 +26,9 @@ SLOPE_REST_RAD_S = 0.05
 
 
 @inlined
-def publish(x: State, y: Outputs, v: float, vy: float, om: float, dv: float, dvy: float) -> None:
+def publish(
+    x: State, y: Outputs, v: float, vy: float, om: float, dv: float, dvy: float
+) -> None:
     """Write the velocity of t_k, and the acceleration of the centre of mass for the IMU."""
     y.linear, y.lateral, y.angular = v, vy, om
     x.accel_x, x.accel_y = dv - om * vy, dvy + om * v
@@ -28,16 +36,26 @@ def publish(x: State, y: Outputs, v: float, vy: float, om: float, dv: float, dvy
 
 @inlined
 def follow_wheels(
-    p: Parameters, x: State, y: Outputs, w_l: float, w_r: float, dw_l: float, dw_r: float
+    p: Parameters,
+    x: State,
+    y: Outputs,
+    w_l: float,
+    w_r: float,
+    dw_l: float,
+    dw_r: float,
 ) -> None:
     """Set the body to the speed of its wheels [rad/s, rad/s2], without the lag of `body_lag`."""
     angle = 0.5 * (y.angle[0] + y.angle[1])
-    v, om, _, _ = velocity_terms(p, in_region(p, x.pose[0], x.pose[1]), angle, w_l, w_r, dw_l, dw_r)
+    v, om, _, _ = velocity_terms(
+        p, in_region(p, x.pose[0], x.pose[1]), angle, w_l, w_r, dw_l, dw_r
+    )
     x.body_v, x.body_om = v, om
 
 
 @inlined
-def lag_behind(x: State, v: float, om: float, lag_s: float, dt_s: float) -> tuple[float, float]:
+def lag_behind(
+    x: State, v: float, om: float, lag_s: float, dt_s: float
+) -> tuple[float, float]:
     """Move the body's v and om towards the wheels' over a tick; return their means.
 
     First-order lag, exact for wheels that keep the mean speed of the tick.
@@ -119,7 +137,9 @@ def robot_step(p: Parameters, x: State, u: Inputs, y: Outputs, q: Status) -> Non
     w_l, w_r, dw_l, dw_r = left * SIDE, right * SIDE, dleft * SIDE, dright * SIDE
     mean_l, mean_r = mean_left * SIDE, mean_right * SIDE
     if p.kinematic_terms != 0.0:
-        drive_on_with_terms(p, x, y, w_l, w_r, dw_l, dw_r, mean_l, mean_r, aside, daside)
+        drive_on_with_terms(
+            p, x, y, w_l, w_r, dw_l, dw_r, mean_l, mean_r, aside, daside
+        )
         return
     v, vy, om, dv, dvy, _ = velocity_base(p, w_l, w_r, dw_l, dw_r)
     publish(x, y, v, vy, om, dv, dvy)

@@ -19,7 +19,9 @@ BLINK_S: Final = 0.8  # on for half of it
 TURN_S: Final = 0.72  # once round the four lamps
 WAVE_S: Final = 1.9
 
-DIM, HIGH_BEAM, FLASH_ALL, FLASH_LEFT, FLASH_RIGHT, PULSATION, ROTATION, RUNNING = range(1, 9)
+DIM, HIGH_BEAM, FLASH_ALL, FLASH_LEFT, FLASH_RIGHT, PULSATION, ROTATION, RUNNING = (
+    range(1, 9)
+)
 
 
 @inlined

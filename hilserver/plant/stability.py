@@ -8,14 +8,18 @@ from hilserver.plant.drive import Matrices
 
 
 @plain
-def euler_matrices(gain: float, viscous: float, t1_s: float, t2_s: float, dt_s: float) -> Matrices:
+def euler_matrices(
+    gain: float, viscous: float, t1_s: float, t2_s: float, dt_s: float
+) -> Matrices:
     """Return the same as `process_matrices`, by forward differences."""
     slow, fast = dt_s / t1_s, dt_s / t2_s
     return 1.0 - slow, -gain * viscous * slow, fast, 1.0 - fast, gain * slow, 0.0
 
 
 @plain
-def derivative(k_p: float, k_d: float, derivative_n: float, dt_s: float) -> tuple[float, float]:
+def derivative(
+    k_p: float, k_d: float, derivative_n: float, dt_s: float
+) -> tuple[float, float]:
     """Return keep and gain of the filtered derivative, by backward differences."""
     if k_d == 0.0:
         return 0.0, 0.0
@@ -50,7 +54,9 @@ def is_stable(
         w1, w2 = math.expm1(-slow), math.expm1(-fast)
         apart = fast - slow
         share = -math.expm1(-apart) / apart if apart > 0.0 else 1.0
-        q1 = gain * (-w1 - (1.0 + w1) * slow * share)  # the step response after one tick
+        q1 = gain * (
+            -w1 - (1.0 + w1) * slow * share
+        )  # the step response after one tick
     s1, s0 = -(w1 + w2), w1 * w2
     q0 = gain * s0  # a held duty leads to its steady speed
 
@@ -60,7 +66,9 @@ def is_stable(
         r = dt_s * bandwidth / (k_d + dt_s * bandwidth)
         gain_d = k_d * bandwidth / (k_d + dt_s * bandwidth)
     k_i_step = dt_s * k_i
-    other = 1.0 if k_i == 0.0 else 0.0  # without an integral, w + 1 takes the place of its w
+    other = (
+        1.0 if k_i == 0.0 else 0.0
+    )  # without an integral, w + 1 takes the place of its w
     n2 = k_p + gain_d
     n1 = k_p * (r + other) + gain_d * other + k_i_step
     n0 = k_p * r * other + k_i_step * r

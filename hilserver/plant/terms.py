@@ -22,7 +22,9 @@ class Term:
     """One parameter of a cause."""
 
     name: str  # cause, or ``cause.part``
-    block: str  # part of the plant it acts in: drive, kinematics, navigation or inertial
+    block: (
+        str  # part of the plant it acts in: drive, kinematics, navigation or inertial
+    )
     unit: str  # symbol of the unit, "1" for a relative value
     null: float | None  # value at which it changes nothing; None: see `description`
     reference: float | None  # size at which a diagnosis must name it
@@ -91,7 +93,9 @@ def complete(values: Mapping[str, float | None]) -> dict[str, float | None]:
     for name, value in values.items():
         term = TERMS[main_part(name)]
         if term.name in seen:
-            raise PlantError(f"plant.terms.{name}: {term.name} is given twice; keep one.")
+            raise PlantError(
+                f"plant.terms.{name}: {term.name} is given twice; keep one."
+            )
         seen.add(term.name)
         if value is None:
             continue

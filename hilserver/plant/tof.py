@@ -16,7 +16,9 @@ FARTHEST_M: Final = 5.0
 
 
 @inlined
-def _nearest_in_cone(ax: float, ay: float, bx: float, by: float, sin: float, cos: float) -> float:
+def _nearest_in_cone(
+    ax: float, ay: float, bx: float, by: float, sin: float, cos: float
+) -> float:
     """Return the distance from the origin to the part of a segment inside the cone along +x.
 
     The cone is where ``x sin - y cos >= 0`` and ``x sin + y cos >= 0``; inf if no part is inside.
@@ -41,7 +43,9 @@ def _nearest_in_cone(ax: float, ay: float, bx: float, by: float, sin: float, cos
 
 
 @inlined
-def _range(p: Parameters, hall: Any, px: float, py: float, cos: float, sin: float) -> float:
+def _range(
+    p: Parameters, hall: Any, px: float, py: float, cos: float, sin: float
+) -> float:
     """Return the distance [m] seen from a point along the unit vector (cos, sin)."""
     found = math.inf
     for k in range(0, hall.shape[0] - 3, 4):
@@ -72,7 +76,14 @@ def seen_by(p: Parameters, hall: Any, k: int, x: float, y: float, yaw: float) ->
 
 
 @part
-def tof_step(p: Parameters, x: State, u: Inputs, y: Outputs, q: Status, hall: Any) -> None:  # noqa: ARG001
+def tof_step(
+    p: Parameters,
+    x: State,  # noqa: ARG001
+    u: Inputs,  # noqa: ARG001
+    y: Outputs,
+    q: Status,
+    hall: Any,
+) -> None:
     """Publish the four ranges in the order fl, fr, rl, rr.
 
     Parameters

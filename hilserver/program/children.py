@@ -49,7 +49,9 @@ async def started(
         await end(process, name, stop_limit_s)
 
 
-async def end(process: asyncio.subprocess.Process, name: str, stop_limit_s: float) -> None:
+async def end(
+    process: asyncio.subprocess.Process, name: str, stop_limit_s: float
+) -> None:
     """End a child, if need be by force; parameters as for `started`."""
     if process.returncode is not None:
         return
@@ -76,7 +78,9 @@ def how_ended(code: int | None) -> str:
 async def write(process: asyncio.subprocess.Process, text: bytes) -> None:
     """Write to a child's standard input; no effect if the child has ended."""
     if process.stdin is not None:
-        with contextlib.suppress(ConnectionError, RuntimeError):  # uvloop's error for a closed pipe
+        with contextlib.suppress(
+            ConnectionError, RuntimeError
+        ):  # uvloop's error for a closed pipe
             process.stdin.write(text)
             await process.stdin.drain()
 

@@ -70,9 +70,15 @@ def in_children(
             stored.on_miss.remove(share)
 
 
-def _run(commands: Sequence[Sequence[str]], tell: Callable[[Sequence[str]], None]) -> None:
+def _run(
+    commands: Sequence[Sequence[str]], tell: Callable[[Sequence[str]], None]
+) -> None:
     """Run children until the first has ended; if it fails, we do its work and meet its errors."""
-    quiet = {"stdin": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "start_new_session": True}
+    quiet = {
+        "stdin": subprocess.DEVNULL,
+        "stderr": subprocess.DEVNULL,
+        "start_new_session": True,
+    }
     with contextlib.ExitStack() as begun, selectors.DefaultSelector() as reports:
         for command in commands:
             child = begun.enter_context(
@@ -103,7 +109,9 @@ def processes() -> int:
 
 def as_child(main: Callable[[], object], parent: int) -> None:
     """Run `main` and report to `parent` what it compiles; end when the parent ends or asks."""
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)  # the parent's guard blocks them for us, too
+    signal.pthread_sigmask(
+        signal.SIG_UNBLOCK, ENDING
+    )  # the parent's guard blocks them for us, too
     end_with_parent(parent)
     with telling(lambda name: print(name, flush=True)):
         main()

@@ -21,6 +21,12 @@ def give_back_code() -> None:
     madvise = getattr(ctypes.CDLL(None), "madvise", None)
     if madvise is None:
         return
-    for begin, end in _UNTOUCHED.findall(Path("/proc/self/smaps").read_text(encoding="utf-8")):
+    for begin, end in _UNTOUCHED.findall(
+        Path("/proc/self/smaps").read_text(encoding="utf-8")
+    ):
         first = int(begin, 16)
-        madvise(ctypes.c_void_p(first), ctypes.c_size_t(int(end, 16) - first), _MADV_DONTNEED)
+        madvise(
+            ctypes.c_void_p(first),
+            ctypes.c_size_t(int(end, 16) - first),
+            _MADV_DONTNEED,
+        )

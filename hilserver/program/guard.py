@@ -56,7 +56,9 @@ class Guard:
         self._thread = threading.Thread(target=self._run, name="guard", daemon=True)
         self._thread.start()
 
-    def on_end(self, stop: Callable[[], object], if_blocked: Callable[[], object]) -> None:
+    def on_end(
+        self, stop: Callable[[], object], if_blocked: Callable[[], object]
+    ) -> None:
         """Let the first signal call `stop` instead of ending at once; both run in this thread.
 
         `if_blocked` is called before the end if `answer` was not.
@@ -103,7 +105,9 @@ class Guard:
         for cleanup in reversed(_cleanups):
             with contextlib.suppress(Exception):
                 cleanup()
-        self.say(f"{why}, exit code {code}")  # last, after the output of the other threads
+        self.say(
+            f"{why}, exit code {code}"
+        )  # last, after the output of the other threads
         os._exit(code)
 
 
@@ -125,7 +129,9 @@ def guarded(signals: Collection[int] = ENDING) -> Iterator[Guard]:
 
 def _children() -> list[int]:
     tasks = Path("/proc/self/task").glob("*/children")
-    return [int(word) for task in tasks for word in task.read_text(encoding="ascii").split()]
+    return [
+        int(word) for task in tasks for word in task.read_text(encoding="ascii").split()
+    ]
 
 
 def _end_children() -> None:
@@ -142,7 +148,9 @@ def _end_children() -> None:
 def _alive() -> bool:
     for child in _children():
         with contextlib.suppress(OSError):
-            stat = Path(f"/proc/{child}/stat").read_text(encoding="utf-8", errors="replace")
+            stat = Path(f"/proc/{child}/stat").read_text(
+                encoding="utf-8", errors="replace"
+            )
             if ") Z " not in stat:
                 return True
     return False

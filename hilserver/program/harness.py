@@ -35,7 +35,10 @@ def _run(main: Callable[[], int]) -> int:
             print(f"hilserver: {line}", file=sys.stderr)
         return error.exit_code
     except MemoryError:
-        print("hilserver: there is not enough memory for this; use smaller files", file=sys.stderr)
+        print(
+            "hilserver: there is not enough memory for this; use smaller files",
+            file=sys.stderr,
+        )
         return EXIT_FAILED
     except BrokenPipeError:  # the reader of our output, such as a pager, has ended
         _drop_output()

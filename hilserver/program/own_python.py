@@ -23,7 +23,9 @@ def load_callable(reference: str, folder: Path) -> Callable[..., Any]:
     except ConfigError:
         raise
     except (Exception, SystemExit) as error:
-        raise ConfigError(f"{reference!r}: the import failed: {described(error)}") from error
+        raise ConfigError(
+            f"{reference!r}: the import failed: {described(error)}"
+        ) from error
     found = getattr(module, name, None)
     if not callable(found):
         what = "there is no" if found is None else "not a function or class:"
@@ -56,4 +58,8 @@ def described(error: BaseException, most: int = 300) -> str:
             where = f" ({file.name}:{trace.tb_lineno})"
         trace = trace.tb_next
     text = " ".join(str(error).split())[:most]
-    return f"{type(error).__name__}: {text}{where}" if text else f"{type(error).__name__}{where}"
+    return (
+        f"{type(error).__name__}: {text}{where}"
+        if text
+        else f"{type(error).__name__}{where}"
+    )

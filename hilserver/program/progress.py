@@ -53,7 +53,9 @@ class Progress:
 
     def __exit__(self, error: object, *_: object) -> None:
         self.end()
-        if error is not None:  # not SystemExit alone: a compiler may raise something else
+        if (
+            error is not None
+        ):  # not SystemExit alone: a compiler may raise something else
             say_stopped(self._stopped())
 
     def end(self) -> None:

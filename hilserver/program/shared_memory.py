@@ -18,7 +18,9 @@ _NAME: Final = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 def path_of(name: str) -> Path:
     """Return the file of the image `name`."""
     if not _NAME.fullmatch(name):
-        raise FailedError(f"the image name {name!r} may hold letters, digits, '-', '_', '.' only")
+        raise FailedError(
+            f"the image name {name!r} may hold letters, digits, '-', '_', '.' only"
+        )
     return FOLDER / f"hilserver-{name}"
 
 
@@ -37,7 +39,9 @@ def check_free(name: str) -> None:
     if name == MADE_UP or not _NAME.fullmatch(name):
         return
     try:
-        fd = os.open(path_of(name), os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+        fd = os.open(
+            path_of(name), os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+        )
     except OSError:
         return
     try:

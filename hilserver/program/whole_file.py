@@ -30,7 +30,9 @@ def whole(path: Path, suffix: str = PARTIAL) -> Iterator[Path]:
         Of the unfinished file, for writers that choose the format by it; by default no folder's
         listing takes it for a finished one.
     """
-    if str(path.absolute()).startswith(_OPEN_FILES) or (path.exists() and not path.is_file()):
+    if str(path.absolute()).startswith(_OPEN_FILES) or (
+        path.exists() and not path.is_file()
+    ):
         yield path
         return
     path = path.resolve()
@@ -58,7 +60,9 @@ def _begun(partial: Path, mode: int) -> bool:
 
 
 def _replace(path: Path, partial: Path) -> None:
-    with contextlib.suppress(OSError):  # no such file yet, or a disk without owners and modes
+    with contextlib.suppress(
+        OSError
+    ):  # no such file yet, or a disk without owners and modes
         before = path.stat()
         partial.chmod(before.st_mode & 0o777)
         os.chown(partial, before.st_uid, before.st_gid)

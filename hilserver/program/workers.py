@@ -59,7 +59,9 @@ def in_processes(
     context = multiprocessing.get_context("spawn")
     count, others = min(workers, len(tasks)), set(multiprocessing.active_children())
     with ProcessPoolExecutor(count, context, end_with_parent, (os.getpid(),)) as pool:
-        waiting = {pool.submit(function, task): index for index, task in enumerate(tasks)}
+        waiting = {
+            pool.submit(function, task): index for index, task in enumerate(tasks)
+        }
         try:
             for future in as_completed(waiting):
                 yield waiting[future], future.result()

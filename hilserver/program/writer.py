@@ -25,7 +25,9 @@ def _plain(lost: int) -> str:
 class Writer:
     """Stands between writers and a stream; `write` never blocks."""
 
-    def __init__(self, stream: TextIO, lost_line: Callable[[int], str] = _plain) -> None:
+    def __init__(
+        self, stream: TextIO, lost_line: Callable[[int], str] = _plain
+    ) -> None:
         self.lost_line = lost_line
         self.encoding = stream.encoding
         self._stream, self._is_terminal = stream, stream.isatty()
@@ -79,7 +81,9 @@ class Writer:
                 self._texts.clear()
                 lost, self._lost = self._lost, 0
             if lost:
-                data += f"{self.lost_line(lost)}\n".encode(self.encoding, "backslashreplace")
+                data += f"{self.lost_line(lost)}\n".encode(
+                    self.encoding, "backslashreplace"
+                )
             self._is_gone = not self._write(data)
             with self._news:
                 if self._is_gone:

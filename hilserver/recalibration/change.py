@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from scipy.special import stdtr
 
 GAP_BLOCK_S: Final = 10.0
-STRIDE_S: Final = 1.0  # over which the change of an integral (position, heading) is compared
+STRIDE_S: Final = (
+    1.0  # over which the change of an integral (position, heading) is compared
+)
 NEWEST: Final = (3, 6, 12, 24)  # ages of the change that are tested [blocks]
 FEWEST_USUAL: Final = 12
 MOST_BLOCKS: Final = 720
@@ -43,7 +45,9 @@ class Residuals:
         self._squares: dict[str, list[float]] = {}
         self._moved = self._seen = 0
 
-    def take(self, t_s: float, measured: Values, simulated: Values, *, moves: bool) -> Values:
+    def take(
+        self, t_s: float, measured: Values, simulated: Values, *, moves: bool
+    ) -> Values:
         """Take the measured and simulated values of one instant.
 
         Returns
@@ -55,16 +59,24 @@ class Residuals:
             self._restart(t_s)
         shared = measured.keys() & simulated.keys()
         for name in shared - _INTEGRALS:
-            self._squares.setdefault(name, []).append(_square(measured[name] - simulated[name]))
+            self._squares.setdefault(name, []).append(
+                _square(measured[name] - simulated[name])
+            )
         self._stride(t_s, measured, simulated)
         self._seen += 1
         self._moved += moves
         if t_s - self._begun_s < self._block_s:
             return {}
         is_driven = self._moved >= LEAST_MOVED * self._seen
-        means = {name: sum(own) / len(own) for name, own in self._squares.items() if own}
+        means = {
+            name: sum(own) / len(own) for name, own in self._squares.items() if own
+        }
         self._restart(t_s)
-        return {n: math.log(mean + LEAST_SQUARE) for n, mean in means.items()} if is_driven else {}
+        return (
+            {n: math.log(mean + LEAST_SQUARE) for n, mean in means.items()}
+            if is_driven
+            else {}
+        )
 
     def _restart(self, t_s: float) -> None:
         self._begun_s, self._squares = t_s, {}
@@ -81,13 +93,16 @@ class Residuals:
         now = (measured, simulated)
         for name in HEADINGS:
             if all(name in values for values in (*both, *now)):
-                of_robot, of_model = (a[name] - b[name] for a, b in zip(now, both, strict=True))
+                of_robot, of_model = (
+                    a[name] - b[name] for a, b in zip(now, both, strict=True)
+                )
                 gap = math.remainder(of_robot - of_model, math.tau)
                 self._squares.setdefault(name, []).append(_square(gap))
         for x, y in POSITIONS:
             if all({x, y} <= values.keys() for values in (*both, *now)):
                 of_robot, of_model = (
-                    math.hypot(a[x] - b[x], a[y] - b[y]) for a, b in zip(now, both, strict=True)
+                    math.hypot(a[x] - b[x], a[y] - b[y])
+                    for a, b in zip(now, both, strict=True)
                 )
                 self._squares.setdefault(x, []).append(_square(of_robot - of_model))
 
@@ -139,8 +154,12 @@ def grown(rows: NDArray[np.float64], newest: int) -> NDArray[np.float64]:
     away = usual - usual.mean(axis=0)
     variance = (away**2).sum(axis=0) / (n - 1)
     safe = np.maximum(variance, LEAST_SQUARE)
-    r = np.clip((away[1:] * away[:-1]).sum(axis=0) / ((n - 1) * safe) + 1.0 / n, 0.0, 0.95)
+    r = np.clip(
+        (away[1:] * away[:-1]).sum(axis=0) / ((n - 1) * safe) + 1.0 / n, 0.0, 0.95
+    )
     worth = (1.0 - r) / (1.0 + r)
     freedom = np.maximum(n * worth - 1.0, 1.0)
     scatter = np.sqrt(safe / worth * (1.0 / newest + 1.0 / n))
-    return np.asarray(stdtr(freedom, -(late.mean(axis=0) - usual.mean(axis=0)) / scatter))
+    return np.asarray(
+        stdtr(freedom, -(late.mean(axis=0) - usual.mean(axis=0)) / scatter)
+    )

@@ -38,4 +38,6 @@ class ChangeWatch:
         speeds = [frame.values[table.slot(f"wheel.{w}.speed_rpm")] for w in WHEELS]
         moves = any(abs(speed) > DRIVEN_RPM for speed in speeds)
         t_s = float(frame.values[table.slot("sim.time_s")])
-        return self._detector.take(self._residuals.take(t_s, measured, simulated, moves=moves))
+        return self._detector.take(
+            self._residuals.take(t_s, measured, simulated, moves=moves)
+        )

@@ -36,7 +36,9 @@ class History:
         try:
             content = self.path.read_bytes() if self.path.exists() else b""
         except OSError as error:
-            raise FailedError(f"{self.path}: {(error.strerror or str(error)).lower()}") from None
+            raise FailedError(
+                f"{self.path}: {(error.strerror or str(error)).lower()}"
+            ) from None
         for text in content.splitlines(keepends=True):
             line = _parsed(text)
             if line is None and self._size + len(text) < len(content):
@@ -75,7 +77,9 @@ class History:
 
     def _write(self, data: bytes) -> None:
         if self._size + len(data) > LARGEST_BYTES:
-            raise FailedError(f"{self.path}: is full at {LARGEST_BYTES / 1e6:.0f} MB; move it away")
+            raise FailedError(
+                f"{self.path}: is full at {LARGEST_BYTES / 1e6:.0f} MB; move it away"
+            )
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             fd = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o640)
@@ -105,7 +109,9 @@ def _parsed(text: bytes) -> dict[str, Any] | None:
 
 def _hash(line: Mapping[str, Any]) -> str:
     own = {key: value for key, value in line.items() if key != "hash"}
-    return hashlib.sha256(json.dumps(own, sort_keys=True, allow_nan=False).encode()).hexdigest()
+    return hashlib.sha256(
+        json.dumps(own, sort_keys=True, allow_nan=False).encode()
+    ).hexdigest()
 
 
 def is_sound(line: Mapping[str, Any]) -> bool:

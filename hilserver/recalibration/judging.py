@@ -17,7 +17,12 @@ import numpy as np
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.diagnosis.catalogue.candidate import several
-from hilserver.diagnosis.catalogue.vocabulary import cause_of, part_of, reference, unit_of
+from hilserver.diagnosis.catalogue.vocabulary import (
+    cause_of,
+    part_of,
+    reference,
+    unit_of,
+)
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.engine import judge
 from hilserver.diagnosis.output import documents, write
@@ -38,7 +43,9 @@ from hilserver.recalibration.orders import Compared, Looked, Order, Result, Valu
 from hilserver.recalibration.proposals import Quantity, Term, values_of
 from hilserver.recalibration.spending import NAMED_LEVEL
 
-REFINED: Final = 3  # the same for both models, or the difference would be that of refinement
+REFINED: Final = (
+    3  # the same for both models, or the difference would be that of refinement
+)
 HARMLESS: Final = frozenset({"dropouts", "limited_channel", "missed_ticks"})
 """Data faults that leave the remaining samples true: reported, but no reason to stop."""
 PROPOSABLE: Final = (Verdict.NAMED, Verdict.NAMED_GROUP)
@@ -82,7 +89,11 @@ class Judge:
     def _look(self) -> Looked:
         running = self._todo.loaded
         diagnosis = judge(
-            self.log, self.robot, config_sha256=self._config_sha256, jobs=1, running=running
+            self.log,
+            self.robot,
+            config_sha256=self._config_sha256,
+            jobs=1,
+            running=running,
         )
         looked = self._looked(diagnosis)
         if looked.verdict == "named" and self._order.report:
@@ -95,13 +106,17 @@ class Judge:
         faults = tuple(f.explanation for f in faulty)
         if not all(set(f.causes) <= HARMLESS for f in faulty):
             return Looked("data_fault", faults=faults)
-        return replace(self._named(diagnosis, [f for f in found if f not in faulty]), faults=faults)
+        return replace(
+            self._named(diagnosis, [f for f in found if f not in faulty]), faults=faults
+        )
 
     def _named(self, diagnosis: Diagnosis, found: list[Finding]) -> Looked:
         loaded = self._todo.loaded
         if diagnosis.findings.verdict is Overall.NOT_JUDGED:
             return Looked("not_judged")
-        terms = self._with_running(proposed(steady(diagnosis), loaded, self._least_change))
+        terms = self._with_running(
+            proposed(steady(diagnosis), loaded, self._least_change)
+        )
         values, named = values_of(terms), [f for f in found if f.verdict in PROPOSABLE]
         others = [f for f in found if f not in named]
         if values == dict(loaded):
@@ -123,7 +138,9 @@ class Judge:
             p=again.p,
         )
 
-    def _unchanged(self, others: Sequence[Finding], small: Sequence[Finding] = ()) -> Looked:
+    def _unchanged(
+        self, others: Sequence[Finding], small: Sequence[Finding] = ()
+    ) -> Looked:
         """Return the verdict if nothing is proposed: findings without a term, or too small."""
         if others:
             return Looked("unexplained", sentence_of(others))
@@ -141,7 +158,9 @@ class Judge:
             Terms for which the diagnosis has a value.
         """
         loaded = self._todo.loaded
-        unseen = {n: Term(v, unit_of(n), None, v) for n, v in loaded.items() if n not in found}
+        unseen = {
+            n: Term(v, unit_of(n), None, v) for n, v in loaded.items() if n not in found
+        }
         terms = {**found, **unseen}
         level = self._level(terms)
         for cause in sorted({cause_of(name).name for name in unseen}):
@@ -178,10 +197,14 @@ def steady(diagnosis: Diagnosis) -> list[FittedTerm]:
     """
     found = [f for f in diagnosis.findings.findings if f.verdict in UNPROPOSED]
     barred = {name for f in found for name in f.parameters}
-    return [fitted for fitted in diagnosis.evidence.extension if fitted.name not in barred]
+    return [
+        fitted for fitted in diagnosis.evidence.extension if fitted.name not in barred
+    ]
 
 
-def proposed(found: Iterable[FittedTerm], loaded: Values, least_change: float) -> dict[str, Term]:
+def proposed(
+    found: Iterable[FittedTerm], loaded: Values, least_change: float
+) -> dict[str, Term]:
     """Return the terms that were found; one that changes too little keeps its present value.
 
     A cause that is off stays off unless one of its sizes has changed.
@@ -193,7 +216,9 @@ def proposed(found: Iterable[FittedTerm], loaded: Values, least_change: float) -
         own[name] = Term(p.value, p.unit, p.ci95, loaded.get(name))
     terms: dict[str, Term] = {}
     for own in causes.values():
-        changed = {n for n, t in own.items() if is_changed(n, t, now_of(n, t), least_change)}
+        changed = {
+            n for n, t in own.items() if is_changed(n, t, now_of(n, t), least_change)
+        }
         has_changed = any(not part_of(name).shape for name in changed)
         for name, term in own.items():
             if has_changed and name in changed:
@@ -233,7 +258,9 @@ def fixed(values: Values) -> Model:
     return Model((Fitted(several("patch", "patch", "pose", (), (), 0.0, values), ()),))
 
 
-def compared(log: MeasuredLog, robot: RobotParameters, before: Values, after: Values) -> Compared:
+def compared(
+    log: MeasuredLog, robot: RobotParameters, before: Values, after: Values
+) -> Compared:
     """Compare two models, neither of which has seen a log, block by block.
 
     The noise is that which the model before leaves: it may hide a gain, and never makes one.
@@ -249,7 +276,9 @@ def compared(log: MeasuredLog, robot: RobotParameters, before: Values, after: Va
         differences.append(first.loss - second.loss)
         shown.append(problem.stack.block_sums((first.left - second.left) ** 2))
         found = gains(problem, first.predicted, second.predicted, HORIZON_S, rng)
-        gain |= {n: Quantity(g.before, g.after, g.ratio, g.ci95) for n, g in found.items()}
+        gain |= {
+            n: Quantity(g.before, g.after, g.ratio, g.ci95) for n, g in found.items()
+        }
     seen = flips.seen(np.concatenate(differences), np.concatenate(shown))
     return Compared(**asdict(flips.gains(seen, rng)), gain=gain)
 

@@ -12,7 +12,14 @@ from typing import Any, Final
 from hilserver.errors import ControlRefused
 from hilserver.recalibration.flips import Answer, fewest_blocks
 from hilserver.recalibration.orders import Compared, Looked, Result, Todo, Values
-from hilserver.recalibration.proposals import Proposal, Quantity, Stage, Step, Term, values_of
+from hilserver.recalibration.proposals import (
+    Proposal,
+    Quantity,
+    Stage,
+    Step,
+    Term,
+    values_of,
+)
 from hilserver.recalibration.spending import Spending
 
 EFFECT_LEVEL: Final = 0.05
@@ -70,7 +77,9 @@ class Loop:
         assert self.proposal is not None
         self.proposal, self._accepted_in = self.proposal.after(Step.REPLACE), None
         text = f"proposal {self.proposal.number} is no longer active: its effect is not measured"
-        return [Note("decision", {"who": "", "proposal": self.proposal.as_json()}, text)]
+        return [
+            Note("decision", {"who": "", "proposal": self.proposal.as_json()}, text)
+        ]
 
     def _is_undone(self, loaded: Values) -> bool:
         """Whether the running model is no longer that of the accepted proposal."""
@@ -85,7 +94,11 @@ class Loop:
             candidate = self._candidate = None
         measure = None
         began = self._accepted_in
-        if proposal is not None and proposal.stage is Stage.ACCEPTED and began is not None:
+        if (
+            proposal is not None
+            and proposal.stage is Stage.ACCEPTED
+            and began is not None
+        ):
             measure = present(proposal) if window > began else None
         is_due = self._every_s is not None and now_s - self._looked_s >= self._every_s
         found = Todo(
@@ -96,7 +109,11 @@ class Loop:
             level=0.0 if candidate is None else candidate.level,
             look=is_due or self.changed is not None,
         )
-        return found if found.look or candidate is not None or measure is not None else None
+        return (
+            found
+            if found.look or candidate is not None or measure is not None
+            else None
+        )
 
     def take(self, todo: Todo, result: Result, now_s: float) -> list[Note]:
         """Take the result of a window; return what is to be recorded and announced."""
@@ -104,7 +121,11 @@ class Loop:
         if result.error:
             self._candidate = None
             text = f"window {todo.window} could not be diagnosed: {result.error}"
-            notes.append(Note("failed", {"window": todo.window, "error": result.error}, text, 500))
+            notes.append(
+                Note(
+                    "failed", {"window": todo.window, "error": result.error}, text, 500
+                )
+            )
         if result.measure is not None:
             notes += self._measured(todo, result.measure)
         if result.confirm is not None:
@@ -124,8 +145,14 @@ class Loop:
         if look.verdict == "named":
             self._candidate = Candidate(todo.window, todo.loaded, look, level)
         spent = {"joint": self._spending.joint(since_s), "confirmation": level}
-        found = {"verdict": look.verdict, "causes": look.causes, "sentence": look.sentence}
-        return Note("look", {"window": todo.window, **found, "p": look.p, "spent": spent})
+        found = {
+            "verdict": look.verdict,
+            "causes": look.causes,
+            "sentence": look.sentence,
+        }
+        return Note(
+            "look", {"window": todo.window, **found, "p": look.p, "spent": spent}
+        )
 
     def _confirmed(self, todo: Todo, compared: Compared) -> list[Note]:
         candidate, self._candidate = self._candidate, None
@@ -137,7 +164,9 @@ class Loop:
         fields |= {"resolution": compared.resolution, "blocks": compared.blocks}
         if not compared.resolves(level):
             why = too_little(todo.window, compared, level)
-            return [Note("confirmation", {**fields, "verdict": "no_test", "sentence": why})]
+            return [
+                Note("confirmation", {**fields, "verdict": "no_test", "sentence": why})
+            ]
         if not compared.holds(level):
             return [Note("confirmation", {**fields, "verdict": "not_confirmed"})]
         made = Proposal(
@@ -154,7 +183,9 @@ class Loop:
             level=level,
             windows=(candidate.window, todo.window),
         )
-        waiting = [self.proposal] if self.proposal is not None and self.proposal.waits else []
+        waiting = (
+            [self.proposal] if self.proposal is not None and self.proposal.waits else []
+        )
         if any(made.resembles(other) for other in (*self._rejected, *waiting)):
             return [Note("confirmation", {**fields, "verdict": "known"})]
         notes = [Note("confirmation", {**fields, "verdict": "confirmed"})]
@@ -164,16 +195,23 @@ class Loop:
         notes: list[Note] = []
         if self.proposal is not None and self.proposal.waits:
             self.proposal = self.proposal.after(Step.REPLACE)
-            notes.append(Note("decision", {"who": "", "proposal": self.proposal.as_json()}))
+            notes.append(
+                Note("decision", {"who": "", "proposal": self.proposal.as_json()})
+            )
         self.count, self.proposal = made.number, made
-        return [*notes, Note("proposal", {"proposal": made.as_json()}, announced(made), 400)]
+        return [
+            *notes,
+            Note("proposal", {"proposal": made.as_json()}, announced(made), 400),
+        ]
 
     def _measured(self, todo: Todo, compared: Compared) -> list[Note]:
         before = self.proposal
         if before is None or before.stage is not Stage.ACCEPTED:
             return []
         fields: dict[str, Any] = {"window": todo.window, "p": compared.p}
-        if not compared.resolves(EFFECT_LEVEL):  # the robot stood still: the next window decides
+        if not compared.resolves(
+            EFFECT_LEVEL
+        ):  # the robot stood still: the next window decides
             why = too_little(todo.window, compared, EFFECT_LEVEL)
             return [Note("effect", {**fields, "verdict": "too_short", "sentence": why})]
         self._accepted_in = None
@@ -206,7 +244,9 @@ class Loop:
                 if self.proposal is None
                 else f"that is {self.proposal.number}"
             )
-            raise ControlRefused(f"{step}: {number} is not the latest proposal: {newest}")
+            raise ControlRefused(
+                f"{step}: {number} is not the latest proposal: {newest}"
+            )
         return self.proposal.after(step)
 
     def adopt(self, decided: Proposal, recording: int) -> None:
@@ -223,7 +263,9 @@ class Loop:
         if decided.stage is Stage.ACCEPTED:
             self._accepted_in, self.changed = recording, None
 
-    def restore(self, lines: Iterable[Mapping[str, Any]], loaded: Values, window: int) -> None:
+    def restore(
+        self, lines: Iterable[Mapping[str, Any]], loaded: Values, window: int
+    ) -> None:
         """Restore the state of an earlier run: the newest proposal, and those rejected.
 
         An accepted proposal is open again unless the daemon starts with its patch; its effect is
@@ -241,7 +283,10 @@ class Loop:
         if self.proposal is not None and self.proposal.stage is Stage.ACCEPTED:
             self._accepted_in = window
             if self._is_undone(loaded):
-                self.proposal, self._accepted_in = self.proposal.after(Step.REOPEN), None
+                self.proposal, self._accepted_in = (
+                    self.proposal.after(Step.REOPEN),
+                    None,
+                )
 
 
 def too_little(window: int, answer: Answer, level: float) -> str:
@@ -273,7 +318,9 @@ def back(proposal: Proposal, number: int, window: int) -> Proposal:
         causes=proposal.causes,
         sentence=f"Proposal {proposal.number} did not make the gap smaller: return to the"
         " previous model.",
-        terms={n: Term(v, units.get(n, "1"), None, now.get(n)) for n, v in before.items()},
+        terms={
+            n: Term(v, units.get(n, "1"), None, now.get(n)) for n, v in before.items()
+        },
         gone={name: value for name, value in now.items() if name not in before},
         windows=(*proposal.windows, window),
         patch=proposal.former,
@@ -284,7 +331,9 @@ def back(proposal: Proposal, number: int, window: int) -> Proposal:
 def gained(gain: Mapping[str, Quantity]) -> str:
     """Return the gap before and after in words, the quantity that gains most first."""
     rows = sorted(gain.items(), key=lambda row: -row[1].ratio)
-    return ", ".join(f"{n} {q.before:.3g} to {q.after:.3g} ({q.ratio:.2g} times)" for n, q in rows)
+    return ", ".join(
+        f"{n} {q.before:.3g} to {q.after:.3g} ({q.ratio:.2g} times)" for n, q in rows
+    )
 
 
 def announced(proposal: Proposal) -> str:

@@ -28,7 +28,9 @@ from hilserver.recalibration.windows import News, Window
 from hilserver.tasks import SupervisedTask
 
 LOOK_FOR_WINDOWS_S: Final = 1.0
-RECORD_AGAIN_S: Final = 60.0  # after the recorder has ended: a full disk is not freed at once
+RECORD_AGAIN_S: Final = (
+    60.0  # after the recorder has ended: a full disk is not freed at once
+)
 AUTOMATIC: Final = "automatic"
 KEPT_REPORTS: Final = 20
 MOST_TEXT: Final = 500
@@ -77,7 +79,9 @@ class Recalibration(Part):
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise FailedError(f"{self._folder}: {(error.strerror or str(error)).lower()}") from None
+            raise FailedError(
+                f"{self._folder}: {(error.strerror or str(error)).lower()}"
+            ) from None
         self._history = History(self._folder)
         self._news = News(self._folder)
         config = self._config
@@ -152,7 +156,11 @@ class Recalibration(Part):
             made = self.loop.proposal
             if made is not None and made is not before and made.stage is Stage.OPEN:
                 await self._offer(made, order.report)
-        if made is not None and made.stage is Stage.OPEN and self._config.accept == "automatic":
+        if (
+            made is not None
+            and made.stage is Stage.OPEN
+            and self._config.accept == "automatic"
+        ):
             await self._accept_by_itself(made)
 
     def _order(self, window: Window, todo: Todo) -> Order:
@@ -242,7 +250,11 @@ class Recalibration(Part):
 
     def _decided(self, decided: Proposal, who: str) -> None:
         sentence = f"proposal {decided.number} was {decided.stage} by {who}"
-        self._last = {"kind": "decision", "verdict": str(decided.stage), "sentence": sentence}
+        self._last = {
+            "kind": "decision",
+            "verdict": str(decided.stage),
+            "sentence": sentence,
+        }
         self.figures.decisions[str(decided.stage)] += 1
         self._say(sentence)
 
@@ -250,7 +262,9 @@ class Recalibration(Part):
         """Count a refused decision; announce it unless the same was announced just before."""
         self.figures.decisions["refused"] += 1
         now_s = time.monotonic()
-        self._refusals = {t: s for t, s in self._refusals.items() if now_s - s < REPEATED_S}
+        self._refusals = {
+            t: s for t, s in self._refusals.items() if now_s - s < REPEATED_S
+        }
         if sentence not in self._refusals and len(self._refusals) < MOST_REFUSALS:
             self._refusals[sentence] = now_s
             self._say(sentence, 400)
@@ -296,7 +310,10 @@ class Recalibration(Part):
         channel = self._gap.take(self._frame)
         if channel is not None and self.loop.changed is None:
             self.loop.changed = channel
-            self._say(f"the gap of {channel} has left its usual range; a look will follow", 400)
+            self._say(
+                f"the gap of {channel} has left its usual range; a look will follow",
+                400,
+            )
 
     # --- what doors show --------------------------------------------------------------------------
 
@@ -308,7 +325,11 @@ class Recalibration(Part):
         if note.kind == "failed":
             self.figures.failures += 1
         sentence = note.sentence or str(note.fields.get("sentence", ""))
-        self._last = {"kind": note.kind, "verdict": verdict, "sentence": sentence[:MOST_TEXT]}
+        self._last = {
+            "kind": note.kind,
+            "verdict": verdict,
+            "sentence": sentence[:MOST_TEXT],
+        }
         try:
             self._history.append(note.kind, **{**more, **note.fields})
         except FailedError as error:
@@ -322,7 +343,9 @@ class Recalibration(Part):
 
     def _say(self, text: str, severity: int = 200) -> None:
         now_ns = time.monotonic_ns()
-        event = Event(EventKind.RECALIBRATION, severity, self.section, text[:MOST_TEXT], now_ns)
+        event = Event(
+            EventKind.RECALIBRATION, severity, self.section, text[:MOST_TEXT], now_ns
+        )
         self._world.events.publish(event)
 
     def _counted(self) -> Figures:

@@ -65,7 +65,9 @@ def _of(term: str) -> Parameter:
     return PLANT[f"{TERM}{term}"]
 
 
-def _of_terms(made_from: MadeFrom, terms: Mapping[str, Term], fitted: Any) -> ModelPatch:
+def _of_terms(
+    made_from: MadeFrom, terms: Mapping[str, Term], fitted: Any
+) -> ModelPatch:
     """Return a patch of terms that states where they were fitted."""
     where = FittedIn.model_validate({**fitted, "conditions": "recalibration"})
     found = {

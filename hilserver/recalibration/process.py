@@ -33,7 +33,9 @@ async def looked(order: Order, folder: Path, limit_s: float) -> Result:
     try:
         return await _run(path, limit_s)
     except OSError as error:
-        return Result(error=f"no process can be started: {(error.strerror or str(error)).lower()}")
+        return Result(
+            error=f"no process can be started: {(error.strerror or str(error)).lower()}"
+        )
     finally:
         with contextlib.suppress(OSError):
             path.unlink()

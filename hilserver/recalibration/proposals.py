@@ -111,7 +111,9 @@ class Proposal:
         """Return it one step further; ControlRefused if that is not possible where it is."""
         possible, following = FOLLOWING[step]
         if self.stage not in possible:
-            raise ControlRefused(f"{step}: proposal {self.number} is {self.stage}, not open")
+            raise ControlRefused(
+                f"{step}: proposal {self.number} is {self.stage}, not open"
+            )
         return replace(self, stage=following)
 
     def within(self, ranges: Mapping[str, Interval]) -> bool:
@@ -119,7 +121,9 @@ class Proposal:
         changed = {n: t.value for n, t in self.terms.items() if t.value != t.present}
         if not {*changed, *self.gone} <= ranges.keys():
             return False
-        return all(ranges[n][0] <= value <= ranges[n][1] for n, value in changed.items())
+        return all(
+            ranges[n][0] <= value <= ranges[n][1] for n, value in changed.items()
+        )
 
     def resembles(self, other: "Proposal") -> bool:
         """Whether it repeats another: the same terms, with intervals that overlap.
@@ -128,7 +132,10 @@ class Proposal:
         """
         if self.terms.keys() != other.terms.keys() or self.gone != other.gone:
             return False
-        if any(term.present != other.terms[name].present for name, term in self.terms.items()):
+        if any(
+            term.present != other.terms[name].present
+            for name, term in self.terms.items()
+        ):
             return False
         return all(_meet(term, other.terms[name]) for name, term in self.terms.items())
 
@@ -145,7 +152,9 @@ class Proposal:
         ValueError
             If the data are not a proposal.
         """
-        return _PROPOSAL.validate_json(json.dumps(data))  # strict about types of JSON, not Python
+        return _PROPOSAL.validate_json(
+            json.dumps(data)
+        )  # strict about types of JSON, not Python
 
 
 _PROPOSAL: Final = TypeAdapter(Proposal)

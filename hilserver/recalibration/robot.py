@@ -53,7 +53,9 @@ Pose = NDArray[np.float64]
 def peer(endpoint: str) -> PeerConfig:
     """Return the peer configuration for the robot at `endpoint`."""
     read: dict[str, str | tuple[str, ...]] = {
-        node_id(node): (signal, f"{MEASURED}{signal}") if "setpoint" in signal else signal
+        node_id(node): (signal, f"{MEASURED}{signal}")
+        if "setpoint" in signal
+        else signal
         for node, signal in SETPOINTS.items()
     }
     read |= {node_id(name): f"{MEASURED}{name}" for name in MEASURES}
@@ -116,7 +118,9 @@ def _pose(start: Pose, at: Pose, pose: Pose) -> Pose:
     turn = at[2] - start[2]
     cos, sin = math.cos(turn), math.sin(turn)
     x, y = pose[0] - start[0], pose[1] - start[1]
-    return np.array([at[0] + cos * x - sin * y, at[1] + sin * x + cos * y, pose[2] + turn])
+    return np.array(
+        [at[0] + cos * x - sin * y, at[1] + sin * x + cos * y, pose[2] + turn]
+    )
 
 
 def _moved(
@@ -124,7 +128,9 @@ def _moved(
 ) -> dict[str, NDArray[np.float64]]:
     tag = np.array([columns[name] for name in TAG])
     x, y, yaw = _pose(start, at, tag)
-    return dict(columns) | dict(zip(TAG, (x, y, np.arctan2(np.sin(yaw), np.cos(yaw))), strict=True))
+    return dict(columns) | dict(
+        zip(TAG, (x, y, np.arctan2(np.sin(yaw), np.cos(yaw))), strict=True)
+    )
 
 
 async def drive(server: ControllerServer, seed: int) -> None:
@@ -134,15 +140,22 @@ async def drive(server: ControllerServer, seed: int) -> None:
     served with the next one.
     """
     loop = asyncio.get_running_loop()
-    nodes = {signal: node for node, signal in SETPOINTS.items()} | {n: n for n in MEASURES}
+    nodes = {signal: node for node, signal in SETPOINTS.items()} | {
+        n: n for n in MEASURES
+    }
     source = rows(seed)
     begin_s, begun, sequence = math.nan, datetime.now(UTC), 0
     offered: dict[str, object] = {}
     # in a thread: the first row compiles the injector
-    while ahead := await asyncio.to_thread(lambda: list(itertools.islice(source, AHEAD))):
+    while ahead := await asyncio.to_thread(
+        lambda: list(itertools.islice(source, AHEAD))
+    ):
         for t_s, values in ahead:
             if math.isnan(begin_s):
-                begin_s, begun = loop.time() - t_s, datetime.now(UTC) - timedelta(seconds=t_s)
+                begin_s, begun = (
+                    loop.time() - t_s,
+                    datetime.now(UTC) - timedelta(seconds=t_s),
+                )
             offered |= {nodes[n]: v for n, v in values.items() if n in nodes}
             left_s = begin_s + t_s - loop.time()
             if left_s < -LATE_S:

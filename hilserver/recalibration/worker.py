@@ -20,7 +20,9 @@ def take(share: Share) -> None:
         with contextlib.suppress(OSError):  # the computer may not have that core
             os.sched_setaffinity(0, share.cpus)
     if share.memory_bytes:
-        resource.setrlimit(resource.RLIMIT_DATA, (share.memory_bytes, share.memory_bytes))
+        resource.setrlimit(
+            resource.RLIMIT_DATA, (share.memory_bytes, share.memory_bytes)
+        )
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
@@ -36,7 +38,9 @@ def main() -> int:
         result = Judge(order).result()
     except MemoryError:
         limit = order.share.memory_bytes / 1e6
-        result = Result(error=f"it needs more memory than recalibration.memory_mb, {limit:.0f} MB")
+        result = Result(
+            error=f"it needs more memory than recalibration.memory_mb, {limit:.0f} MB"
+        )
     print(result.text(), flush=True)
     return 0
 

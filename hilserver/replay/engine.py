@@ -31,8 +31,14 @@ class Engine:
     """Plays stretches through the plant of a configuration; an asynchronous context manager."""
 
     def __init__(self, assembly: Assembly) -> None:
-        self._core = build(assembly, Pace(ring_frames=RING_FRAMES, queue_rows=QUEUE_ROWS))
-        self.assembly, self.table, self.image = assembly, assembly.table, self._core.image
+        self._core = build(
+            assembly, Pace(ring_frames=RING_FRAMES, queue_rows=QUEUE_ROWS)
+        )
+        self.assembly, self.table, self.image = (
+            assembly,
+            assembly.table,
+            self._core.image,
+        )
         self._changes = Changes(self.image)
         self._store, self._fresh = self._core.snapshots, self._core.snapshots.initial
 
@@ -43,7 +49,9 @@ class Engine:
     async def __aexit__(self, *exception: object) -> None:
         await self._core.__aexit__(*exception)
 
-    def check(self, what: str, identity: Mapping[str, Any], state: NDArray[np.int64]) -> None:
+    def check(
+        self, what: str, identity: Mapping[str, Any], state: NDArray[np.int64]
+    ) -> None:
         """Refuse a log or state whose kernels or configuration would give other bits.
 
         ConfigError if the configuration differs; LogError if version, kernels or signals differ, or
@@ -51,7 +59,9 @@ class Engine:
         """
         key = self._store.differs_in(identity)
         if key is not None:
-            here, there = (str(i.get(key))[:16] for i in (self._store.identity, identity))
+            here, there = (
+                str(i.get(key))[:16] for i in (self._store.identity, identity)
+            )
             kind = ConfigError if key in _OF_THE_CONFIGURATION else LogError
             remedy = (
                 "use the configuration of its run"
@@ -78,7 +88,9 @@ class Engine:
         while changes and changes[0].tick < until and self._changes.room:
             change = changes.popleft()
             if change.packed.size != self._changes.length:
-                raise LogError(f"the change at tick {change.tick} belongs to another configuration")
+                raise LogError(
+                    f"the change at tick {change.tick} belongs to another configuration"
+                )
             self._changes.post(change.number, change.packed, change.tick)
             posted.append(change)
         return posted
@@ -101,13 +113,18 @@ class Engine:
                 n = min(n, changes[0].tick - stretch.first_tick - done)
             end = int(np.searchsorted(rows[:, 0], stretch.first_tick + done + n))
             if end > QUEUE_ROWS:
-                n, end = 1, int(np.searchsorted(rows[:, 0], stretch.first_tick + done + 1))
+                n, end = (
+                    1,
+                    int(np.searchsorted(rows[:, 0], stretch.first_tick + done + 1)),
+                )
             if not self.image.push_timed_table(np.ascontiguousarray(rows[:end])):
                 raise LogError(f"tick {stretch.first_tick + done} has too many rows")
             rows = rows[end:]
             await self._core.scheduler.advance(n)
             frames = read_frames(self.image, number, n)
-            frames.words[:, 1] = frames.ticks * period_ns  # simulated, not planned, time
+            frames.words[:, 1] = (
+                frames.ticks * period_ns
+            )  # simulated, not planned, time
             yield Segmented(frames, np.full(n, stretch.segment, dtype=np.int64), posted)
             number, done = number + n, done + n
 
@@ -117,12 +134,16 @@ class Comparison:
 
     def __init__(self, log: Log, table: SignalTable, base_period_ns: int) -> None:
         outputs = [
-            s for s in table.scalars if s.direction is Direction.OUT and s.name in log.columns
+            s
+            for s in table.scalars
+            if s.direction is Direction.OUT and s.name in log.columns
         ]
         self._names = [s.name for s in outputs]
         self._slots = np.array([s.slots[0] for s in outputs], dtype=np.intp)
         self._log, self._ticks = log, log.ticks(base_period_ns)
-        self._starts = {int(s): int(np.argmax(log.segment == s)) for s in np.unique(log.segment)}
+        self._starts = {
+            int(s): int(np.argmax(log.segment == s)) for s in np.unique(log.segment)
+        }
         self.n_signals, self.n_ticks = len(outputs), 0
         self.difference: str | None = None
 

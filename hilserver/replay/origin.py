@@ -16,7 +16,15 @@ from hilserver.measured.names import is_input
 from hilserver.measured.reading import read_measured
 
 SECTIONS = (
-    *("plant", "kinematics", "mechatronic", "sensors", "scheduler", "observer", "blocks"),
+    *(
+        "plant",
+        "kinematics",
+        "mechatronic",
+        "sensors",
+        "scheduler",
+        "observer",
+        "blocks",
+    ),
     "recalibration",  # its samples are signals
 )
 """What the plant depends on; addresses and passwords of the run do not matter."""
@@ -29,7 +37,9 @@ def assembly_of(log: Log, patch: Patch | None = None) -> Assembly:
     that it names (hall, own block) is missing.
     """
     if log.run is None or log.run.get("configuration") is None:
-        raise LogError(f"{log.path}: contains no configuration; give that of its run with -c")
+        raise LogError(
+            f"{log.path}: contains no configuration; give that of its run with -c"
+        )
     try:
         data = configuration_of(log.run)
         config = Config.model_validate({k: data[k] for k in SECTIONS if k in data})
@@ -40,7 +50,9 @@ def assembly_of(log: Log, patch: Patch | None = None) -> Assembly:
             f" ({log.run.get('version', 'unknown')} made it); give one with -c and --as-inputs"
         ) from None
     try:
-        return assemble_config(config, Path(log.run.get("config_folder", "")), laid_over)
+        return assemble_config(
+            config, Path(log.run.get("config_folder", "")), laid_over
+        )
     except ConfigError as error:
         raise ConfigError(
             f"{log.path}: its configuration cannot be used here: {error}; give the right one"
@@ -48,22 +60,30 @@ def assembly_of(log: Log, patch: Patch | None = None) -> Assembly:
         ) from None
 
 
-def mapped_inputs(path: Path, mapping: str | None, assembly: Assembly) -> tuple[Log, Assembly]:
+def mapped_inputs(
+    path: Path, mapping: str | None, assembly: Assembly
+) -> tuple[Log, Assembly]:
     """Read the set-points of a foreign log, or LogError, and the robot of its mapping."""
     measured = read_measured([path], mapping)
     if not measured.plant:
         return _inputs(path, measured), assembly
     config = machine_config(measured, assembly.config)
-    return _inputs(path, measured), assemble_config(config, assembly.folder, assembly.patch)
+    return _inputs(path, measured), assemble_config(
+        config, assembly.folder, assembly.patch
+    )
 
 
 def _inputs(path: Path, measured: MeasuredLog) -> Log:
     """Return the inputs as a table, with no value where a row has none."""
     inputs = {name: c for name, c in measured.channels.items() if is_input(name)}
     if not inputs:
-        raise LogError(f"{path}: has no set-points; map a column or topic to a set-point")
+        raise LogError(
+            f"{path}: has no set-points; map a column or topic to a set-point"
+        )
     keys = {name: np.stack([c.span, c.t_s], axis=1) for name, c in inputs.items()}
-    rows, own = np.unique(np.concatenate(list(keys.values())), axis=0, return_inverse=True)
+    rows, own = np.unique(
+        np.concatenate(list(keys.values())), axis=0, return_inverse=True
+    )
     columns, begin = {}, 0
     for name, channel in inputs.items():
         columns[name] = np.full(len(rows), np.nan)
@@ -71,4 +91,6 @@ def _inputs(path: Path, measured: MeasuredLog) -> Log:
         begin += len(channel)
     numbers = np.array([span.number for span in measured.spans], dtype=np.int64)
     segment = numbers[rows[:, 0].astype(np.int64)]
-    return Log(path, rows[:, 1] - rows[:, 1].min(), segment, columns, notices=measured.notices)
+    return Log(
+        path, rows[:, 1] - rows[:, 1].min(), segment, columns, notices=measured.notices
+    )

@@ -45,7 +45,11 @@ class Plan:
 
 
 def plan_exact(
-    log: Log, table: SignalTable, layout: Layout, base_period_ns: int, start: State | None = None
+    log: Log,
+    table: SignalTable,
+    layout: Layout,
+    base_period_ns: int,
+    start: State | None = None,
 ) -> Plan:
     """Plan a replay that reproduces the bits of the recorded run.
 
@@ -63,10 +67,16 @@ def plan_exact(
         begin = first + state.tick - int(ticks[first])
         part = slice(begin, last + 1)
         rows = _changes(
-            ticks[part], slots, values[part], status[part], _frame_of(state.words, layout)
+            ticks[part],
+            slots,
+            values[part],
+            status[part],
+            _frame_of(state.words, layout),
         )
         changes = _changes_in(log, segment, state.tick, int(ticks[last]))
-        stretches.append(Stretch(segment, state.tick, last + 1 - begin, rows, state.words, changes))
+        stretches.append(
+            Stretch(segment, state.tick, last + 1 - begin, rows, state.words, changes)
+        )
         if start is not None:
             break
     if not stretches:
@@ -104,14 +114,18 @@ def _inputs(
     return np.array([s.slots[0] for s in inputs]), values, status
 
 
-def _runs(segment: NDArray[np.int64], ticks: NDArray[np.int64]) -> list[tuple[int, int]]:
+def _runs(
+    segment: NDArray[np.int64], ticks: NDArray[np.int64]
+) -> list[tuple[int, int]]:
     """Return first and last row of every run of ticks without a gap."""
     cuts = np.flatnonzero((np.diff(ticks) != 1) | (np.diff(segment) != 0)) + 1
     firsts = [0, *cuts.tolist()]
     return [(f, n - 1) for f, n in zip(firsts, [*firsts[1:], len(ticks)], strict=True)]
 
 
-def _state_in(log: Log, segment: int, low: int, high: int, start: State | None) -> State | None:
+def _state_in(
+    log: Log, segment: int, low: int, high: int, start: State | None
+) -> State | None:
     if start is not None:
         return start if low <= start.tick <= high else None
     fitting = [s for s in log.states if s.segment == segment and low <= s.tick <= high]
@@ -156,7 +170,9 @@ def _changes(
     held = np.vstack([before[0][slots], values])
     codes = np.vstack([before[1][slots], status])
     _fill_forward(held)
-    changed = (np.diff(held.view(np.int64), axis=0) != 0) | (np.diff(codes, axis=0) != 0)
+    changed = (np.diff(held.view(np.int64), axis=0) != 0) | (
+        np.diff(codes, axis=0) != 0
+    )
     row, column = np.nonzero(changed)
     return np.column_stack(
         [ticks[row], slots[column], held[1:][row, column], codes[1:][row, column]]
@@ -179,7 +195,10 @@ def plan_inputs(log: Log, table: SignalTable, base_period_ns: int) -> Plan:
     names = [
         n
         for n in log.columns
-        if n in table and table[n].writable and not table[n].is_measured and not table[n].is_array
+        if n in table
+        and table[n].writable
+        and not table[n].is_measured
+        and not table[n].is_array
     ]
     if not any(n in names for of_mode in OF_MODE for n in of_mode):
         raise LogError(
@@ -198,7 +217,9 @@ def plan_inputs(log: Log, table: SignalTable, base_period_ns: int) -> Plan:
         mask = log.segment == segment
         first, last = int(ticks[mask].min()), int(ticks[mask].max())
         if last - first > MAX_TICKS:
-            raise LogError(f"{log.path}: segment {segment} lasts more than {MAX_TICKS} ticks")
+            raise LogError(
+                f"{log.path}: segment {segment} lasts more than {MAX_TICKS} ticks"
+            )
         parts = [_rows(ticks[mask], table.slot(n), clipped[n][mask]) for n in names]
         if mode:
             parts.append(np.array([[first, table.slot(MODE), mode, GOOD]]))
@@ -218,7 +239,9 @@ def _mode(log: Log, notices: list[str]) -> int:
     else:
         first = given[0] if given else 0
         in_force = {first}
-    idle = sorted(n for mode in given if mode not in in_force for n in used & set(OF_MODE[mode]))
+    idle = sorted(
+        n for mode in given if mode not in in_force for n in used & set(OF_MODE[mode])
+    )
     if idle:
         shown = " or ".join(f"{mode:g}" for mode in sorted(in_force))
         notices.append(
@@ -232,14 +255,23 @@ def _mode(log: Log, notices: list[str]) -> int:
     return first
 
 
-def _rows(ticks: NDArray[np.int64], slot: int, values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rows(
+    ticks: NDArray[np.int64], slot: int, values: NDArray[np.float64]
+) -> NDArray[np.float64]:
     good = ~np.isnan(values)
     rows = np.empty((int(good.sum()), 4))
-    rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] = ticks[good], slot, values[good], GOOD
+    rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] = (
+        ticks[good],
+        slot,
+        values[good],
+        GOOD,
+    )
     return rows
 
 
-def _clipped(log: Log, table: SignalTable, name: str, notices: list[str]) -> NDArray[np.float64]:
+def _clipped(
+    log: Log, table: SignalTable, name: str, notices: list[str]
+) -> NDArray[np.float64]:
     signal, values = table[name], log.columns[name]
     limited = np.clip(values, signal.low, signal.high)
     outside = int((limited != values)[~np.isnan(values)].sum())

@@ -147,7 +147,9 @@ class Judge:
             key = "python" if requirement.signal is None else "signal"
             where = place(path, ("require", index, key))
             if requirement.name in [other.name for other in self.requirements[:index]]:
-                raise ConfigError(f"{where}two requirements have the name '{requirement.name}'")
+                raise ConfigError(
+                    f"{where}two requirements have the name '{requirement.name}'"
+                )
             names = requirement.signals or known
             if requirement.python is not None:
                 with placed(path, ("require", index, "python")):
@@ -158,7 +160,9 @@ class Judge:
             for name in names:
                 if name not in known:
                     hint = meant(name, known, "see 'hilserver signals'")
-                    raise ConfigError(f"{where}there is no scalar signal '{name}'; {hint}")
+                    raise ConfigError(
+                        f"{where}there is no scalar signal '{name}'; {hint}"
+                    )
                 signals[name] = None
         self.signals = tuple(signals)  # those to keep of a drive
 
@@ -168,7 +172,9 @@ class Judge:
         CheckError if an own function raised.
         """
         return {
-            requirement.name: margin(requirement, self._values(requirement, drive), drive.period_s)
+            requirement.name: margin(
+                requirement, self._values(requirement, drive), drive.period_s
+            )
             for requirement in self.requirements
         }
 

@@ -29,7 +29,9 @@ class Requirement(Section):
     ``always``. With neither, one moment suffices if ``within_s`` is given, else it is to the end.
     """
 
-    name: str = Field(min_length=1, max_length=100, description="description, for people")
+    name: str = Field(
+        min_length=1, max_length=100, description="description, for people"
+    )
     signal: str | None = Field(None, description="a scalar signal")
     python: str | None = Field(
         None,
@@ -38,18 +40,26 @@ class Requirement(Section):
         " with a value for each tick",
     )
     signals: tuple[str, ...] = Field(
-        (), description="with python: the signals it reads; without, every signal is kept for it"
+        (),
+        description="with python: the signals it reads; without, every signal is kept for it",
     )
     below: float | None = Field(None, description="no sample is above this")
     above: float | None = Field(None, description="no sample is below this")
     equals: float | None = Field(None, description="all samples equal this")
     tolerance: float = Field(0.0, ge=0, description="with equals: allowed deviation")
     always: bool = Field(False, description="true until the end of the drive")
-    within_s: Time | None = Field(None, description="must become true by then, from the start [s]")
-    after_s: Time = Field(0.0, description="ignored before this time, from the start [s]")
+    within_s: Time | None = Field(
+        None, description="must become true by then, from the start [s]"
+    )
+    after_s: Time = Field(
+        0.0, description="ignored before this time, from the start [s]"
+    )
     for_s: Time | None = Field(None, description="stays true for this long [s]")
     share: float = Field(
-        1.0, gt=0, le=1, description="share of a sweep's machines that must meet it, for JUnit"
+        1.0,
+        gt=0,
+        le=1,
+        description="share of a sweep's machines that must meet it, for JUnit",
     )
 
     @model_validator(mode="after")
@@ -57,11 +67,17 @@ class Requirement(Section):
         if (self.signal is None) == (self.python is None):
             raise ValueError(f"'{self.name}' needs either signal or python")
         if self.signals and self.python is None:
-            raise ValueError(f"'{self.name}': signals goes with python; write one signal")
+            raise ValueError(
+                f"'{self.name}': signals goes with python; write one signal"
+            )
         bounds = [self.below, self.above]
         if (self.equals is None) == (bounds == [None, None]):
             raise ValueError(f"'{self.name}' needs below, above or both, or equals")
-        if self.above is not None and self.below is not None and self.above > self.below:
+        if (
+            self.above is not None
+            and self.below is not None
+            and self.above > self.below
+        ):
             raise ValueError(
                 f"'{self.name}': nothing is above {self.above:g} and below {self.below:g}"
             )

@@ -75,7 +75,12 @@ class Flavour:
         """Every name that can be renamed."""
         written = [topic.topic for topic in (*self.published, *self.extras.values())]
         read = [topic.topic for topic in self.subscribed]
-        names = [*written, *read, DESCRIPTION.topic, *(service.name for service in self.served)]
+        names = [
+            *written,
+            *read,
+            DESCRIPTION.topic,
+            *(service.name for service in self.served),
+        ]
         return tuple(dict.fromkeys(names))
 
 
@@ -87,7 +92,9 @@ EXTRAS: Final[Mapping[str, Published]] = {
     "tf": Published("/tf", "tf2_msgs/msg/TFMessage", outgoing.transforms),
     "clock": Published("/clock", "rosgraph_msgs/msg/Clock", outgoing.clock),
     "odom": Published("odom", "nav_msgs/msg/Odometry", outgoing.odometry),
-    "estimate": Published("odometry/filtered", "nav_msgs/msg/Odometry", outgoing.estimate),
+    "estimate": Published(
+        "odometry/filtered", "nav_msgs/msg/Odometry", outgoing.estimate
+    ),
     "pose_stamped": Published(
         "/poseStamped", "geometry_msgs/msg/PoseStamped", outgoing.pose_stamped
     ),
@@ -101,28 +108,49 @@ _IOTBOT_SHIELD: Final = Flavour(
         Published("iotbot/imu", "sensor_msgs/msg/Imu", outgoing.imu, qos=SENSOR_DATA),
         Published("iotbot/tof", FLOATS, outgoing.tof, qos=SENSOR_DATA),
         Published(
-            "iotbot/battery", "iotbot_interface/msg/Battery", outgoing.battery, qos=SENSOR_DATA
+            "iotbot/battery",
+            "iotbot_interface/msg/Battery",
+            outgoing.battery,
+            qos=SENSOR_DATA,
         ),
         Published(
-            "iotbot/temperature", "std_msgs/msg/Float32", outgoing.temperature, qos=SENSOR_DATA
+            "iotbot/temperature",
+            "std_msgs/msg/Float32",
+            outgoing.temperature,
+            qos=SENSOR_DATA,
         ),
     ),
     subscribed=(
-        Subscribed("iotbot/rpm", RPM, incoming.rpm, made_from=("cmd_vel", "joy_extended", "joy")),
+        Subscribed(
+            "iotbot/rpm",
+            RPM,
+            incoming.rpm,
+            made_from=("cmd_vel", "joy_extended", "joy"),
+        ),
         Subscribed("cmd_vel", TWIST, incoming.velocity),
         Subscribed("joy_extended", JOY, incoming.axes),
         Subscribed("joy", JOY, incoming.gamepad),
     ),
     served=(
         Served(
-            "iotbot/srv/send_lighting", "iotbot_interface/srv/SendLighting", incoming.send_lighting
-        ),
-        Served("iotbot/srv/send_enable", "iotbot_interface/srv/SendEnable", incoming.send_enable),
-        Served(
-            "iotbot/srv/send_imu_calibration", "std_srvs/srv/Empty", incoming.send_imu_calibration
+            "iotbot/srv/send_lighting",
+            "iotbot_interface/srv/SendLighting",
+            incoming.send_lighting,
         ),
         Served(
-            "iotbot/srv/send_imu_mode", "iotbot_interface/srv/SendEnable", incoming.send_imu_mode
+            "iotbot/srv/send_enable",
+            "iotbot_interface/srv/SendEnable",
+            incoming.send_enable,
+        ),
+        Served(
+            "iotbot/srv/send_imu_calibration",
+            "std_srvs/srv/Empty",
+            incoming.send_imu_calibration,
+        ),
+        Served(
+            "iotbot/srv/send_imu_mode",
+            "iotbot_interface/srv/SendEnable",
+            incoming.send_imu_mode,
         ),
     ),
 )
@@ -131,7 +159,13 @@ _EDUARD: Final = Flavour(
     namespace="eduard",
     enabled_by="set_mode",
     published=(
-        Published("odometry", "nav_msgs/msg/Odometry", outgoing.odometry, ODOMETRY_S, EDU_RELIABLE),
+        Published(
+            "odometry",
+            "nav_msgs/msg/Odometry",
+            outgoing.odometry,
+            ODOMETRY_S,
+            EDU_RELIABLE,
+        ),
         Published(
             "status_report",
             "edu_robot/msg/RobotStatusReport",
@@ -151,7 +185,9 @@ _EDUARD: Final = Flavour(
             "sensor_msgs/msg/JointState",
             outgoing.joint_states,
             ODOMETRY_S,
-            Qos(depth=8),  # four messages at a time, of which a depth of 2 would keep two
+            Qos(
+                depth=8
+            ),  # four messages at a time, of which a depth of 2 would keep two
         ),
         Published("imu", "sensor_msgs/msg/Imu", outgoing.imu, ODOMETRY_S, SENSOR_DATA),
         *(
@@ -167,7 +203,9 @@ _EDUARD: Final = Flavour(
     ),
     subscribed=(
         Subscribed("cmd_vel", TWIST, incoming.when_remote, qos=EDU_BEST_EFFORT),
-        Subscribed("autonomous/cmd_vel", TWIST, incoming.when_autonomous, qos=EDU_BEST_EFFORT),
+        Subscribed(
+            "autonomous/cmd_vel", TWIST, incoming.when_autonomous, qos=EDU_BEST_EFFORT
+        ),
         Subscribed(
             "set_motor_rpm",
             FLOATS,
@@ -197,7 +235,9 @@ _THESIS_SIL: Final = Flavour(
     ),
     subscribed=(
         Subscribed("rpm", FLOATS, incoming.rpm_thesis),
-        Subscribed("lights_color", "std_msgs/msg/Int16", incoming.lights_color, commands=False),
+        Subscribed(
+            "lights_color", "std_msgs/msg/Int16", incoming.lights_color, commands=False
+        ),
     ),
 )
 

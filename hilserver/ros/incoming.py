@@ -48,20 +48,28 @@ def _lights(pattern: str, red: int, green: int, blue: int) -> Values:
 
 
 def _speeds(by_wheel: Mapping[str, float]) -> Values:
-    return {"control.mode": 0, "wheels.setpoints_rpm": [float(by_wheel[wheel]) for wheel in WHEELS]}
+    return {
+        "control.mode": 0,
+        "wheels.setpoints_rpm": [float(by_wheel[wheel]) for wheel in WHEELS],
+    }
 
 
 def rpm(robot: Robot, message: Any) -> Values:
     """RotationSpeed: set-points with the signs of the plant."""
     del robot
     return _speeds(
-        {wheel: getattr(message, f"{place}_rpm") for wheel, place in outgoing.PLACES.items()}
+        {
+            wheel: getattr(message, f"{place}_rpm")
+            for wheel, place in outgoing.PLACES.items()
+        }
     )
 
 
 def _four(message: Any) -> Sequence[float]:
     if len(message.data) != len(WHEELS):
-        raise ValueError(f"{len(message.data)} numbers instead of one for each of four wheels")
+        raise ValueError(
+            f"{len(message.data)} numbers instead of one for each of four wheels"
+        )
     return [float(number) for number in message.data]
 
 
@@ -73,7 +81,9 @@ def rpm_thesis(robot: Robot, message: Any) -> Values:
 def motor_rpm(robot: Robot, message: Any) -> Values:
     """Float32MultiArray with the order and signs of edu_robot."""
     del robot
-    return _speeds({w: -speed for w, speed in zip(outgoing.MOTORS, _four(message), strict=True)})
+    return _speeds(
+        {w: -speed for w, speed in zip(outgoing.MOTORS, _four(message), strict=True)}
+    )
 
 
 def velocity(robot: Robot, message: Any) -> Values:
@@ -87,7 +97,9 @@ def _twist(robot: Robot, forward: float, left: float, turn: float) -> Values:
         robot.ignore("lateral")
         left = 0.0
     shares = [forward / shape.max_linear_m_s, turn / shape.max_angular_rad_s]
-    largest = max(abs(share) for share in [*shares, left / (shape.max_lateral_m_s or 1.0)])
+    largest = max(
+        abs(share) for share in [*shares, left / (shape.max_lateral_m_s or 1.0)]
+    )
     factor = 1.0 / largest if math.isfinite(largest) and largest > 1.0 else 1.0
     return {
         "control.mode": 1,
@@ -115,7 +127,9 @@ def axes(robot: Robot, message: Any) -> Values:
 
 def _axes(robot: Robot, message: Any) -> Values:
     if len(message.axes) <= max(AXES.values()):
-        raise ValueError(f"a Joy with {len(message.axes)} axes; driving takes axes 0, 1, 3 and 5")
+        raise ValueError(
+            f"a Joy with {len(message.axes)} axes; driving takes axes 0, 1, 3 and 5"
+        )
     at = {name: float(message.axes[number]) for name, number in AXES.items()}
     throttle, shape = 0.5 * (at["throttle"] + 1.0), robot.shape
     return _twist(
@@ -160,7 +174,9 @@ def _pattern(code: int) -> int:
     number = code - FIRST_LIGHT if code >= FIRST_LIGHT else code
     if not 0 <= number < len(LIGHTS):
         last = FIRST_LIGHT + len(LIGHTS) - 1
-        raise ValueError(f"light pattern {code} is not 0 .. 8 or {FIRST_LIGHT} .. {last}")
+        raise ValueError(
+            f"light pattern {code} is not 0 .. 8 or {FIRST_LIGHT} .. {last}"
+        )
     return number
 
 
@@ -169,13 +185,17 @@ def lighting(robot: Robot, message: Any) -> Values:
     if message.mode >= len(LIGHTING_MODES):
         raise ValueError(f"there is no lighting mode {message.mode}")
     pattern = LIGHTING_MODES[message.mode]
-    side = next((side for side in ("left", "right") if side in message.lighting_name), None)
+    side = next(
+        (side for side in ("left", "right") if side in message.lighting_name), None
+    )
     if pattern == "flash all" and side is not None:
         pattern = f"flash {side}"
     elif message.lighting_name != "all" and side is None:
         robot.ignore(f"lighting {message.lighting_name}")
     bright = min(max(float(message.brightness.data), 0.0), 1.0)
-    red, green, blue = (round(bright * value) for value in (message.r, message.g, message.b))
+    red, green, blue = (
+        round(bright * value) for value in (message.r, message.g, message.b)
+    )
     return _lights(pattern, red, green, blue)
 
 
@@ -186,7 +206,9 @@ Answer = tuple[Values, Callable[[bool], Any]]
 
 
 def _sent(robot: Robot, service: str) -> Callable[[bool], Any]:
-    return lambda ok: robot.make(f"iotbot_interface/srv/{service}_Response", sending_succesfull=ok)
+    return lambda ok: robot.make(
+        f"iotbot_interface/srv/{service}_Response", sending_succesfull=ok
+    )
 
 
 def send_enable(robot: Robot, request: Any) -> Answer:
@@ -201,7 +223,9 @@ def send_lighting(robot: Robot, request: Any) -> Answer:
         pattern = LIGHTS[_pattern(int(request.command))]
     except ValueError:
         return {}, lambda _: answer(False)
-    return _lights(pattern, int(request.red), int(request.green), int(request.blue)), answer
+    return _lights(
+        pattern, int(request.red), int(request.green), int(request.blue)
+    ), answer
 
 
 def send_imu_mode(robot: Robot, request: Any) -> Answer:

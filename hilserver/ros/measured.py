@@ -22,7 +22,12 @@ SPEEDS: Final = tuple(f"wheel.{wheel}.speed_rpm" for wheel in WHEELS)
 TAG: Final = ("nav.x_m", "nav.y_m", "nav.yaw_rad")
 POSE: Final = ("pose.x_m", "pose.y_m", "pose.yaw_rad")
 TWIST: Final = ("velocity.linear_m_s", "velocity.lateral_m_s", "velocity.angular_rad_s")
-INERTIAL: Final = ("imu.gyro_z_rad_s", "imu.yaw_rad", "imu.accel_x_m_s2", "imu.accel_y_m_s2")
+INERTIAL: Final = (
+    "imu.gyro_z_rad_s",
+    "imu.yaw_rad",
+    "imu.accel_x_m_s2",
+    "imu.accel_y_m_s2",
+)
 MOST_FRAMES: Final = 200
 NOT_MEASURED: Final = -1.0
 """First element of a covariance of sensor_msgs/Imu if the sensor does not measure the quantity."""
@@ -39,8 +44,12 @@ class Conventions:
     frame: str  # in which poses count
     base: str  # frame of the robot itself
     joints: Mapping[str, str] = field(default_factory=dict)  # wheel by name of a joint
-    remarks: dict[str, None] = field(default_factory=dict)  # why something was not taken
-    _wheels: Values = field(default_factory=dict)  # of joint states, until all four have come
+    remarks: dict[str, None] = field(
+        default_factory=dict
+    )  # why something was not taken
+    _wheels: Values = field(
+        default_factory=dict
+    )  # of joint states, until all four have come
     _tree: dict[str, tuple[str, Pose]] = field(default_factory=dict)  # parent by frame
 
     @classmethod
@@ -68,7 +77,9 @@ class Conventions:
         name = frame.lstrip("/")
         if name in ("", self.frame):
             return True
-        self.remark(f"gives poses in '{name:.60}', which is not ros2.measured.frame '{self.frame}'")
+        self.remark(
+            f"gives poses in '{name:.60}', which is not ros2.measured.frame '{self.frame}'"
+        )
         return False
 
     def remark(self, sentence: str) -> None:
@@ -128,37 +139,52 @@ class Conventions:
 def _yaw(q: Any) -> float:
     norm = math.sqrt(q.w**2 + q.x**2 + q.y**2 + q.z**2)
     if not abs(norm - 1.0) < UNIT_NORM:
-        raise ValueError(f"its orientation is a quaternion of norm {norm:.3g} instead of 1")
+        raise ValueError(
+            f"its orientation is a quaternion of norm {norm:.3g} instead of 1"
+        )
     return math.atan2(2.0 * (q.w * q.z + q.x * q.y), norm**2 - 2.0 * (q.y**2 + q.z**2))
 
 
 def rotation_speed(how: Conventions, message: Any) -> Values:
     """RotationSpeed: speeds with the signs of the plant."""
     del how
-    return {f"wheel.{w}.speed_rpm": float(getattr(message, f"{PLACES[w]}_rpm")) for w in WHEELS}
+    return {
+        f"wheel.{w}.speed_rpm": float(getattr(message, f"{PLACES[w]}_rpm"))
+        for w in WHEELS
+    }
 
 
 def array(how: Conventions, message: Any) -> Values:
     """Float32MultiArray: speeds [rpm] with the order and signs of the robot program."""
     numbers = [float(number) for number in message.data]
     if len(numbers) != len(how.array_signs):
-        raise ValueError(f"{len(numbers)} numbers instead of one for each of four wheels")
+        raise ValueError(
+            f"{len(numbers)} numbers instead of one for each of four wheels"
+        )
     pairs = zip(how.array_signs.items(), numbers, strict=True)
-    return {f"wheel.{wheel}.speed_rpm": sign * number for (wheel, sign), number in pairs}
+    return {
+        f"wheel.{wheel}.speed_rpm": sign * number for (wheel, sign), number in pairs
+    }
 
 
 def joints(how: Conventions, message: Any) -> Values:
     """JointState: speeds, once all four wheels have come, in one message or in several."""
     if len(message.velocity) != len(message.name):
-        raise ValueError(f"{len(message.velocity)} velocities for {len(message.name)} joints")
+        raise ValueError(
+            f"{len(message.velocity)} velocities for {len(message.name)} joints"
+        )
     speeds: Values = {}
     for name, rad_s in zip(message.name, message.velocity, strict=True):
         wheel = how.wheel_of(name)
         if wheel is not None:
-            speeds[f"wheel.{wheel}.speed_rpm"] = how.joint_signs[wheel] * rad_s * RPM_PER_RAD_S
+            speeds[f"wheel.{wheel}.speed_rpm"] = (
+                how.joint_signs[wheel] * rad_s * RPM_PER_RAD_S
+            )
     if not speeds:
         named = ", ".join(message.name)
-        how.remark(f"names no wheel ({named:.100}); ros2.measured.joints can say which is which")
+        how.remark(
+            f"names no wheel ({named:.100}); ros2.measured.joints can say which is which"
+        )
         return {}
     return how.gather(speeds)
 
@@ -171,7 +197,12 @@ def imu(how: Conventions, message: Any) -> Values:
         values["imu.gyro_z_rad_s"] = message.angular_velocity.z
     q = message.orientation
     has_heading = message.orientation_covariance[0] != NOT_MEASURED
-    if has_heading and (q.x, q.y, q.z, q.w) != (0.0, 0.0, 0.0, 0.0):  # as older drivers leave it
+    if has_heading and (q.x, q.y, q.z, q.w) != (
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    ):  # as older drivers leave it
         values["imu.yaw_rad"] = _yaw(q)
     if message.linear_acceleration_covariance[0] != NOT_MEASURED:
         values["imu.accel_x_m_s2"] = message.linear_acceleration.x
@@ -240,14 +271,20 @@ Kind = Literal[
 """Short name of a type, as the configuration has it."""
 
 MEASURED_TYPES: Final[Mapping[Kind, MeasuredType]] = {
-    "RotationSpeed": MeasuredType("iotbot_interface/msg/RotationSpeed", SPEEDS, rotation_speed),
+    "RotationSpeed": MeasuredType(
+        "iotbot_interface/msg/RotationSpeed", SPEEDS, rotation_speed
+    ),
     "Float32MultiArray": MeasuredType("std_msgs/msg/Float32MultiArray", SPEEDS, array),
     "JointState": MeasuredType("sensor_msgs/msg/JointState", SPEEDS, joints),
     "Imu": MeasuredType("sensor_msgs/msg/Imu", INERTIAL, imu),
-    "Battery": MeasuredType("iotbot_interface/msg/Battery", ("battery.voltage_v",), battery),
+    "Battery": MeasuredType(
+        "iotbot_interface/msg/Battery", ("battery.voltage_v",), battery
+    ),
     "PoseStamped": MeasuredType("geometry_msgs/msg/PoseStamped", TAG, tag),
     "Odometry": MeasuredType("nav_msgs/msg/Odometry", (*TWIST, *POSE), odometry),
-    "TFMessage": MeasuredType("tf2_msgs/msg/TFMessage", POSE, transforms, is_shared=True),
+    "TFMessage": MeasuredType(
+        "tf2_msgs/msg/TFMessage", POSE, transforms, is_shared=True
+    ),
 }
 
 IOTBOT: Final[Mapping[str, Kind]] = {

@@ -35,7 +35,9 @@ def _floats(robot: Robot, numbers: list[float]) -> Any:
 
 
 def _rotation_speed(robot: Robot, quantity: str) -> Any:
-    named = {f"{PLACES[wheel]}_rpm": robot[f"wheel.{wheel}.{quantity}"] for wheel in PLACES}
+    named = {
+        f"{PLACES[wheel]}_rpm": robot[f"wheel.{wheel}.{quantity}"] for wheel in PLACES
+    }
     return robot.make("iotbot_interface/msg/RotationSpeed", **named)
 
 
@@ -109,7 +111,9 @@ def position(robot: Robot) -> Iterator[Any]:
     """Six floats: x, y, yaw of the planar model, then of the mechatronic one (NaN without it)."""
     names = ("x_m", "y_m", "yaw_rad")
     planar = [robot[f"pose.{name}"] for name in names]
-    yield _floats(robot, planar + [robot.get(f"mech.{name}", math.nan) for name in names])
+    yield _floats(
+        robot, planar + [robot.get(f"mech.{name}", math.nan) for name in names]
+    )
 
 
 def battery(robot: Robot) -> Iterator[Any]:
@@ -120,13 +124,17 @@ def battery(robot: Robot) -> Iterator[Any]:
 def temperature(robot: Robot) -> Iterator[Any]:
     """Temperature of the shield [degC]."""
     degc = robot.get("shield.temperature_degc", ROOM_DEGC)
-    yield robot.make("std_msgs/msg/Float32", data=NO_TEMPERATURE_DEGC if robot.imu_is_raw else degc)
+    yield robot.make(
+        "std_msgs/msg/Float32", data=NO_TEMPERATURE_DEGC if robot.imu_is_raw else degc
+    )
 
 
 def pose_stamped(robot: Robot) -> Iterator[Any]:
     """Pose measured by the simulated navigation tag."""
     pose = robot.pose(robot["nav.x_m"], robot["nav.y_m"], robot["nav.yaw_rad"])
-    yield robot.make("geometry_msgs/msg/PoseStamped", header=robot.header("map"), pose=pose)
+    yield robot.make(
+        "geometry_msgs/msg/PoseStamped", header=robot.header("map"), pose=pose
+    )
 
 
 def clock(robot: Robot) -> Iterator[Any]:
@@ -156,7 +164,9 @@ def odometry(robot: Robot) -> Iterator[Any]:
     place_m, heading_rad = SHARE * o.way_m + LEAST_M, SHARE * o.turned_rad + LEAST_RAD
     speed_m_s = SHARE * math.hypot(ahead, aside) + LEAST_M
     pose, twist = (o.x_m, o.y_m, o.yaw_rad), (ahead, aside, turning)
-    motion = _planar(speed_m_s**2, speed_m_s**2, (SHARE * abs(turning) + LEAST_RAD) ** 2)
+    motion = _planar(
+        speed_m_s**2, speed_m_s**2, (SHARE * abs(turning) + LEAST_RAD) ** 2
+    )
     place = _planar(place_m**2, place_m**2, heading_rad**2)
     yield _odometry(robot, "odom", pose, place, twist, motion)
 
@@ -165,12 +175,19 @@ def estimate(robot: Robot) -> Iterator[Any]:
     """Pose and twist of the observer, with their covariances, in ``map``; none before a fix."""
     if robot.get("estimate.state", 0.0) == 0.0:
         return
-    e = {name: robot[f"estimate.{name}"] for name in (*_STATES, *_DEVIATIONS, *_TOGETHER)}
+    e = {
+        name: robot[f"estimate.{name}"] for name in (*_STATES, *_DEVIATIONS, *_TOGETHER)
+    }
     place = _planar(*(e[f"{name}_sd"] ** 2 for name in _STATES[:3]))
     for (i, j), name in zip(((0, 1), (0, 5), (1, 5)), _TOGETHER, strict=True):
         place[i, j] = place[j, i] = e[name]
-    motion = _planar(e["linear_m_s_sd"] ** 2, UNKNOWN_VARIANCE, e["angular_rad_s_sd"] ** 2)
-    pose, twist = (e["x_m"], e["y_m"], e["yaw_rad"]), (e["linear_m_s"], 0.0, e["angular_rad_s"])
+    motion = _planar(
+        e["linear_m_s_sd"] ** 2, UNKNOWN_VARIANCE, e["angular_rad_s_sd"] ** 2
+    )
+    pose, twist = (
+        (e["x_m"], e["y_m"], e["yaw_rad"]),
+        (e["linear_m_s"], 0.0, e["angular_rad_s"]),
+    )
     yield _odometry(robot, "map", pose, place, twist, motion)
 
 
@@ -199,10 +216,14 @@ def _odometry(
         header=robot.header(frame),
         child_frame_id=f"{robot.frame_prefix}base_link",
         pose=robot.make(
-            "geometry_msgs/msg/PoseWithCovariance", pose=robot.pose(*pose), covariance=place.ravel()
+            "geometry_msgs/msg/PoseWithCovariance",
+            pose=robot.pose(*pose),
+            covariance=place.ravel(),
         ),
         twist=robot.make(
-            "geometry_msgs/msg/TwistWithCovariance", twist=moved, covariance=motion.ravel()
+            "geometry_msgs/msg/TwistWithCovariance",
+            twist=moved,
+            covariance=motion.ravel(),
         ),
     )
 
@@ -216,7 +237,9 @@ def mode(robot: Robot) -> Any:
     return robot.make(
         "edu_robot/msg/Mode",
         mode=driving if robot["drive.enable"] else MODE_INACTIVE,
-        drive_kinematic=KINEMATIC_MECANUM if robot.shape.max_lateral_m_s else KINEMATIC_SKID,
+        drive_kinematic=KINEMATIC_MECANUM
+        if robot.shape.max_lateral_m_s
+        else KINEMATIC_SKID,
         feature_mode=0,
     )
 
@@ -224,7 +247,9 @@ def mode(robot: Robot) -> Any:
 def state(robot: Robot, words: str = "OK") -> Any:
     """edu_robot's state: always OK."""
     ok = robot.make("edu_robot/msg/State", value=0)
-    return robot.make("edu_robot/msg/RobotState", state=ok, mode=mode(robot), info_message=words)
+    return robot.make(
+        "edu_robot/msg/RobotState", state=ok, mode=mode(robot), info_message=words
+    )
 
 
 def status_report(robot: Robot) -> Iterator[Any]:
@@ -257,10 +282,15 @@ def kinematic_description(robot: Robot) -> Iterator[Any]:
         for wheel in MOTORS
     ]
     matrix = robot.make(
-        "edu_robot/msg/Matrix", cols=3, rows=4, data=np.array(rows, dtype=np.float32).ravel()
+        "edu_robot/msg/Matrix",
+        cols=3,
+        rows=4,
+        data=np.array(rows, dtype=np.float32).ravel(),
     )
     limits = np.full(4, robot.shape.max_rpm, dtype=np.float32)
-    yield robot.make("edu_robot/msg/RobotKinematicDescription", k=matrix, wheel_limits=limits)
+    yield robot.make(
+        "edu_robot/msg/RobotKinematicDescription", k=matrix, wheel_limits=limits
+    )
 
 
 def joint_states(robot: Robot) -> Iterator[Any]:
@@ -268,7 +298,9 @@ def joint_states(robot: Robot) -> Iterator[Any]:
     for wheel in MOTORS:
         yield robot.make(
             "sensor_msgs/msg/JointState",
-            header=robot.make("std_msgs/msg/Header", stamp=robot.time(robot.stamp_ns), frame_id=""),
+            header=robot.make(
+                "std_msgs/msg/Header", stamp=robot.time(robot.stamp_ns), frame_id=""
+            ),
             name=[f"{robot.frame_prefix}base_to_wheel_{PLACES[wheel]}"],
             position=np.array([-robot[f"wheel.{wheel}.angle_rad"]]),
             velocity=np.array([-robot[f"wheel.{wheel}.speed_rpm"] / RPM_PER_RAD_S]),

@@ -77,7 +77,10 @@ class Odometer:
         """Take the angles of a frame."""
         now = [values[f"wheel.{wheel}.angle_rad"] for wheel in WHEELS]
         before, self._before = self._before, now
-        if before is None or max(abs(a - b) for a, b in zip(now, before, strict=True)) > math.tau:
+        if (
+            before is None
+            or max(abs(a - b) for a, b in zip(now, before, strict=True)) > math.tau
+        ):
             return  # the first frame, or a reset of the simulation
         turned = [(a - b) * RPM_PER_RAD_S for a, b in zip(now, before, strict=True)]
         ahead_m, aside_m, turn_rad = _motion(self.shape, turned)
@@ -93,7 +96,9 @@ def _motion(shape: Shape, rpm: Sequence[float]) -> tuple[float, float, float]:
     """Return the motion from wheels fl, rl, fr, rr [rpm]: ahead, left [m/s], turn [rad/s]."""
     fl, rl, fr, rr = rpm
     ahead = 0.25 * (fl + rl - fr - rr) / shape.rpm_per_m_s
-    aside = 0.25 * (rl - fl + rr - fr) / shape.rpm_per_m_s if shape.max_lateral_m_s else 0.0
+    aside = (
+        0.25 * (rl - fl + rr - fr) / shape.rpm_per_m_s if shape.max_lateral_m_s else 0.0
+    )
     return ahead, aside, 0.25 * (fl + rl + fr + rr) / shape.rpm_per_rad_s
 
 
@@ -150,7 +155,9 @@ class Robot:
     def header(self, frame: str) -> Any:
         """Return a header with the stamp of this frame."""
         name = self.frame_prefix + frame
-        return self.make("std_msgs/msg/Header", stamp=self.time(self.stamp_ns), frame_id=name)
+        return self.make(
+            "std_msgs/msg/Header", stamp=self.time(self.stamp_ns), frame_id=name
+        )
 
     def vector(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Any:
         """Return a Vector3."""
@@ -165,4 +172,6 @@ class Robot:
     def pose(self, x: float, y: float, yaw: float) -> Any:
         """Return a planar Pose."""
         point = self.make("geometry_msgs/msg/Point", x=x, y=y, z=0.0)
-        return self.make("geometry_msgs/msg/Pose", position=point, orientation=self.turned(yaw))
+        return self.make(
+            "geometry_msgs/msg/Pose", position=point, orientation=self.turned(yaw)
+        )

@@ -67,7 +67,10 @@ SERVICES: Final[Mapping[str, tuple[str, str]]] = {
 }
 """Request and response. The widths of iotbot_interface are inferred from its source."""
 
-WIDTHS: Final = ("bool", *(f"{sign}int{n}" for n in (8, 16, 32, 64) for sign in ("", "u")))
+WIDTHS: Final = (
+    "bool",
+    *(f"{sign}int{n}" for n in (8, 16, 32, 64) for sign in ("", "u")),
+)
 EVENT_INFO: Final = "service_msgs/msg/ServiceEventInfo"
 GID: Final = "rmw_dds_common/msg/Gid"
 
@@ -90,7 +93,10 @@ class Types:
         for name, text in MESSAGES.items():
             self.add(name, text)
         kinds: Any = _kinds()
-        gid: Any = (kinds.ARRAY, ((kinds.BASE, ("uint8", 0)), 16))  # a char is hashed as a uint8
+        gid: Any = (
+            kinds.ARRAY,
+            ((kinds.BASE, ("uint8", 0)), 16),
+        )  # a char is hashed as a uint8
         for holder, held in ((EVENT_INFO, "client_gid"), (GID, "data")):
             constants, fields = self.store.fielddefs[holder]
             fields = [(field, gid if field == held else kind) for field, kind in fields]
@@ -123,12 +129,19 @@ class Types:
 
     def _add_service(self, name: str) -> None:
         kinds = _kinds()
-        request, response, event = (f"{name}_{part}" for part in ("Request", "Response", "Event"))
-        one_of = {part: (kinds.SEQUENCE, ((kinds.NAME, part), 1)) for part in (request, response)}
+        request, response, event = (
+            f"{name}_{part}" for part in ("Request", "Response", "Event")
+        )
+        one_of = {
+            part: (kinds.SEQUENCE, ((kinds.NAME, part), 1))
+            for part in (request, response)
+        }
         fields: list[tuple[str, Any]] = [("info", (kinds.NAME, EVENT_INFO))]
         fields += [("request", one_of[request]), ("response", one_of[response])]
         parts = {"request": request, "response": response, "event": event}
-        whole = [(f"{part}_message", (kinds.NAME, full)) for part, full in parts.items()]
+        whole = [
+            (f"{part}_message", (kinds.NAME, full)) for part, full in parts.items()
+        ]
         self.store.register({event: ([], fields)})
         self.store.register({name: ([], whole)})
 
@@ -160,7 +173,9 @@ class Types:
         try:
             return self.store.deserialize_cdr(data, name)
         except (SerdeError, ValueError, IndexError, TypeError, AssertionError) as error:
-            raise ValueError(f"no message of type {name} ({type(error).__name__})") from None
+            raise ValueError(
+                f"no message of type {name} ({type(error).__name__})"
+            ) from None
 
 
 def _kinds() -> Any:

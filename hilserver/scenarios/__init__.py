@@ -8,7 +8,9 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-if find_spec("hilserver_injector") is None:  # not a checkout: it is in this folder, see setup.py
+if (
+    find_spec("hilserver_injector") is None
+):  # not a checkout: it is in this folder, see setup.py
     sys.path.append(str(Path(__file__).parent / "installed"))
 
 from hilserver.scenarios.drives import SCENARIOS, scenario

@@ -20,7 +20,9 @@ KINEMATIC: Final = frozenset(
     longitudinal_slip acceleration_slip body_lag side_slip icr_offset
     wheel_misalignment floor_slope surface_change wheel_runout friction_anisotropy""".split()  # noqa: SIM905 (one list)
 )
-LOAD: Final = frozenset({"coulomb_friction", "viscous_load", "saturation_limit", "process_gain"})
+LOAD: Final = frozenset(
+    {"coulomb_friction", "viscous_load", "saturation_limit", "process_gain"}
+)
 
 
 def _expect(*must_say: str | frozenset[str], **others: Any) -> Expectation:
@@ -33,7 +35,11 @@ def _not(*names: str) -> dict[str, Any]:
 
 
 def _one(
-    seed: int, causes: Mapping[str, float], expected: Expectation, hidden: str = "", **how: Any
+    seed: int,
+    causes: Mapping[str, float],
+    expected: Expectation,
+    hidden: str = "",
+    **how: Any,
 ) -> Drive:
     """Return a drive with one log."""
     given: dict[str, Any] = {"seed": seed, "causes": causes, "recorder": THESIS} | how
@@ -44,8 +50,14 @@ def _one(
 
 def _friction_load(seed: int, rng: Random) -> Drive:
     load = float(rng.uniform(20.0, 45.0))
-    causes = {"coulomb_friction": load} if rng.random() < 0.5 else {"viscous_load": load / 62.0}
-    return _one(seed, causes, _expect(LOAD, **_not("controller_gains")), manoeuvre="fast")
+    causes = (
+        {"coulomb_friction": load}
+        if rng.random() < 0.5
+        else {"viscous_load": load / 62.0}
+    )
+    return _one(
+        seed, causes, _expect(LOAD, **_not("controller_gains")), manoeuvre="fast"
+    )
 
 
 def _k_omega_low(seed: int, rng: Random) -> Drive:
@@ -53,7 +65,9 @@ def _k_omega_low(seed: int, rng: Random) -> Drive:
     if rng.random() < 0.5:
         both = frozenset({"rotation_gain", "gyro_scale"})
         expected = _expect(together=both, **_not("friction_anisotropy"))
-        return _one(seed, {name: size}, expected, manoeuvre="spins", recorder=NO_NAVIGATION)
+        return _one(
+            seed, {name: size}, expected, manoeuvre="spins", recorder=NO_NAVIGATION
+        )
     return _one(seed, {name: size}, _expect(name))
 
 
@@ -76,7 +90,9 @@ def _surface_null(seed: int, rng: Random) -> Drive:
     return Drive(
         logs=_surfaces(seed, gains[:6], "a"),
         against=_surfaces(seed, gains[6:], "b"),
-        expectation=_expect(verdict="no_difference", **_not("surface_change", "rotation_gain")),
+        expectation=_expect(
+            verdict="no_difference", **_not("surface_change", "rotation_gain")
+        ),
         hidden="nothing: K_om scatters by 0.032 from run to run on all floors",
     )
 
@@ -87,14 +103,18 @@ def _surface_real(seed: int, rng: Random) -> Drive:
         logs=_surfaces(seed, (1.995 + scatter[:3]).tolist(), "a"),
         against=_surfaces(seed, (1.05 + scatter[3:]).tolist(), "b"),
         expectation=_expect(
-            frozenset({"rotation_gain", "gyro_scale"}), verdict="differs", **_not("drift")
+            frozenset({"rotation_gain", "gyro_scale"}),
+            verdict="differs",
+            **_not("drift"),
         ),
         hidden="K_om 1.995 on concrete and 1.05 on tile",
     )
 
 
 def _unsteady_bias(seed: int, _rng: Random) -> Drive:
-    return _one(seed, {"imu_latency": 0.075}, _expect("imu_latency", **_not("rotation_gain")))
+    return _one(
+        seed, {"imu_latency": 0.075}, _expect("imu_latency", **_not("rotation_gain"))
+    )
 
 
 def _pulls_aside(seed: int, rng: Random) -> Drive:
@@ -105,8 +125,12 @@ def _pulls_aside(seed: int, rng: Random) -> Drive:
         {"wheel_misalignment": 0.03 * sign},
     ][seed % 3]
     name = next(iter(causes)).partition(".")[0]
-    wanted = frozenset({name} | ({"nav_frame_yaw"} if name == "wheel_misalignment" else set()))
-    return _one(seed, causes, _expect(wanted, **_not("gyro_bias")), manoeuvre="straights")
+    wanted = frozenset(
+        {name} | ({"nav_frame_yaw"} if name == "wheel_misalignment" else set())
+    )
+    return _one(
+        seed, causes, _expect(wanted, **_not("gyro_bias")), manoeuvre="straights"
+    )
 
 
 def _slides_in_circle(seed: int, rng: Random) -> Drive:
@@ -116,7 +140,9 @@ def _slides_in_circle(seed: int, rng: Random) -> Drive:
         "friction_anisotropy.inertia": 1.0,
     }
     wanted = frozenset({"friction_anisotropy", "rotation_gain_radius"})
-    return _one(seed, causes, _expect(wanted, **_not("wheel_radius")), manoeuvre="circles")
+    return _one(
+        seed, causes, _expect(wanted, **_not("wheel_radius")), manoeuvre="circles"
+    )
 
 
 def _launch_slip(seed: int, rng: Random) -> Drive:
@@ -158,7 +184,11 @@ def _fused_yaw(seed: int, rng: Random) -> Drive:
         "heading_distortion.phase1": float(rng.uniform(-math.pi, math.pi)),
         "yaw_latency": 0.15,
     }
-    return _one(seed, causes, _expect("heading_distortion", "yaw_latency", **_not("rotation_gain")))
+    return _one(
+        seed,
+        causes,
+        _expect("heading_distortion", "yaw_latency", **_not("rotation_gain")),
+    )
 
 
 def _on_a_frame(seed: int, rng: Random) -> Drive:
@@ -180,10 +210,26 @@ def _on_a_frame(seed: int, rng: Random) -> Drive:
 
 def _rates(seed: int, _rng: Random) -> Drive:
     variants: list[tuple[str, dict[str, Any], str]] = [
-        ("held_samples", {"faults": {"held_samples": ("setpoint_rpm", 12.5)}}, "held for 80 ms"),
-        ("dropouts", {"faults": {"dropouts": ("rr.speed", 0.05)}}, "one wheel's word is lost"),
-        ("control_period", {"causes": {"control_period": 0.01}}, "the controller runs at 10 ms"),
-        ("actuation_delay", {"causes": {"actuation_delay": 0.04}}, "set-points arrive 40 ms late"),
+        (
+            "held_samples",
+            {"faults": {"held_samples": ("setpoint_rpm", 12.5)}},
+            "held for 80 ms",
+        ),
+        (
+            "dropouts",
+            {"faults": {"dropouts": ("rr.speed", 0.05)}},
+            "one wheel's word is lost",
+        ),
+        (
+            "control_period",
+            {"causes": {"control_period": 0.01}},
+            "the controller runs at 10 ms",
+        ),
+        (
+            "actuation_delay",
+            {"causes": {"actuation_delay": 0.04}},
+            "set-points arrive 40 ms late",
+        ),
     ]
     name, how, hidden = variants[seed % len(variants)]
     causes = how.pop("causes", {})
@@ -212,7 +258,9 @@ def _signs_units(seed: int, _rng: Random) -> Drive:
 def _slow_slice(seed: int, _rng: Random) -> Drive:
     expected = _expect("control_period", **_not("process_gain", "time_constant"))
     recorder = Recorder(rate_hz=500.0, row_jitter_s=0.0, channels=("setpoint", "speed"))
-    return _one(seed, {"control_period": 0.01}, expected, kind="bench", recorder=recorder)
+    return _one(
+        seed, {"control_period": 0.01}, expected, kind="bench", recorder=recorder
+    )
 
 
 _TABLE: tuple[tuple[str, str, Callable[[int, Random], Drive]], ...] = (

@@ -52,7 +52,9 @@ def _write_truth(scenario: Scenario, seed: int, drive: Drive, folder: Path) -> N
         "together": sorted(expected.together),
         "must_not_say": sorted(expected.must_not_say),
         "verdict": expected.verdict,
-        "recipes": {name: asdict(r) for name, r in {**drive.logs, **drive.against}.items()},
+        "recipes": {
+            name: asdict(r) for name, r in {**drive.logs, **drive.against}.items()
+        },
     }
     text = json.dumps(document, indent=1, default=str) + "\n"
     (folder / "truth.json").write_text(text, encoding="utf-8")

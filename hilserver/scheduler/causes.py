@@ -150,7 +150,9 @@ class CauseFinder:
         began_ns = record.planned_ns if late else record.planned_ns + record.latency_ns
         span_ns = record.latency_ns if late else record.execution_ns
         end_ns = began_ns + span_ns
-        gc_ns = self._gc_pauses.overlap_ns(began_ns, end_ns) if self._gc_stops_ticks else 0
+        gc_ns = (
+            self._gc_pauses.overlap_ns(began_ns, end_ns) if self._gc_stops_ticks else 0
+        )
         return judge(
             Evidence(
                 span_ns=span_ns,

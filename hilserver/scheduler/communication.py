@@ -72,14 +72,26 @@ class Communication:
         execution_ns = end_ns - start_ns
         period_ns = part.period_ticks * self._machine.exchange.get(ex.PACED_PERIOD)
         # A run for several announcements is as late as the first of them.
-        latency_ns = 0 if self._simulated else start_ns - planned_ns + missed * period_ns
+        latency_ns = (
+            0 if self._simulated else start_ns - planned_ns + missed * period_ns
+        )
         margin_ns = period_ns - latency_ns - execution_ns
         kind = lw.NO_OVERRUN
         if (margin_ns < 0 or missed) and not self._simulated:
             kind = lw.LATE_WAKE if latency_ns >= execution_ns else lw.LONG_RUN
         row = row_offset(len(self._machine.compiled) + index)
         stats = self._machine.statistics.array
-        record_run(stats, row, tick, start_ns, latency_ns, execution_ns, margin_ns, kind, missed)
+        record_run(
+            stats,
+            row,
+            tick,
+            start_ns,
+            latency_ns,
+            execution_ns,
+            margin_ns,
+            kind,
+            missed,
+        )
         if kind != lw.NO_OVERRUN:
             self._on_overrun(part.name, kind, tick, latency_ns, execution_ns, missed)
 

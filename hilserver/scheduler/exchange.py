@@ -25,7 +25,9 @@ from hilserver.compiled.atomics import fence, load_acquire, store_release
 # Written by the event loop
 COMMAND, PACED_PERIOD, STOP_REQUEST, RECORDS_TAKEN = range(4)
 # Written by the pacing loop
-ACKNOWLEDGED, HEARTBEAT, NEXT_TICK, TICKS_DONE, STOPPED, RECORDS_MADE, RECORDS_LOST = range(8, 15)
+ACKNOWLEDGED, HEARTBEAT, NEXT_TICK, TICKS_DONE, STOPPED, RECORDS_MADE, RECORDS_LOST = (
+    range(8, 15)
+)
 N_CONTROL = 16
 
 FREE_RUN = -1
@@ -180,7 +182,10 @@ class Exchange:
         if taken == self.get(RECORDS_MADE):
             return None
         record = OverrunRecord(*self.ring[taken % MOST_RECORDS].tolist())
-        if record.planned_ns + record.latency_ns + record.execution_ns > ended_before_ns:
+        if (
+            record.planned_ns + record.latency_ns + record.execution_ns
+            > ended_before_ns
+        ):
             return None
         write_word(self.control, RECORDS_TAKEN, taken + 1)
         return record

@@ -10,7 +10,9 @@ SINGLE_OVERRUN: Final = 1
 CONSECUTIVE_OVERRUNS: Final = 2
 COMMUNICATION: Final = 3
 SILENCE: Final = 4
-BODY: Final = 1000  # returned by the mechatronic model's slice when its numbers are invalid
+BODY: Final = (
+    1000  # returned by the mechatronic model's slice when its numbers are invalid
+)
 
 SLICE: Final = 16  # ``SLICE + n``: a slice returned the fault number n > 0
 
@@ -24,21 +26,27 @@ class Fault(NamedTuple):
 
 _FAULTS: Final = {
     SINGLE_OVERRUN: Fault(
-        "single_overrun_limit", "a single overrun was longer than scheduler.limits allow"
+        "single_overrun_limit",
+        "a single overrun was longer than scheduler.limits allow",
     ),
     CONSECUTIVE_OVERRUNS: Fault(
-        "consecutive_overrun_limit", "more consecutive overruns than scheduler.limits allow"
+        "consecutive_overrun_limit",
+        "more consecutive overruns than scheduler.limits allow",
     ),
     SLICE + BODY: Fault(
         "mechatronic",
         "the mechatronic model has left its valid range and is halted until SetPose or Reset",
     ),
     SILENCE: Fault("silence", "the source in control is silent"),
-    COMMUNICATION: Fault("communication", "the communication side did not answer in time"),
+    COMMUNICATION: Fault(
+        "communication", "the communication side did not answer in time"
+    ),
 }
 
 
 def fault_of(code: int) -> Fault:
     """Return name and text of a code."""
     number = code - SLICE
-    return _FAULTS.get(code) or Fault(f"fault {number}", f"a slice reported fault {number}")
+    return _FAULTS.get(code) or Fault(
+        f"fault {number}", f"a slice reported fault {number}"
+    )

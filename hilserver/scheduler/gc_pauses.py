@@ -40,7 +40,9 @@ class GcPauses:
 
     def overlap_ns(self, begin_ns: int, end_ns: int) -> int:
         """Return how much of a time span [ns, CLOCK_MONOTONIC] was spent collecting."""
-        return sum(max(0, min(end_ns, b) - max(begin_ns, a)) for a, b in list(self._recent))
+        return sum(
+            max(0, min(end_ns, b) - max(begin_ns, a)) for a, b in list(self._recent)
+        )
 
     def _collected(self, phase: str, info: dict[str, int]) -> None:  # noqa: ARG002
         now_ns = time.monotonic_ns()

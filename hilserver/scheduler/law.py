@@ -22,14 +22,22 @@ from numpy.typing import NDArray
 
 from hilserver.compiled import inlined, kernel
 from hilserver.scheduler import faults
-from hilserver.scheduler.policies import FAIL, STRETCH, OverrunLimits, OverrunPolicy, shift_ns
+from hilserver.scheduler.policies import (
+    FAIL,
+    STRETCH,
+    OverrunLimits,
+    OverrunPolicy,
+    shift_ns,
+)
 
 # Settings
 PERIOD, POLICY, CATCH_UP_LIMIT, SINGLE_LIMIT, CONSECUTIVE_LIMIT = range(5)
 # The next tick and its planned start
 TICK, PLANNED = 5, 6
 # The current tick: planned start after the policy, start, delay of the start, deadline
-CURRENT, START, LATENCY, DEADLINE, BACKLOG, MISSED, KIND, MARGIN, EXECUTION = range(7, 16)
+CURRENT, START, LATENCY, DEADLINE, BACKLOG, MISSED, KIND, MARGIN, EXECUTION = range(
+    7, 16
+)
 # Book-keeping
 END, WARM_UP_LEFT, CONSECUTIVE, EXECUTED = range(16, 20)
 MISSED_TOTAL, SHIFTED_TOTAL, LATE_WAKES, LONG_RUNS = range(20, 24)

@@ -34,5 +34,7 @@ class Loop(NamedTuple):
 
 I8 = types.int64[::1]
 _TABLE = types.int64[:, ::1]
-LOOP_TYPE: Any = RecordType((I8, I8, _TABLE, I8, I8, _TABLE, types.float64[::1], I8, I8), Loop)
+LOOP_TYPE: Any = RecordType(
+    (I8, I8, _TABLE, I8, I8, _TABLE, types.float64[::1], I8, I8), Loop
+)
 TURN_ARGUMENTS: Any = (STEP_TYPE, LOOP_TYPE)

@@ -43,7 +43,10 @@ class Machine:
         periods = [part.period_ticks for part in self.communication]
         self.exchange = Exchange(base_period_ns, periods, first_tick)
         self.statistics = Statistics(
-            [*self.compiled, *self.communication], base_period_ns, statistics_array, linear_bins
+            [*self.compiled, *self.communication],
+            base_period_ns,
+            statistics_array,
+            linear_bins,
         )
         table = np.zeros((len(self.compiled), N_SLICE), dtype=np.int64)
         table[:, S_PERIOD_TICKS] = [part.period_ticks for part in self.compiled]
@@ -75,10 +78,15 @@ class Machine:
             array.reshape(-1).view(np.int64)[::512] += 0
 
 
-def _check_types(step: StepFunction, values: NDArray[np.float64], words: NDArray[np.int64]) -> None:
+def _check_types(
+    step: StepFunction, values: NDArray[np.float64], words: NDArray[np.int64]
+) -> None:
     """Refuse here, with a message, what compiled code would refuse in its own thread."""
     if not getattr(step, "nopython_signatures", None):
         raise TypeError("the step must be compiled with kernel(STEP_SIGNATURE)")
-    for name, array, kind in (("values", values, np.float64), ("words", words, np.int64)):
+    for name, array, kind in (
+        ("values", values, np.float64),
+        ("words", words, np.int64),
+    ):
         if array.dtype != kind or array.ndim != 1 or not array.flags.c_contiguous:
             raise TypeError(f"{name} must be a flat contiguous {np.dtype(kind)} array")

@@ -31,7 +31,9 @@ def pace(scheduler: Scheduler) -> Pace:
 
 def slices_by_name(scheduler: Scheduler) -> dict[str, SliceFigures]:
     """Return the figures of every slice, in the order of the scheduler."""
-    return {name: scheduler.statistics.slice(name) for name in scheduler.statistics.names}
+    return {
+        name: scheduler.statistics.slice(name) for name in scheduler.statistics.names
+    }
 
 
 def _each(

@@ -12,7 +12,14 @@ from hilserver.period import Period
 from hilserver.scheduler.causes import Cause, CauseFinder, Look
 from hilserver.scheduler.exchange import HEARTBEAT, NEXT_TICK
 from hilserver.scheduler.faults import fault_of
-from hilserver.scheduler.law import KIND_NAMES, LATE_WAKE, LONG_RUN, NO_OVERRUN, OK, STOP
+from hilserver.scheduler.law import (
+    KIND_NAMES,
+    LATE_WAKE,
+    LONG_RUN,
+    NO_OVERRUN,
+    OK,
+    STOP,
+)
 from hilserver.scheduler.machine import Machine
 
 LOOK_PERIOD_S = 0.1
@@ -46,7 +53,9 @@ class OverrunReport:
         duration = "started" if self.kind == KIND_NAMES[LATE_WAKE] else "ran"
         span_ns = self.latency_ns if duration == "started" else self.execution_ns
         late = " late" if duration == "started" else ""
-        text = f"{self.slice} {duration} {span_ns / 1e6:.3f} ms{late} in tick {self.tick}"
+        text = (
+            f"{self.slice} {duration} {span_ns / 1e6:.3f} ms{late} in tick {self.tick}"
+        )
         text += f": {self.cause}" + (f", {self.part}" if self.part else "")
         if self.missed:
             text += f", {self.missed} ticks missed"
@@ -85,7 +94,13 @@ class Overruns:
             self._loop.remove_signal_handler(signal.SIGCONT)
 
     def communication(
-        self, name: str, kind: int, tick: int, latency_ns: int, execution_ns: int, missed: int
+        self,
+        name: str,
+        kind: int,
+        tick: int,
+        latency_ns: int,
+        execution_ns: int,
+        missed: int,
     ) -> None:
         """Report an overrun of a communication slice that has just ended."""
         if self._finder is None:
@@ -95,7 +110,9 @@ class Overruns:
         began_ns = end_ns - execution_ns - (latency_ns if late else 0)
         cause = self._finder.explain_communication(began_ns, end_ns, late=late)
         self._call(
-            OverrunReport(name, KIND_NAMES[kind], tick, latency_ns, execution_ns, missed, cause)
+            OverrunReport(
+                name, KIND_NAMES[kind], tick, latency_ns, execution_ns, missed, cause
+            )
         )
 
     def _look(self) -> None:
@@ -104,11 +121,17 @@ class Overruns:
 
     def _watch_heartbeat(self, now_ns: int) -> None:
         """Report once a tick that does not end; two looks, as both sides may have been stopped."""
-        before_ns, self._heartbeat_ns = self._heartbeat_ns, self._machine.exchange.get(HEARTBEAT)
+        before_ns, self._heartbeat_ns = (
+            self._heartbeat_ns,
+            self._machine.exchange.get(HEARTBEAT),
+        )
         silent_ns = now_ns - self._heartbeat_ns
         stalled = before_ns == self._heartbeat_ns > 0 and silent_ns > STALLED_NS
         if stalled and not self._stalled:
-            name, tick = self._machine.statistics.names[0], self._machine.exchange.get(NEXT_TICK)
+            name, tick = (
+                self._machine.statistics.names[0],
+                self._machine.exchange.get(NEXT_TICK),
+            )
             kind, cause = KIND_NAMES[LONG_RUN], Cause.SLICE
             self._call(OverrunReport(name, kind, tick, 0, silent_ns, 0, cause, STALLED))
         self._stalled = stalled
@@ -119,12 +142,16 @@ class Overruns:
         names = self._machine.statistics.names
         look: Look | None = None
         while record := self._machine.exchange.take_record(ended_before_ns):
-            look = look or self._finder.look()  # one look serves all records of this round
+            look = (
+                look or self._finder.look()
+            )  # one look serves all records of this round
             cause = self._finder.explain(record, look) if record.kind else Cause.SLICE
             self._call(
                 OverrunReport(
                     slice=names[record.slice_index],
-                    kind="fault" if record.kind == NO_OVERRUN else KIND_NAMES[record.kind],
+                    kind="fault"
+                    if record.kind == NO_OVERRUN
+                    else KIND_NAMES[record.kind],
                     tick=record.tick,
                     latency_ns=record.latency_ns,
                     execution_ns=record.execution_ns,

@@ -43,7 +43,9 @@ class ThreadPacing:
         self._thread = threading.Thread(target=self._run, name="pacing", daemon=True)
         self._doorbell = -1
         self._over = asyncio.Event()
-        self.thread_id = 0  # the operating system's number of the pacing thread; 0 before the start
+        self.thread_id = (
+            0  # the operating system's number of the pacing thread; 0 before the start
+        )
 
     async def start(self) -> list[Grant]:
         """Start the thread; return what the operating system granted."""
@@ -96,7 +98,9 @@ class ThreadPacing:
     def _finish(self, reason: StopReason) -> None:
         self._over.set()
         if not self._granted.done():
-            self._granted.set_exception(RuntimeError("the pacing thread failed to start"))
+            self._granted.set_exception(
+                RuntimeError("the pacing thread failed to start")
+            )
         self._ended(reason)
 
     def _tell(self, function: Callable[[T], None], argument: T) -> None:

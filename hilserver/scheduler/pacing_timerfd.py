@@ -39,7 +39,9 @@ class Timer:
 
     def __init__(self) -> None:
         self._libc = ctypes.CDLL(None, use_errno=True)
-        self.fileno = self._libc.timerfd_create(_CLOCK_MONOTONIC, os.O_NONBLOCK | os.O_CLOEXEC)
+        self.fileno = self._libc.timerfd_create(
+            _CLOCK_MONOTONIC, os.O_NONBLOCK | os.O_CLOEXEC
+        )
         if self.fileno < 0:
             raise OSError(ctypes.get_errno(), "timerfd_create")
         self._spec = _TimerSpec()

@@ -23,7 +23,9 @@ CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23
 class RealtimeSettings:
     """What to request."""
 
-    priority: int = 80  # SCHED_FIFO priority of the pacing thread, 1 to 99; 0: do not ask
+    priority: int = (
+        80  # SCHED_FIFO priority of the pacing thread, 1 to 99; 0: do not ask
+    )
     cpu: int | None = None  # pin the pacing thread to this core
     lock_memory: bool = True  # lock and prefault the memory of the process
     # hold /dev/cpu_dma_latency open with 0, so that no core sleeps deeply
@@ -31,7 +33,9 @@ class RealtimeSettings:
 
     def __post_init__(self) -> None:
         if not 0 <= self.priority <= 99:
-            raise ValueError(f"the real-time priority must be 0 (off) to 99, not {self.priority}")
+            raise ValueError(
+                f"the real-time priority must be 0 (off) to 99, not {self.priority}"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +92,9 @@ class ProcessGrants:
         cores = os.sched_getaffinity(0)
         others = cores - {cpu}
         if not others:
-            return Grant("core_of_its_own", False, "the only core", wanted, "use a second core")
+            return Grant(
+                "core_of_its_own", False, "the only core", wanted, "use a second core"
+            )
         _move_all_threads(others)
         self._cores = cores
         return Grant("core_of_its_own", True, f"the rest on {sorted(others)}", wanted)
@@ -98,11 +104,15 @@ class ProcessGrants:
         remedy = "LimitMEMLOCK=infinity in the unit, or ulimit -l unlimited"
         # With a finite limit and MCL_FUTURE a later allocation would fail in the middle of the run.
         if limit != resource.RLIM_INFINITY and not has_capability(CAP_IPC_LOCK):
-            return Grant("memory_lock", False, f"limit {limit // 1024} KiB", "locked", remedy)
+            return Grant(
+                "memory_lock", False, f"limit {limit // 1024} KiB", "locked", remedy
+            )
         libc = ctypes.CDLL(None, use_errno=True)
         # ONFAULT: what is never touched, such as most of a thread's stack, takes no memory.
         if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT) != 0:
-            return Grant("memory_lock", False, os.strerror(ctypes.get_errno()), "locked", remedy)
+            return Grant(
+                "memory_lock", False, os.strerror(ctypes.get_errno()), "locked", remedy
+            )
         self._locked = True
         return Grant("memory_lock", True, "locked", "locked")
 
@@ -154,17 +164,23 @@ def _real_time_priority(priority: int) -> Grant:
     wanted = f"SCHED_FIFO {priority}"
     policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
     try:
-        os.sched_setscheduler(threading.get_native_id(), policy, os.sched_param(priority))
+        os.sched_setscheduler(
+            threading.get_native_id(), policy, os.sched_param(priority)
+        )
     except OSError as error:
         remedy = f"LimitRTPRIO={priority} in the unit, or ulimit -r {priority}"
-        return Grant("thread_priority", False, error.strerror or "error", wanted, remedy)
+        return Grant(
+            "thread_priority", False, error.strerror or "error", wanted, remedy
+        )
     return Grant("thread_priority", True, wanted, wanted)
 
 
 def has_capability(number: int, root: Path = Path("/")) -> bool:
     """Return whether this process has a capability, read from ``proc`` below `root`."""
     with contextlib.suppress(OSError):
-        for line in (root / "proc/self/status").read_text(encoding="utf-8").splitlines():
+        for line in (
+            (root / "proc/self/status").read_text(encoding="utf-8").splitlines()
+        ):
             if line.startswith("CapEff:"):
                 return bool(int(line.split()[1], 16) >> number & 1)
     return False

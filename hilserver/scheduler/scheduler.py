@@ -102,7 +102,9 @@ class Scheduler:
         tasks: Supervisor | None = None,
     ) -> None:
         if backend not in BACKENDS:
-            raise ValueError(f"pacing {backend!r} is unknown; use one of {', '.join(BACKENDS)}")
+            raise ValueError(
+                f"pacing {backend!r} is unknown; use one of {', '.join(BACKENDS)}"
+            )
         self.backend, self.base_period_ns = backend, base_period_ns
         self.grants: list[Grant] = []
         self.gc_pauses = GcPauses()
@@ -126,19 +128,25 @@ class Scheduler:
         self._overrun_callbacks: list[OverrunCallback] = []
         self._overruns = Overruns(self._machine, self._overrun_callbacks)
         self._communication = Communication(
-            self._machine, simulated=backend == "virtual", on_overrun=self._overruns.communication
+            self._machine,
+            simulated=backend == "virtual",
+            on_overrun=self._overruns.communication,
         )
         # called after every batch of ticks in virtual time, which waits for them
         self.after_batch: list[Callable[[], None]] = []
         self._pacing = self._make_pacing(realtime or RealtimeSettings(), tasks)
         self._waiters: list[asyncio.Future[None]] = []
 
-    def _make_pacing(self, realtime: RealtimeSettings, tasks: Supervisor | None) -> Pacing:
+    def _make_pacing(
+        self, realtime: RealtimeSettings, tasks: Supervisor | None
+    ) -> Pacing:
         if self.backend == "thread":
             return ThreadPacing(self._machine, realtime, self._rung, self._ended)
         if self.backend == "timerfd":
             return TimerfdPacing(self._machine, realtime, self._rung, self._ended)
-        return VirtualPacing(self._machine, self._rung, self._ended, self.after_batch, tasks)
+        return VirtualPacing(
+            self._machine, self._rung, self._ended, self.after_batch, tasks
+        )
 
     @property
     def statistics(self) -> Statistics:
@@ -188,7 +196,9 @@ class Scheduler:
         if self._started:
             raise RuntimeError("a scheduler can start only once; make a new one")
         self._started = True
-        self.finished: asyncio.Future[StopReason] = asyncio.get_running_loop().create_future()
+        self.finished: asyncio.Future[StopReason] = (
+            asyncio.get_running_loop().create_future()
+        )
         self.gc_pauses.start(freeze=self._freeze_gc)
         try:
             self.grants = await self._pacing.start()
@@ -240,7 +250,9 @@ class Scheduler:
         Virtual time always runs as fast as possible.
         """
         if not SPEED_LOW <= factor <= SPEED_HIGH:
-            raise ValueError(f"the speed factor is {SPEED_LOW:g} to {SPEED_HIGH:g}, not {factor:g}")
+            raise ValueError(
+                f"the speed factor is {SPEED_LOW:g} to {SPEED_HIGH:g}, not {factor:g}"
+            )
         self._exchange.set_paced_period(max(1, round(self.base_period_ns / factor)))
 
     def set_limits(self, limits: OverrunLimits) -> None:

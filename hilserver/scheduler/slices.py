@@ -20,7 +20,9 @@ class Slice:
 
     def __post_init__(self) -> None:
         if self.period_ticks < 1:
-            raise ValueError(f"slice {self.name!r}: the period must be at least one tick")
+            raise ValueError(
+                f"slice {self.name!r}: the period must be at least one tick"
+            )
 
 
 def period_in_ticks(name: str, period_ns: int, base_period_ns: int) -> int:
@@ -59,4 +61,7 @@ def check_slices(slices: Sequence[Slice]) -> tuple[list[Slice], list[Slice]]:
 
 def _ms(duration_ns: int) -> str:
     """Return a duration as text, exactly, in ms."""
-    return f"{duration_ns // 10**6}.{duration_ns % 10**6:06d}".rstrip("0").rstrip(".") + " ms"
+    return (
+        f"{duration_ns // 10**6}.{duration_ns % 10**6:06d}".rstrip("0").rstrip(".")
+        + " ms"
+    )

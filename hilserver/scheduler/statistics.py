@@ -79,7 +79,9 @@ class TickFigures:
     real_time_factor_total: float
 
 
-_PLAIN = [f.name for f in fields(SliceFigures) if f.type is int and f.name != "period_ns"]
+_PLAIN = [
+    f.name for f in fields(SliceFigures) if f.type is int and f.name != "period_ns"
+]
 """Figures taken unchanged from words of a row."""
 
 
@@ -110,7 +112,9 @@ class Statistics:
         if array is None:
             array = np.zeros(needed, dtype=np.int64)
         if array.dtype != np.int64 or array.ndim != 1 or len(array) < needed:
-            raise ValueError(f"the statistics need a flat int64 array of {needed} words")
+            raise ValueError(
+                f"the statistics need a flat int64 array of {needed} words"
+            )
         array[:needed] = 0
         head = rows.Head.of(array)
         head.generation, head.n_rows, head.n_linear = 1, len(slices), linear_bins
@@ -125,7 +129,9 @@ class Statistics:
         self._offsets = {name: row_offset(index) for index, name in enumerate(names)}
 
     @classmethod
-    def attach(cls, array: NDArray[np.int64], names: Sequence[str] | None = None) -> "Statistics":
+    def attach(
+        cls, array: NDArray[np.int64], names: Sequence[str] | None = None
+    ) -> "Statistics":
         """Read the array of another process; `names` in the order of its rows (None: "0", "1").
 
         ValueError if the array holds no statistics (yet), or those of other slices.
@@ -175,8 +181,12 @@ class Statistics:
             return TickFigures(0, math.nan, math.nan)
         return TickFigures(
             missed_ticks=int(head.missed_ticks),
-            real_time_factor=_ratio(head.last_span_ticks * head.base_period, head.last_span_ns),
-            real_time_factor_total=_ratio(head.run_ticks * head.base_period, head.run_ns),
+            real_time_factor=_ratio(
+                head.last_span_ticks * head.base_period, head.last_span_ns
+            ),
+            real_time_factor_total=_ratio(
+                head.run_ticks * head.base_period, head.run_ns
+            ),
         )
 
     @property
@@ -194,8 +204,12 @@ class Statistics:
         for _ in range(_READ_ROUNDS):
             if rows.read_row(self.array, offset, out):
                 return out
-            time.sleep(_READ_PAUSE_S)  # the writer was preempted, or its core stolen, in the middle
-        raise RuntimeError("the statistics are half written: their writer was stopped or has died")
+            time.sleep(
+                _READ_PAUSE_S
+            )  # the writer was preempted, or its core stolen, in the middle
+        raise RuntimeError(
+            "the statistics are half written: their writer was stopped or has died"
+        )
 
 
 def map_statistics(path: Path, n_words: int | None = None) -> NDArray[np.int64]:

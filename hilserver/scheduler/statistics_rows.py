@@ -114,7 +114,9 @@ def end_write(stats: NDArray[np.int64], row: int) -> None:
     store_release(stats, row, stats[row] + 1)
 
 
-@kernel([types.boolean(words, types.int64, _WORDS) for words in (_WORDS, _READ_ONLY_WORDS)])
+@kernel(
+    [types.boolean(words, types.int64, _WORDS) for words in (_WORDS, _READ_ONLY_WORDS)]
+)
 def read_row(stats: NDArray[np.int64], row: int, out: NDArray[np.int64]) -> bool:
     """Copy a row to `out`; False if all 64 attempts met its writer."""
     for _ in range(64):
@@ -157,7 +159,9 @@ def clear_header(stats: NDArray[np.int64]) -> None:
 
 
 @inlined
-def record_tick(stats: NDArray[np.int64], latency_ns: int, since_last_ns: int, missed: int) -> None:
+def record_tick(
+    stats: NDArray[np.int64], latency_ns: int, since_last_ns: int, missed: int
+) -> None:
     """Count one tick in the header.
 
     Parameters

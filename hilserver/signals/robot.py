@@ -90,9 +90,13 @@ class _Builder:
         )
 
     def alias(self, name: str, scalars: Iterable[str], description: str) -> None:
-        parts = [next(s for s in self.signals if s.name == scalar) for scalar in scalars]
+        parts = [
+            next(s for s in self.signals if s.name == scalar) for scalar in scalars
+        ]
         slots = tuple(part.slots[0] for part in parts)
-        self.signals.append(replace(parts[0], name=name, description=description, slots=slots))
+        self.signals.append(
+            replace(parts[0], name=name, description=description, slots=slots)
+        )
 
 
 def _add_inputs(b: _Builder, ranges: Ranges) -> None:
@@ -108,7 +112,14 @@ def _add_inputs(b: _Builder, ranges: Ranges) -> None:
         )
     linear, angular = ranges.max_linear_m_s, ranges.max_angular_rad_s
     b.add("twist.linear_m_s", "m/s", in_, -linear, linear, "Commanded forward speed")
-    b.add("twist.angular_rad_s", "rad/s", in_, -angular, angular, "Commanded turn rate, left +")
+    b.add(
+        "twist.angular_rad_s",
+        "rad/s",
+        in_,
+        -angular,
+        angular,
+        "Commanded turn rate, left +",
+    )
     lateral = ranges.max_lateral_m_s
     text = "Commanded sideways speed, left +; skid steering: only 0"
     b.add("twist.lateral_m_s", "m/s", in_, 0.0 - lateral, lateral, text)
@@ -120,27 +131,69 @@ def _add_inputs(b: _Builder, ranges: Ranges) -> None:
     text = "0 wheel set-points, 1 twist, 2 wheel duties"
     b.add("control.mode", "1", in_, 0, len(modes) - 1, text, type_=byte, labels=modes)
     text = "Drive enabled"
-    b.add("drive.enable", "1", in_, 0, 1, text, type_=boolean, initial=1.0, labels=enabled)
-    text = f"Light pattern: {', '.join(f'{i} {name}' for i, name in enumerate(LIGHTS))}"
-    b.add("lights.command", "1", in_, 0, len(LIGHTS) - 1, text, type_=byte, labels=LIGHTS)
-    for colour in COLOURS:
-        b.add(f"lights.{colour}", "1", in_, 0, 255, f"Light colour, {colour}", type_=byte)
     b.add(
-        "input.sequence", "1", in_, 0, 2**32 - 1, "The controller's counter", type_=ValueType.UINT32
+        "drive.enable", "1", in_, 0, 1, text, type_=boolean, initial=1.0, labels=enabled
+    )
+    text = f"Light pattern: {', '.join(f'{i} {name}' for i, name in enumerate(LIGHTS))}"
+    b.add(
+        "lights.command", "1", in_, 0, len(LIGHTS) - 1, text, type_=byte, labels=LIGHTS
+    )
+    for colour in COLOURS:
+        b.add(
+            f"lights.{colour}", "1", in_, 0, 255, f"Light colour, {colour}", type_=byte
+        )
+    b.add(
+        "input.sequence",
+        "1",
+        in_,
+        0,
+        2**32 - 1,
+        "The controller's counter",
+        type_=ValueType.UINT32,
     )
 
 
 def _add_hidden(b: _Builder) -> None:
     in_ = Direction.IN
     commands = f"{COMMAND_NORMAL} normal, {COMMAND_ZERO} zero, {COMMAND_SAFE} safe ramp"
-    b.add("internal.command", "1", in_, COMMAND_NORMAL, COMMAND_SAFE, commands, hidden=True)
-    b.add("internal.pose_request", "1", in_, 0, 2**53, "Counter of SetPose", hidden=True)
+    b.add(
+        "internal.command",
+        "1",
+        in_,
+        COMMAND_NORMAL,
+        COMMAND_SAFE,
+        commands,
+        hidden=True,
+    )
+    b.add(
+        "internal.pose_request", "1", in_, 0, 2**53, "Counter of SetPose", hidden=True
+    )
     b.add("internal.pose_x_m", "m", in_, -1e6, 1e6, "SetPose x", hidden=True)
     b.add("internal.pose_y_m", "m", in_, -1e6, 1e6, "SetPose y", hidden=True)
-    b.add("internal.pose_yaw_rad", "rad", in_, -math.pi, math.pi, "SetPose yaw", hidden=True)
-    b.add("internal.gains", "1", in_, 0, 1, "1: the shield's host sets the gains", hidden=True)
-    b.add("internal.k_p", "1", in_, 0, 1e4, "Gain that the shield's host set", hidden=True)
-    b.add("internal.k_i", "1", in_, 0, 1e6, "Gain that the shield's host set", hidden=True)
+    b.add(
+        "internal.pose_yaw_rad",
+        "rad",
+        in_,
+        -math.pi,
+        math.pi,
+        "SetPose yaw",
+        hidden=True,
+    )
+    b.add(
+        "internal.gains",
+        "1",
+        in_,
+        0,
+        1,
+        "1: the shield's host sets the gains",
+        hidden=True,
+    )
+    b.add(
+        "internal.k_p", "1", in_, 0, 1e4, "Gain that the shield's host set", hidden=True
+    )
+    b.add(
+        "internal.k_i", "1", in_, 0, 1e6, "Gain that the shield's host set", hidden=True
+    )
 
 
 def _robot_outputs() -> list[tuple[str, str, float, float, str]]:
@@ -149,35 +202,89 @@ def _robot_outputs() -> list[tuple[str, str, float, float, str]]:
         text = f"Measured speed of the {wheel} wheel, as seen by the controller"
         rows.append((f"wheel.{wheel}.speed_rpm", "rpm", -200.0, 200.0, text))
     rows += [
-        (f"wheel.{w}.duty_pct", "%", -100.0, 100.0, f"Controller output of the {w} wheel, PWM duty")
+        (
+            f"wheel.{w}.duty_pct",
+            "%",
+            -100.0,
+            100.0,
+            f"Controller output of the {w} wheel, PWM duty",
+        )
         for w in WHEELS
     ]
     rows += [
-        (f"wheel.{w}.angle_rad", "rad", -1e9, 1e9, f"Angle of the {w} wheel since reset")
+        (
+            f"wheel.{w}.angle_rad",
+            "rad",
+            -1e9,
+            1e9,
+            f"Angle of the {w} wheel since reset",
+        )
         for w in WHEELS
     ]
     rows += [
         ("pose.x_m", "m", -1e6, 1e6, "Position of the centre of mass, world frame"),
         ("pose.y_m", "m", -1e6, 1e6, "Position of the centre of mass, world frame"),
-        ("pose.yaw_rad", "rad", -math.pi, math.pi, "Heading, counter-clockwise positive"),
+        (
+            "pose.yaw_rad",
+            "rad",
+            -math.pi,
+            math.pi,
+            "Heading, counter-clockwise positive",
+        ),
         ("velocity.linear_m_s", "m/s", -10.0, 10.0, "Forward velocity, body frame"),
-        ("velocity.lateral_m_s", "m/s", -10.0, 10.0, "Lateral velocity, body frame, left +"),
-        ("velocity.angular_rad_s", "rad/s", -50.0, 50.0, "Yaw rate, counter-clockwise +"),
+        (
+            "velocity.lateral_m_s",
+            "m/s",
+            -10.0,
+            10.0,
+            "Lateral velocity, body frame, left +",
+        ),
+        (
+            "velocity.angular_rad_s",
+            "rad/s",
+            -50.0,
+            50.0,
+            "Yaw rate, counter-clockwise +",
+        ),
         ("imu.gyro_z_rad_s", "rad/s", -50.0, 50.0, "Gyroscope, z axis"),
         ("imu.yaw_rad", "rad", -math.pi, math.pi, "Yaw of the IMU"),
-        ("imu.accel_x_m_s2", "m/s²", -500.0, 500.0, "Acceleration of the centre of mass, forward"),
-        ("imu.accel_y_m_s2", "m/s²", -500.0, 500.0, "Acceleration of the centre of mass, left"),
+        (
+            "imu.accel_x_m_s2",
+            "m/s²",
+            -500.0,
+            500.0,
+            "Acceleration of the centre of mass, forward",
+        ),
+        (
+            "imu.accel_y_m_s2",
+            "m/s²",
+            -500.0,
+            500.0,
+            "Acceleration of the centre of mass, left",
+        ),
         ("battery.voltage_v", "V", 0.0, 30.0, "Battery voltage"),
     ]
     rows += [
-        (f"tof.{place}_m", "m", 0.0, 5.0, f"Range finder {place}; 5.0 and Uncertain: nothing seen")
+        (
+            f"tof.{place}_m",
+            "m",
+            0.0,
+            5.0,
+            f"Range finder {place}; 5.0 and Uncertain: nothing seen",
+        )
         for place in CORNERS
     ]
     rows += [
         ("nav.x_m", "m", -1e6, 1e6, "Navigation tag, position"),
         ("nav.y_m", "m", -1e6, 1e6, "Navigation tag, position"),
         ("nav.yaw_rad", "rad", -math.pi, math.pi, "Navigation tag, heading"),
-        ("battery.current_a", "A", 0.0, 50.0, "Current that the robot draws from the battery"),
+        (
+            "battery.current_a",
+            "A",
+            0.0,
+            50.0,
+            "Current that the robot draws from the battery",
+        ),
         ("shield.temperature_degc", "°C", -40.0, 125.0, "Temperature of the shield"),
     ]
     return rows
@@ -201,28 +308,78 @@ def _add_demands(b: _Builder, max_rpm: float) -> None:
     text = "Speed asked of the {} wheel, whoever drives: after inverse kinematics, limits, delay"
     for wheel in WHEELS:
         what = text.format(WHEEL_WORDS[wheel])
-        b.add(f"wheel.{wheel}.demand_rpm", "rpm", Direction.OUT, -max_rpm, max_rpm, what)
+        b.add(
+            f"wheel.{wheel}.demand_rpm", "rpm", Direction.OUT, -max_rpm, max_rpm, what
+        )
 
 
 def _body_outputs() -> list[tuple[str, str, float, float, str]]:
     """Return the outputs of the mechatronic model, in the order of `hilserver.body.layout`."""
     rows = [
-        ("mech.x_m", "m", -1e6, 1e6, "Position of the body's centre of mass, world frame"),
-        ("mech.y_m", "m", -1e6, 1e6, "Position of the body's centre of mass, world frame"),
-        ("mech.z_m", "m", -1e6, 1e6, "Height of the body's centre of mass above the floor"),
-        ("mech.roll_rad", "rad", -math.pi, math.pi, "Roll of the body, right side down +"),
+        (
+            "mech.x_m",
+            "m",
+            -1e6,
+            1e6,
+            "Position of the body's centre of mass, world frame",
+        ),
+        (
+            "mech.y_m",
+            "m",
+            -1e6,
+            1e6,
+            "Position of the body's centre of mass, world frame",
+        ),
+        (
+            "mech.z_m",
+            "m",
+            -1e6,
+            1e6,
+            "Height of the body's centre of mass above the floor",
+        ),
+        (
+            "mech.roll_rad",
+            "rad",
+            -math.pi,
+            math.pi,
+            "Roll of the body, right side down +",
+        ),
         ("mech.pitch_rad", "rad", -math.pi, math.pi, "Pitch of the body, nose down +"),
-        ("mech.yaw_rad", "rad", -math.pi, math.pi, "Heading of the body, counter-clockwise +"),
+        (
+            "mech.yaw_rad",
+            "rad",
+            -math.pi,
+            math.pi,
+            "Heading of the body, counter-clockwise +",
+        ),
         ("mech.linear_m_s", "m/s", -100.0, 100.0, "Forward velocity of the body"),
-        ("mech.lateral_m_s", "m/s", -100.0, 100.0, "Lateral velocity of the body, left +"),
-        ("mech.angular_rad_s", "rad/s", -500.0, 500.0, "Yaw rate of the body, counter-clockwise +"),
+        (
+            "mech.lateral_m_s",
+            "m/s",
+            -100.0,
+            100.0,
+            "Lateral velocity of the body, left +",
+        ),
+        (
+            "mech.angular_rad_s",
+            "rad/s",
+            -500.0,
+            500.0,
+            "Yaw rate of the body, counter-clockwise +",
+        ),
     ]
     rows += [
         (f"mech.tof.{place}_m", "m", 0.0, 5.0, f"Range finder {place} of the body")
         for place in CORNERS
     ]
     rows += [
-        (f"mech.imu.gyro_{axis}_rad_s", "rad/s", -500.0, 500.0, f"Gyroscope of the body, {axis}")
+        (
+            f"mech.imu.gyro_{axis}_rad_s",
+            "rad/s",
+            -500.0,
+            500.0,
+            f"Gyroscope of the body, {axis}",
+        )
         for axis in "xyz"
     ]
     text = "Specific force of the body, +9.81 in z at rest"
@@ -233,7 +390,12 @@ def _body_outputs() -> list[tuple[str, str, float, float, str]]:
     for quantity, unit, size, text in (
         ("speed_rpm", "rpm", 10_000.0, "Speed of the {} wheel of the body"),
         ("normal_force_n", "N", 1e6, "Normal force of the floor on the {} wheel"),
-        ("slip_m_s", "m/s", 100.0, "Slip of the {} wheel; forward over the floor is positive"),
+        (
+            "slip_m_s",
+            "m/s",
+            100.0,
+            "Slip of the {} wheel; forward over the floor is positive",
+        ),
         ("torque_nm", "N·m", 1e4, "Torque of the {} drive, mirrored like the speed"),
     ):
         low = 0.0 if unit == "N" else -size
@@ -243,7 +405,13 @@ def _body_outputs() -> list[tuple[str, str, float, float, str]]:
         ]
     return [
         *rows,
-        ("mech.gap_m", "m", 0.0, 1e6, "Distance between the body and the kinematic pose"),
+        (
+            "mech.gap_m",
+            "m",
+            0.0,
+            1e6,
+            "Distance between the body and the kinematic pose",
+        ),
         (
             "mech.gap_yaw_rad",
             "rad",
@@ -251,7 +419,13 @@ def _body_outputs() -> list[tuple[str, str, float, float, str]]:
             math.pi,
             "Heading of the body minus the kinematic one",
         ),
-        ("mech.contact", "1", 0.0, 1.0, "1 while the chassis touches a wall, a box or the floor"),
+        (
+            "mech.contact",
+            "1",
+            0.0,
+            1.0,
+            "1 while the chassis touches a wall, a box or the floor",
+        ),
     ]
 
 
@@ -259,10 +433,20 @@ def _add_samples(b: _Builder) -> None:
     """Add counters and times of measured samples, so that two equal samples count as two."""
     for group in SAMPLED:
         text = f"Samples of measured.{group}.*"
-        b.add(f"internal.samples_{group}", "1", Direction.IN, 0, 2**53, text, hidden=True)
+        b.add(
+            f"internal.samples_{group}", "1", Direction.IN, 0, 2**53, text, hidden=True
+        )
         for what, happened in (("time", "came"), ("taken", "was taken by its source")):
             text = f"When the last of measured.{group}.* {happened}, in simulated time"
-            b.add(f"internal.{what}_{group}_s", "s", Direction.IN, 0, 1e9, text, hidden=True)
+            b.add(
+                f"internal.{what}_{group}_s",
+                "s",
+                Direction.IN,
+                0,
+                1e9,
+                text,
+                hidden=True,
+            )
 
 
 def _add_estimate(b: _Builder) -> None:
@@ -276,7 +460,9 @@ def _add_estimate(b: _Builder) -> None:
         ("angular_rad_s", "rad/s", 500.0, "yaw rate, counter-clockwise +"),
         ("gyro_bias_rad_s", "rad/s", 10.0, "reading of the gyroscope at rest"),
     ):
-        known.append((f"{name}_sd", unit, 0.0, 1e6, f"Standard deviation of estimate.{name}"))
+        known.append(
+            (f"{name}_sd", unit, 0.0, 1e6, f"Standard deviation of estimate.{name}")
+        )
         b.add(f"estimate.{name}", unit, out, -size, size, f"Observer: {text}")
     for name, unit, low, high, text in known:
         b.add(f"estimate.{name}", unit, out, low, high, text)
@@ -329,12 +515,30 @@ def robot_table(
     _add_lights(b)
     _add_demands(b, ranges.max_rpm)
     out = Direction.OUT
-    b.add("sim.tick", "1", out, 0, 2**53, "Tick that made these values", type_=ValueType.INT64)
+    b.add(
+        "sim.tick",
+        "1",
+        out,
+        0,
+        2**53,
+        "Tick that made these values",
+        type_=ValueType.INT64,
+    )
     b.add("sim.time_s", "s", out, 0, 1e9, "Simulated time")
     words, last = tuple(state.word for state in State), max(State)
-    text = f"State of the daemon: {', '.join(f'{state} {state.word}' for state in State)}"
+    text = (
+        f"State of the daemon: {', '.join(f'{state} {state.word}' for state in State)}"
+    )
     b.add("sim.state", "1", out, 0, last, text, type_=ValueType.BYTE, labels=words)
-    b.add("internal.state", "1", Direction.IN, 0, last, "State that sim.state shows", hidden=True)
+    b.add(
+        "internal.state",
+        "1",
+        Direction.IN,
+        0,
+        last,
+        "State that sim.state shows",
+        hidden=True,
+    )
     text = "Number of the last parameter change"
     b.add("internal.edition", "1", out, 0, 2**53, text, hidden=True)
     for name, unit, low, high, text in outputs:
@@ -351,8 +555,24 @@ def robot_table(
         _add_samples(b)
     for block in blocks:
         way, hidden = (Direction.IN, True) if block.is_replayed else (out, False)
-        b.add(block.name, block.unit, way, block.low, block.high, block.description, hidden=hidden)
+        b.add(
+            block.name,
+            block.unit,
+            way,
+            block.low,
+            block.high,
+            block.description,
+            hidden=hidden,
+        )
     _add_interlock(b)  # last: the slots of all others are those of before
-    b.alias("wheels.setpoints_rpm", [f"wheel.{w}.setpoint_rpm" for w in WHEELS], "All set-points")
-    b.alias("wheels.speeds_rpm", [f"wheel.{w}.speed_rpm" for w in WHEELS], "All wheel speeds")
+    b.alias(
+        "wheels.setpoints_rpm",
+        [f"wheel.{w}.setpoint_rpm" for w in WHEELS],
+        "All set-points",
+    )
+    b.alias(
+        "wheels.speeds_rpm",
+        [f"wheel.{w}.speed_rpm" for w in WHEELS],
+        "All wheel speeds",
+    )
     return SignalTable(b.signals)

@@ -8,7 +8,13 @@ again, machine by machine, which finds a machine that kills its worker.
 import multiprocessing
 import os
 from collections.abc import Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager
 from itertools import islice
@@ -135,7 +141,9 @@ def _taken(
     done, _ = wait(pending, return_when=FIRST_COMPLETED)
     errors = [error for future in done if (error := future.exception()) is not None]
     if any(map(workers.means_death, errors)):
-        done, _ = wait(pending)  # in a pool of processes all fail together, and it is renewed
+        done, _ = wait(
+            pending
+        )  # in a pool of processes all fail together, and it is renewed
         workers.renew()
     results, lost = [], list[Machine]()
     for future in done:

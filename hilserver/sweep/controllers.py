@@ -57,7 +57,12 @@ class Driver:
         leases: Leases,
         period_s: float,
     ) -> None:
-        self._make, self._image, self._table, self._period_s = make, image, table, period_s
+        self._make, self._image, self._table, self._period_s = (
+            make,
+            image,
+            table,
+            period_s,
+        )
         self._leases = leases
         self._signals = Signals(image, table)
         self._known: dict[str, Signal] = {}
@@ -89,13 +94,17 @@ class Driver:
             )
         # `...` equals no command, not even None.
         changed = {n: v for n, v in commands.items() if self._newest.get(n, ...) != v}
-        rows = [row for name, value in changed.items() for row in self._rows(name, value)]
+        rows = [
+            row for name, value in changed.items() for row in self._rows(name, value)
+        ]
         if not rows:
             return
         self._newest |= changed
         self.written.append((tick + 1, changed))
         if not self._image.push(rows):
-            raise WrongCommand(f"commands {len(rows)} values at once, too many for the queue")
+            raise WrongCommand(
+                f"commands {len(rows)} values at once, too many for the queue"
+            )
 
     def end(self) -> None:
         """Release the controller and all that it holds."""
@@ -105,14 +114,18 @@ class Driver:
         signal = self._known.get(name)
         if signal is None:
             if name not in self._table or not self._table[name].writable:
-                raise WrongCommand(f"commands '{name!s:.60}', which is not an input of the robot")
+                raise WrongCommand(
+                    f"commands '{name!s:.60}', which is not an input of the robot"
+                )
             signal = self._known[name] = self._table[name]
         if isinstance(value, np.generic):
             value = value.item()
         numbers = check_value(signal, value)
         if isinstance(numbers, Refusal):
             text = numbers.value.replace("_", " ")
-            raise WrongCommand(f"commands {name} = {value!r:.60}: {text}, {signal.range_text}")
+            raise WrongCommand(
+                f"commands {name} = {value!r:.60}: {text}, {signal.range_text}"
+            )
         for slot, number in zip(signal.slots, numbers, strict=True):
             yield Row(self._leases.place(WHO, slot), number)
 

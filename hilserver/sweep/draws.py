@@ -18,7 +18,9 @@ from hilserver.faults import Fault
 from hilserver.sweep.model import Distribution, FaultShare
 
 SEEDS: Final = 2**53  # one more than the largest seed of a plant
-_HALF = 2.0**-54  # moves a uniform number off zero, where the normal distribution has no value
+_HALF = (
+    2.0**-54
+)  # moves a uniform number off zero, where the normal distribution has no value
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,9 @@ from hilserver.arrays import Array
 
 LEVEL: Final = 0.95
 LEAST_MACHINES: Final = 10  # with fewer machines no correlation is reported
-TOGETHER: Final = 0.7  # rank correlation above which two drawn parameters form one group
+TOGETHER: Final = (
+    0.7  # rank correlation above which two drawn parameters form one group
+)
 
 
 def exact_interval(passed: int, n: int) -> tuple[float, float]:
@@ -28,7 +30,9 @@ class Influence:
 
     # several if their draws are so correlated that the sweep cannot separate them
     names: tuple[str, ...]
-    rank_correlation: float  # Spearman's, of the first name; positive if it raises the margin
+    rank_correlation: (
+        float  # Spearman's, of the first name; positive if it raises the margin
+    )
     # 95 % (Fisher's z with the variance of Bonett and Wright, 2000)
     interval: tuple[float, float]
     # 0 .. 1: share of the variance of the margin's ranks that the parameter explains, in any shape;
@@ -42,11 +46,17 @@ def influences(parameters: dict[str, Array], margin: Array) -> list[Influence]:
     if fine.sum() < LEAST_MACHINES:
         return []
     ranks = stats.rankdata(margin[fine])
-    drawn = {n: stats.rankdata(v[fine]) for n, v in parameters.items() if np.ptp(v[fine]) > 0.0}
+    drawn = {
+        n: stats.rankdata(v[fine])
+        for n, v in parameters.items()
+        if np.ptp(v[fine]) > 0.0
+    }
     found = []
     for name, values in drawn.items():
         r = _correlation(values, ranks)
-        found.append(Influence((name,), r, _fisher(r, len(ranks)), explained(values, ranks)))
+        found.append(
+            Influence((name,), r, _fisher(r, len(ranks)), explained(values, ranks))
+        )
     found.sort(key=lambda item: -item.strength)
     return _grouped(found, drawn)
 
@@ -62,7 +72,9 @@ def explained(values: Array, ranks: Array) -> float:
     if total == 0.0:
         return 0.0
     slices = np.array_split(np.argsort(values, kind="stable"), n_slices)
-    between = sum(len(s) * (float(ranks[s].mean()) - float(ranks.mean())) ** 2 for s in slices)
+    between = sum(
+        len(s) * (float(ranks[s].mean()) - float(ranks.mean())) ** 2 for s in slices
+    )
     by_chance = (n_slices - 1) / (n - 1)
     return max((between / total - by_chance) / (1.0 - by_chance), 0.0)
 
@@ -86,10 +98,14 @@ def _grouped(found: list[Influence], drawn: dict[str, Array]) -> list[Influence]
     for item in found:
         (name,) = item.names
         for k, group in enumerate(groups):
-            alike = (abs(_correlation(drawn[name], drawn[other])) for other in group.names)
+            alike = (
+                abs(_correlation(drawn[name], drawn[other])) for other in group.names
+            )
             if max(alike) > TOGETHER:
                 names = (*group.names, name)
-                groups[k] = Influence(names, group.rank_correlation, group.interval, group.strength)
+                groups[k] = Influence(
+                    names, group.rank_correlation, group.interval, group.strength
+                )
                 break
         else:
             groups.append(item)

@@ -23,7 +23,9 @@ class Journal:
     def __init__(self, folder: Path, key: str, *, resume: bool) -> None:
         self.path = folder / NAME
         self.done: dict[int, Outcome] = {}  # by index
-        self.where: dict[int, str] = {}  # fingerprints of computers other than this one, by index
+        self.where: dict[
+            int, str
+        ] = {}  # fingerprints of computers other than this one, by index
         head = {"schema": SCHEMA, "key": key, "computer": fingerprint()}
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -52,7 +54,9 @@ class Journal:
             first = json.loads(lines[0])
             rows = [json.loads(line) for line in lines[1:]]
         except (ValueError, RecursionError):
-            raise FailedError(f"{self.path} is damaged; choose another folder") from None
+            raise FailedError(
+                f"{self.path} is damaged; choose another folder"
+            ) from None
         if not isinstance(first, dict) or first.get("key") != head["key"]:
             raise FailedError(
                 f"{self.path} belongs to another sweep, robot, controller or version of"
@@ -61,7 +65,10 @@ class Journal:
         for row in rows:
             index = row["index"]
             self.done[index] = Outcome(
-                index, tuple(row["margins"]), row.get("error", ""), row.get("refused", "")
+                index,
+                tuple(row["margins"]),
+                row.get("error", ""),
+                row.get("refused", ""),
             )
             if row.get("computer", first["computer"]) != fingerprint():
                 self.where[index] = row.get("computer", first["computer"])
@@ -71,7 +78,10 @@ class Journal:
         """Add outcomes; they are on disk when this returns."""
         rows = []
         for outcome in outcomes:
-            row: dict[str, Any] = {"index": outcome.index, "margins": list(outcome.margins)}
+            row: dict[str, Any] = {
+                "index": outcome.index,
+                "margins": list(outcome.margins),
+            }
             row |= {k: v for k in ("error", "refused") if (v := getattr(outcome, k))}
             if computer != fingerprint():
                 row["computer"] = self.where[outcome.index] = computer

@@ -26,12 +26,16 @@ def write_junit(path: Path, table: Table) -> None:
         else:
             ET.SubElement(case, "system-out").text = text
         cases.append(case)
-    suite = ET.Element("testsuite", name=name, tests=str(len(cases)), failures=str(failures))
+    suite = ET.Element(
+        "testsuite", name=name, tests=str(len(cases)), failures=str(failures)
+    )
     suite.extend(cases)
     ET.ElementTree(suite).write(path, encoding="utf-8", xml_declaration=True)
 
 
-def _worst(table: Table, margins: "np.ndarray[tuple[int], np.dtype[np.float64]]") -> str:
+def _worst(
+    table: Table, margins: "np.ndarray[tuple[int], np.dtype[np.float64]]"
+) -> str:
     order = np.argsort(np.where(np.isnan(margins), -np.inf, margins), kind="stable")
     lines = [
         f"machine {table.index[row]}: {table.message[row] or f'margin {margins[row]:g}'}"

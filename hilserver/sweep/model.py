@@ -34,22 +34,30 @@ class Distribution(Section):
     sd: float | None = Field(
         None, gt=0, le=1e12, description="standard deviation of a normal distribution"
     )
-    mean: Number | None = Field(None, description="mean, with sd; null: value of the configuration")
-    uniform: tuple[Number, Number] | None = Field(None, description="uniform between two limits")
+    mean: Number | None = Field(
+        None, description="mean, with sd; null: value of the configuration"
+    )
+    uniform: tuple[Number, Number] | None = Field(
+        None, description="uniform between two limits"
+    )
     values: tuple[Number, ...] | None = Field(
         None, min_length=1, max_length=1000, description="one of these, equally likely"
     )
 
     @model_validator(mode="after")
     def _is_one(self) -> Self:
-        given = [key for key in ("sd", "uniform", "values") if getattr(self, key) is not None]
+        given = [
+            key for key in ("sd", "uniform", "values") if getattr(self, key) is not None
+        ]
         if len(given) != 1:
             raise ValueError("write exactly one of sd, uniform and values")
         if self.mean is not None and self.sd is None:
             raise ValueError("mean needs sd")
         if self.uniform is not None and self.uniform[0] >= self.uniform[1]:
             low, high = self.uniform
-            raise ValueError(f"uniform goes from {low:g} up to {high:g}; swap the two numbers")
+            raise ValueError(
+                f"uniform goes from {low:g} up to {high:g}; swap the two numbers"
+            )
         return self
 
 
@@ -57,10 +65,13 @@ class Source(Section):
     """Where the machines come from."""
 
     findings: Path | None = Field(
-        None, description="findings.json of a diagnosis: uncertainty of one machine (joint)"
+        None,
+        description="findings.json of a diagnosis: uncertainty of one machine (joint)",
     )
     population: dict[str, Distribution] = Field(
-        {}, max_length=100, description="how the machines vary: distribution by parameter"
+        {},
+        max_length=100,
+        description="how the machines vary: distribution by parameter",
     )
 
     @model_validator(mode="after")
@@ -80,7 +91,9 @@ class FaultShare(Section):
 class DriveConfig(Section):
     """What the machines do."""
 
-    scenario: Path | None = Field(None, description="set-points and faults, as for simulate")
+    scenario: Path | None = Field(
+        None, description="set-points and faults, as for simulate"
+    )
     duration_s: float | None = Field(
         None,
         gt=0,
@@ -104,21 +117,31 @@ class DriveConfig(Section):
 class ControllerConfig(Section):
     """The controller under test: a block, a Python object or a process."""
 
-    block: str | None = Field(None, description="file.py:function, compiled into a slice")
-    name: str | None = Field(None, description="slice of the block; null: that of its function")
+    block: str | None = Field(
+        None, description="file.py:function, compiled into a slice"
+    )
+    name: str | None = Field(
+        None, description="slice of the block; null: that of its function"
+    )
     slice: str = Field("sensors", description="of the block")
     inputs: dict[str, str] = Field({}, description="input of the block: signal")
     drives: dict[str, str] = Field({}, description="output of the block: command")
     parameters: dict[str, float] = Field({}, description="of the block")
-    python: str | None = Field(None, description="file.py:Class, one instance for each machine")
-    every_ms: float | None = Field(None, gt=0, le=10_000, description="period of python")
+    python: str | None = Field(
+        None, description="file.py:Class, one instance for each machine"
+    )
+    every_ms: float | None = Field(
+        None, gt=0, le=10_000, description="period of python"
+    )
     command: tuple[str, ...] = Field(
         (),
         max_length=100,
         description="a program, started in the folder of the sweep for each machine; {endpoint}"
         " stands for the address of the robot, {seed} for the seed of the machine",
     )
-    lockstep: Literal["opcua"] | None = Field(None, description="how the program steps the robot")
+    lockstep: Literal["opcua"] | None = Field(
+        None, description="how the program steps the robot"
+    )
 
     @model_validator(mode="after")
     def _is_one_kind(self) -> Self:
@@ -167,15 +190,21 @@ class Sweep(Section):
         (), max_length=50, description="faults that some of them have"
     )
     drive: DriveConfig = Field(description="what the machines do")
-    controller: ControllerConfig | None = Field(None, description="null: only the scenario")
+    controller: ControllerConfig | None = Field(
+        None, description="null: only the scenario"
+    )
     require: tuple[Requirement, ...] = Field(
-        min_length=1, max_length=MAX_REQUIREMENTS, description="what each machine must meet"
+        min_length=1,
+        max_length=MAX_REQUIREMENTS,
+        description="what each machine must meet",
     )
     limits: Limits = Limits()
 
     @field_validator("faults")
     @classmethod
-    def _acts_in_the_plant(cls, faults: tuple[FaultShare, ...]) -> tuple[FaultShare, ...]:
+    def _acts_in_the_plant(
+        cls, faults: tuple[FaultShare, ...]
+    ) -> tuple[FaultShare, ...]:
         if any(item.fault.peer is not None for item in faults):
             raise ValueError("a machine of a sweep has no peers; name a signal")
         return faults

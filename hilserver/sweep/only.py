@@ -38,7 +38,9 @@ def drive_again(prepared: Prepared, index: int, folder: Path) -> Outcome:
     outcome = rig.drive(machine)
     folder.mkdir(parents=True, exist_ok=True)
     data = machine_config(prepared.user_config, prepared.job.folder, machine)
-    (folder / CONFIG).write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
+    (folder / CONFIG).write_text(
+        yaml.safe_dump(data, sort_keys=False), encoding="utf-8"
+    )
     scenario = _scenario(prepared, machine, rig.written)
     text = as_yaml(scenario.model_dump(mode="json", exclude_defaults=True))
     (folder / SCENARIO).write_text(text, encoding="utf-8")
@@ -60,8 +62,13 @@ async def _record(
 ) -> tuple[float, ...]:
     """Play the scenario with the written configuration; return the margins of the recording."""
     job, assembly = prepared.job, assemble(folder / CONFIG)
-    if assembly.composition.parameters.numbers.tobytes() != np.array(machine.p).tobytes():
-        raise FailedError(f"{folder / CONFIG} makes a different robot from machine {machine.index}")
+    if (
+        assembly.composition.parameters.numbers.tobytes()
+        != np.array(machine.p).tobytes()
+    ):
+        raise FailedError(
+            f"{folder / CONFIG} makes a different robot from machine {machine.index}"
+        )
     judge, names = judge_of(job, assembly.table)
     kept: list[NDArray[np.float64]] = []
     async with Simulation(assembly, Play(scenario, folder / SCENARIO)) as simulation:

@@ -21,7 +21,14 @@ from hilserver.daemon.assembly import Assembly, assemble_config
 from hilserver.diagnosis.schema.findings import Findings
 from hilserver.errors import ConfigError, meant
 from hilserver.faults import Fault, Scenario, load_scenario
-from hilserver.parameters import Parameter, check, geometric_gain, read, table_of, with_values
+from hilserver.parameters import (
+    Parameter,
+    check,
+    geometric_gain,
+    read,
+    table_of,
+    with_values,
+)
 from hilserver.parameters.table import BLOCK, TERM
 from hilserver.plant.errors import PlantError
 from hilserver.plant.packing import initial_state, pack
@@ -96,14 +103,18 @@ class Prepared:
         except PlantError as error:
             return Machine(index, seed, values, faults, refused=str(error))
         state = {int(i): float(x[i]) for i in np.flatnonzero(x)}
-        return Machine(index, seed, values, faults, dict(robot.terms), np.array(p), state)
+        return Machine(
+            index, seed, values, faults, dict(robot.terms), np.array(p), state
+        )
 
     def robot_with(self, values: Mapping[str, float]) -> RobotParameters:
         """Return the robot with drawn values.
 
         PlantError if there is no such robot; nothing is clipped.
         """
-        checked = {name: check(self.table[name], value) for name, value in values.items()}
+        checked = {
+            name: check(self.table[name], value) for name, value in values.items()
+        }
         own = {name: v for name, v in checked.items() if not name.startswith(BLOCK)}
         return with_values(self.robot, own, geometric_gain(self.robot))
 
@@ -118,7 +129,9 @@ def prepare(path: Path, config_path: Path | None = None) -> Prepared:
     findings, patch = _findings(sweep.from_, path, config)
     with_controller = _with_controller(config, sweep.controller, path)
     assembly = _assembled(with_controller, folder, patch, path, sweep.controller)
-    table = table_of((block.name, block.declaration) for block in assembly.composition.blocks)
+    table = table_of(
+        (block.name, block.declaration) for block in assembly.composition.blocks
+    )
     scenario, n_ticks = _drive(sweep, path, assembly)
     joint, left_out = _joint(findings, path)
     draws = _draws(sweep, path, assembly, table, joint)
@@ -157,7 +170,9 @@ def _assembled(
     return assembly
 
 
-def _with_controller(config: Config, controller: ControllerConfig | None, path: Path) -> Config:
+def _with_controller(
+    config: Config, controller: ControllerConfig | None, path: Path
+) -> Config:
     config = config.changed(control={"source": "scenario"})
     if controller is None or controller.block is None:
         return config
@@ -166,7 +181,9 @@ def _with_controller(config: Config, controller: ControllerConfig | None, path: 
     wanted = controller.model_dump(include={"slice", "inputs", "drives", "parameters"})
     try:
         block = BlockConfig(
-            name=controller.name or function, function=where + colon + function, **wanted
+            name=controller.name or function,
+            function=where + colon + function,
+            **wanted,
         )
     except ValidationError as error:
         text = error.errors(include_url=False)[0]["msg"].removeprefix("Value error, ")
@@ -215,7 +232,9 @@ def _findings(
     try:
         findings = Findings.model_validate_json(read_small(file, _MOST_BYTES))
     except OSError as error:
-        raise ConfigError(f"{where}{file}: {(error.strerror or 'unreadable').lower()}") from None
+        raise ConfigError(
+            f"{where}{file}: {(error.strerror or 'unreadable').lower()}"
+        ) from None
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         key = ".".join(str(part) for part in first["loc"])
@@ -236,7 +255,9 @@ def _findings(
     return (file, findings), patch
 
 
-def _joint(found: tuple[Path, Findings] | None, path: Path) -> tuple[Joint | None, tuple[str, ...]]:
+def _joint(
+    found: tuple[Path, Findings] | None, path: Path
+) -> tuple[Joint | None, tuple[str, ...]]:
     if found is None or found[1].joint is None:
         return None, ()
     joint, where = found[1].joint, place(path, ("from", "findings"))
@@ -244,7 +265,9 @@ def _joint(found: tuple[Path, Findings] | None, path: Path) -> tuple[Joint | Non
     mine = [k for k, n in enumerate(joint.parameters) if n in TERMS or n in causes]
     left_out = tuple(n for k, n in enumerate(joint.parameters) if k not in mine)
     if not mine:
-        raise ConfigError(f"{where}{found[0]}: its joint contains no parameter of a robot")
+        raise ConfigError(
+            f"{where}{found[0]}: its joint contains no parameter of a robot"
+        )
     names = tuple(TERM + main_part(joint.parameters[k]) for k in mine)
     try:
         root = root_of(np.array(joint.covariance)[np.ix_(mine, mine)])
@@ -263,20 +286,32 @@ def _draws(
     nominal = read(assembly.robot)
     for block in assembly.composition.blocks:
         given = {**block.declaration.parameters, **block.parameters}
-        nominal |= {f"{BLOCK}{block.name}.{name}": value for name, value in given.items()}
+        nominal |= {
+            f"{BLOCK}{block.name}.{name}": value for name, value in given.items()
+        }
     population = {}
     for given_name, distribution in sweep.from_.population.items():
         where = place(path, ("from", "population", given_name))
         name = _full_name(given_name, table)
         if name is None:
-            hint = meant(given_name, table, "all names are in docs/reference/parameters.md")
+            hint = meant(
+                given_name, table, "all names are in docs/reference/parameters.md"
+            )
             raise ConfigError(f"{where}there is no such parameter; {hint}")
         if name in population or (joint is not None and name in joint.names):
             raise ConfigError(f"{where}{name} is drawn twice; keep one")
         if table[name].when == "restart":
-            raise ConfigError(f"{where}{name} is fixed once a robot is built; leave it out")
-        if distribution.sd is not None and distribution.mean is None and isnan(nominal[name]):
-            raise ConfigError(f"{where}{name} is null in the configuration; write a mean")
+            raise ConfigError(
+                f"{where}{name} is fixed once a robot is built; leave it out"
+            )
+        if (
+            distribution.sd is not None
+            and distribution.mean is None
+            and isnan(nominal[name])
+        ):
+            raise ConfigError(
+                f"{where}{name} is null in the configuration; write a mean"
+            )
         population[name] = distribution
     nominal = {name: nominal[name] for name in population}
     return Draws(sweep.seed, population, nominal, joint, sweep.faults)
@@ -303,15 +338,27 @@ def _key(
     """Return the hash of all that decides results; the number of machines does not."""
     digest = hashlib.sha256()
     said = sweep.model_dump(mode="json", by_alias=True, exclude={"machines"})
-    parts = (said, config.sha256, scenario.model_dump(mode="json"), kernel_hash(), __version__)
+    parts = (
+        said,
+        config.sha256,
+        scenario.model_dump(mode="json"),
+        kernel_hash(),
+        __version__,
+    )
     digest.update(json.dumps(parts, sort_keys=True).encode())
     if findings is not None:
         digest.update(findings[0].read_bytes())
     controller = sweep.controller
     own = [r.python for r in sweep.require if r.python is not None]
-    own += [] if controller is None else [c for c in (controller.block, controller.python) if c]
+    own += (
+        []
+        if controller is None
+        else [c for c in (controller.block, controller.python) if c]
+    )
     files = [
-        name for name in (reference.rpartition(":")[0] for reference in own) if name[-3:] == ".py"
+        name
+        for name in (reference.rpartition(":")[0] for reference in own)
+        if name[-3:] == ".py"
     ]
     files += [] if controller is None else controller.command
     for file in (path.parent / name for name in files):

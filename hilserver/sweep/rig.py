@@ -58,11 +58,15 @@ class Rig:
         assembly = assemble_config(job.config, job.folder)
         self._period_ns = assembly.base_period_ns
         self._table = assembly.table
-        self._core = build(assembly, Pace(image="", ring_frames=RING_FRAMES, queue_rows=QUEUE_ROWS))
+        self._core = build(
+            assembly, Pace(image="", ring_frames=RING_FRAMES, queue_rows=QUEUE_ROWS)
+        )
         self._image = self._core.image
         self._image.control.state = State.RUNNING
         self._judge, self._kept = judge_of(job, self._table)
-        self._slots = np.array([self._table.slot(name) for name in self._kept], dtype=np.int64)
+        self._slots = np.array(
+            [self._table.slot(name) for name in self._kept], dtype=np.int64
+        )
         self._values = np.zeros((len(self._kept), job.n_ticks))
         self._periods = np.array(
             [s.period_ticks for s in assembly.slices if s.compiled], dtype=np.int64
@@ -78,7 +82,9 @@ class Rig:
         make = load_callable(controller.python, self.job.path.parent)
         period_s = self._period_ns * 1e-9
         leases = self._core.gate.leases
-        self._every = max(round((controller.every_ms or 0.0) * 1e6 / self._period_ns), 1)
+        self._every = max(
+            round((controller.every_ms or 0.0) * 1e6 / self._period_ns), 1
+        )
         return Driver(make, self._image, assembly.table, leases, period_s)
 
     def drive(self, machine: Machine) -> Outcome:
@@ -197,7 +203,9 @@ def margins_of(
     """Return the margins of a drive from the values of every tick, in the requirements' order."""
     own = dict(columns)
     if (way := job.sweep.drive.path) is not None:
-        own[PATH_ERROR] = distance_to_way(own["pose.x_m"], own["pose.y_m"], np.array(way))
+        own[PATH_ERROR] = distance_to_way(
+            own["pose.x_m"], own["pose.y_m"], np.array(way)
+        )
     return tuple(judge.margins(Drive(period_ns * 1e-9, own)).values())
 
 

@@ -103,7 +103,9 @@ class Stepped:
             )
         except OSError as error:
             why = (error.strerror or "refused").lower()
-            raise _Failed(f"the controller '{words[0]}' cannot be started: {why}") from None
+            raise _Failed(
+                f"the controller '{words[0]}' cannot be started: {why}"
+            ) from None
         try:
             most = int(self.job.sweep.limits.memory_mb * 1e6)
             with contextlib.suppress(OSError):  # it has ended already
@@ -118,7 +120,9 @@ class Stepped:
         """Wait for the drive's last tick; _Failed if it does not come."""
         lines: deque[str] = deque(maxlen=_LAST_LINES)
         time_s = self.job.sweep.limits.time_s
-        first = await first_of(watch.over.wait(), _keep(process, lines), within_s=time_s)
+        first = await first_of(
+            watch.over.wait(), _keep(process, lines), within_s=time_s
+        )
         # It closes its error output a moment before its exit code is there.
         if first == 1:
             with contextlib.suppress(TimeoutError):
@@ -132,7 +136,9 @@ class Stepped:
             raise _Failed(
                 f"took longer than {time_s:g} s: {watch.place}, the controller no longer steps"
             )
-        raise _Failed(f"the controller {_ending(process.returncode, lines)}; {watch.place}")
+        raise _Failed(
+            f"the controller {_ending(process.returncode, lines)}; {watch.place}"
+        )
 
 
 class _Watch:
@@ -141,12 +147,17 @@ class _Watch:
     def __init__(self, daemon: Daemon, kept: tuple[str, ...], n_ticks: int) -> None:
         self._daemon, self._n, self._done = daemon, n_ticks, 0
         self._slots = [daemon.table.slot(name) for name in kept]
-        self._inputs = [s for s in daemon.table if s.writable and not s.is_array and not s.hidden]
+        self._inputs = [
+            s for s in daemon.table if s.writable and not s.is_array and not s.hidden
+        ]
         self._newest = np.array([s.initial for s in self._inputs])
         self._next = daemon.image.head
         self.values = np.zeros((len(kept), n_ticks))
         self.written: list[tuple[int, dict[str, Any]]] = []
-        self.over, self.problem = asyncio.Event(), ""  # set by the last tick, or by a problem
+        self.over, self.problem = (
+            asyncio.Event(),
+            "",
+        )  # set by the last tick, or by a problem
         daemon.scheduler.after_batch.append(self._look)
 
     @property
@@ -158,7 +169,9 @@ class _Watch:
     def place(self) -> str:
         """How far the drive has got, in words."""
         period_s = self._daemon.assembly.base_period_ns * 1e-9
-        return f"the drive reached {self._done * period_s:g} s of {self._n * period_s:g} s"
+        return (
+            f"the drive reached {self._done * period_s:g} s of {self._n * period_s:g} s"
+        )
 
     def _look(self) -> None:
         image, control = self._daemon.image, self._daemon.control
@@ -193,7 +206,9 @@ class _Watch:
         for row in np.flatnonzero((inputs != before).any(axis=1)).tolist():
             changed = np.flatnonzero(inputs[row] != before[row]).tolist()
             signals = ((self._inputs[k], float(inputs[row, k])) for k in changed)
-            self.written.append((int(ticks[row]), {s.name: _typed(s, v) for s, v in signals}))
+            self.written.append(
+                (int(ticks[row]), {s.name: _typed(s, v) for s, v in signals})
+            )
         self._newest, self._done = inputs[-1], int(ticks[-1]) + 1
 
 
@@ -222,7 +237,9 @@ async def _keep(process: asyncio.subprocess.Process, lines: "deque[str]") -> Non
     while piece := await process.stderr.read(4096):
         *whole, rest = (rest + piece).split(b"\n")
         rest = rest[-4096:]
-        lines.extend(line.decode("utf-8", "replace").strip() for line in whole if line.strip())
+        lines.extend(
+            line.decode("utf-8", "replace").strip() for line in whole if line.strip()
+        )
     if rest.strip():
         lines.append(rest.decode("utf-8", "replace").strip())
 

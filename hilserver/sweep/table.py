@@ -37,7 +37,9 @@ class Table:
     status: list[str]
     message: list[str]
     computer: list[str]
-    about: Mapping[str, Any] = field(default_factory=dict)  # words about the sweep, see `summary`
+    about: Mapping[str, Any] = field(
+        default_factory=dict
+    )  # words about the sweep, see `summary`
 
     def __len__(self) -> int:
         return len(self.index)
@@ -91,7 +93,9 @@ def table_of(prepared: Prepared, journal: Journal, indices: range) -> Table:
         if outcome.margins:
             margins[:, row] = outcome.margins
         driven = PASSED if outcome.passed else FAILED
-        status.append(REFUSED if outcome.refused else ERROR if outcome.error else driven)
+        status.append(
+            REFUSED if outcome.refused else ERROR if outcome.error else driven
+        )
         message.append(outcome.refused or outcome.error)
     titles = [item.fault.title for item in draws.faults]
     titles = [t if t not in titles[:k] else f"{t} ({k})" for k, t in enumerate(titles)]
@@ -118,7 +122,9 @@ def summary(prepared: Prepared) -> dict[str, Any]:
         "machines": sweep.machines,
         "seed": sweep.seed,
         "duration_s": prepared.job.n_ticks * prepared.assembly.base_period_ns * 1e-9,
-        "of_one_machine": [] if prepared.draws.joint is None else list(prepared.draws.joint.names),
+        "of_one_machine": []
+        if prepared.draws.joint is None
+        else list(prepared.draws.joint.names),
         "population": list(prepared.draws.population),
         "left_out": list(prepared.left_out),
         "units": {name: prepared.table[name].unit for name in prepared.draws.names},
@@ -151,7 +157,10 @@ def write_table(folder: Path, table: Table) -> Path:
 
 def _write_csv(path: Path, table: Table) -> Path:
     columns = table.columns()
-    with whole(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
+    with (
+        whole(path) as partial,
+        partial.open("w", encoding="utf-8", newline="") as file,
+    ):
         writer = csv.writer(file)
         writer.writerow(columns)
         plain = [c if isinstance(c, list) else c.tolist() for c in columns.values()]
@@ -168,8 +177,12 @@ def read_table(folder: Path) -> Table:
         about = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
         columns = _read_columns(folder)
     except (OSError, ValueError, KeyError) as error:
-        raise LogError(f"{folder}: contains no finished sweep: {error!s:.120}") from None
-    numbers = {k: np.array(v, dtype=np.float64) for k, v in columns.items() if k not in _TEXTS}
+        raise LogError(
+            f"{folder}: contains no finished sweep: {error!s:.120}"
+        ) from None
+    numbers = {
+        k: np.array(v, dtype=np.float64) for k, v in columns.items() if k not in _TEXTS
+    }
     names = (*about["of_one_machine"], *about["population"])
     return Table(
         np.array(columns["index"], dtype=np.int64),
@@ -190,7 +203,9 @@ def _read_columns(folder: Path) -> dict[str, list[Any]]:
         try:
             from pyarrow import parquet  # noqa: PLC0415 -- an extra
         except ImportError:
-            raise FailedError(f"{path}: needs pyarrow: pip install 'hilserver[parquet]'") from None
+            raise FailedError(
+                f"{path}: needs pyarrow: pip install 'hilserver[parquet]'"
+            ) from None
         columns: dict[str, list[Any]] = parquet.read_table(path).to_pydict()
         return columns
     with (folder / "results.csv").open(encoding="utf-8", newline="") as file:

@@ -4,7 +4,12 @@ import numpy as np
 
 from hilserver.errors import LogError
 from hilserver.sweep.draws import Draws
-from hilserver.sweep.estimates import LEAST_MACHINES, exact_interval, median_interval, paired_p
+from hilserver.sweep.estimates import (
+    LEAST_MACHINES,
+    exact_interval,
+    median_interval,
+    paired_p,
+)
 from hilserver.sweep.model import Distribution
 from hilserver.sweep.prepare import Prepared
 from hilserver.sweep.rig import Outcome
@@ -17,7 +22,9 @@ def headline(table: Table) -> str:
     """Return a sentence on the share that passes."""
     n = len(table) - table.count(REFUSED)
     if n == 0:
-        return "No machine could be built: every draw has a parameter outside its range."
+        return (
+            "No machine could be built: every draw has a parameter outside its range."
+        )
     passed = table.count(PASSED)
     return f"{passed} of {n} machines pass: {100 * passed / n:.1f} %"
 
@@ -60,12 +67,20 @@ def plan(prepared: Prepared, outcome: Outcome, seconds: float, workers: int) -> 
     tried = min(sweep.machines, MOST_TRIED)
     refused = [m.refused for m in map(prepared.machine, range(tried)) if m.p is None]
     duration_s = prepared.job.n_ticks * prepared.assembly.base_period_ns * 1e-9
-    lines = [f"{sweep.machines} machines, {duration_s:g} s each, {len(sweep.require)} requirements"]
+    lines = [
+        f"{sweep.machines} machines, {duration_s:g} s each, {len(sweep.require)} requirements"
+    ]
     lines += [f"  {name}: {_drawn(name, draws)}" for name in draws.names]
-    lines += [f"  left out, not a parameter of a robot: {name}" for name in prepared.left_out]
-    lines.append(f"{len(refused)} of the first {tried} draws have a parameter outside its range")
+    lines += [
+        f"  left out, not a parameter of a robot: {name}" for name in prepared.left_out
+    ]
+    lines.append(
+        f"{len(refused)} of the first {tried} draws have a parameter outside its range"
+    )
     lines += [f"  for example: {refused[0]}"] if refused else []
-    said = outcome.error or outcome.refused or f"smallest margin {min(outcome.margins):g}"
+    said = (
+        outcome.error or outcome.refused or f"smallest margin {min(outcome.margins):g}"
+    )
     lines.append(f"machine 0 took {seconds:.2f} s: {said}")
     total_s = seconds * sweep.machines / workers
     lines.append(f"total: about {total_s / 60:.1f} min with {workers} workers")
@@ -94,7 +109,10 @@ def compare(a: Table, b: Table) -> str:
         np.array([t.status[row] == PASSED for row in rows], dtype=bool)
         for t, rows in ((a, mine), (b, other))
     )
-    only_a, only_b = int((passed_a & ~passed_b).sum()), int((~passed_a & passed_b).sum())
+    only_a, only_b = (
+        int((passed_a & ~passed_b).sum()),
+        int((~passed_a & passed_b).sum()),
+    )
     both = int((passed_a & passed_b).sum())
     lines = [
         f"{len(mine)} machines, the same in both",

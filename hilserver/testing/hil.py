@@ -51,7 +51,9 @@ def _to_await(
     """Note every call until it is awaited: what a test forgets to await does nothing."""
 
     @wraps(method)
-    def call(hil: "Hil", /, *args: P.args, **options: P.kwargs) -> Coroutine[Any, Any, T]:
+    def call(
+        hil: "Hil", /, *args: P.args, **options: P.kwargs
+    ) -> Coroutine[Any, Any, T]:
         made = method(hil, *args, **options)
         hil._calls = [*hil._not_begun(), made]
         return made
@@ -63,8 +65,12 @@ class Hil:
     """The robot under a test."""
 
     def __init__(self, daemon: Daemon, mode: Mode) -> None:
-        self.daemon = daemon  # everything else: its OPC UA server, its control, its events
-        self.mode = mode  # ``virtual``: time stands still between steps. ``realtime``: it runs
+        self.daemon = (
+            daemon  # everything else: its OPC UA server, its control, its events
+        )
+        self.mode = (
+            mode  # ``virtual``: time stands still between steps. ``realtime``: it runs
+        )
         self.source = daemon.gate.owner
         self.tap = Tap(daemon.image)
         self.journal = Journal()
@@ -113,14 +119,18 @@ class Hil:
             self._check_runs()
             if time.monotonic() > limit_s:
                 raise HilError(self._not_in_time(f"{n} ticks"))
-            await asyncio.sleep(min(max(left * self._period_s * 0.9, 0.0002), DRAIN_EVERY_S))
+            await asyncio.sleep(
+                min(max(left * self._period_s * 0.9, 0.0002), DRAIN_EVERY_S)
+            )
 
     def _not_in_time(self, what: str) -> str:
         return f"{what} did not pass in time; the daemon is {self.daemon.control.state.word}"
 
     def _check_runs(self) -> None:
         if self.daemon.scheduler.finished.done():
-            raise HilError(f"the simulation has ended: {self.daemon.scheduler.finished.result()}")
+            raise HilError(
+                f"the simulation has ended: {self.daemon.scheduler.finished.result()}"
+            )
 
     # --- signals ----------------------------------------------------------------------------------
 
@@ -137,7 +147,9 @@ class Hil:
         """Return the newest OPC UA status code of a scalar signal."""
         return int(self._frame().status[self._slot(signal)])
 
-    def write(self, signal: str | Mapping[str, Value], value: Value | None = None) -> None:
+    def write(
+        self, signal: str | Mapping[str, Value], value: Value | None = None
+    ) -> None:
         """Write one input, or several that one tick latches together.
 
         HilError if any of them is refused.
@@ -148,7 +160,9 @@ class Hil:
         tick = self.tick
         refused = self.daemon.gate.write(self.source, values)
         if refused:
-            raise HilError("; ".join(self._why(n, values[n], r) for n, r in refused.items()))
+            raise HilError(
+                "; ".join(self._why(n, values[n], r) for n, r in refused.items())
+            )
         self.journal.wrote(tick * self._period_s, values)
 
     @_to_await
@@ -174,13 +188,17 @@ class Hil:
 
     def _signal(self, name: str) -> Signal:
         if name not in self.daemon.table:
-            raise HilError(no_signal(name, (signal.name for signal in self.daemon.table)))
+            raise HilError(
+                no_signal(name, (signal.name for signal in self.daemon.table))
+            )
         return self.daemon.table[name]
 
     def _slot(self, name: str) -> int:
         signal = self._signal(name)
         if signal.is_array:
-            raise HilError(f"'{name}' is an array; take one of its scalars, or read_all")
+            raise HilError(
+                f"'{name}' is an array; take one of its scalars, or read_all"
+            )
         return signal.slots[0]
 
     def _frame(self) -> Frame:
@@ -217,7 +235,9 @@ class Hil:
                 if predicate(value):
                     return Sample(value, frame.tick, frame.tick * self._period_s)
             if self.tick >= last_tick:
-                raise HilError(f"{signal} did not get there in {timeout_s:g} s; it is {value:g}")
+                raise HilError(
+                    f"{signal} did not get there in {timeout_s:g} s; it is {value:g}"
+                )
             if self.mode == "realtime" and time.monotonic() > late_s:
                 raise HilError(self._not_in_time(f"{timeout_s:g} s"))
             frames = await self._next_frames()
@@ -255,7 +275,9 @@ class Hil:
     def inject(self, *faults: Mapping[str, object] | Fault | str) -> list[str]:
         """Inject faults from the next tick on; a string names one of the shield's defects."""
         try:
-            parsed = [parse_fault({"fault": f} if isinstance(f, str) else f) for f in faults]
+            parsed = [
+                parse_fault({"fault": f} if isinstance(f, str) else f) for f in faults
+            ]
             now_s = self.time_s
             names = self.daemon.faults.inject(*parsed)
         except ValueError as error:
@@ -306,7 +328,11 @@ class Hil:
             )
 
     def _not_begun(self) -> list[Any]:
-        return [c for c in self._calls if inspect.getcoroutinestate(c) == inspect.CORO_CREATED]
+        return [
+            c
+            for c in self._calls
+            if inspect.getcoroutinestate(c) == inspect.CORO_CREATED
+        ]
 
     def _drain(self) -> None:
         if self.mode == "realtime":

@@ -34,7 +34,9 @@ class Journal:
     def cleared(self, at_s: float, name: str | None) -> None:
         """Note the end of a fault, or of all except forces."""
         for entry in self._faults:
-            is_meant = entry["fault"] != "force" if name is None else entry["name"] == name
+            is_meant = (
+                entry["fault"] != "force" if name is None else entry["name"] == name
+            )
             if is_meant and entry.get("until_s", at_s + 1.0) > at_s > entry["from_s"]:
                 entry["until_s"] = round(at_s, 9)
 
@@ -43,4 +45,9 @@ class Journal:
         if self.left_out:
             text += f"; the last {self.left_out} writes are left out"
         faults = self._faults
-        return {"scenario": text[:200], "seed": seed, "steps": self._steps, "faults": faults}
+        return {
+            "scenario": text[:200],
+            "seed": seed,
+            "steps": self._steps,
+            "faults": faults,
+        }

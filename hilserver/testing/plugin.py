@@ -33,12 +33,18 @@ _HIL: pytest.StashKey["Hil"] = pytest.StashKey()
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the options and their ini equivalents."""
     group = parser.getgroup("hilserver", "hardware in the loop (hilserver)")
-    group.addoption("--hil-config", metavar="FILE", help="configuration of the simulated robot")
     group.addoption(
-        "--hil-mode", choices=MODES, help="virtual: as fast as possible, in lockstep; or realtime"
+        "--hil-config", metavar="FILE", help="configuration of the simulated robot"
     )
     group.addoption(
-        "--hil-loop", choices=LOOPS, help="event loop of tests that use hil; the daemon's is uvloop"
+        "--hil-mode",
+        choices=MODES,
+        help="virtual: as fast as possible, in lockstep; or realtime",
+    )
+    group.addoption(
+        "--hil-loop",
+        choices=LOOPS,
+        help="event loop of tests that use hil; the daemon's is uvloop",
     )
     group.addoption(
         "--hil-fault",
@@ -47,19 +53,29 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         help="defect of the simulated shield in every test, as shield.rpm_unsigned; may be"
         " repeated",
     )
-    group.addoption("--hil-scenario", metavar="FILE", help="timed scenario that runs in every test")
-    group.addoption("--hil-keep", metavar="DIR", help="folder for the recordings of failed tests")
-    parser.addini("hil_config", "configuration of the simulated robot, like --hil-config")
+    group.addoption(
+        "--hil-scenario", metavar="FILE", help="timed scenario that runs in every test"
+    )
+    group.addoption(
+        "--hil-keep", metavar="DIR", help="folder for the recordings of failed tests"
+    )
+    parser.addini(
+        "hil_config", "configuration of the simulated robot, like --hil-config"
+    )
     parser.addini("hil_mode", "virtual or realtime, like --hil-mode", default="virtual")
     parser.addini("hil_loop", "asyncio or uvloop, like --hil-loop", default="asyncio")
-    parser.addini("hil_keep", "folder for failed tests, like --hil-keep", default="hil-failures")
+    parser.addini(
+        "hil_keep", "folder for failed tests, like --hil-keep", default="hil-failures"
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """Describe the markers; choose the event loop."""
     loop = config.getoption("--hil-loop") or config.getini("hil_loop")
     if loop not in LOOPS:
-        raise pytest.UsageError(f"the loop of hil is {' or '.join(LOOPS)}, not {loop!r}")
+        raise pytest.UsageError(
+            f"the loop of hil is {' or '.join(LOOPS)}, not {loop!r}"
+        )
     if loop == "uvloop":
         if not hasattr(config.hook, "pytest_asyncio_loop_factories"):
             raise pytest.UsageError("uvloop for hil needs pytest-asyncio 1.4 or newer")
@@ -70,7 +86,8 @@ def pytest_configure(config: pytest.Config) -> None:
         " scenario of the simulated robot in this test",
     )
     config.addinivalue_line(
-        "markers", "requirement(id, ...): requirements that the test verifies, for the JUnit report"
+        "markers",
+        "requirement(id, ...): requirements that the test verifies, for the JUnit report",
     )
 
 
@@ -110,7 +127,9 @@ def pytest_pycollect_makeitem(
     tests = made if isinstance(made, list) else []
     uses_hil = any("hil" in getattr(test, "fixturenames", ()) for test in tests)
     is_generator = inspect.isasyncgenfunction(obj)
-    if not (uses_hil and is_generator):  # else pytest-asyncio has said that it will not run it
+    if not (
+        uses_hil and is_generator
+    ):  # else pytest-asyncio has said that it will not run it
         for warning in said:
             warnings.warn_explicit(
                 warning.message, warning.category, warning.filename, warning.lineno
@@ -118,10 +137,14 @@ def pytest_pycollect_makeitem(
     if not uses_hil:
         return made
     if inspect.isgeneratorfunction(obj):  # pytest 8 would leave it out
-        raise pytest.Collector.CollectError(f"{name}: a test that yields is written 'async def'")
+        raise pytest.Collector.CollectError(
+            f"{name}: a test that yields is written 'async def'"
+        )
     if is_generator:
         obj = advancing(obj, collector.config)
-        setattr(collector.obj, name, obj)  # pytest fetches the function again by its name
+        setattr(
+            collector.obj, name, obj
+        )  # pytest fetches the function again by its name
     elif not inspect.iscoroutinefunction(obj) or tests[0].get_closest_marker("asyncio"):
         return made
     return collector.ihook.pytest_pycollect_makeitem(
@@ -137,7 +160,8 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
         _without_asyncio()
     if issubclass(getattr(item, "cls", None) or object, unittest.TestCase):
         pytest.fail(
-            "hil works in functions and plain classes, not in a unittest.TestCase", pytrace=False
+            "hil works in functions and plain classes, not in a unittest.TestCase",
+            pytrace=False,
         )
 
 
@@ -232,9 +256,15 @@ def _wishes(request: pytest.FixtureRequest, given: Any) -> dict[str, Any]:
         marked = {**mark.kwargs, **marked}
     if unknown := set(marked) - {"config", "mode", "scenario"}:
         pytest.fail(f"the marker hil has no '{sorted(unknown)[0]}'", pytrace=False)
-    mode = marked.get("mode") or config.getoption("--hil-mode") or config.getini("hil_mode")
+    mode = (
+        marked.get("mode")
+        or config.getoption("--hil-mode")
+        or config.getini("hil_mode")
+    )
     if mode not in MODES:
-        pytest.fail(f"the mode of hil is {' or '.join(MODES)}, not {mode!r}", pytrace=False)
+        pytest.fail(
+            f"the mode of hil is {' or '.join(MODES)}, not {mode!r}", pytrace=False
+        )
     here = request.path.parent
     return {
         "config": _config(marked.get("config") or given, config, here),

@@ -35,7 +35,9 @@ class Series:
         self._need_samples()
         return float(self.values[-1])
 
-    def between(self, from_s: float | None = None, to_s: float | None = None) -> "Series":
+    def between(
+        self, from_s: float | None = None, to_s: float | None = None
+    ) -> "Series":
         """Return the part from `from_s` to `to_s`, both counted from the first sample [s]."""
         age_s = self._age_s(up_to_s=to_s)
         keep = np.ones(len(self), dtype=bool)
@@ -48,7 +50,9 @@ class Series:
                 f"{self.name}: no sample between {from_s} s and {to_s} s; it is"
                 f" {age_s[-1]:.3f} s long"
             )
-        return Series(self.name, self.unit, self.time_s[keep], self.tick[keep], self.values[keep])
+        return Series(
+            self.name, self.unit, self.time_s[keep], self.tick[keep], self.values[keep]
+        )
 
     def assert_within(
         self,
@@ -86,7 +90,9 @@ class Series:
         if callable(reference):
             reference = reference(part.time_s - self.time_s[0])
         distance = np.abs(part.values - reference)
-        part._fail_where(~(distance <= tolerance), f"left the reference +- {tolerance:g}")
+        part._fail_where(
+            ~(distance <= tolerance), f"left the reference +- {tolerance:g}"
+        )
 
     def settle_time_s(self, target: float, tolerance: float) -> float | None:
         """Return the time after which it stays within `tolerance` of `target` [s]; None: never."""
@@ -98,7 +104,9 @@ class Series:
             return None
         return float(self.time_s[outside[-1] + 1] - self.time_s[0])
 
-    def assert_settles(self, target: float, tolerance: float, *, within_s: float) -> None:
+    def assert_settles(
+        self, target: float, tolerance: float, *, within_s: float
+    ) -> None:
         """Fail if it does not stay within `tolerance` of `target` after `within_s` [s]."""
         found_s = self.settle_time_s(target, tolerance)
         wanted = f"{target:g} +- {tolerance:g} {self.unit} within {within_s:g} s"
@@ -107,7 +115,9 @@ class Series:
                 f"{self.name} does not settle at {wanted}: it ends at {self.last:g} {self.unit}"
             )
         if found_s > within_s:
-            raise AssertionError(f"{self.name} settles at {wanted} only after {found_s:.3f} s")
+            raise AssertionError(
+                f"{self.name} settles at {wanted} only after {found_s:.3f} s"
+            )
         self._age_s(up_to_s=within_s)
 
     def overshoot(self, target: float) -> float:
@@ -115,7 +125,9 @@ class Series:
         self._need_samples()
         step = target - self.values[0]
         if step == 0.0:
-            raise AssertionError(f"{self.name} starts at {target:g}: there is no step to overshoot")
+            raise AssertionError(
+                f"{self.name} starts at {target:g}: there is no step to overshoot"
+            )
         return float(max(0.0, np.max((self.values - target) / step)))
 
     def assert_overshoot(self, target: float, *, at_most: float) -> None:
@@ -129,7 +141,9 @@ class Series:
 
     def _need_samples(self) -> None:
         if len(self) == 0:
-            raise AssertionError(f"{self.name}: nothing was captured; step inside the capture")
+            raise AssertionError(
+                f"{self.name}: nothing was captured; step inside the capture"
+            )
 
     def _age_s(self, *, up_to_s: float | None) -> Array:
         """Return the times since the first sample [s], shape (n,), if they reach that far.
@@ -156,6 +170,8 @@ class Series:
         )
 
 
-def assert_within(series: Series, low: float | None = None, high: float | None = None) -> None:
+def assert_within(
+    series: Series, low: float | None = None, high: float | None = None
+) -> None:
     """Fail at the first sample of `series` below `low` or above `high`."""
     series.assert_within(low, high)

@@ -23,7 +23,9 @@ class Tap:
     def __init__(self, image: ImageReader) -> None:
         self._image = image
         self._next = image.head
-        self.kept: deque[Frame] = deque(maxlen=KEPT_FRAMES)  # the newest `KEPT_FRAMES` frames
+        self.kept: deque[Frame] = deque(
+            maxlen=KEPT_FRAMES
+        )  # the newest `KEPT_FRAMES` frames
         self.lost = 0  # frames that the ring had overwritten
         self.captures: list[Capture] = []
 
@@ -47,7 +49,9 @@ class Tap:
 class Capture(Mapping[str, Series]):
     """Signals recorded while the ``async with`` block runs; a mapping from name to `Series`."""
 
-    def __init__(self, tap: Tap, table: SignalTable, signals: Iterable[Signal], period_s: float):
+    def __init__(
+        self, tap: Tap, table: SignalTable, signals: Iterable[Signal], period_s: float
+    ):
         self._tap = tap
         self._table = table
         self._signals = list(signals)
@@ -92,7 +96,9 @@ class Capture(Mapping[str, Series]):
         """Simulated time of every sample [s], shape (n,)."""
         return self.tick.astype(np.float64) * self._period_s
 
-    def margins(self, *requirements: Requirement | Mapping[str, Any]) -> dict[str, float]:
+    def margins(
+        self, *requirements: Requirement | Mapping[str, Any]
+    ) -> dict[str, float]:
         """Return the margin of every requirement by its name; times count from the first sample.
 
         Parameters
@@ -100,15 +106,21 @@ class Capture(Mapping[str, Series]):
         *requirements : Requirement or mapping
             As in a sweep: ``{"name": "arrives", "signal": "pose.x_m", "above": 4.9}``.
         """
-        found = [r if isinstance(r, Requirement) else Requirement(**r) for r in requirements]
+        found = [
+            r if isinstance(r, Requirement) else Requirement(**r) for r in requirements
+        ]
         judge = Judge(found, self._table)
         missing = [name for name in judge.signals if name not in list(self)]
         if missing:
-            raise AssertionError(f"'{missing[0]}' was not captured; capture all that is required")
+            raise AssertionError(
+                f"'{missing[0]}' was not captured; capture all that is required"
+            )
         length_s = (len(self._rows) - 1) * self._period_s
         for requirement in found:
             until_s = requirement.lasts_s
-            if requirement.always:  # else it is met at the latest when it has become true once
+            if (
+                requirement.always
+            ):  # else it is met at the latest when it has become true once
                 until_s = max(until_s, requirement.within_s or 0.0)
             if until_s > length_s + self._period_s:
                 raise AssertionError(
@@ -121,14 +133,18 @@ class Capture(Mapping[str, Series]):
     def assert_meets(self, *requirements: Requirement | Mapping[str, Any]) -> None:
         """Fail if a requirement is not met; parameters as for `margins`."""
         margins = self.margins(*requirements)
-        failed = [f"{name} (margin {m:g})" for name, m in margins.items() if not m >= 0.0]
+        failed = [
+            f"{name} (margin {m:g})" for name, m in margins.items() if not m >= 0.0
+        ]
         if failed:
             raise AssertionError(f"requirements are not met: {', '.join(failed)}")
 
     def __getitem__(self, name: str) -> Series:
         signal = self._table[name]
         if signal.is_array or signal.slots[0] not in self._slots:
-            raise KeyError(f"'{name}' was not captured as a scalar; captured are {list(self)}")
+            raise KeyError(
+                f"'{name}' was not captured as a scalar; captured are {list(self)}"
+            )
         column = self._slots.index(signal.slots[0])
         values = np.array([row[column] for row in self._rows])
         return Series(name, signal.unit, self.time_s, self.tick, values)

@@ -7,7 +7,13 @@ from hilserver.diagnosis.schema.findings import Finding, Findings, Verdict
 from hilserver.scenarios.expectation import Expectation
 
 _CONFIDENT: Final = frozenset(
-    {Verdict.NAMED, Verdict.NAMED_GROUP, Verdict.DRIFT, Verdict.DATA_FAULT, Verdict.DIFFERS}
+    {
+        Verdict.NAMED,
+        Verdict.NAMED_GROUP,
+        Verdict.DRIFT,
+        Verdict.DATA_FAULT,
+        Verdict.DIFFERS,
+    }
 )
 
 
@@ -43,9 +49,15 @@ def judge(expected: Expectation, findings: Findings) -> Judgement:
     if expected.or_structure and missing:
         verdicts = {finding.verdict for finding in findings.findings}
         missing = [] if Verdict.STRUCTURE_NOT_IN_LIBRARY in verdicts else missing
-    if expected.together and not any(expected.together <= causes_of(f) for f in confident):
+    if expected.together and not any(
+        expected.together <= causes_of(f) for f in confident
+    ):
         missing.append(f"no group of {', '.join(sorted(expected.together))}")
-    said = frozenset().union(*(causes_of(f) for f in confident)) if confident else frozenset()
+    said = (
+        frozenset().union(*(causes_of(f) for f in confident))
+        if confident
+        else frozenset()
+    )
     missing += [f"said {name}" for name in sorted(said & expected.must_not_say)]
     if expected.verdict is not None and findings.verdict != expected.verdict:
         missing.append(f"verdict {findings.verdict} and not {expected.verdict}")

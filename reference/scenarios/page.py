@@ -59,7 +59,9 @@ def make_entry(scenario: Scenario, *, jobs: int = 1) -> Entry:
         drive = write(scenario, SEED, folder)
         logs = [folder / LOGS / log for log in drive.logs]
         against = [folder / AGAINST / log for log in drive.against]
-        task = Task(tuple(logs), folder / CONFIG, against=tuple(against), seed=SEED, jobs=jobs)
+        task = Task(
+            tuple(logs), folder / CONFIG, against=tuple(against), seed=SEED, jobs=jobs
+        )
         case = Case(
             diagnose(task),
             assemble(task.config).robot,
@@ -87,7 +89,9 @@ def write_page(folder: Path, made: Mapping[str, Entry]) -> None:
         for name, one in made.items():
             (plots / f"{name}.svg").write_text(one.plot, encoding="utf-8")
         all_of_them = {**kept, **{name: one.section for name, one in made.items()}}
-        text = "\n".join([_HEAD, *(all_of_them[n] for n in SCENARIOS if n in all_of_them)])
+        text = "\n".join(
+            [_HEAD, *(all_of_them[n] for n in SCENARIOS if n in all_of_them)]
+        )
         page.write_text(text, encoding="utf-8")
     except OSError as error:
         msg = f"{folder}: cannot be written ({error.strerror}); choose another folder with -o."

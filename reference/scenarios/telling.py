@@ -32,13 +32,17 @@ class Words:
 @cache
 def words() -> Mapping[str, Words]:
     """Return the words of every scenario."""
-    text = files("reference.scenarios").joinpath("words.yaml").read_text(encoding="utf-8")
+    text = (
+        files("reference.scenarios").joinpath("words.yaml").read_text(encoding="utf-8")
+    )
     return {name: Words(**entry) for name, entry in yaml.safe_load(text).items()}
 
 
 def section(scenario: Scenario, drive: Drive, findings: Findings, picture: str) -> str:
     """Return the section of a scenario in Markdown; `picture` is the file of its plot."""
-    reported = [f for f in findings.findings if f.verdict is not Verdict.INSUFFICIENT_EXCITATION]
+    reported = [
+        f for f in findings.findings if f.verdict is not Verdict.INSUFFICIENT_EXCITATION
+    ]
     better = {k: g for k, g in findings.total_gain.items() if g.ratio > 1.0}
     best = max(better, key=lambda key: better[key].ratio) if better else None
     text = _template().render(
@@ -121,7 +125,9 @@ def hidden_value(name: str, finding: Finding, drive: Drive) -> float | None:
         if means == (None, None):
             return None
         return (means[0] if side == "a" else means[1]) or 0.0
-    return None if first is None and second is None else (second or 0.0) - (first or 0.0)
+    return (
+        None if first is None and second is None else (second or 0.0) - (first or 0.0)
+    )
 
 
 def _mean(name: str, recipes: Mapping[str, Recipe]) -> float | None:
@@ -131,5 +137,7 @@ def _mean(name: str, recipes: Mapping[str, Recipe]) -> float | None:
 
 
 def _experiments(findings: Findings) -> list[str]:
-    texts = [f.separating_experiment for f in findings.findings if f.separating_experiment]
+    texts = [
+        f.separating_experiment for f in findings.findings if f.separating_experiment
+    ]
     return list(dict.fromkeys(texts))

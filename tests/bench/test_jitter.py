@@ -37,9 +37,12 @@ def histogram(samples, bins=2000):
 
 
 @given(
-    st.lists(st.integers(0, 1999), min_size=1, max_size=300), st.sampled_from([50.0, 99.0, 99.9])
+    st.lists(st.integers(0, 1999), min_size=1, max_size=300),
+    st.sampled_from([50.0, 99.0, 99.9]),
 )
-def test_percentile_is_the_smallest_value_that_enough_samples_do_not_exceed(samples, percent):
+def test_percentile_is_the_smallest_value_that_enough_samples_do_not_exceed(
+    samples, percent
+):
     value = percentile_us(histogram(samples), percent)
     samples = np.array(samples)
     assert (samples <= value).sum() * 1000 >= round(percent * 10) * len(samples)
@@ -81,7 +84,9 @@ def test_absent_or_failing_cyclictest_is_one_sentence(monkeypatch):
 
 
 def test_figures_are_medians_over_blocks_and_keep_the_raw_data():
-    comparison = jitter.Comparison("thread", command=["cyclictest"], load=["ten clients"])
+    comparison = jitter.Comparison(
+        "thread", command=["cyclictest"], load=["ten clients"]
+    )
     comparison.subject = [histogram([latency] * 10) for latency in (30, 12, 900)]
     comparison.reference = [histogram([latency] * 10) for latency in (20, 15, 1000)]
     result = comparison.result(99.9, "")
@@ -111,7 +116,11 @@ def test_bare_pacing_against_the_real_cyclictest():
     jitter.add_arguments(parser)
     words = "--subject pacing --backend thread --blocks 2 --block-s 1"
     results = jitter.run(parser.parse_args(words.split()))
-    assert [r.name for r in results] == [f"wake_latency_p{p}_us" for p in ("50", "99", "99.9")]
-    for counts in results[0].raw["histograms"] + results[0].raw["cyclictest_histograms"]:
+    assert [r.name for r in results] == [
+        f"wake_latency_p{p}_us" for p in ("50", "99", "99.9")
+    ]
+    for counts in (
+        results[0].raw["histograms"] + results[0].raw["cyclictest_histograms"]
+    ):
         assert 300 < sum(counts.values()) < 1300
     assert all(r.value > 0 and r.reference > 0 for r in results)

@@ -10,7 +10,15 @@ FOUND = [Result("cost", 3.0, "us", 6.0, "another", 0.5), Result("alone", 1.0, "1
 
 def test_a_table_ends_with_the_speed_of_the_computer():
     head, cost, alone, speed = as_table(FOUND).splitlines()
-    assert head.split() == ["figure", "value", "unit", "reference", "ratio", "reference", "is"]
+    assert head.split() == [
+        "figure",
+        "value",
+        "unit",
+        "reference",
+        "ratio",
+        "reference",
+        "is",
+    ]
     assert cost.split() == ["cost", "3", "us", "6", "0.50", "another"]
     assert alone.split() == ["alone", "1", "1"]
     assert 0.01 < float(re.search(r"take (\d+\.\d\d) s", speed)[1]) < 1000.0

@@ -17,5 +17,7 @@ def test_both_processors_execute_about_as_many_instructions_and_terms_cost_more(
 
 
 def test_a_program_that_is_missing_is_named():
-    with pytest.raises(FailedError, match=r"^no-such-program is not installed: 'make test-tools'"):
+    with pytest.raises(
+        FailedError, match=r"^no-such-program is not installed: 'make test-tools'"
+    ):
         a53._run("no-such-program")

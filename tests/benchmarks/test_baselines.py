@@ -70,7 +70,9 @@ def test_both_rivals_gain_on_held_out_blocks(prepared):
     assert applies(prepared.problem)
     for rival in (nine_terms, stepwise):
         rng = np.random.default_rng(0)
-        found = gains(prepared.problem, prepared.base.predicted, rival(prepared), 5.0, rng)
+        found = gains(
+            prepared.problem, prepared.base.predicted, rival(prepared), 5.0, rng
+        )
         assert found["yaw_rad"].ratio > 3.0
         assert found["position_m"].ratio > 1.5
 
@@ -78,9 +80,9 @@ def test_both_rivals_gain_on_held_out_blocks(prepared):
 def test_without_a_heading_nothing_is_compared(prepared):
     log = prepared.problem.stage.log
     channels = {n: log[n] for n in log.channels if n != YAW}
-    blind = prepare_all(replace(log, channels=channels), assemble(None).robot, 1, Tracker())[0][
-        "pose"
-    ]
+    blind = prepare_all(
+        replace(log, channels=channels), assemble(None).robot, 1, Tracker()
+    )[0]["pose"]
     assert all(name in blind.problem.stack.edges for name in POSITION)
     assert not applies(blind.problem)
 
@@ -122,7 +124,9 @@ def test_a_recording_needs_its_mapping(tmp_path, text, capsys):
 
 
 def test_recordings_take_the_place_of_hidden_causes(tmp_path, monkeypatch):
-    args = arguments(tmp_path, words=["--recordings", "husky.yaml=a.csv,b.csv", "w.yaml=c.csv"])
+    args = arguments(
+        tmp_path, words=["--recordings", "husky.yaml=a.csv,b.csv", "w.yaml=c.csv"]
+    )
     asked = []
     monkeypatch.setattr(
         "benchmarks.diagnose_recordings.measure", lambda m, *_: asked.extend(m) or []

@@ -22,7 +22,12 @@ def python(*words, folder, path):
     command = [sys.executable, *words]
     environment = os.environ | {"PYTHONPATH": str(path)}
     return subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, check=False
+        command,
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
 
 
@@ -39,7 +44,9 @@ def test_a_checkout_has_them_all_under_both_commands(words):
 
 
 def test_an_installed_package_says_where_they_are(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(hilserver, "__file__", str(tmp_path / "hilserver" / "__init__.py"))
+    monkeypatch.setattr(
+        hilserver, "__file__", str(tmp_path / "hilserver" / "__init__.py")
+    )
     for words in (("attack",), ("diagnose", "--seeds", "3", "-h")):
         assert commands.main(["bench", *words]) == 1
         assert capsys.readouterr().err.splitlines() == [
@@ -53,7 +60,9 @@ def test_an_installed_package_says_where_they_are(tmp_path, monkeypatch, capsys)
 
 def test_every_figure_of_the_readme_has_a_command_that_is_taken():
     rows = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
-    lines = [found[1] for row in rows if (found := re.search(r"\| `(bench [^`]*)` \|$", row))]
+    lines = [
+        found[1] for row in rows if (found := re.search(r"\| `(bench [^`]*)` \|$", row))
+    ]
     assert len(lines) > 15
     for line in dict.fromkeys(lines):
         commands._parse(shlex.split(line))

@@ -39,7 +39,11 @@ def said(verdict, *causes, regressors=(), **parameters):
         for name, (value, low, high) in parameters.items()
     }
     return Finding(
-        verdict=verdict, causes=causes, block="drive", parameters=fitted, regressors=regressors
+        verdict=verdict,
+        causes=causes,
+        block="drive",
+        parameters=fitted,
+        regressors=regressors,
     )
 
 
@@ -63,7 +67,11 @@ HIDDEN = case(causes=(frozenset({"rotation_gain"}),), values={"rotation_gain": -
             ["gyro_scale|wheel_radius"],
         ),
         ([said("structure_not_in_library")], "unknown", []),
-        ([said("named", "rotation_gain"), said("data_fault", "dropouts")], "right", ["dropouts"]),
+        (
+            [said("named", "rotation_gain"), said("data_fault", "dropouts")],
+            "right",
+            ["dropouts"],
+        ),
         ([said("insufficient_excitation", "gyro_scale")], "missed", []),
         ([said("named_group", "rotation_gain", *"abcde")], "vague", []),
     ],
@@ -75,7 +83,8 @@ def test_names(made, outcome, wrong):
 
 def test_values():
     result = score(
-        HIDDEN, findings(said("named", "rotation_gain", rotation_gain=(-0.02, -0.035, 0)))
+        HIDDEN,
+        findings(said("named", "rotation_gain", rotation_gain=(-0.02, -0.035, 0))),
     )
     value = result.values["rotation_gain"]
     assert value.in_ci95
@@ -84,10 +93,14 @@ def test_values():
 
 def test_size_counts_from_null():
     """A limit of 55 % is 45 % away from null: 60 % is within a fifth of that, 70 % is not."""
-    hidden = case(causes=(frozenset({"saturation_limit"}),), values={"saturation_limit": 55.0})
+    hidden = case(
+        causes=(frozenset({"saturation_limit"}),), values={"saturation_limit": 55.0}
+    )
     for fitted, within in ((60.0, True), (70.0, False)):
         made = said("named", "saturation_limit", saturation_limit=(fitted, 50.0, 80.0))
-        assert score(hidden, findings(made)).values["saturation_limit"].within_20 is within
+        assert (
+            score(hidden, findings(made)).values["saturation_limit"].within_20 is within
+        )
 
 
 def test_the_ellipsoid_knows_what_goes_together():
@@ -120,7 +133,9 @@ def test_two_effects():
 
 def test_one_twin_alone_is_a_tossed_coin():
     twins = frozenset({"icr_offset", "nav_lever_arm"})
-    twin = case(verdict="named_group", causes=(frozenset({"icr_offset"}),), together=twins)
+    twin = case(
+        verdict="named_group", causes=(frozenset({"icr_offset"}),), together=twins
+    )
     assert score(twin, findings(said("named", "icr_offset"))).outcome == "vague"
     assert score(twin, findings(said("named_group", *twins))).outcome == "right"
 
@@ -170,7 +185,9 @@ def engine(monkeypatch):
         found = findings(said("named", "gyro_bias"))
         sizes = (Detectable(cause="gyro_bias", size=0.003, unit="rad/s"),)
         evidence = types.SimpleNamespace(extension=())
-        return types.SimpleNamespace(findings=replace_sizes(found, sizes), evidence=evidence)
+        return types.SimpleNamespace(
+            findings=replace_sizes(found, sizes), evidence=evidence
+        )
 
     def replace_sizes(found, sizes):
         return found.model_copy(update={"smallest_detectable": sizes})
@@ -198,7 +215,9 @@ def arguments(folder, words=(), **changed):
 
 
 def test_campaign_goes_on_where_it_stopped(tmp_path, engine, capsys):
-    args = arguments(tmp_path, groups="null,single", only="drive,bench,gyro_bias", seeds=2)
+    args = arguments(
+        tmp_path, groups="null,single", only="drive,bench,gyro_bias", seeds=2
+    )
     results = {row.name: row for row in diagnose.run(args)}
     assert results["findings without an effect"].raw["count"] == 6
     assert results["right name, single cause"].value == 100.0
@@ -208,11 +227,15 @@ def test_campaign_goes_on_where_it_stopped(tmp_path, engine, capsys):
     file.write_text("\n".join(lines[:-1]) + "\n" + lines[-1][:20], encoding="utf-8")
     for _ in range(2):
         diagnose.run(args)
-        assert len(engine) == 9, "only the result that was cut short is made again, and once"
+        assert len(engine) == 9, (
+            "only the result that was cut short is made again, and once"
+        )
     assert "| single | gyro_bias | 2 |" in capsys.readouterr().out
 
 
-def test_results_of_other_sources_or_lengths_are_not_counted(tmp_path, engine, monkeypatch, capsys):
+def test_results_of_other_sources_or_lengths_are_not_counted(
+    tmp_path, engine, monkeypatch, capsys
+):
     args = arguments(tmp_path, groups="single", only="gyro_bias", seeds=1)
     diagnose.run(args)
     with monkeypatch.context() as changed:
@@ -221,13 +244,20 @@ def test_results_of_other_sources_or_lengths_are_not_counted(tmp_path, engine, m
     args.duration = 5.0
     diagnose.run(args)
     assert len(engine) == 3
-    assert "2 results of other sources or settings are not counted" in capsys.readouterr().out
-    stamps = [json.loads(line) for line in (tmp_path / FILE).read_text("utf-8").splitlines()]
+    assert (
+        "2 results of other sources or settings are not counted"
+        in capsys.readouterr().out
+    )
+    stamps = [
+        json.loads(line) for line in (tmp_path / FILE).read_text("utf-8").splitlines()
+    ]
     assert [r["setting"] for r in stamps] == ["4 s", "4 s", "5 s"]
     assert stamps[0]["sources"] == diagnose_results.sources() != stamps[1]["sources"]
 
 
-def test_the_time_without_the_nested_gain_is_all_but_what_that_reports(tmp_path, monkeypatch):
+def test_the_time_without_the_nested_gain_is_all_but_what_that_reports(
+    tmp_path, monkeypatch
+):
     def engine(log, assembly, *, jobs, progress):
         progress("drive: effect of a", 0.5)
         progress("drive: effect of b", 1.0)
@@ -266,7 +296,9 @@ def test_size_hides_what_the_null_logs_stated(tmp_path, engine):
     args = arguments(tmp_path, groups="null,size", seeds=1)
     diagnose.run(args)
     file = tmp_path / FILE
-    records = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
+    records = [
+        json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()
+    ]
     sized = [record for record in records if record["group"] == "size"]
     assert [record["name"] for record in sized] == ["gyro_bias"]
 
@@ -286,7 +318,9 @@ def test_no_patch_makes_a_reported_quantity_worse(interval, patch, worse):
     evidence = types.SimpleNamespace(extension=("a term",) if patch else ())
     diagnosis = types.SimpleNamespace(findings=found, evidence=evidence)
     assert diagnose_worker.made_worse(diagnosis) == worse
-    (row,) = (r for r in rows([{**HARMLESS, "worse": worse}]) if r.name.startswith("a patch"))
+    (row,) = (
+        r for r in rows([{**HARMLESS, "worse": worse}]) if r.name.startswith("a patch")
+    )
     assert row.verdict == ("no" if worse else "yes")
 
 
@@ -317,7 +351,10 @@ def test_a_drawing_has_whole_blocks_each_once(recorded):
         drawn = [x.of(k)[1][0] for k in range(len(log.spans))]
         assert len(drawn) == len(set(drawn)) == 9
         assert {int(s) // 3 for s in drawn} == {span.block for span in log.spans}
-        assert all((x.of(k)[1] == s).all() and len(x.of(k)[0]) == 10 for k, s in enumerate(drawn))
+        assert all(
+            (x.of(k)[1] == s).all() and len(x.of(k)[0]) == 10
+            for k, s in enumerate(drawn)
+        )
     assert len({tuple(span.number for span in log.spans) for log in logs}) > 1
 
 
@@ -325,7 +362,11 @@ def test_drawings_of_recordings_are_a_campaign(tmp_path, recorded, engine):
     file, mapping = recorded
     words = ("--recordings", f"{mapping}={file}", "--drawn", "3")
     results = {row.name: row for row in diagnose.run(arguments(tmp_path, words))}
-    assert results["a patch makes a quantity worse, all logs"].raw["trials"] == len(engine) == 3
+    assert (
+        results["a patch makes a quantity worse, all logs"].raw["trials"]
+        == len(engine)
+        == 3
+    )
 
 
 def test_unknown_class(tmp_path):
@@ -336,7 +377,9 @@ def test_unknown_class(tmp_path):
 def test_changed_logs_keep_their_case():
     one = next(iter(cases("null", range(1))))
     assert diagnose.changed(one, None, False) == one
-    assert diagnose.changed(one, 5.0, False).recipe == replace(one.recipe, duration_s=5.0)
+    assert diagnose.changed(one, 5.0, False).recipe == replace(
+        one.recipe, duration_s=5.0
+    )
     assert diagnose.changed(one, None, True).recipe.noise.measured_position
 
 
@@ -357,7 +400,13 @@ def test_ordinary_sensors_have_their_faults_and_nothing_else():
     ("outcome", "missed"), [("right", 0), ("vague", 0), ("missed", 1), ("unknown", 1)]
 )
 def test_a_hidden_cause_without_a_name_is_missed(outcome, missed):
-    record = {"group": "single", "outcome": outcome, "wrong": [], "values": {}, "found": []}
+    record = {
+        "group": "single",
+        "outcome": outcome,
+        "wrong": [],
+        "values": {},
+        "found": [],
+    }
     (row,) = [row for row in rows([record]) if row.name.startswith("missed")]
     assert (row.count, row.trials) == (missed, 1)
 
@@ -374,7 +423,15 @@ def test_a_hidden_cause_without_a_name_is_missed(outcome, missed):
 )
 def test_how_a_cause_was_named_is_counted(found, how):
     outcome = "right" if how else "missed"
-    record = {"group": "single", "name": "gyro_bias", "outcome": outcome, "wrong": [], "values": {}}
+    record = {
+        "group": "single",
+        "name": "gyro_bias",
+        "outcome": outcome,
+        "wrong": [],
+        "values": {},
+    }
     assert named_how(record | {"found": found}) == how
     counted = {row.name: row.count for row in rows([record | {"found": found}])}
-    assert sum(counted[name] for name in counted if name.startswith("named ")) == bool(how)
+    assert sum(counted[name] for name in counted if name.startswith("named ")) == bool(
+        how
+    )

@@ -22,7 +22,9 @@ def rows_of(name, engine=2.0, ratio=1.25):
 @pytest.fixture
 def measured(monkeypatch):
     """Recordings of the names that were measured; no log is read."""
-    pytest.importorskip("pysindy", reason="the extra hilserver[rivals] is not installed")
+    pytest.importorskip(
+        "pysindy", reason="the extra hilserver[rivals] is not installed"
+    )
     names = []
 
     def against_rivals(name, log, robot):
@@ -31,7 +33,9 @@ def measured(monkeypatch):
             raise FailedError("no such file: broken.csv")
         yield from rows_of(name)
 
-    monkeypatch.setattr(diagnose_recordings, "read_measured", lambda files, mapping: files)
+    monkeypatch.setattr(
+        diagnose_recordings, "read_measured", lambda files, mapping: files
+    )
     monkeypatch.setattr(diagnose_recordings, "against_rivals", against_rivals)
     return names
 
@@ -45,7 +49,14 @@ def test_what_was_measured_is_not_measured_again(tmp_path, measured, capsys):
     diagnose.run(more)
     assert measured == ["a", "b", "c", "a"]
     table = capsys.readouterr().out.splitlines()[-6:]
-    assert [line.split("|")[1].strip() for line in table] == ["b", "b", "c", "c", "a", "a"]
+    assert [line.split("|")[1].strip() for line in table] == [
+        "b",
+        "b",
+        "c",
+        "c",
+        "a",
+        "a",
+    ]
     assert "1.250 (1.00 to 1.50)" in table[0]
     assert "1.60" in table[0]
 
@@ -60,7 +71,9 @@ def test_of_other_sources_nothing_counts(tmp_path, measured):
     assert measured == ["a", "a"]
 
 
-def test_what_was_measured_is_shown_where_the_next_one_fails(tmp_path, measured, capsys):
+def test_what_was_measured_is_shown_where_the_next_one_fails(
+    tmp_path, measured, capsys
+):
     args = arguments(tmp_path, ("--recordings", "m.yaml=a.csv,broken.csv"))
     with pytest.raises(FailedError, match=r"broken\.csv"):
         diagnose.run(args)

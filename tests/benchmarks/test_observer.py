@@ -24,7 +24,10 @@ TERMS = {"rotation_gain": 0.03, "wheel_radius": -0.04}
 def test_a_short_row_of_drives_whose_patch_is_known():
     robot = RobotParameters(terms=TERMS)
     c = constants_of(robot, Found.model_validate(FOUND))
-    scores = [score("known", Recipe(seed=3, causes=TERMS), Known(robot, c), k) for k in range(6)]
+    scores = [
+        score("known", Recipe(seed=3, causes=TERMS), Known(robot, c), k)
+        for k in range(6)
+    ]
     assert 0.5 < np.mean([one.nees for one in scores]) < 8.0
     assert np.median([one.observer_m for one in scores]) < 0.2
     by_name = {(r.name, r.reference_name): r for r in figures(scores)}
@@ -41,7 +44,9 @@ def test_a_row_that_was_stopped_goes_on(tmp_path, monkeypatch):
 
     monkeypatch.setattr(observer, "scored", scored)
     for diagnoses in (2, 3):
-        args = Namespace(diagnoses=diagnoses, drives=2, jobs=1, keep=tmp_path, recordings=None)
+        args = Namespace(
+            diagnoses=diagnoses, drives=2, jobs=1, keep=tmp_path, recordings=None
+        )
         results = run(args)
     assert len(done) == len(set(done)) == 3
     (nees,) = [r for r in results if r.name == "NEES of the pose, mean"]
@@ -62,7 +67,9 @@ def test_real_robots_are_found_while_the_navigation_is_silent(tmp_path, monkeypa
         robot = assemble_config(config).robot
         noise = {**FOUND["noise"], "nav.yaw_rad": {"white_sd": 0.01}}
         noise |= {f"nav.{axis}_m": {"white_sd": 0.003} for axis in "xy"}
-        return Known(robot, constants_of(robot, Found.model_validate(FOUND | {"noise": noise})))
+        return Known(
+            robot, constants_of(robot, Found.model_validate(FOUND | {"noise": noise}))
+        )
 
     monkeypatch.setattr(observer_recordings, "diagnosed", known)
     args = Namespace(recordings=tmp_path, keep=tmp_path, jobs=1)
@@ -79,14 +86,18 @@ def test_stamps_that_a_diagnosis_found_late_are_put_right(tmp_path):
 
 
 def test_a_folder_without_recordings_gets_a_sentence(tmp_path):
-    with pytest.raises(FailedError, match="holds no recordings of diffdrive_umbmark, omni4"):
+    with pytest.raises(
+        FailedError, match="holds no recordings of diffdrive_umbmark, omni4"
+    ):
         run(Namespace(recordings=tmp_path, keep=tmp_path, jobs=1))
 
 
 @pytest.mark.long
 @pytest.mark.timeout(40_000)
 def test_two_hundred_diagnosed_robots(tmp_path):
-    results = run(Namespace(diagnoses=200, drives=5, jobs=2, keep=tmp_path, recordings=None))
+    results = run(
+        Namespace(diagnoses=200, drives=5, jobs=2, keep=tmp_path, recordings=None)
+    )
     by_name = {(r.name, r.reference_name): r for r in results}
     assert by_name["pose inside 95 %", "wanted"].value > 0.9
     assert by_name["after 60 s alone: inside 95 %", "wanted"].value > 0.93

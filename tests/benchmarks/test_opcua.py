@@ -42,9 +42,14 @@ def test_servers_with_as_many_clients_as_they_can_serve_are_compared():
 def test_a_reference_that_does_not_keep_up_has_no_figure():
     found = judged(1.0, 0.5, n_stock=1)["cpu_per_value_us"]
     assert (found.reference, found.ratio) == (None, None)
-    assert found.reference_name == "stock asyncua delivers 50% to a single client: no figure"
+    assert (
+        found.reference_name
+        == "stock asyncua delivers 50% to a single client: no figure"
+    )
 
 
 def test_a_server_of_ours_that_does_not_keep_up_is_a_sentence():
-    with pytest.raises(FailedError, match=r"21% of the values were delivered to 20 clients: .*95%"):
+    with pytest.raises(
+        FailedError, match=r"21% of the values were delivered to 20 clients: .*95%"
+    ):
         judged(0.21, 1.0)

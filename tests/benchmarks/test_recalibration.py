@@ -19,7 +19,9 @@ from tests.loopback.rig import wait_until
 
 HIDDEN = {"rotation_gain": -0.03}
 TERM = Term(-0.031, "1", (-0.033, -0.029))
-NAMED = Looked("named", "It turns too little.", ("rotation_gain",), {"rotation_gain": TERM})
+NAMED = Looked(
+    "named", "It turns too little.", ("rotation_gain",), {"rotation_gain": TERM}
+)
 GAIN = {"yaw_rad": Quantity(0.06, 0.01, 6.0, (4.0, 8.0))}
 BETTER = Compared(1e-6, 1e-6, 72, GAIN)
 
@@ -64,7 +66,16 @@ def test_a_robot_is_looked_at_in_every_window_and_every_proposal_is_accepted(loo
 
 def test_who_stops_goes_on(looks, tmp_path, monkeypatch):
     file = tmp_path / "results.jsonl"
-    words = ["--rows", "null", "--nulls", "20", "--null-window-s", "5", "--resume", str(file)]
+    words = [
+        "--rows",
+        "null",
+        "--nulls",
+        "20",
+        "--null-window-s",
+        "5",
+        "--resume",
+        str(file),
+    ]
     run(arguments(*words, "--jobs", "1"))
     lines = file.read_text().splitlines()
     assert len(lines) == 2
@@ -100,7 +111,9 @@ def test_right_is_the_cause_and_nothing_else(terms, right):
 
 
 def record(window=4, terms=(("rotation_gain", -0.031),), **fields):
-    named = {name: (value, (value - 0.002, value + 0.002), None) for name, value in terms}
+    named = {
+        name: (value, (value - 0.002, value + 0.002), None) for name, value in terms
+    }
     proposed = [{"window": window, "terms": named}] if terms else []
     found = {"row": "kinds", "name": "rotation_gain", "hidden": HIDDEN, "appears": 2}
     found |= {"proposed": proposed, "effects": {"1": [6.0, 2.0]}, "loaded": {}}
@@ -109,7 +122,10 @@ def record(window=4, terms=(("rotation_gain", -0.031),), **fields):
 
 def test_late_wrong_and_missing_proposals_are_no_right_ones():
     wrong = (("nav_scale", 0.1),)
-    rows = {r.name: r for r in table([record(), record(5), record(3, wrong), record(terms=())])}
+    rows = {
+        r.name: r
+        for r in table([record(), record(5), record(3, wrong), record(terms=())])
+    }
     assert rows["right within three windows"].value == 1
     assert rows["robots with a wrong proposal"].raw == ["rotation_gain"]
     assert rows["gap before by after, median"].value == 4.0
@@ -119,19 +135,31 @@ def test_late_wrong_and_missing_proposals_are_no_right_ones():
 
 def test_the_rate_of_false_proposals_has_its_interval():
     looks = ["nothing"] * 198 + ["named", "data_fault"]
-    one = record(terms=(), row="null", looks=looks, confirmations=["not_confirmed"], window_s=120.0)
+    one = record(
+        terms=(),
+        row="null",
+        looks=looks,
+        confirmations=["not_confirmed"],
+        window_s=120.0,
+    )
     rows = {r.name: r for r in table([one])}
     assert rows["proposals without a change"].value == 0
     assert rows["named without a change"].unit == "of 200"
     level = 1 / 200 * 0.01
-    assert rows["false a year, extrapolated"].value == pytest.approx(level / 0.01**2, rel=1e-6)
-    assert rows["its upper end of 95 %"].value > rows["false a year, extrapolated"].value
+    assert rows["false a year, extrapolated"].value == pytest.approx(
+        level / 0.01**2, rel=1e-6
+    )
+    assert (
+        rows["its upper end of 95 %"].value > rows["false a year, extrapolated"].value
+    )
     assert rows["other verdicts"].raw == {"data_fault": 1}
 
 
 def test_what_is_left_at_the_end_is_not_taken_back():
     both = record().pop("proposed") * 2
-    done, left = (record(row="back", proposed=both, loaded=left) for left in ({}, HIDDEN))
+    done, left = (
+        record(row="back", proposed=both, loaded=left) for left in ({}, HIDDEN)
+    )
     (row,) = table([done, left])
     assert (row.value, row.reference) == (1, 2)
 
@@ -142,7 +170,9 @@ def verdicts(monkeypatch, tmp_path):
 
     def say(*lines):
         script = f"for line in {lines!r}: print(line, flush=True)\nwhile 1: pass"
-        monkeypatch.setattr(recalibration_wake, "python", lambda *_: [sys.executable, "-c", script])
+        monkeypatch.setattr(
+            recalibration_wake, "python", lambda *_: [sys.executable, "-c", script]
+        )
         return Place(tmp_path, 1000)
 
     return say

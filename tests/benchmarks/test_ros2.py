@@ -15,7 +15,9 @@ def test_losses_are_gaps_in_the_sequence_between_first_and_last():
 
 def test_company_of_the_daemon_is_chosen_by_name():
     assert chosen("ros2,page,ros2") == (COMPANY["ros2"], COMPANY["page"])
-    with pytest.raises(argparse.ArgumentTypeError, match=f"'cat' is none of {', '.join(COMPANY)}"):
+    with pytest.raises(
+        argparse.ArgumentTypeError, match=f"'cat' is none of {', '.join(COMPANY)}"
+    ):
         chosen("page,cat")
 
 

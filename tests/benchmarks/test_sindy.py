@@ -50,12 +50,16 @@ def test_weights_are_few_and_true():
     rng, block = np.random.default_rng(1), np.repeat(np.arange(12), 50)
     columns = rng.normal(size=(600, 5)) * [1.0, 10.0, 0.1, 1.0, 1.0]
     left = columns @ [0.2, 0.0, 3.0, 0.0, 0.0] + 0.05 * rng.normal(size=600)
-    assert sparse(columns, left, block) == pytest.approx([0.2, 0.0, 3.0, 0.0, 0.0], rel=0.05)
+    assert sparse(columns, left, block) == pytest.approx(
+        [0.2, 0.0, 3.0, 0.0, 0.0], rel=0.05
+    )
 
 
 def test_noise_alone_has_no_weights():
     rng, block = np.random.default_rng(1), np.repeat(np.arange(12), 50)
-    assert not sparse(rng.normal(size=(600, 5)), 0.05 * rng.normal(size=600), block).any()
+    assert not sparse(
+        rng.normal(size=(600, 5)), 0.05 * rng.normal(size=600), block
+    ).any()
 
 
 @pytest.mark.parametrize("cause", CAUSES)

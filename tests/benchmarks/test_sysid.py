@@ -18,9 +18,19 @@ CASE = next(singles(1, names=("time_constant",)))
 
 def test_a_single_cause_is_fitted_beside_the_diagnosis(monkeypatch):
     case = replace(CASE, recipe=replace(CASE.recipe, duration_s=12.0))
-    found = {"key": case.key, "values": {}, "outcome": "missed", "found": [], "wrong": []}
-    monkeypatch.setattr(diagnose_worker, "_findings", lambda *_: SimpleNamespace(total_gain={}))
-    monkeypatch.setattr(diagnose_worker, "score", lambda *_: diagnose_worker.Score("missed"))
+    found = {
+        "key": case.key,
+        "values": {},
+        "outcome": "missed",
+        "found": [],
+        "wrong": [],
+    }
+    monkeypatch.setattr(
+        diagnose_worker, "_findings", lambda *_: SimpleNamespace(total_gain={})
+    )
+    monkeypatch.setattr(
+        diagnose_worker, "score", lambda *_: diagnose_worker.Score("missed")
+    )
     record = diagnose_worker.work(case, with_rivals=True) | found
     value = record["sysid"]["time_constant"]
     assert value["fitted"] == pytest.approx(value["true"], rel=0.05)

@@ -23,7 +23,12 @@ async def test_it_changes_parameters_while_it_is_asked_to():
             return write(source, values)
 
         kit.daemon.core.parameters.write = noted
-        command = [sys.executable, "-m", "benchmarks.tune", kit.daemon.part("opcua").url]
+        command = [
+            sys.executable,
+            "-m",
+            "benchmarks.tune",
+            kit.daemon.part("opcua").url,
+        ]
         process = await asyncio.create_subprocess_exec(
             *command, stdin=asyncio.subprocess.PIPE, cwd=ROOT
         )

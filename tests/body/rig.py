@@ -23,7 +23,9 @@ MECANUM = {
 class Body:
     def __init__(self, *, robot=None, solids=(), tyre=None, **changes):
         self.robot = RobotParameters(solids=tuple(solids), **(robot or {}))
-        self.parameters = BodyParameters(robot=self.robot, tyre=Tyre(**(tyre or {})), **changes)
+        self.parameters = BodyParameters(
+            robot=self.robot, tyre=Tyre(**(tyre or {})), **changes
+        )
         self.engine = Engine(self.parameters)
         self.numbers = self.engine.initial.copy()
         self.b = Motion.of(self.numbers)

@@ -35,7 +35,12 @@ GRID_S = 1e-3 * ROW
 def on_rows(steps):
     """The steps at the times of rows: a table shows set-points no better."""
     return Scenario.model_validate(
-        {"steps": [{**step, "at_s": round(step["at_s"] / GRID_S) * GRID_S} for step in steps]}
+        {
+            "steps": [
+                {**step, "at_s": round(step["at_s"] / GRID_S) * GRID_S}
+                for step in steps
+            ]
+        }
     )
 
 
@@ -44,7 +49,9 @@ async def driven(config, scenario, seconds):
     async with Simulation(assemble_config(config), Play(scenario)) as simulation:
         slots = [simulation.table.slot(name) for name in (*RECORDED, *POSE)]
         batches = simulation.frames(round(1e3 * seconds))
-        return np.concatenate([batch.frames.values[:, slots] async for batch in batches])
+        return np.concatenate(
+            [batch.frames.values[:, slots] async for batch in batches]
+        )
 
 
 def omni(seconds, seed):
@@ -84,12 +91,18 @@ def test_tyres_that_grip_across_are_a_rotation_gain(tmp_path):
     config = Config.model_validate({"mechatronic": body | {"sensors": "body"}})
     steps = DRIVES["long"](90.0, 3).model_dump()["steps"]
     findings = found_in(tmp_path, config, on_rows(steps), 90.0)
-    (named,) = (f for f in findings.findings if f.verdict in (Verdict.NAMED, Verdict.NAMED_GROUP))
+    (named,) = (
+        f
+        for f in findings.findings
+        if f.verdict in (Verdict.NAMED, Verdict.NAMED_GROUP)
+    )
     assert "rotation_gain" in named.causes
     assert set(named.causes) <= {"rotation_gain", "friction_anisotropy"}
     found = named.parameters["rotation_gain"]
     low, high = found.ci95
-    turning = 1.0 / RobotParameters().k_om - 1.0  # K_om of this body is 1.0 (tests of turning)
+    turning = (
+        1.0 / RobotParameters().k_om - 1.0
+    )  # K_om of this body is 1.0 (tests of turning)
     assert low < turning < high or found.value == pytest.approx(turning, rel=0.1)
     gain = findings.total_gain["yaw_rad"]
     assert gain.ratio > 3.0
@@ -101,7 +114,9 @@ def test_tyres_that_grip_across_are_a_rotation_gain(tmp_path):
     ("seconds", "seed", "gyro_sd", "within"),
     [(90.0, 3, 0.006, True), (90.0, 4, 0.0005, False), (180.0, 12, 0.006, False)],
 )
-def test_the_wheel_radius_of_a_mecanum_body_is_named(tmp_path, seconds, seed, gyro_sd, within):
+def test_the_wheel_radius_of_a_mecanum_body_is_named(
+    tmp_path, seconds, seed, gyro_sd, within
+):
     """Rollers slip at every step of a set-point, which may hide how large it is."""
     plant = {"drive": "mecanum", "wheel_radius_m": 0.05}
     model = Config.model_validate({"plant": plant})
@@ -110,7 +125,11 @@ def test_the_wheel_radius_of_a_mecanum_body_is_named(tmp_path, seconds, seed, gy
     config = Config.model_validate({"plant": plant, "mechatronic": body})
     scenario = on_rows(omni(seconds, seed))
     findings = found_in(tmp_path, config, scenario, seconds, model, **{GYRO: gyro_sd})
-    named = [f for f in findings.findings if f.verdict in (Verdict.NAMED, Verdict.NAMED_GROUP)]
+    named = [
+        f
+        for f in findings.findings
+        if f.verdict in (Verdict.NAMED, Verdict.NAMED_GROUP)
+    ]
     (found,) = (f for f in named if not {"body_lag", "imu_latency"} & set(f.causes))
     assert "wheel_radius" in found.causes
     low, high = found.parameters["wheel_radius"].ci95
@@ -119,7 +138,9 @@ def test_the_wheel_radius_of_a_mecanum_body_is_named(tmp_path, seconds, seed, gy
 
 @pytest.mark.long
 def test_a_blocked_spell_is_said_and_names_no_cause(tmp_path):
-    (tmp_path / "hall.yaml").write_text("walls: [[1.5, -9, 1.5, 9]]\n", encoding="utf-8")
+    (tmp_path / "hall.yaml").write_text(
+        "walls: [[1.5, -9, 1.5, 9]]\n", encoding="utf-8"
+    )
     config = Config.model_validate(
         {
             "mechatronic": {"enabled": True, "sensors": "body"},
@@ -132,12 +153,15 @@ def test_a_blocked_spell_is_said_and_names_no_cause(tmp_path):
     steps += [{**step, "at_s": step["at_s"] + 19.5} for step in later]
     findings = found_in(tmp_path, config, on_rows(steps), 60.0)
     assert any(
-        "stood still once although its wheels were turning" in note for note in findings.notices
+        "stood still once although its wheels were turning" in note
+        for note in findings.notices
     )
     assert all(f.verdict == Verdict.STRUCTURE_NOT_IN_LIBRARY for f in findings.findings)
 
 
-@pytest.mark.parametrize("mass_kg", [5.0, 50.0], ids=["the wheels slip", "the wheels stall"])
+@pytest.mark.parametrize(
+    "mass_kg", [5.0, 50.0], ids=["the wheels slip", "the wheels stall"]
+)
 def test_the_body_at_a_wall_is_seen_to_be_blocked(mass_kg):
     wall = wall_solids(np.array([3.0, -2.0, 3.0, 2.0]))
     tyre = {"v0_m_s": 0.05}
@@ -148,8 +172,15 @@ def test_the_body_at_a_wall_is_seen_to_be_blocked(mass_kg):
         asked = 55.0 * np.sign(duty) * MIRROR
         speeds = body.b.speed * MIRROR * 30.0 / math.pi
         rows.append([*asked, *speeds, body.velocity[2], *body.place[:2], body.yaw])
-    columns = dict(zip((*SETPOINTS, *SPEEDS, GYRO, *TAG), np.array(rows).T, strict=True))
-    log, found = blocked.find(log_of(GRID_S * np.arange(len(rows)), columns), RobotParameters())
+    columns = dict(
+        zip((*SETPOINTS, *SPEEDS, GYRO, *TAG), np.array(rows).T, strict=True)
+    )
+    log, found = blocked.find(
+        log_of(GRID_S * np.arange(len(rows)), columns), RobotParameters()
+    )
     assert found == []
-    assert any("stood still once although its wheels were turning" in note for note in log.notices)
+    assert any(
+        "stood still once although its wheels were turning" in note
+        for note in log.notices
+    )
     assert len(log.spans) == 2

@@ -103,7 +103,9 @@ def test_a_threshold_is_climbed_and_felt():
 def test_a_slope_is_climbed():
     rise = math.atan2(0.2, 1.0)
     centre = (1.0 + 0.025 * math.sin(rise), 0.0, 0.1 - 0.025 * math.cos(rise))
-    slope = Solid(centre, (0.5 * math.hypot(1.0, 0.2), 1.0, 0.025), 0.0, rise, carries=True)
+    slope = Solid(
+        centre, (0.5 * math.hypot(1.0, 0.2), 1.0, 0.025), 0.0, rise, carries=True
+    )
     body = Body(solids=[slope]).run(2.0, *[5.0] * 4)
     assert 0.6 < body.place[0] < 1.2
     assert body.place[2] - 0.06 == pytest.approx(0.2 * (body.place[0] - 0.5), abs=0.02)
@@ -119,4 +121,6 @@ def test_a_mecanum_body_drives_like_its_kinematics(twist):
     seen = [body.run(0.002, *left, *right).velocity for _ in range(100)]
     size = max(abs(part) for part in twist)
     assert np.mean(seen, axis=0) == pytest.approx(twist, abs=0.01 * size)
-    assert np.ptp(seen, axis=0) == pytest.approx((0.0, 0.0, 0.0), abs=0.001 * size)  # no ripple
+    assert np.ptp(seen, axis=0) == pytest.approx(
+        (0.0, 0.0, 0.0), abs=0.001 * size
+    )  # no ripple

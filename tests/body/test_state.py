@@ -45,7 +45,9 @@ def test_a_bad_number_ends_the_run_and_is_no_silent_reset(tmp_path, monkeypatch)
 
 speeds = st.lists(st.floats(-12.0, 12.0), min_size=4, max_size=4)
 boxes = st.builds(
-    lambda x, y, size, height, yaw: Solid((x, y, height / 2), (size, size, height / 2), yaw),
+    lambda x, y, size, height, yaw: Solid(
+        (x, y, height / 2), (size, size, height / 2), yaw
+    ),
     st.floats(0.5, 1.0),
     st.floats(-0.5, 0.5),
     st.floats(0.02, 0.2),
@@ -56,7 +58,9 @@ boxes = st.builds(
 
 @settings(max_examples=10, deadline=None)
 @given(st.lists(boxes, max_size=3), st.lists(speeds, min_size=1, max_size=3))
-def test_whatever_stands_there_all_numbers_stay_finite_and_energy_bounded(solids, commands):
+def test_whatever_stands_there_all_numbers_stay_finite_and_energy_bounded(
+    solids, commands
+):
     body = Body(solids=[*WALL, *solids])
     for asked in commands:
         body.run(0.4, *asked)  # asserts that every slice was good
@@ -69,7 +73,9 @@ def test_whatever_stands_there_all_numbers_stay_finite_and_energy_bounded(solids
 def test_a_million_random_steps_make_no_energy():
     """Half a second takes more out of body and wheels than it adds to what the drives put in."""
     random = np.random.default_rng(1)
-    body = Body(solids=WALL, torque=True, sensors=True, slice_s=STEP_S).run(0.5, *[0.0] * 4)
+    body = Body(solids=WALL, torque=True, sensors=True, slice_s=STEP_S).run(
+        0.5, *[0.0] * 4
+    )
     before_j = body.energy_j
     for _ in range(2000):
         asked, work_j = random.uniform(-100.0, 100.0, 4), 0.0
@@ -85,7 +91,10 @@ def test_a_million_random_steps_make_no_energy():
     ("changes", "words"),
     [
         ({"step_s": 0.0015}, "multiple of step_ms"),
-        ({"tyre": Tyre(v0_m_s=0.003)}, r"step_ms: 1 ms is too long for this tyre: .*v0_m_s"),
+        (
+            {"tyre": Tyre(v0_m_s=0.003)},
+            r"step_ms: 1 ms is too long for this tyre: .*v0_m_s",
+        ),
         ({"centre_of_mass_m": (0.2, 0.0, 0.06)}, "falls over"),
         ({"mass_kg": math.nan}, "mass_kg"),
         ({"inertia_kg_m2": (0.1, 0.01, 0.01)}, "no moment may exceed"),

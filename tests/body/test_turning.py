@@ -29,7 +29,10 @@ def test_a_centre_of_mass_ahead_of_the_wheels_moves_the_centre_of_rotation():
     assert gain_and_icr(80, centre_of_mass_m=ahead)[0] == pytest.approx(2.009, rel=0.02)
     # in the limit of slow turning and a tyre that does not fade: the planar balance
     slow = gain_and_icr(
-        20, centre_of_mass_m=ahead, step_s=0.0001, tyre={"v0_m_s": 0.003, "rolling": 0.0}
+        20,
+        centre_of_mass_m=ahead,
+        step_s=0.0001,
+        tyre={"v0_m_s": 0.003, "rolling": 0.0},
     )
     assert slow == pytest.approx((2.009, 0.02), rel=0.02)
     assert slow == pytest.approx(balance(0.25, 0.31, 1.0, 0.0127), rel=0.02)
@@ -37,7 +40,9 @@ def test_a_centre_of_mass_ahead_of_the_wheels_moves_the_centre_of_rotation():
 
 def test_grip_across_the_wheels_holds_the_robot_back():
     gain, _ = gain_and_icr(
-        80, centre_of_mass_m=(0.05, 0.0, 0.06), tyre={"mu_long": 0.6, "mu_lat": 0.6 * 2.24}
+        80,
+        centre_of_mass_m=(0.05, 0.0, 0.06),
+        tyre={"mu_long": 0.6, "mu_lat": 0.6 * 2.24},
     )
     assert gain == pytest.approx(1.0, rel=0.05)
 

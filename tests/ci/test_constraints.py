@@ -13,7 +13,9 @@ ROOT = Path(__file__).parents[2]
 def test_every_requirement_has_a_version_that_it_allows():
     lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()[1:]
     pinned = dict(line.split("==") for line in lines)
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[
+        "project"
+    ]
     extras = project["optional-dependencies"].values()
     for requirement in map(Requirement, chain(project["dependencies"], *extras)):
         if requirement.name != project["name"]:

@@ -92,4 +92,7 @@ def test_a_signal_to_the_whole_group_reaches_the_program_once(makefile: Path) ->
 )
 def test_the_exit_code_is_the_program_s(program: str, code: int) -> None:
     command = [sys.executable, str(FOREGROUND), sys.executable, "-c", program]
-    assert subprocess.run(command, stdin=subprocess.DEVNULL, check=False).returncode == code
+    assert (
+        subprocess.run(command, stdin=subprocess.DEVNULL, check=False).returncode
+        == code
+    )

@@ -49,7 +49,11 @@ class Step: ...
 
 @pytest.fixture
 def house(tmp_path: Path) -> Path:
-    for name, text in {"cellar/floor": CELLAR, "attic/roof": ATTIC, "shed/door": SHED}.items():
+    for name, text in {
+        "cellar/floor": CELLAR,
+        "attic/roof": ATTIC,
+        "shed/door": SHED,
+    }.items():
         path = tmp_path / "hilserver" / f"{name}.py"
         path.parent.mkdir(parents=True)
         path.write_text(text)
@@ -58,7 +62,15 @@ def house(tmp_path: Path) -> Path:
 
 def run(house: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, HOUSE, "--root", house, "--baseline", house / "house.json", *arguments],
+        [
+            sys.executable,
+            HOUSE,
+            "--root",
+            house,
+            "--baseline",
+            house / "house.json",
+            *arguments,
+        ],
         capture_output=True,
         text=True,
         check=False,

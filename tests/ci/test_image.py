@@ -53,7 +53,9 @@ def read(path):
         config = json.loads(blob(archive, manifest["config"]))
         (layer,) = manifest["layers"]
         unpacked = gzip.decompress(blob(archive, layer))
-    assert config["rootfs"]["diff_ids"] == [f"sha256:{hashlib.sha256(unpacked).hexdigest()}"]
+    assert config["rootfs"]["diff_ids"] == [
+        f"sha256:{hashlib.sha256(unpacked).hexdigest()}"
+    ]
     return entry, config, unpacked
 
 
@@ -68,7 +70,9 @@ def test_on_an_iot2050_it_is_an_image_for_arm64_with_limits_of_its_own(monkeypat
     )
     assert small.keys() == {"hilserver"}
     assert small["hilserver"]["platform"] == "linux/arm64"
-    assert small["hilserver"].keys() - {"platform", "cpuset"} <= usual["hilserver"].keys()
+    assert (
+        small["hilserver"].keys() - {"platform", "cpuset"} <= usual["hilserver"].keys()
+    )
 
 
 def test_the_layout_is_that_of_the_specification_and_the_same_twice(tmp_path):
@@ -84,11 +88,17 @@ def test_the_layout_is_that_of_the_specification_and_the_same_twice(tmp_path):
     image.write_image(root, second, "1.2.3")
     assert first.read_bytes() == second.read_bytes()
     entry, config, unpacked = read(first)
-    assert entry["annotations"]["org.opencontainers.image.ref.name"] == "localhost/hilserver:1.2.3"
+    assert (
+        entry["annotations"]["org.opencontainers.image.ref.name"]
+        == "localhost/hilserver:1.2.3"
+    )
     assert config["os"] == "linux"
     assert config["config"]["User"] == "10001:10001"
     # Where the rest is read-only kernels would be compiled anew in a cache that cannot be written.
-    assert config["config"]["Volumes"].keys() == {"/var/lib/hilserver", "/var/cache/hilserver"}
+    assert config["config"]["Volumes"].keys() == {
+        "/var/lib/hilserver",
+        "/var/cache/hilserver",
+    }
     with tarfile.open(fileobj=io.BytesIO(unpacked)) as layer:
         assert layer.getnames() == [".", "etc", "etc/alias", "etc/name"]
         assert layer.getmember("etc/name").mode == 0o640
@@ -108,12 +118,16 @@ def image(tmp_path_factory):
 
 def build(words):
     command = [sys.executable, *words]
-    subprocess.run(command, check=True, cwd=ROOT, timeout=1800, stdout=subprocess.DEVNULL)
+    subprocess.run(
+        command, check=True, cwd=ROOT, timeout=1800, stdout=subprocess.DEVNULL
+    )
 
 
 def contained(folder, *words, rights=()):
     """Run a program as the user of the image, in a container that systemd-nspawn makes."""
-    variables = [f"--setenv={name}={value}" for name, value in script().ENVIRONMENT.items()]
+    variables = [
+        f"--setenv={name}={value}" for name, value in script().ENVIRONMENT.items()
+    ]
     command = [
         "systemd-nspawn", "--quiet", "--register=no", "--keep-unit", f"--directory={folder}",
         "--volatile=overlay", "--user=hilserver", "--private-network", "--link-journal=no",

@@ -27,7 +27,9 @@ pytestmark = pytest.mark.long  # it downloads what hilserver needs, and compiles
 ALONE = ("PYTHONPATH", "HOME")
 LIMIT_BYTES = 10_000_000
 OBJECTS = "hilserver/compiled/objects/"
-VERSIONS = [f"{package.__name__}=={package.__version__}" for package in (numba, llvmlite, np)]
+VERSIONS = [
+    f"{package.__name__}=={package.__version__}" for package in (numba, llvmlite, np)
+]
 SCENARIO = """
 steps:
   - {at_s: 0.0, write: {control.mode: 1, twist.linear_m_s: 0.3}}
@@ -48,7 +50,9 @@ def run(*command, cwd, without=("PYTHONPATH",), **environment):
     rest = {name: value for name, value in os.environ.items() if name not in without}
     environment = rest | environment
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-    done = subprocess.run(words, check=False, cwd=cwd, timeout=900, env=environment, **pipes)
+    done = subprocess.run(
+        words, check=False, cwd=cwd, timeout=900, env=environment, **pipes
+    )
     assert done.returncode == 0, done.stdout
     return done.stdout
 
@@ -89,20 +93,30 @@ def test_the_wheel_has_one_package_at_its_top_and_the_page(wheel):
     with zipfile.ZipFile(wheel) as file:
         names = file.namelist()
     tops = {name.split("/")[0] for name in names}
-    assert {top for top in tops if not re.search(r"[.](data|dist-info)$", top)} == {"hilserver"}
+    assert {top for top in tops if not re.search(r"[.](data|dist-info)$", top)} == {
+        "hilserver"
+    }
     assert "hilserver/io/page/static/index.html" in names
     assert not [name for name in names if name.startswith(("tests", "benchmarks"))]
 
 
 def test_it_names_its_interpreter_and_platform_and_the_terms_of_numba(wheel):
     interpreter = f"cp{sys.version_info.major}{sys.version_info.minor}"
-    assert re.search(f"-{interpreter}-{interpreter}-manylinux[0-9a-z_.]+[.]whl$", wheel.name)
+    assert re.search(
+        f"-{interpreter}-{interpreter}-manylinux[0-9a-z_.]+[.]whl$", wheel.name
+    )
     with zipfile.ZipFile(wheel) as file:
-        about = {Path(name).name: name for name in file.namelist() if ".dist-info/" in name}
+        about = {
+            Path(name).name: name for name in file.namelist() if ".dist-info/" in name
+        }
         assert b"Root-Is-Purelib: false" in file.read(about["WHEEL"])
         assert b"License-File: LICENSE.numba" in file.read(about["METADATA"])
         assert b"Anaconda" in file.read(about["LICENSE.numba"])
-        packed = [file.getinfo(n).compress_size for n in file.namelist() if n.startswith(OBJECTS)]
+        packed = [
+            file.getinfo(n).compress_size
+            for n in file.namelist()
+            if n.startswith(OBJECTS)
+        ]
     assert len(packed) > 50
     assert sum(packed) < LIMIT_BYTES
 
@@ -120,7 +134,9 @@ def test_the_first_start_compiles_nothing(installed):
     (folder / "first.yaml").write_text(CONFIG)
     words = ["run", "--demo", "--duration", "3", "-c", "first.yaml"]
     cache = str(folder / "cache")
-    said = run(bin_ / "hilserver", *words, cwd=folder, without=ALONE, HILSERVER_CACHE_DIR=cache)
+    said = run(
+        bin_ / "hilserver", *words, cwd=folder, without=ALONE, HILSERVER_CACHE_DIR=cache
+    )
     assert "compil" not in said
     assert list((folder / "cache").rglob("step_*.py"))  # it is the cache that was used
     assert not list((folder / "cache").rglob("*.nbc"))
@@ -152,7 +168,9 @@ def test_other_versions_are_told_in_one_line_and_compiled(installed):
     finally:
         hidden.rename(hashed)
         about.write_text(whole)
-    assert len([line for line in said.splitlines() if "made with numba 0.1" in line]) == 1
+    assert (
+        len([line for line in said.splitlines() if "made with numba 0.1" in line]) == 1
+    )
     assert list(Path(cache).rglob("*.nbc"))
 
 

@@ -29,7 +29,15 @@ LOG_LINE = re.compile(r"\d\d:\d\d:\d\d \[\w+ *\] \w")
 
 def run_on_a_terminal(folder, *options, until):
     """Run under a pty and return what it showed up to `until`, without colours."""
-    command = [sys.executable, "-m", "hilserver", "run", "-c", str(write_config(folder)), *options]
+    command = [
+        sys.executable,
+        "-m",
+        "hilserver",
+        "run",
+        "-c",
+        str(write_config(folder)),
+        *options,
+    ]
     master, slave = pty.openpty()
     environment = os.environ | {"COLUMNS": "200"}
     with subprocess.Popen(
@@ -59,17 +67,35 @@ def test_a_terminal_shows_readable_lines_and_one_of_status(tmp_path):
     lines = [line for line in re.split(r"[\r\n]|\x1b\[K", shown) if line.strip()]
     banner = lines.index("hilserver is running; stop it with Ctrl-C")
     assert lines[banner + 1].startswith("  OPC UA   opc.tcp://")
-    others = [line for line in lines if not line.startswith(("hilserver is", "  ", "running |"))]
-    assert all(LOG_LINE.match(line) for line in others if not line.startswith("starting")), others
+    others = [
+        line
+        for line in lines
+        if not line.startswith(("hilserver is", "  ", "running |"))
+    ]
+    assert all(
+        LOG_LINE.match(line) for line in others if not line.startswith("starting")
+    ), others
     [degraded] = [line for line in lines if "degraded" in line] or [""]
     assert not degraded or "hilserver latency-test" in degraded
 
 
 def test_elsewhere_every_line_is_json(tmp_path):
-    command = [sys.executable, "-m", "hilserver", "run", "-c", str(write_config(tmp_path))]
+    command = [
+        sys.executable,
+        "-m",
+        "hilserver",
+        "run",
+        "-c",
+        str(write_config(tmp_path)),
+    ]
     command += ["--demo", "--duration", "1", "--record", "out.mcap"]
     done = subprocess.run(
-        command, capture_output=True, text=True, timeout=LIMIT_S, cwd=tmp_path, check=True
+        command,
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        cwd=tmp_path,
+        check=True,
     )
     lines = [json.loads(line) for line in done.stderr.splitlines()]
     [running] = [line for line in lines if line["event"] == "hilserver is running"]
@@ -99,7 +125,9 @@ def test_compiling_is_one_line_at_its_begin_and_one_at_its_end(tmp_path, monkeyp
             announcer._say_compiled()
             writer.drain(10.0)
             first, last = (tmp_path / "log").read_text().splitlines()
-        assert first.startswith("hilserver is compiling the model for this computer: " + estimate)
+        assert first.startswith(
+            "hilserver is compiling the model for this computer: " + estimate
+        )
         assert last == "hilserver has compiled 150 functions in 1 min 15 s"
 
 
@@ -128,9 +156,13 @@ def said_after(seconds, processor_s, *, waits_for="its libraries"):
 
 def test_a_long_start_says_what_it_waits_for_and_how_little_it_gets():
     text = said_after(40.0, 2.0)
-    assert text.startswith("hilserver is still starting after 40 s: it waits for its libraries;")
+    assert text.startswith(
+        "hilserver is still starting after 40 s: it waits for its libraries;"
+    )
     assert "5% of a core" in text
-    assert "of a core" not in said_after(40.0, 35.0, waits_for="the embedded controller")
+    assert "of a core" not in said_after(
+        40.0, 35.0, waits_for="the embedded controller"
+    )
 
 
 def test_a_start_that_ends_in_time_says_nothing(monkeypatch):

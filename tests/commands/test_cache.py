@@ -60,10 +60,15 @@ def test_what_cannot_be_removed_is_one_sentence(kept, here, monkeypatch):
     code, _, said = here("cache", "clear")
     assert code == 1
     first = min(kernel_hash(), "old")
-    assert said == f"hilserver: {kept}: kernels-{first} cannot be removed: permission denied\n"
+    assert (
+        said
+        == f"hilserver: {kept}: kernels-{first} cannot be removed: permission denied\n"
+    )
 
 
-def test_it_shows_what_the_installation_brought_along(kept, here, tmp_path, monkeypatch):
+def test_it_shows_what_the_installation_brought_along(
+    kept, here, tmp_path, monkeypatch
+):
     supplied = Supplied("1", tmp_path / "objects")
     supplied.folder.mkdir(parents=True)
     (supplied.folder / "a.nbc").write_bytes(bytes(500_000))

@@ -54,7 +54,9 @@ def test_make_and_renew(config: Path, capsys: pytest.CaptureFixture[str]) -> Non
 
 
 @pytest.mark.parametrize("place", ["keys/opcua.pem", "{folder}/elsewhere/opcua.pem"])
-def test_the_key_goes_where_the_configuration_wants_it(tmp_path: Path, place: str) -> None:
+def test_the_key_goes_where_the_configuration_wants_it(
+    tmp_path: Path, place: str
+) -> None:
     key = Path(place.format(folder=tmp_path))
     config = tmp_path / "config.yaml"
     config.write_text(yaml.safe_dump({"opcua": {"private_key": str(key)}}))
@@ -76,7 +78,9 @@ def test_expiry_is_shown(config: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert certs(config, "list", "--expiring", "5") == 0
     assert capsys.readouterr().out == ""
     assert certs(config, "list") == 0
-    assert capsys.readouterr().out == "no certificates; 'hilserver certs make' makes one\n"
+    assert (
+        capsys.readouterr().out == "no certificates; 'hilserver certs make' makes one\n"
+    )
     certs(config, "make", "--days", "10")
     capsys.readouterr()
     assert certs(config, "list") == 0
@@ -88,7 +92,9 @@ def test_expiry_is_shown(config: Path, capsys: pytest.CaptureFixture[str]) -> No
 
 def test_trust_reject_revoke(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
     trust = TrustList(config.parent / "certificates")
-    certificate = make_certificate(make_key(), "urn:client", ["c"], common_name="UaExpert@pc")
+    certificate = make_certificate(
+        make_key(), "urn:client", ["c"], common_name="UaExpert@pc"
+    )
     data = to_der(certificate)
     trust.keep_rejected(data)
     for words, verdict in (
@@ -104,15 +110,21 @@ def test_trust_reject_revoke(config: Path, capsys: pytest.CaptureFixture[str]) -
     assert certs(config, "trust", "nobody") == 1
     assert "no certificate 'nobody' to trust" in capsys.readouterr().err
     certs(config, "list")
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["trusted"]
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [
+        "trusted"
+    ]
 
 
-def test_trust_a_file(config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_trust_a_file(
+    config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "client.der"
     certificate = make_certificate(make_key(), "urn:client", [])
     path.write_bytes(to_der(certificate))
     assert certs(config, "trust", str(path)) == 0
-    assert TrustList(tmp_path / "certificates").judge(to_der(certificate)) is Verdict.GOOD
+    assert (
+        TrustList(tmp_path / "certificates").judge(to_der(certificate)) is Verdict.GOOD
+    )
     path.write_bytes(b"0123")
     assert certs(config, "trust", str(path)) == 1
     assert "is not a certificate" in capsys.readouterr().err
@@ -149,7 +161,10 @@ def test_secure_server_without_certificate_is_one_sentence(
     )
     assert main(["run", "-c", str(config), "--duration", "1"]) == 78
     error = capsys.readouterr().err
-    assert "certificate.der is missing: make a certificate with 'hilserver certs make'" in error
+    assert (
+        "certificate.der is missing: make a certificate with 'hilserver certs make'"
+        in error
+    )
     assert "Traceback" not in error
 
 

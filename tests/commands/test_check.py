@@ -15,7 +15,9 @@ def said(folder, text):
 
 
 def warned(folder, read, more=""):
-    peer = f"peers:\n  - {{name: a, endpoint: 'opc.tcp://h:1', read: {{{read}}}}}\n{more}"
+    peer = (
+        f"peers:\n  - {{name: a, endpoint: 'opc.tcp://h:1', read: {{{read}}}}}\n{more}"
+    )
     return [line for line in said(folder, peer) if line.startswith("warning: ")]
 
 
@@ -56,6 +58,7 @@ def test_wheels_are_not_the_peers_when_others_drive(tmp_path):
     ],
 )
 def test_sources_appear_only_where_they_exist(tmp_path, text, sources):
-    assert f"control: 'opcua' has control at the start; sources, highest first: {sources}" in said(
-        tmp_path, text
+    assert (
+        f"control: 'opcua' has control at the start; sources, highest first: {sources}"
+        in said(tmp_path, text)
     )

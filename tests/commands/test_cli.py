@@ -56,7 +56,9 @@ def write_config(folder, text=""):
 
 def test_every_module_with_a_command_is_listed():
     files = Path(commands.__file__).parent.glob("*.py")
-    modules = [f.stem for f in files if "\ndef add_arguments(" in f.read_text(encoding="utf-8")]
+    modules = [
+        f.stem for f in files if "\ndef add_arguments(" in f.read_text(encoding="utf-8")
+    ]
     assert {name.replace("_", "-") for name in modules} == set(COMMANDS)
 
 
@@ -74,7 +76,9 @@ def test_help_of_every_action_has_an_example(command, monkeypatch):
     monkeypatch.setattr(
         argparse._SubParsersAction,
         "add_parser",
-        lambda self, *words, **options: made.append(added(self, *words, **options)) or made[-1],
+        lambda self, *words, **options: (
+            made.append(added(self, *words, **options)) or made[-1]
+        ),
     )
     commands._module(command).add_arguments(argparse.ArgumentParser())
     helps = [action.format_help() for action in made if action.add_help]
@@ -85,8 +89,14 @@ def test_help_of_every_action_has_an_example(command, monkeypatch):
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("plant: {max_rmp: 90}\n", "config.yaml:4: unknown key 'plant.max_rmp'; did you mean"),
-        ("plant: {max_rpm: fast}\n", "config.yaml:4: plant.max_rpm: 'fast' is not valid"),
+        (
+            "plant: {max_rmp: 90}\n",
+            "config.yaml:4: unknown key 'plant.max_rmp'; did you mean",
+        ),
+        (
+            "plant: {max_rpm: fast}\n",
+            "config.yaml:4: plant.max_rpm: 'fast' is not valid",
+        ),
         (
             "scheduler:\n  slices: {supervise: 100.5}\n",
             "config.yaml:5: scheduler.slices.supervise: ",
@@ -119,13 +129,17 @@ def test_a_bad_configuration_is_one_sentence_and_exit_78(
         assert len(printed.splitlines()) == 1
 
 
-def test_check_refuses_a_unit_that_the_server_cannot_show(tmp_path, monkeypatch, capsys):
+def test_check_refuses_a_unit_that_the_server_cannot_show(
+    tmp_path, monkeypatch, capsys
+):
     (tmp_path / "own.py").write_text(
         "from hilserver.plant.blocks import Output, block\n\n"
         "@block(inputs=(), outputs=(Output('far', unit='parsec', low=0.0, high=1.0),))\n"
         "def away(dt_s, u, y, x, p):\n    y[0] = 0.0\n"
     )
-    write_config(tmp_path, "blocks:\n  - {name: a, function: 'own.py:away', slice: sensors}\n")
+    write_config(
+        tmp_path, "blocks:\n  - {name: a, function: 'own.py:away', slice: sensors}\n"
+    )
     monkeypatch.chdir(tmp_path)
     assert main(["check"]) == 78
     printed = capsys.readouterr().err
@@ -141,7 +155,9 @@ def test_check_says_what_the_configuration_means(tmp_path):
 
 
 def test_run_ends_after_its_duration_with_0(tmp_path):
-    run = hilserver("run", "-c", str(write_config(tmp_path)), "--duration", "0.5", cwd=tmp_path)
+    run = hilserver(
+        "run", "-c", str(write_config(tmp_path)), "--duration", "0.5", cwd=tmp_path
+    )
     assert run.returncode == 0, run.stderr
     assert "Traceback" not in run.stderr
 
@@ -151,8 +167,17 @@ def test_run_ends_after_its_duration_with_0(tmp_path):
     "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)]
 )
 def test_signals_end_the_daemon_cleanly(tmp_path, number):
-    command = [sys.executable, "-m", "hilserver", "run", "-c", str(write_config(tmp_path))]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
+    command = [
+        sys.executable,
+        "-m",
+        "hilserver",
+        "run",
+        "-c",
+        str(write_config(tmp_path)),
+    ]
+    with subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, cwd=tmp_path
+    ) as process:
         lines = []
         for line in process.stderr:
             lines.append(line)
@@ -205,7 +230,9 @@ def test_signals_end_a_start_cleanly(tmp_path, number, after_s):
     assert not events or events[-1] == ended, "without a line: it came before the first"
 
 
-@pytest.mark.parametrize("words", [["-c", "none.yaml"], ["--scenario-schema", "schema.json"]])
+@pytest.mark.parametrize(
+    "words", [["-c", "none.yaml"], ["--scenario-schema", "schema.json"]]
+)
 def test_a_run_that_ends_early_leaves_the_garbage_collector_on(words, here):
     here("run", *words)
     assert gc.isenabled()
@@ -232,7 +259,9 @@ def test_a_signal_while_the_step_is_compiled_ends_it_at_once(monkeypatch):
         ("run", ""),
     ],
 )
-def test_a_signal_while_a_command_is_imported_is_a_sentence(monkeypatch, capsys, command, said):
+def test_a_signal_while_a_command_is_imported_is_a_sentence(
+    monkeypatch, capsys, command, said
+):
     """Importing compiles, which takes a minute; `run` has its own words, in the form of its log."""
 
     def interrupted(_name):
@@ -255,19 +284,33 @@ def test_an_interrupt_within_python_run_from_c_is_no_end_by_signal(tmp_path):
         "sys.exit(commands.main(['run']))",
     ]
     (tmp_path / "interrupted.py").write_text("\n".join(lines), encoding="utf-8")
-    run = subprocess.run([sys.executable, "-m", "interrupted"], cwd=tmp_path, check=False)
+    run = subprocess.run(
+        [sys.executable, "-m", "interrupted"], cwd=tmp_path, check=False
+    )
     assert run.returncode == 0
 
 
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (("check", "--schema", "absent/schema.json"), "absent/schema.json: no such file"),
-        (("latency-test", "--duration", "0.1", "--json", "."), ".: is a directory; name a file"),
+        (
+            ("check", "--schema", "absent/schema.json"),
+            "absent/schema.json: no such file",
+        ),
+        (
+            ("latency-test", "--duration", "0.1", "--json", "."),
+            ".: is a directory; name a file",
+        ),
         (("check", "--schema", "/dev/full"), "/dev/full: no space left; free some"),
         (("signals", "-o", "/dev/full"), "/dev/full: no space left; free some"),
-        (("model", "--format", "urdf", "-o", "/dev/full"), "/dev/full: no space left; free some"),
-        (("run", "--scenario-schema", "/dev/full"), "/dev/full: no space left; free some"),
+        (
+            ("model", "--format", "urdf", "-o", "/dev/full"),
+            "/dev/full: no space left; free some",
+        ),
+        (
+            ("run", "--scenario-schema", "/dev/full"),
+            "/dev/full: no space left; free some",
+        ),
     ],
 )
 def test_a_file_that_cannot_be_written_is_one_sentence(here, words, complaint):
@@ -283,11 +326,16 @@ def test_a_file_that_cannot_be_written_is_one_sentence(here, words, complaint):
 def test_a_command_that_does_not_exist_is_one_sentence(here, word, hint):
     code, out, said = here(word, "-o", "x")
     assert (code, out) == (2, "")
-    assert said.splitlines()[-1] == f"hilserver: error: there is no command '{word}'; {hint}"
+    assert (
+        said.splitlines()[-1]
+        == f"hilserver: error: there is no command '{word}'; {hint}"
+    )
 
 
 def test_a_figure_file_is_tried_before_the_measurement(here, monkeypatch):
-    monkeypatch.setattr("hilserver.bench.loop.run", lambda _: pytest.fail("it was measured"))
+    monkeypatch.setattr(
+        "hilserver.bench.loop.run", lambda _: pytest.fail("it was measured")
+    )
     code, out, said = here("bench", "loop", "--json", "absent/x.json")
     assert code == 1
     assert "absent/x.json: no such file" in said
@@ -317,7 +365,9 @@ def test_a_port_in_use_is_one_sentence_and_exit_1(tmp_path):
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        text = path.read_text().replace("metrics: {port: 0}", f"metrics: {{port: {port}}}")
+        text = path.read_text().replace(
+            "metrics: {port: 0}", f"metrics: {{port: {port}}}"
+        )
         path.write_text(text)
         run = hilserver("run", "-c", str(path), cwd=tmp_path)
     assert run.returncode == 1
@@ -330,7 +380,9 @@ def test_two_daemons_with_one_image_name(tmp_path):
     name = f"test-cli-{os.getpid()}"
     path.write_text(path.read_text().replace("name: auto", f"name: {name}"))
     command = [sys.executable, "-m", "hilserver", "run", "-c", str(path)]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as first:
+    with subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, cwd=tmp_path
+    ) as first:
         for line in first.stderr:
             if "hilserver is running" in line:
                 break
@@ -343,7 +395,9 @@ def test_two_daemons_with_one_image_name(tmp_path):
         assert first.wait(600) == 0
     assert second.returncode == 1
     assert f"another hilserver uses the process image '{name}'" in second.stderr
-    assert "unknown key 'plant.wheel_radius'" in mistaken.stderr  # before, the other one was blamed
+    assert (
+        "unknown key 'plant.wheel_radius'" in mistaken.stderr
+    )  # before, the other one was blamed
     assert mistaken.returncode == 78
 
 
@@ -368,7 +422,8 @@ def test_a_word_too_many_is_named_with_the_usage_of_its_command(here, words, hin
 
 
 @pytest.mark.parametrize(
-    "words", [["check", "--schema"], ["signals", "-o"], ["fmu", "--platforms", "none", "-o"]]
+    "words",
+    [["check", "--schema"], ["signals", "-o"], ["fmu", "--platforms", "none", "-o"]],
 )
 def test_a_full_disk_leaves_the_file_of_before(here, tmp_path, monkeypatch, words):
     def fill(place, *_, **__):
@@ -383,7 +438,9 @@ def test_a_full_disk_leaves_the_file_of_before(here, tmp_path, monkeypatch, word
     code, _, said = here(*words, "out")
     assert code == 1
     assert said == "hilserver: cannot write out: no space left; free some\n"
-    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("out", b"good")]
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [
+        ("out", b"good")
+    ]
 
 
 def test_a_full_disk_elsewhere_is_not_laid_to_the_fmu(here, monkeypatch):

@@ -28,9 +28,13 @@ def test_a_daemon_without_its_cache_uses_the_spare_one_and_says_one_line(
     shutil.copytree(compiled, spare_folder() / compiled.name)
     with running_daemon(tmp_path) as daemon:
         assert daemon.stop() == 0
-    lines = [json.loads(line) for line in (tmp_path / "daemon.log").read_text().splitlines()]
+    lines = [
+        json.loads(line) for line in (tmp_path / "daemon.log").read_text().splitlines()
+    ]
     [told] = [line for line in lines if "HILSERVER_CACHE_DIR" in line["event"]]
     assert told["level"] == "warning"
-    assert told["event"].startswith(f"{tmp_path}/a_file: not a directory; compiled code is kept in")
+    assert told["event"].startswith(
+        f"{tmp_path}/a_file: not a directory; compiled code is kept in"
+    )
     assert not any("compiling" in line["event"] for line in lines)
     assert list((spare_folder() / "opcua").iterdir())

@@ -40,7 +40,16 @@ def other_key(folder):
 
 def key_with_password(folder):
     self_signed(folder)
-    openssl(folder, "genrsa", "-aes128", "-passout", "pass:wheel", "-out", "page.key", "2048")
+    openssl(
+        folder,
+        "genrsa",
+        "-aes128",
+        "-passout",
+        "pass:wheel",
+        "-out",
+        "page.key",
+        "2048",
+    )
 
 
 def junk(folder):
@@ -57,7 +66,9 @@ def junk(folder):
         (key_with_password, "page.key has a password; store it without"),
     ],
 )
-def test_the_page_does_not_start_without_its_certificate(tmp_path, capsys, prepare, complaint):
+def test_the_page_does_not_start_without_its_certificate(
+    tmp_path, capsys, prepare, complaint
+):
     path = tmp_path / "config.yaml"
     path.write_text(PAGE)
     prepare(tmp_path)
@@ -87,7 +98,10 @@ def test_check_looks_at_the_certificate_of_the_server(tmp_path, capsys):
     assert main(check) == 0
     (tmp_path / "certificates" / "own" / "key.pem").write_text("junk")
     assert main(check) == EXIT_BAD_CONFIGURATION
-    assert "key.pem cannot be used: not a private key in PEM form" in capsys.readouterr().err
+    assert (
+        "key.pem cannot be used: not a private key in PEM form"
+        in capsys.readouterr().err
+    )
 
 
 def test_check_looks_at_the_files_of_peers(tmp_path, capsys):
@@ -99,22 +113,37 @@ def test_check_looks_at_the_files_of_peers(tmp_path, capsys):
     security: {user: robot, password_file: secret.txt, allow_clear_password: true}
 """)
     assert main(["check", "-c", str(path)]) == EXIT_BAD_CONFIGURATION
-    assert f"{path}:2: peers[0]: peer 'iot2050': password_file" in capsys.readouterr().err
+    assert (
+        f"{path}:2: peers[0]: peer 'iot2050': password_file" in capsys.readouterr().err
+    )
 
 
 @pytest.mark.parametrize(
     ("keys", "complaint"),
     [
-        ("user: robot, password_file: secret.txt", "password_file: secret.txt cannot be read: No "),
-        ("user: robot, password_file: empty.txt", "password_file: empty.txt is empty; put the"),
-        ("tls: {ca: absent.pem}", "tls: a file cannot be read: No such file or directory"),
+        (
+            "user: robot, password_file: secret.txt",
+            "password_file: secret.txt cannot be read: No ",
+        ),
+        (
+            "user: robot, password_file: empty.txt",
+            "password_file: empty.txt is empty; put the",
+        ),
+        (
+            "tls: {ca: absent.pem}",
+            "tls: a file cannot be read: No such file or directory",
+        ),
         ("tls: {ca: junk.pem}", "tls: a certificate or key cannot be used: "),
     ],
 )
-def test_check_and_run_look_at_the_files_of_the_databus(tmp_path, capsys, keys, complaint):
+def test_check_and_run_look_at_the_files_of_the_databus(
+    tmp_path, capsys, keys, complaint
+):
     pytest.importorskip("aiomqtt")
     path = tmp_path / "config.yaml"
-    path.write_text(f"opcua: {{enabled: false}}\nedge: {{enabled: true, {keys}}}\n{IMAGE}")
+    path.write_text(
+        f"opcua: {{enabled: false}}\nedge: {{enabled: true, {keys}}}\n{IMAGE}"
+    )
     (tmp_path / "empty.txt").write_text("")
     (tmp_path / "junk.pem").write_text("junk")
     for command in ("check", "run"):
@@ -151,8 +180,19 @@ peers:
 """
     )
     assert main(["certs", "make", "--days", "2", "-c", str(path)]) == 0
-    command = [sys.executable, "-m", "hilserver", "run", "-c", str(path), "--duration", "0.1"]
-    ran = subprocess.run(command, capture_output=True, text=True, timeout=600, check=True)
+    command = [
+        sys.executable,
+        "-m",
+        "hilserver",
+        "run",
+        "-c",
+        str(path),
+        "--duration",
+        "0.1",
+    ]
+    ran = subprocess.run(
+        command, capture_output=True, text=True, timeout=600, check=True
+    )
     assert ran.stdout == ""
     lines = [json.loads(line) for line in ran.stderr.splitlines()]
     assert "certificate ends" in [line["event"] for line in lines]

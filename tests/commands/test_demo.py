@@ -31,7 +31,9 @@ def distance_to(eight, x, y):
 def demo(tmp_path):
     command = [sys.executable, "-m", "hilserver", "run", "--demo"]
     command += ["-c", str(write_config(tmp_path))]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
+    with subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, cwd=tmp_path
+    ) as process:
         for line in process.stderr:
             if started := announced([line]):
                 break
@@ -54,7 +56,9 @@ def test_a_foreign_client_sees_an_eight_takes_control_and_drives(demo):
         check=False,
     )
     assert watch.returncode == 0, watch.stderr
-    seen = json.loads(watch.stdout.strip().splitlines()[-1])  # node-opcua warns before it
+    seen = json.loads(
+        watch.stdout.strip().splitlines()[-1]
+    )  # node-opcua warns before it
     poses = seen["poses"]
     off_m = max(distance_to(eight, x, y) for x, y, _ in poses[50:])
     assert off_m < 0.5, "more than a controller that a busy computer held up"

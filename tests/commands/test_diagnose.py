@@ -31,7 +31,9 @@ def stages(monkeypatch, tmp_path):
         asked.append(("judge", log, seed, assembly.config.sha256))
         if progress:
             progress("screen", 0.5)
-        return Diagnosis(findings() if log[0] != "null.csv" else nothing_found(), evidence(300))
+        return Diagnosis(
+            findings() if log[0] != "null.csv" else nothing_found(), evidence(300)
+        )
 
     def compare(log, other, assembly, **options):
         asked.append(("compare", log, other))
@@ -71,10 +73,15 @@ def test_a_bad_log_is_one_sentence_exit_2_and_no_file(stages, tmp_path, capsys):
 def test_a_signal_ends_it_at_once_with_a_sentence_and_no_file(
     stages, tmp_path, monkeypatch, capsys, number
 ):
-    monkeypatch.setattr(pipeline, "diagnose", lambda *_, **__: os.kill(os.getpid(), number))
+    monkeypatch.setattr(
+        pipeline, "diagnose", lambda *_, **__: os.kill(os.getpid(), number)
+    )
     assert main(["diagnose", "a.csv", "-o", "out"]) == 0
     *_, line = capsys.readouterr().err.splitlines()
-    assert line == "hilserver: stopped before the diagnosis was finished: no report was written"
+    assert (
+        line
+        == "hilserver: stopped before the diagnosis was finished: no report was written"
+    )
     assert not (tmp_path / "out").exists()
 
 
@@ -89,10 +96,15 @@ def test_a_signal_that_a_compiler_turns_into_an_error_of_its_own_is_a_sentence_t
     monkeypatch.setattr(pipeline, "diagnose", broken)
     assert main(["diagnose", "a.csv", "-o", "out"]) == 0
     *_, line = capsys.readouterr().err.splitlines()
-    assert line == "hilserver: stopped before the diagnosis was finished: no report was written"
+    assert (
+        line
+        == "hilserver: stopped before the diagnosis was finished: no report was written"
+    )
 
 
-def test_a_signal_among_many_logs_keeps_the_reports_so_far(stages, tmp_path, monkeypatch, capsys):
+def test_a_signal_among_many_logs_keeps_the_reports_so_far(
+    stages, tmp_path, monkeypatch, capsys
+):
     def outcomes(args, tasks):
         yield 0, pipeline.run(tasks[0])
         os.kill(os.getpid(), signal.SIGINT)
@@ -144,11 +156,19 @@ def test_two_sets_are_compared(stages, capsys):
         (["a.csv", "--dask", "tcp://h:1", "-o", "out"], "use it with --each"),
         (["a.csv", "-o", "file"], "file: is a file"),
         (["--group", "a=a.csv", "-o", "out"], "name two or more"),
-        (["--group", "a=a.csv", "--group", "a=b.csv", "-o", "out"], "--group a is given twice"),
-        (["--group", "a=a.csv", "--group", "b=b.csv", "c.csv", "-o", "o"], "cannot be combined"),
+        (
+            ["--group", "a=a.csv", "--group", "a=b.csv", "-o", "out"],
+            "--group a is given twice",
+        ),
+        (
+            ["--group", "a=a.csv", "--group", "b=b.csv", "c.csv", "-o", "o"],
+            "cannot be combined",
+        ),
     ],
 )
-def test_options_that_do_not_fit_are_a_sentence(stages, tmp_path, capsys, words, complaint):
+def test_options_that_do_not_fit_are_a_sentence(
+    stages, tmp_path, capsys, words, complaint
+):
     (tmp_path / "file").write_text("")
     assert main(["diagnose", *words]) == 1
     assert complaint in capsys.readouterr().err
@@ -177,7 +197,9 @@ def test_groups_reach_the_engine(stages, tmp_path, monkeypatch, capsys):
     assert main(["diagnose", *groups, "-o", "out"]) == 0
     files = {name: [s.file for s in log.sources] for name, log in asked[0].items()}
     assert files == {"asphalt": ["a.csv", "b.csv"], "sand": ["s.csv"]}
-    assert main(["diagnose", "--group", "a=a.csv", "--group", "b=a.csv", "-o", "out"]) == 2
+    assert (
+        main(["diagnose", "--group", "a=a.csv", "--group", "b=a.csv", "-o", "out"]) == 2
+    )
     assert "list it in only one of them" in capsys.readouterr().err
 
 

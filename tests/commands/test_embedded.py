@@ -23,5 +23,7 @@ async def test_one_that_ends_is_named_with_its_exit_code_and_command():
 async def test_one_that_hangs_is_said_to_run(monkeypatch):
     monkeypatch.setattr(demo, "START_LIMIT_S", 0.2)
     monkeypatch.setattr(demo, "ENDS_WITHIN_S", 0.1)
-    with pytest.raises(FailedError, match=re.escape("runs, but does not listen after 0.2 s")):
+    with pytest.raises(
+        FailedError, match=re.escape("runs, but does not listen after 0.2 s")
+    ):
         await start("import time; time.sleep(600)")

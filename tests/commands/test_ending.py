@@ -89,7 +89,14 @@ def ended_at(folder, number, feature, demo, moment_s, within_s):
     }
     path_of(image).unlink(missing_ok=True)
     found = {name: value for name, value in wrong.items() if value}
-    return found and (feature, demo, number, round(moment_s, 2), found, log.read_text()[-2000:])
+    return found and (
+        feature,
+        demo,
+        number,
+        round(moment_s, 2),
+        found,
+        log.read_text()[-2000:],
+    )
 
 
 def campaign(folder, n, workers, seed, within_s=END_WITHIN_S):
@@ -118,10 +125,17 @@ def test_a_signal_ends_it_at_a_hundred_moments(tmp_path):
 @contextlib.contextmanager
 def starting(folder, text="", *options):
     """Start a daemon without compiled code; give its process and the name of its image."""
-    cold, image = os.environ | {"HILSERVER_CACHE_DIR": str(folder / "cache")}, image_name()
-    (folder / "config.yaml").write_text(f"image: {{name: {image}}}\nmetrics: {{port: 0}}\n{text}")
+    cold, image = (
+        os.environ | {"HILSERVER_CACHE_DIR": str(folder / "cache")},
+        image_name(),
+    )
+    (folder / "config.yaml").write_text(
+        f"image: {{name: {image}}}\nmetrics: {{port: 0}}\n{text}"
+    )
     command = [sys.executable, "-m", "hilserver", "run", "-c", "config.yaml", *options]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, cwd=folder, env=cold) as process:
+    with subprocess.Popen(
+        command, stderr=subprocess.PIPE, cwd=folder, env=cold
+    ) as process:
         try:
             yield process, image
         finally:
@@ -147,7 +161,9 @@ def test_a_cold_start_compiles_in_a_child_that_ends_with_it(tmp_path, number):
         while b"hilserver is compiling" not in (line := process.stderr.readline()):
             assert line
         end_s = time.monotonic() + 60
-        while time.monotonic() < end_s and not list((tmp_path / "cache").rglob("*.nbc")):
+        while time.monotonic() < end_s and not list(
+            (tmp_path / "cache").rglob("*.nbc")
+        ):
             time.sleep(0.05)
         born = children(process.pid)
         assert len(born) == processes()
@@ -178,7 +194,9 @@ def test_what_the_child_has_compiled_nobody_compiles_again(tmp_path, text):
     with starting(tmp_path, text, "--duration", "1") as (process, _):
         lines = list(process.stderr)
         assert process.wait(600) == 0
-    made = {path: path.stat().st_mtime_ns for path in (tmp_path / "cache").rglob("*.nb?")}
+    made = {
+        path: path.stat().st_mtime_ns for path in (tmp_path / "cache").rglob("*.nb?")
+    }
     assert sum(b"hilserver is compiling" in line for line in lines) == 1
     assert sum(b"hilserver has compiled" in line for line in lines) == 1
     with starting(tmp_path, text, "--duration", "1") as (process, _):
@@ -186,19 +204,31 @@ def test_what_the_child_has_compiled_nobody_compiles_again(tmp_path, text):
             assert b"compiling" not in line
             assert not children(process.pid)
         assert process.wait(600) == 0
-    again = {path: path.stat().st_mtime_ns for path in (tmp_path / "cache").rglob("*.nb?")}
+    again = {
+        path: path.stat().st_mtime_ns for path in (tmp_path / "cache").rglob("*.nb?")
+    }
     assert again == made
 
 
 def test_a_second_daemon_is_refused_before_it_loads_anything(tmp_path):
     with running_daemon(tmp_path) as daemon:
         command = [sys.executable, "-m", "hilserver", "run", "-c", "config.yaml"]
-        options = {"env": os.environ | {"HILSERVER_CACHE_DIR": "/nowhere/that/can/be/made"}}
+        options = {
+            "env": os.environ | {"HILSERVER_CACHE_DIR": "/nowhere/that/can/be/made"}
+        }
         second = subprocess.run(
-            command, capture_output=True, text=True, cwd=tmp_path, check=False, **options
+            command,
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+            check=False,
+            **options,
         )
         assert second.returncode == 1
-        assert f"another hilserver uses the process image '{daemon.image}'" in second.stderr
+        assert (
+            f"another hilserver uses the process image '{daemon.image}'"
+            in second.stderr
+        )
         assert daemon.stop() == 0
 
 
@@ -223,7 +253,9 @@ def test_a_blocked_event_loop_does_not_hold_up_the_end(tmp_path):
     text = f"image: {{name: {image}}}\nmetrics: {{port: 0}}\npage: {{port: 0}}\n"
     (tmp_path / "config.yaml").write_text(text + "opcua: {enabled: false}\n")
     command = [sys.executable, "-c", BLOCKED]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
+    with subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, cwd=tmp_path
+    ) as process:
         while (line := process.stderr.readline()) != "standing still\n":
             assert line
         born = children(process.pid)
@@ -246,14 +278,20 @@ def is_running(metrics_url):
 
 @pytest.mark.parametrize(
     ("kind", "seconds"),
-    [("pipe", 3), ("terminal", 3), pytest.param("terminal", 30, marks=pytest.mark.long)],
+    [
+        ("pipe", 3),
+        ("terminal", 3),
+        pytest.param("terminal", 30, marks=pytest.mark.long),
+    ],
 )
 def test_who_does_not_read_its_lines_loses_nothing_else(tmp_path, kind, seconds):
     """Ctrl-S, or a pipe whose reader stands still."""
     reading, writing = pty.openpty() if kind == "terminal" else os.pipe()
     image = image_name()
     text = f"image: {{name: {image}}}\nmetrics: {{port: 0}}\npage: {{enabled: false}}\n"
-    text += "scheduler: {limits: {single_overrun_ms: null, consecutive_overruns: null}}\n"
+    text += (
+        "scheduler: {limits: {single_overrun_ms: null, consecutive_overruns: null}}\n"
+    )
     text += "opcua: {enabled: false}\nlogging: {format: json, level: DEBUG, repeat_window_s: 0}\n"
     (tmp_path / "config.yaml").write_text(text)
     command = [sys.executable, "-c", CHATTY]

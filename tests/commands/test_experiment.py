@@ -25,7 +25,11 @@ def test_without_a_name_it_lists_the_experiments(capsys):
     ("words", "sentence", "code"),
     [
         (["5.6"], "no experiment is called '5.6'; did you mean '5.6.", 1),
-        (["--measured", "a.csv"], "a.csv: name its experiment, too: one of 5.2.1, 5.2.2", 1),
+        (
+            ["--measured", "a.csv"],
+            "a.csv: name its experiment, too: one of 5.2.1, 5.2.2",
+            1,
+        ),
         (["5.6.1", "-o", "a.csv"], "a.csv: is a file; name a folder for the report", 1),
         (["5.6.1", "--measured", "no.csv"], "no.csv: no such file or directory", 2),
         (["5.6.1", "--measured", "a.csv"], "a.csv: ", 2),
@@ -46,13 +50,22 @@ def test_without_mujoco_it_drives_the_planar_plant_and_says_what_is_missing(
     monkeypatch.setattr("hilserver.body.engine.find_spec", lambda _: None)
     assert main(["experiment", "5.2.1"]) == 0
     said = capsys.readouterr()
-    assert "There is no mechatronic curve: it needs MuJoCo; install it with: pip" in said.err
+    assert (
+        "There is no mechatronic curve: it needs MuJoCo; install it with: pip"
+        in said.err
+    )
     assert "K_om by (5.19), all samples: 1.95" in said.out
     out = here / "experiment-5.2.1"
-    assert "the planar plant, which is the kinematic model" in (out / "report.html").read_text()
+    assert (
+        "the planar plant, which is the kinematic model"
+        in (out / "report.html").read_text()
+    )
     assert not (out / "mechatronic.csv").exists()
 
     # the recording is one like any other: that of a robot in another experiment, say
-    assert main(["experiment", "5.6.1", "--measured", str(out / RECORDING), "-o", "again"]) == 0
+    assert (
+        main(["experiment", "5.6.1", "--measured", str(out / RECORDING), "-o", "again"])
+        == 0
+    )
     assert f"what {RECORDING} measured" in (here / "again" / "report.html").read_text()
     assert not (here / "again" / RECORDING).exists()

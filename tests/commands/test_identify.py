@@ -15,7 +15,9 @@ def written(path, log):
     with path.open("w", newline="") as file:
         rows = csv.writer(file)
         rows.writerow(["t_s", *names])
-        rows.writerows(zip(log[names[0]].t_s, *(log[n].values for n in names), strict=True))
+        rows.writerows(
+            zip(log[names[0]].t_s, *(log[n].values for n in names), strict=True)
+        )
     return str(path)
 
 
@@ -34,7 +36,10 @@ def test_rotation_in_words(spin, capsys):
 
 
 def test_rotation_as_json(spin, capsys):
-    assert main(["identify", "rotation", spin, "--json", "--zone", "2", "--settle", "0.5"]) == 0
+    assert (
+        main(["identify", "rotation", spin, "--json", "--zone", "2", "--settle", "0.5"])
+        == 0
+    )
     values = json.loads(capsys.readouterr().out)
     assert values["schema"] == "hilserver.identify/1"
     assert values["identified"] == "rotation"

@@ -14,7 +14,9 @@ PYTHON, CONFIG = Path("/opt/h/.venv/bin/python"), Path("/etc/hilserver/config.ya
 
 
 def unit_of(*words: object) -> str:
-    [unit] = [file.text for file in plan(*words) if file.path.name == "hilserver.service"]
+    [unit] = [
+        file.text for file in plan(*words) if file.path.name == "hilserver.service"
+    ]
     return unit
 
 
@@ -33,7 +35,9 @@ def test_the_shipped_unit_is_what_a_default_installation_gets() -> None:
 
 
 def test_an_existing_configuration_is_kept() -> None:
-    [config] = [file for file in plan(PYTHON, CONFIG, "hilserver") if file.path == CONFIG]
+    [config] = [
+        file for file in plan(PYTHON, CONFIG, "hilserver") if file.path == CONFIG
+    ]
     assert config.keep
 
 
@@ -69,7 +73,9 @@ def test_a_closed_folder_on_the_way_is_named(tmp_path: Path, monkeypatch) -> Non
 
 
 def test_dry_run_prints_and_writes_nothing(tmp_path: Path) -> None:
-    run = hilserver("install-service", "--dry-run", "--user-name", "robot", cwd=tmp_path)
+    run = hilserver(
+        "install-service", "--dry-run", "--user-name", "robot", cwd=tmp_path
+    )
     assert run.returncode == 0, run.stderr
     assert "# --- /etc/systemd/system/hilserver.service" in run.stdout
     assert "User=robot" in run.stdout

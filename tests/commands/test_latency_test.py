@@ -14,7 +14,14 @@ def test_prints_histogram_percentiles_audit_and_how_to_read_them(capsys, tmp_pat
     path = tmp_path / "latency.json"
     assert main(["latency-test", "--duration", "3", "--json", str(path)]) == 0
     text = capsys.readouterr().out
-    for word in ("10 to 20", "p99.9", "max", "kernel", "thread_priority", "How to read this"):
+    for word in (
+        "10 to 20",
+        "p99.9",
+        "max",
+        "kernel",
+        "thread_priority",
+        "How to read this",
+    ):
         assert word in text
     document = json.loads(path.read_text())
     assert document["schema"] == "hilserver.bench/1"
@@ -26,7 +33,11 @@ def test_prints_histogram_percentiles_audit_and_how_to_read_them(capsys, tmp_pat
         counts[int(latency)] = count
     assert counts.sum() + raw["missed_ticks"] > 0
     assert document["results"][0]["value"] == percentile_us(counts, 50.0)
-    assert {item["name"] for item in raw["audit"]} >= {"governor", "swap", "memory_lock"}
+    assert {item["name"] for item in raw["audit"]} >= {
+        "governor",
+        "swap",
+        "memory_lock",
+    }
 
 
 def test_every_sample_is_in_one_line():

@@ -45,7 +45,8 @@ def errors(path, dense):
     log = read_log(path, known_columns())
     known = log.columns["estimate.state"] > 0
     e = [
-        log.columns[f"estimate.{name}"][known] - np.interp(log.t_s[known], dense[:, 0], dense[:, k])
+        log.columns[f"estimate.{name}"][known]
+        - np.interp(log.t_s[known], dense[:, 0], dense[:, k])
         for name, k in (("x_m", 1), ("y_m", 2), ("yaw_rad", 3))
     ]
     e[2] = np.angle(np.exp(1j * e[2]))
@@ -83,10 +84,20 @@ def test_stamps_that_a_diagnosis_has_found_late_are_put_right(tmp_path):
     table.write_csv(tmp_path / "run.csv")
     size = []
     for late_s in (0.0, rows * step_s):
-        clock = {"verdict": "named", "parameters": {"clock_offset.nav": {"value": late_s}}}
+        clock = {
+            "verdict": "named",
+            "parameters": {"clock_offset.nav": {"value": late_s}},
+        }
         findings, out = tmp_path / "findings.json", tmp_path / "out.csv"
         findings.write_text(json.dumps(FOUND | {"findings": [clock]}))
-        words = ["observe", str(tmp_path / "run.csv"), "--findings", str(findings), "-o", str(out)]
+        words = [
+            "observe",
+            str(tmp_path / "run.csv"),
+            "--findings",
+            str(findings),
+            "-o",
+            str(out),
+        ]
         assert main(words) == 0
         size.append(np.hypot(*errors(out, truth.dense)[0][:2]).mean())
     assert size[1] < 0.04 < 0.06 < size[0]
@@ -96,7 +107,10 @@ def test_without_a_position_only_speeds_are_known(tmp_path, capsys):
     recorder = Recorder(channels=("speed", "gyro"))
     table, _ = make(replace(Recipe(seed=5, duration_s=20.0), recorder=recorder))
     table.write_csv(tmp_path / "run.csv")
-    assert main(["observe", str(tmp_path / "run.csv"), "-o", str(tmp_path / "out.csv")]) == 0
+    assert (
+        main(["observe", str(tmp_path / "run.csv"), "-o", str(tmp_path / "out.csv")])
+        == 0
+    )
     assert "No pose is known" in capsys.readouterr().out
 
 
@@ -106,9 +120,14 @@ def test_without_a_position_only_speeds_are_known(tmp_path, capsys):
         ("no json", "is not JSON"),
         ('{"schema": "hilserver.diagnosis/1"}', "run 'hilserver diagnose' again"),
         ("{}", "schema: field required"),
-        (json.dumps(FOUND | {"noise": {"nav.x_m": {"white_sd": -1}}}), "noise.nav.x_m.white_sd"),
         (
-            json.dumps(FOUND | {"joint": {"parameters": ["a"], "value": [1], "covariance": []}}),
+            json.dumps(FOUND | {"noise": {"nav.x_m": {"white_sd": -1}}}),
+            "noise.nav.x_m.white_sd",
+        ),
+        (
+            json.dumps(
+                FOUND | {"joint": {"parameters": ["a"], "value": [1], "covariance": []}}
+            ),
             "1 parameters need 1 rows",
         ),
     ],
@@ -126,18 +145,36 @@ def test_findings_that_are_none_get_a_sentence(drive, tmp_path, capsys, text, wo
 
 def test_a_log_without_wheels_of_a_side_is_refused(drive, tmp_path, capsys):
     table, _ = make(Recipe(seed=5, duration_s=20.0))
-    table.columns = {n: v for n, v in table.columns.items() if "wheel.f" not in n and "rr" not in n}
+    table.columns = {
+        n: v for n, v in table.columns.items() if "wheel.f" not in n and "rr" not in n
+    }
     table.write_csv(tmp_path / "run.csv")
-    assert main(["observe", str(tmp_path / "run.csv"), "-o", str(tmp_path / "out.csv")]) == 2
+    assert (
+        main(["observe", str(tmp_path / "run.csv"), "-o", str(tmp_path / "out.csv")])
+        == 2
+    )
     assert "the observer needs both sides" in capsys.readouterr().err
 
 
 def test_mecanum_wheels_need_all_four_speeds(found, tmp_path, capsys):
-    config, log, out = (tmp_path / name for name in ("config.yaml", "run.csv", "out.csv"))
+    config, log, out = (
+        tmp_path / name for name in ("config.yaml", "run.csv", "out.csv")
+    )
     config.write_text("plant: {drive: mecanum}")
-    table, truth = make(Recipe(seed=5, duration_s=30.0, drive="mecanum", manoeuvre="omni"))
+    table, truth = make(
+        Recipe(seed=5, duration_s=30.0, drive="mecanum", manoeuvre="omni")
+    )
     table.write_csv(log)
-    words = ["observe", str(log), "-c", str(config), "--findings", str(found), "-o", str(out)]
+    words = [
+        "observe",
+        str(log),
+        "-c",
+        str(config),
+        "--findings",
+        str(found),
+        "-o",
+        str(out),
+    ]
     assert main(words) == 0
     e, sd = errors(out, truth.dense)
     assert np.hypot(*e[:2]).mean() < 0.05
@@ -145,7 +182,10 @@ def test_mecanum_wheels_need_all_four_speeds(found, tmp_path, capsys):
     del table.columns["wheel.rr.speed_rpm"]
     table.write_csv(log)
     assert main(words) == 2
-    assert "mecanum wheels move the robot sideways: map all columns" in capsys.readouterr().err
+    assert (
+        "mecanum wheels move the robot sideways: map all columns"
+        in capsys.readouterr().err
+    )
 
 
 def test_the_log_itself_is_not_overwritten(drive, capsys):

@@ -17,12 +17,28 @@ def robot(tmp_path_factory):
 def test_the_shell_reaches_everything(robot, capsys):
     there = ["--endpoint", robot.url]
     assert main(["set", *there, "control.source=opcua"]) == 0
-    assert main(["set", *there, '{"wheel.fl.setpoint_rpm": 5, "wheel.fr.setpoint_rpm": -5}']) == 0
+    assert (
+        main(
+            ["set", *there, '{"wheel.fl.setpoint_rpm": 5, "wheel.fr.setpoint_rpm": -5}']
+        )
+        == 0
+    )
     assert main(["set", *there, "parameters.terms.dead_zone=2"]) == 0
     assert main(["set", *there, "parameters.terms.setpoint_rate_limit=null"]) == 0
     assert main(["set", *there, "parameters.kinematics.rotation_gain=tile"]) == 0
     assert main(["set", *there, "parameters.plant.exclusive_twist=true"]) == 0
-    assert main(["call", *there, "SetParameter", "kinematics.rotation_gain", "geometric_skid"]) == 0
+    assert (
+        main(
+            [
+                "call",
+                *there,
+                "SetParameter",
+                "kinematics.rotation_gain",
+                "geometric_skid",
+            ]
+        )
+        == 0
+    )
     fault = '{"fault": "bias", "signal": "battery.voltage_v", "offset": -2}'
     assert main(["inject", *there, fault]) == 0
     assert main(["call", *there, "ClearFaults"]) == 0
@@ -33,9 +49,15 @@ def test_the_shell_reaches_everything(robot, capsys):
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["call", "SetPos", "1"], "there is no method 'SetPos'; did you mean 'SetPose'?"),
+        (
+            ["call", "SetPos", "1"],
+            "there is no method 'SetPos'; did you mean 'SetPose'?",
+        ),
         (["call", "SetPose", "1"], "SetPose takes 3 arguments: x, y, yaw"),
-        (["set", "wheel.fl.setpoint=1"], "there is no signal 'wheel.fl.setpoint'; did you mean"),
+        (
+            ["set", "wheel.fl.setpoint=1"],
+            "there is no signal 'wheel.fl.setpoint'; did you mean",
+        ),
         (["set", "wheel.fl.setpoint_rpm"], "write SIGNAL=VALUE"),
         (["inject", "{'fault'}"], "is not JSON; put it in single quotes"),
         (["inject", '{"fault": "bais"}'], "bais"),

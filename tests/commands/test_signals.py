@@ -69,7 +69,10 @@ def test_scl_prints_the_data_blocks_of_the_configuration(tmp_path, capsys) -> No
     assert out.read_text(encoding="utf-8") == printed
     path.write_text("", encoding="utf-8")
     assert main(words) == EXIT_BAD_CONFIGURATION
-    assert "has no data block: add s7.server, or a peer at s7://" in capsys.readouterr().err
+    assert (
+        "has no data block: add s7.server, or a peer at s7://"
+        in capsys.readouterr().err
+    )
 
 
 async def test_nodeset_is_the_address_space_of_the_server(table) -> None:
@@ -99,12 +102,16 @@ async def test_nodeset_is_the_address_space_of_the_server(table) -> None:
         for name in attributes:
             attribute = ua.AttributeIds[name]
             ours_value = built.read_attribute_value(node_id, attribute).Value
-            if name == "ArrayDimensions" and node_id.Identifier.endswith(("Strings", "Arguments")):
+            if name == "ArrayDimensions" and node_id.Identifier.endswith(
+                ("Strings", "Arguments")
+            ):
                 continue  # unknown length: absent or [0]
             found = loaded.read_attribute_value(node_id, attribute).Value
             assert found == ours_value, (node_id.Identifier, name)
         assert type_definition(loaded, node_id) == type_definition(built, node_id)
-        if node_id.Identifier.endswith(("EURange", "Units", "Strings", "State", "Arguments")):
+        if node_id.Identifier.endswith(
+            ("EURange", "Units", "Strings", "State", "Arguments")
+        ):
             assert value(loaded, node_id) == value(built, node_id), node_id
 
 

@@ -47,12 +47,16 @@ def test_a_replay_of_it_gives_the_same_bits():
 
 
 def test_a_duration_and_a_csv_file():
-    assert main(["simulate", "drive.yaml", "--duration", "0.25", "-o", "drive.csv"]) == 0
+    assert (
+        main(["simulate", "drive.yaml", "--duration", "0.25", "-o", "drive.csv"]) == 0
+    )
     assert len(read_log(Path("drive.csv"))) == 250
 
 
 def test_a_log_of_set_points_is_played_too(capsys):
-    header = ",".join(["t_s", *(f"wheel.{w}.setpoint_rpm" for w in ("fl", "rl", "fr", "rr"))])
+    header = ",".join(
+        ["t_s", *(f"wheel.{w}.setpoint_rpm" for w in ("fl", "rl", "fr", "rr"))]
+    )
     Path("log.csv").write_text(f"{header}\n0,9,9,-9,-9\n0.5,0,0,0,0\n")
     assert main(["simulate", "log.csv", "-o", "out.csv"]) == 0
     assert "replayed 501 ticks" in capsys.readouterr().out
@@ -61,7 +65,9 @@ def test_a_log_of_set_points_is_played_too(capsys):
 @pytest.mark.parametrize(
     ("command", "batches"), [("simulate", Simulation.frames), ("replay", Engine.play)]
 )
-def test_a_signal_ends_the_file_where_a_sentence_says(monkeypatch, capsys, command, batches):
+def test_a_signal_ends_the_file_where_a_sentence_says(
+    monkeypatch, capsys, command, batches
+):
     async def interrupted(*what):
         async for batch in batches(*what):
             yield batch
@@ -95,7 +101,9 @@ require:
 
 def test_requirements_decide_the_exit_code(capsys):
     Path("r.yaml").write_text(REQUIREMENTS)
-    assert main(["simulate", "drive.yaml", "-o", "drive.mcap", "--require", "r.yaml"]) == 1
+    assert (
+        main(["simulate", "drive.yaml", "-o", "drive.mcap", "--require", "r.yaml"]) == 1
+    )
     lines = capsys.readouterr().out.splitlines()
     columns = read_log(Path("drive.mcap")).columns
     turns = columns["pose.yaw_rad"][:1001].max() - 0.1
@@ -103,13 +111,25 @@ def test_requirements_decide_the_exit_code(capsys):
     wanted = {name: f"{m:.6g}" for name, m in (("turns", turns), ("gyro", gyro))}
     found = {line[22:]: line[:22].split() for line in lines if line[22:] in wanted}
     for name, text in wanted.items():
-        assert found[name] == (["met", text] if float(text) >= 0 else ["NOT", "MET", text])
-    Path("r.yaml").write_text(REQUIREMENTS.replace("0.1,", "-9,").replace("1.0}", "99}"))
-    assert main(["simulate", "drive.yaml", "-o", "drive.mcap", "--require", "r.yaml"]) == 0
+        assert found[name] == (
+            ["met", text] if float(text) >= 0 else ["NOT", "MET", text]
+        )
+    Path("r.yaml").write_text(
+        REQUIREMENTS.replace("0.1,", "-9,").replace("1.0}", "99}")
+    )
+    assert (
+        main(["simulate", "drive.yaml", "-o", "drive.mcap", "--require", "r.yaml"]) == 0
+    )
 
 
 def test_a_requirement_on_what_does_not_exist_is_refused_before_the_drive(capsys):
     Path("r.yaml").write_text("require: [{name: a, signal: pose.x, below: 1}]")
-    assert main(["simulate", "drive.yaml", "-o", "drive.mcap", "--require", "r.yaml"]) == 78
-    assert "r.yaml:1: require[0].signal: there is no scalar signal" in capsys.readouterr().err
+    assert (
+        main(["simulate", "drive.yaml", "-o", "drive.mcap", "--require", "r.yaml"])
+        == 78
+    )
+    assert (
+        "r.yaml:1: require[0].signal: there is no scalar signal"
+        in capsys.readouterr().err
+    )
     assert not Path("drive.mcap").exists()

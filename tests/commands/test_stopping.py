@@ -62,7 +62,9 @@ def interrupted_after(monkeypatch, place, number):
         ("hilserver.bench.plant.build", "bench plant --json out.json"),
         ("hilserver.fmu.export._header", "fmu -o out.fmu"),
         # 17 s of translating to C; the header is interrupted in the same command.
-        pytest.param("hilserver.fmu.export._sources", "fmu -o out.fmu", marks=pytest.mark.long),
+        pytest.param(
+            "hilserver.fmu.export._sources", "fmu -o out.fmu", marks=pytest.mark.long
+        ),
         ("hilserver.commands.wiring._say", "wiring --timeout 5"),
     ],
 )

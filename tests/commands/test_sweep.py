@@ -17,9 +17,16 @@ COURSE = "steps: [{at_s: 0.0, write: {control.mode: 1, twist.linear_m_s: 0.3}}]"
 SWEEP = {
     "machines": 20,
     "seed": 3,
-    "from": {"population": {"wheel_radius": {"uniform": [-0.2, 0.2]}, "controller.k_i": {"sd": 5}}},
+    "from": {
+        "population": {
+            "wheel_radius": {"uniform": [-0.2, 0.2]},
+            "controller.k_i": {"sd": 5},
+        }
+    },
     "drive": {"scenario": "course.yaml", "duration_s": 1.0},
-    "require": [{"name": "arrives", "signal": "pose.x_m", "above": 0.24, "within_s": 0.9}],
+    "require": [
+        {"name": "arrives", "signal": "pose.x_m", "above": 0.24, "within_s": 0.9}
+    ],
 }
 
 
@@ -48,8 +55,15 @@ def test_a_sweep_from_the_plan_to_the_worst_machine(capsys):
     assert main(["sweep", "sweep.yaml", "-o", "out", "--only", worst]) == 0
     assert "NOT MET" in capsys.readouterr().out
     folder = Path("out") / f"machine-{worst}"
-    play = ["simulate", str(folder / "scenario.yaml"), "-c", str(folder / "config.yaml")]
-    assert main([*play, "--duration", "1", "-o", "a.mcap", "--require", "sweep.yaml"]) == 1
+    play = [
+        "simulate",
+        str(folder / "scenario.yaml"),
+        "-c",
+        str(folder / "config.yaml"),
+    ]
+    assert (
+        main([*play, "--duration", "1", "-o", "a.mcap", "--require", "sweep.yaml"]) == 1
+    )
     margin = json.loads((folder / "margins.json").read_text())["margins"]["arrives"]
     assert f"{margin:.6g}  arrives" in capsys.readouterr().out
     assert main(["sweep", "--compare", "out", "out"]) == 0
@@ -98,9 +112,21 @@ def test_a_signal_at_any_moment_is_one_sentence(monkeypatch, capsys, moment, say
 
 @pytest.mark.long
 def test_control_c_keeps_what_is_finished_and_resume_gives_the_same_bits():
-    sweep = SWEEP | {"machines": 600, "drive": {"scenario": "course.yaml", "duration_s": 4.0}}
+    sweep = SWEEP | {
+        "machines": 600,
+        "drive": {"scenario": "course.yaml", "duration_s": 4.0},
+    }
     Path("sweep.yaml").write_text(json.dumps(sweep))
-    command = [sys.executable, "-m", "hilserver", "sweep", "sweep.yaml", "--workers", "2", "-o"]
+    command = [
+        sys.executable,
+        "-m",
+        "hilserver",
+        "sweep",
+        "sweep.yaml",
+        "--workers",
+        "2",
+        "-o",
+    ]
     first = subprocess.Popen([*command, "out"])
     journal = Path("out/finished.jsonl")
     while not journal.exists() or len(journal.read_bytes().splitlines()) < 40:

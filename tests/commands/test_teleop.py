@@ -31,7 +31,10 @@ SPEED = "velocity.linear_m_s"
         ("w", [Key("w")]),
         ("W ", [Key("w"), Key(" ")]),
         ("\x1b[A\x1bOD", [Key("up"), Key("left")]),
-        ("\x1b[119;1:1u\x1b[119;1:2u\x1b[119;1:3u", [Key("w"), Key("w"), Key("w", False)]),
+        (
+            "\x1b[119;1:1u\x1b[119;1:2u\x1b[119;1:3u",
+            [Key("w"), Key("w"), Key("w", False)],
+        ),
         ("\x1b[119u", [Key("w")]),
         ("\x1b[1;1:3B", [Key("down", False)]),
         ("\x1b[99;5u\x03", [Key("ctrl-c"), Key("ctrl-c")]),
@@ -117,7 +120,9 @@ class Terminal:
                     self.look()
                     await asyncio.sleep(0.01)
         except TimeoutError:
-            pytest.fail(f"not within {WAIT_S:g} s: {what}; it shows {self.shown[-200:]!r}")
+            pytest.fail(
+                f"not within {WAIT_S:g} s: {what}; it shows {self.shown[-200:]!r}"
+            )
 
     async def held_by_repeats(self, condition):
         """Press w as a keyboard repeats it until a condition is met."""
@@ -150,7 +155,11 @@ async def daemon(tmp_path_factory):
             "page": {"enabled": False, "deadman_ms": 3000},
             "scheduler": {
                 "limits": {"single_overrun_ms": None, "consecutive_overruns": None},
-                "realtime": {"priority": 0, "lock_memory": False, "hold_latency_target": False},
+                "realtime": {
+                    "priority": 0,
+                    "lock_memory": False,
+                    "hold_latency_target": False,
+                },
                 "communication_timeout_ms": 0,
             },
         }
@@ -164,7 +173,14 @@ async def daemon(tmp_path_factory):
 async def terminal(daemon):
     master, slave = os.openpty()
     fcntl.ioctl(slave, termios.TIOCSWINSZ, b"\x18\x00\xc8\x00\x00\x00\x00\x00")
-    command = [sys.executable, "-m", "hilserver", "teleop", "--endpoint", daemon.part("opcua").url]
+    command = [
+        sys.executable,
+        "-m",
+        "hilserver",
+        "teleop",
+        "--endpoint",
+        daemon.part("opcua").url,
+    ]
     process = subprocess.Popen(  # noqa: ASYNC220 - returns at once
         command,
         stdin=slave,
@@ -176,7 +192,9 @@ async def terminal(daemon):
     os.close(slave)
     terminal = Terminal(daemon, master, process)
     try:
-        await terminal.until(lambda: "control: opcua" in terminal.look(), "it shows the robot")
+        await terminal.until(
+            lambda: "control: opcua" in terminal.look(), "it shows the robot"
+        )
         yield terminal
     finally:
         terminal.close()
@@ -209,7 +227,8 @@ async def test_with_the_kitty_protocol_a_hold_lasts_until_its_release(terminal):
     assert "\x1b[?u" in terminal.look()
     terminal.type("\x1b[?11u")
     await terminal.until(
-        lambda: "the hold ends when the key is released" in terminal.look(), "it says so"
+        lambda: "the hold ends when the key is released" in terminal.look(),
+        "it says so",
     )
     terminal.type("\x1b[119;1:1u")
     await terminal.drives()
@@ -266,9 +285,13 @@ async def test_letting_go_is_at_the_plant_within_200_ms(terminal, protocol):
             await terminal.held_by_repeats(lambda: terminal.read(SPEED) > 0.2)
             terminal.type("w")
         begin, tick = image.head, image.latest().tick
-        await terminal.until(lambda: terminal.read("twist.linear_m_s") == 0.0, "the zero comes")
+        await terminal.until(
+            lambda: terminal.read("twist.linear_m_s") == 0.0, "the zero comes"
+        )
         frames = (image.frame(number) for number in range(begin, image.head))
-        zero = next(frame.tick for frame in frames if frame and frame.values[slot] == 0.0)
+        zero = next(
+            frame.tick for frame in frames if frame and frame.values[slot] == 0.0
+        )
         took_ms.append((zero - tick) * terminal.daemon.assembly.base_period_ns * 1e-6)
         await terminal.stops()
     print(f"{protocol}: release to plant {sorted(took_ms)} ms")

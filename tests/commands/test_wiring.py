@@ -20,7 +20,12 @@ QUIET = "opcua: {enabled: false}\nmetrics: {enabled: false}\nimage: {name: auto}
         ("fr", -20, {"fr": -20.3}, ""),
         ("fl", 20, {"rl": 20.0}, "order: rear left instead of front left"),
         ("fl", 20, {"fr": -20.0}, "side: front right instead of front left"),
-        ("fl", 20, {"fl": -20.0}, "sign: forward is positive on the left, negative on the right"),
+        (
+            "fl",
+            20,
+            {"fl": -20.0},
+            "sign: forward is positive on the left, negative on the right",
+        ),
         ("fl", 20, {"fl": 2.094}, "unit: 0.1047 times too large, rad/s instead of rpm"),
         ("fl", 20, {"fl": 26.0}, "unit: 1.3 times too large"),
         ("fl", 20, {"fl": 20.0, "rr": 1.0}, "not alone: fl, rr move"),

@@ -135,7 +135,9 @@ def test_what_cannot_be_kept_is_compiled_each_time(shelf, tmp_path, monkeypatch)
 
 
 def test_a_kernel_that_calls_itself_is_found_again(shelf, tmp_path):
-    text = TINY.replace("    return 2 * x\n", "    return 0 if x == 0 else 2 + twice(x - 1)\n")
+    text = TINY.replace(
+        "    return 2 * x\n", "    return 0 if x == 0 else 2 + twice(x - 1)\n"
+    )
     assert imported(tmp_path / "one", text)[1] == ["twice"]
     module, compiled = imported(tmp_path / "one", text)
     assert compiled == []
@@ -158,7 +160,9 @@ def test_where_numba_has_moved_its_own_cache_is_used(shelf, tmp_path, monkeypatc
     module, _ = imported(tmp_path / "one")
     assert module.twice(4) == 8
     assert before == config.CACHE_DIR
-    assert module.twice.stats.cache_path.startswith(f"{tmp_path}/cache/kernels-{kernel_hash()}/")
+    assert module.twice.stats.cache_path.startswith(
+        f"{tmp_path}/cache/kernels-{kernel_hash()}/"
+    )
 
 
 SEVERAL = """
@@ -198,7 +202,9 @@ def {"last" if n == 8 else f"f{n}"}(x):
 )
 
 
-@pytest.mark.parametrize("words", [[("1", "all"), ("2", "helper")], [("1", "all"), ("2", "all")]])
+@pytest.mark.parametrize(
+    "words", [[("1", "all"), ("2", "helper")], [("1", "all"), ("2", "all")]]
+)
 def test_processes_at_once_compile_each_function_once(tmp_path, words):
     (tmp_path / "many.py").write_text(MANY)
     env = os.environ | {
@@ -207,7 +213,10 @@ def test_processes_at_once_compile_each_function_once(tmp_path, words):
     }
     both = [
         subprocess.Popen(
-            [sys.executable, "-c", SEVERAL, *word], env=env, stdout=subprocess.PIPE, text=True
+            [sys.executable, "-c", SEVERAL, *word],
+            env=env,
+            stdout=subprocess.PIPE,
+            text=True,
         )
         for word in words
     ]

@@ -126,7 +126,9 @@ def test_records_lie_in_a_list_of_records():
     assert trip.numbers[Motion.n_words] == 2.0
 
 
-@pytest.mark.parametrize("hint", [Annotated[NDArray, 3], Annotated[list[str], 3], str, "float"])
+@pytest.mark.parametrize(
+    "hint", [Annotated[NDArray, 3], Annotated[list[str], 3], str, "float"]
+)
 def test_an_annotation_without_a_number_is_refused_by_name(hint):
     with pytest.raises(TypeError, match=r"Trip\.place"):
 

@@ -11,7 +11,13 @@ import pytest
 from hilserver import cache as whole_cache
 from hilserver.cache import Shelf
 from hilserver.compiled import cache
-from hilserver.compiled.supplied import ANY_PROCESSOR, MADE_WITH, OBJECTS, Supplied, environment
+from hilserver.compiled.supplied import (
+    ANY_PROCESSOR,
+    MADE_WITH,
+    OBJECTS,
+    Supplied,
+    environment,
+)
 from tests.compiled.test_cache import TINY, imported
 
 MADE = """
@@ -102,7 +108,9 @@ def test_the_users_own_comes_first(start, own, objects):
     assert start() == ([], [])
 
 
-def test_code_for_any_processor_in_the_users_cache_is_not_taken_for_this_one(start, own, objects):
+def test_code_for_any_processor_in_the_users_cache_is_not_taken_for_this_one(
+    start, own, objects
+):
     """Who once set NUMBA_CPU_NAME would have the slower code ever after."""
     for path in (objects / "1").iterdir():
         path.rename(own.folder / path.name)
@@ -119,7 +127,9 @@ def test_a_flipped_bit_is_noticed_and_compiled_anew(start, own, objects):
 
 
 def test_other_versions_are_compiled_and_named_in_one_line(start, objects):
-    (objects / MADE_WITH).write_text(json.dumps(environment() | {"numba": "0.1", "numpy": "0.2"}))
+    (objects / MADE_WITH).write_text(
+        json.dumps(environment() | {"numba": "0.1", "numpy": "0.2"})
+    )
     compiled, [line] = start("2")
     assert compiled == ["twice"]
     assert "was made with numba 0.1, numpy 0.2, and this is numba " in line
@@ -130,7 +140,9 @@ def test_other_versions_are_compiled_and_named_in_one_line(start, objects):
 
 
 def test_another_architecture_is_named_and_no_package_is_blamed(start, objects):
-    (objects / MADE_WITH).write_text(json.dumps(environment() | {"architecture": "z80"}))
+    (objects / MADE_WITH).write_text(
+        json.dumps(environment() | {"architecture": "z80"})
+    )
     compiled, [line] = start("2")
     assert compiled == ["twice"]
     assert "was made with architecture z80, and" in line

@@ -66,7 +66,9 @@ def test_shared_memory_is_written_by_programs_only_where_its_section_says_so():
 def test_a_network_of_ros_2_does_not_change_the_robot_itself_unless_granted():
     there = {"enabled": True, "interface": "eth0", "allow_insecure_network": True}
     assert rights_of({}, ros2=there)["ROS 2"] == {"command"}
-    assert rights_of({}, ros2=there | {"grants": ["parameters"]})["ROS 2"] == {"parameters"}
+    assert rights_of({}, ros2=there | {"grants": ["parameters"]})["ROS 2"] == {
+        "parameters"
+    }
 
 
 def test_who_may_not_command_has_no_control_at_the_start():

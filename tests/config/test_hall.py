@@ -29,10 +29,18 @@ def test_a_slope_rises_from_the_floor_to_its_height(tmp_path):
     (solid,) = hall(tmp_path, text).solids
     pitch, yaw = solid.pitch_rad, solid.yaw_rad
     along = np.array(
-        [math.cos(yaw) * math.cos(pitch), math.sin(yaw) * math.cos(pitch), math.sin(pitch)]
+        [
+            math.cos(yaw) * math.cos(pitch),
+            math.sin(yaw) * math.cos(pitch),
+            math.sin(pitch),
+        ]
     )
     up = np.array(
-        [-math.cos(yaw) * math.sin(pitch), -math.sin(yaw) * math.sin(pitch), math.cos(pitch)]
+        [
+            -math.cos(yaw) * math.sin(pitch),
+            -math.sin(yaw) * math.sin(pitch),
+            math.cos(pitch),
+        ]
     )
     top = np.array(solid.centre_m) + solid.half_m[2] * up
     assert top - solid.half_m[0] * along == pytest.approx((1.0, 0.0, 0.0), abs=1e-12)
@@ -56,8 +64,14 @@ def test_the_range_finders_see_boxes_and_no_thresholds(tmp_path):
     ("text", "words"),
     [
         ("walls: []\nfloor: 1\n", "'floor' is not a key of a hall; the keys are walls"),
-        ("walls: []\nheight_m: 0\n", "height_m and thickness_m must be numbers above 0"),
-        ("walls: []\nboxes: [{centre: [1, 2]}]\n", "boxes, number 1: must be {centre, size"),
+        (
+            "walls: []\nheight_m: 0\n",
+            "height_m and thickness_m must be numbers above 0",
+        ),
+        (
+            "walls: []\nboxes: [{centre: [1, 2]}]\n",
+            "boxes, number 1: must be {centre, size",
+        ),
         ("walls: []\nboxes: 3\n", "boxes must be a list"),
         (
             "walls: []\nslopes: [{from: [0, 0], to: [1], width_m: 1, rise_m: 1}]\n",
@@ -66,7 +80,10 @@ def test_the_range_finders_see_boxes_and_no_thresholds(tmp_path):
         ("walls: []\nslopes: [[1]]\n", "slopes, number 1"),
         (f"walls: []\nheight_m: {HUGE}\n", "height_m and thickness_m must be numbers"),
         (f"walls: [[0, 0, 1, {HUGE}]]\n", "wall 1 must be four finite numbers"),
-        (f"walls: []\nboxes: [{{centre: [0, 0], size: [1, 1, {HUGE}]}}]\n", "boxes, number 1"),
+        (
+            f"walls: []\nboxes: [{{centre: [0, 0], size: [1, 1, {HUGE}]}}]\n",
+            "boxes, number 1",
+        ),
         (
             f"walls: []\nslopes: [{{from: [0, 0], to: [1, 0], width_m: {HUGE}, rise_m: 1}}]\n",
             "slopes, number 1",

@@ -38,8 +38,14 @@ def complaint(tmp_path, text):
             "publishing_ms: 5\n",
             "config.yaml:1: unknown key 'publishing_ms'; did you mean 'peers.publishing_ms'?",
         ),
-        ("\n\nbackendd: x\n", "config.yaml:3: unknown key 'backendd'; did you mean 'backend'?"),
-        ("peers:\n  - publishing_ms: 5\n", "config.yaml:2: key 'peers[0].name' is missing"),
+        (
+            "\n\nbackendd: x\n",
+            "config.yaml:3: unknown key 'backendd'; did you mean 'backend'?",
+        ),
+        (
+            "peers:\n  - publishing_ms: 5\n",
+            "config.yaml:2: key 'peers[0].name' is missing",
+        ),
         (
             "peers:\n  - name: a\n    publishing_ms: 50 ms\n",
             "config.yaml:3: peers[0].publishing_ms: '50 ms' is not valid; it should be a number",
@@ -48,7 +54,10 @@ def complaint(tmp_path, text):
             "peers:\n  - name: a\n    publishing_ms: -1\n",
             "config.yaml:3: peers[0].publishing_ms: -1 is not valid; it should be greater than 0",
         ),
-        ("backend: a\nbackend: b\n", "config.yaml:2: key 'backend' is already in line 1;"),
+        (
+            "backend: a\nbackend: b\n",
+            "config.yaml:2: key 'backend' is already in line 1;",
+        ),
         ("peers: [\n", "config.yaml:2: not YAML"),
         ("a: b: c\n", "config.yaml:1: not YAML"),
         (b"backend: \xff\n", "config.yaml:1: byte 9 is not UTF-8"),
@@ -56,8 +65,14 @@ def complaint(tmp_path, text):
         ("backend: !!python/object:os.system x\n", "config.yaml:1: "),
         ("backend: 2024-13-45\n", "config.yaml:1: a value cannot be read: month"),
         ("? [a]\n: 1\n", "config.yaml:1: "),
-        ("\nbackend: !!float ''\n", "config.yaml:2: a value cannot be read: '' is not type float"),
-        ("backend: !!int ''\n", "config.yaml:1: a value cannot be read: '' is not type int"),
+        (
+            "\nbackend: !!float ''\n",
+            "config.yaml:2: a value cannot be read: '' is not type float",
+        ),
+        (
+            "backend: !!int ''\n",
+            "config.yaml:1: a value cannot be read: '' is not type int",
+        ),
         (
             "backend: !!bool maybe\n",
             "config.yaml:1: a value cannot be read: 'maybe' is not type bool",

@@ -13,7 +13,8 @@ READ = "read: {'ns=1;s=x': wheel.fl.setpoint_rpm}"
 
 
 BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
-    f"{name}: &{name} [{', '.join([f'*{before}'] * 9)}]\n" for before, name in pairwise("abcdefghi")
+    f"{name}: &{name} [{', '.join([f'*{before}'] * 9)}]\n"
+    for before, name in pairwise("abcdefghi")
 )
 
 
@@ -39,21 +40,48 @@ def complaint(tmp_path, text):
         ("- a\n", ":1: write 'key: value' lines, not a list"),
         ("hello\n", ":1: write 'key: value' lines, not 'hello'"),
         ("plant: [1]\n", ":1: plant: [1] is not valid; it should be keys and values"),
-        ("peers: {name: a}\n", ":1: peers: {'name': 'a'} is not valid; it should be a list"),
+        (
+            "peers: {name: a}\n",
+            ":1: peers: {'name': 'a'} is not valid; it should be a list",
+        ),
         ("1: 2\n", ":1: key '1' is not text; keys are words"),
-        ("plant: {max_rpm: 1,0}\n", ":1: key 'plant.0' is not text; keys are words, and decimal"),
-        ("plant:\n  max_rpm: 1,0\n", "'1,0' is not valid; it should be a number with a decimal"),
-        ("plant:\n\tmax_rpm: 1\n", "cannot start any token; indent with spaces, not with tabs"),
+        (
+            "plant: {max_rpm: 1,0}\n",
+            ":1: key 'plant.0' is not text; keys are words, and decimal",
+        ),
+        (
+            "plant:\n  max_rpm: 1,0\n",
+            "'1,0' is not valid; it should be a number with a decimal",
+        ),
+        (
+            "plant:\n\tmax_rpm: 1\n",
+            "cannot start any token; indent with spaces, not with tabs",
+        ),
         ("plant: {null: 2}\n", ":1: key 'plant.None' is not text"),
-        ("plant: {max_rpm: yes}\n", ":1: plant.max_rpm: True is not valid; it should be a number"),
-        ("kinematics: {rotation_gain: true}\n", ":1: kinematics.rotation_gain: True is not valid"),
-        ("kinematics: {rotation_gain: tiles}\n", ":1: kinematics.rotation_gain: 'tiles' is no"),
-        ("kinematics: {rotation_gain: null}\n", ":1: kinematics.rotation_gain: None is not valid"),
+        (
+            "plant: {max_rpm: yes}\n",
+            ":1: plant.max_rpm: True is not valid; it should be a number",
+        ),
+        (
+            "kinematics: {rotation_gain: true}\n",
+            ":1: kinematics.rotation_gain: True is not valid",
+        ),
+        (
+            "kinematics: {rotation_gain: tiles}\n",
+            ":1: kinematics.rotation_gain: 'tiles' is no",
+        ),
+        (
+            "kinematics: {rotation_gain: null}\n",
+            ":1: kinematics.rotation_gain: None is not valid",
+        ),
         (
             "plant: {terms: {rotation_gian: 1}}\n",
             ":1: plant.terms.rotation_gian: there is no such term: did you mean 'rotation_gain'?",
         ),
-        ("image: {name: '../x'}\n", ":1: image.name: '../x' is not valid; it should be text"),
+        (
+            "image: {name: '../x'}\n",
+            ":1: image.name: '../x' is not valid; it should be text",
+        ),
         # numbers
         (
             "image: {ring_frames: 1000}\n",
@@ -71,27 +99,53 @@ def complaint(tmp_path, text):
             "scheduler:\n  communication_timeout_ms: 10\n",
             ":1: scheduler: communication_timeout_ms is 10, but values are published every 20 ms",
         ),
-        ("scheduler: {slices: {publish: 5000}}\n", ":1: scheduler: communication_timeout_ms is 2"),
+        (
+            "scheduler: {slices: {publish: 5000}}\n",
+            ":1: scheduler: communication_timeout_ms is 2",
+        ),
         # who commands
         ("control: {priority: []}\n", ":1: control: priority is empty"),
-        ("control: {priority: [opcua, opcua]}\n", ":1: control: priority names 'opcua' twice"),
-        ("control: {priority: [scenario]}\n", ":1: control: source 'opcua' is not in pri"),
-        (peer(READ) + "control: {priority: [opcua]}\n", ": control: source 'peer' is not in"),
+        (
+            "control: {priority: [opcua, opcua]}\n",
+            ":1: control: priority names 'opcua' twice",
+        ),
+        (
+            "control: {priority: [scenario]}\n",
+            ":1: control: source 'opcua' is not in pri",
+        ),
+        (
+            peer(READ) + "control: {priority: [opcua]}\n",
+            ": control: source 'peer' is not in",
+        ),
         (
             "page: {enabled: false}\ncontrol: {source: page}\n",
             ":2: control.source: there is no 'page' here; sources are scenario, opcua, peer",
         ),
         # peers
-        (peer("read: {'ns=1;s=x': internal.command}"), "there is no signal 'internal.command'"),
         (
-            peer("read: {'ns=1;s=x': wheels.setpoints_rpm, 'ns=1;s=y': wheel.fl.setpoint_rpm}"),
+            peer("read: {'ns=1;s=x': internal.command}"),
+            "there is no signal 'internal.command'",
+        ),
+        (
+            peer(
+                "read: {'ns=1;s=x': wheels.setpoints_rpm, 'ns=1;s=y': wheel.fl.setpoint_rpm}"
+            ),
             "'wheel.fl.setpoint_rpm' is part of 'wheels.setpoints_rpm', which is also read",
         ),
-        (peer("write: {wheels.speeds_rpm: 'ns=1;s=x'}"), "'wheels.speeds_rpm' is an array"),
+        (
+            peer("write: {wheels.speeds_rpm: 'ns=1;s=x'}"),
+            "'wheels.speeds_rpm' is an array",
+        ),
         (peer("read: {'ns=1;g=zz': wheel.fl.setpoint_rpm}"), "g= needs a GUID"),
         (peer("read: {'ns=1;b=%%%': wheel.fl.setpoint_rpm}"), "b= needs base64"),
-        (peer("read: {'ns=1;i=99999999999': wheel.fl.setpoint_rpm}"), "i= needs a number up to"),
-        (peer("read: {'ns=70000;i=1': wheel.fl.setpoint_rpm}"), "ns= needs a number up to 65535"),
+        (
+            peer("read: {'ns=1;i=99999999999': wheel.fl.setpoint_rpm}"),
+            "i= needs a number up to",
+        ),
+        (
+            peer("read: {'ns=70000;i=1': wheel.fl.setpoint_rpm}"),
+            "ns= needs a number up to 65535",
+        ),
         # blocks
         (
             "blocks:\n  - {name: a, function: x.py:f}\n  - {name: a, function: x.py:g}\n",

@@ -9,7 +9,9 @@ OPEN = {"host": "0.0.0.0", "tls": {"certificate": "page.pem", "key": "page.key"}
 
 
 def test_a_page_on_the_network_on_which_everybody_is_engineer_is_refused():
-    with pytest.raises(ValidationError, match=r"everyone who opens the page would be engineer"):
+    with pytest.raises(
+        ValidationError, match=r"everyone who opens the page would be engineer"
+    ):
         Config(page=OPEN)
 
 

@@ -15,7 +15,11 @@ from hilserver.errors import ConfigError
 
 PATCH = {
     "schema": "hilserver.model_patch/1",
-    "made_from": {"findings_sha256": "a" * 64, "config_sha256": "b" * 64, "version": "1"},
+    "made_from": {
+        "findings_sha256": "a" * 64,
+        "config_sha256": "b" * 64,
+        "version": "1",
+    },
     "terms": {
         "rotation_gain": {
             "value": -0.47,
@@ -29,7 +33,9 @@ PATCH = {
 
 def write(folder, text, name="patch.yaml"):
     path = folder / name
-    path.write_text(text if isinstance(text, str) else yaml.safe_dump(text), encoding="utf-8")
+    path.write_text(
+        text if isinstance(text, str) else yaml.safe_dump(text), encoding="utf-8"
+    )
     return path
 
 
@@ -56,7 +62,9 @@ def test_a_bare_cause_is_its_first_part(tmp_path):
 
 def test_its_hash_is_that_of_what_it_says(tmp_path):
     first = load_patch(write(tmp_path, PATCH)).sha256
-    assert load_patch(write(tmp_path, "# why\n" + yaml.safe_dump(PATCH))).sha256 == first
+    assert (
+        load_patch(write(tmp_path, "# why\n" + yaml.safe_dump(PATCH))).sha256 == first
+    )
     assert load_patch(write(tmp_path, changed(value=-0.471))).sha256 != first
 
 
@@ -67,7 +75,10 @@ def test_its_hash_is_that_of_what_it_says(tmp_path):
         ("", "key 'schema' is missing"),
         (PATCH | {"schema": "hilserver.model_patch/2"}, "schema: "),
         (PATCH | {"more": 1}, "unknown key 'more'"),
-        (PATCH | {"terms": {"rotation_gian": PATCH["terms"]["rotation_gain"]}}, "did you mean"),
+        (
+            PATCH | {"terms": {"rotation_gian": PATCH["terms"]["rotation_gain"]}},
+            "did you mean",
+        ),
         (changed(value=20), "terms.rotation_gain: 20 1 is outside"),
         (changed(value=float("nan")), "terms.rotation_gain.value"),
         (changed(unit="m"), "terms.rotation_gain.unit: the term has the unit '1'"),
@@ -87,7 +98,9 @@ def test_a_bad_patch_is_told_in_words_with_exit_78(
     assert "Traceback" not in error
 
 
-def test_a_term_set_in_both_is_one_sentence_that_says_where(tmp_path, monkeypatch, capsys):
+def test_a_term_set_in_both_is_one_sentence_that_says_where(
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     write(tmp_path, "plant: {terms: {rotation_gain: 0.1}}\n", "config.yaml")
     write(tmp_path, PATCH)
@@ -107,7 +120,9 @@ def test_a_term_that_the_robot_cannot_have_is_a_complaint_about_the_patch(tmp_pa
 def test_identity_and_provenance_carry_it(tmp_path):
     path = write(tmp_path, PATCH)
     assembly = assemble(None, path)
-    assert assembly.identity == assemble(None).identity, "it is that of the configuration"
+    assert assembly.identity == assemble(None).identity, (
+        "it is that of the configuration"
+    )
     assert assembly.provenance["patch"]["sha256"] == load_patch(path).sha256
     assert "patch" not in assemble(None).identity
     assert assemble(None).provenance["patch"] is None
@@ -126,24 +141,36 @@ def test_a_patch_for_another_configuration_is_warned_about(tmp_path):
 def grouped(**groups):
     """The patch with a shared term and others by group."""
     side = {"side_slip": {"value": 0.1, "unit": "s"}}
-    own = {name: {"rotation_gain": {"value": v, "unit": "1"}} for name, v in groups.items()}
+    own = {
+        name: {"rotation_gain": {"value": v, "unit": "1"}} for name, v in groups.items()
+    }
     return PATCH | {"terms": side, "groups": own}
 
 
 def test_one_group_of_a_patch_is_taken(tmp_path):
     path = write(tmp_path, grouped(asphalt=-0.05, sand=-0.2))
     sand = load_patch(path, "sand")
-    assert sand.applied(PlantConfig()).terms == {"side_slip": 0.1, "rotation_gain": -0.2}
+    assert sand.applied(PlantConfig()).terms == {
+        "side_slip": 0.1,
+        "rotation_gain": -0.2,
+    }
     assert sand.sha256 != load_patch(path, "asphalt").sha256
     assert patch_of({"patch": sand.provenance}).sha256 == sand.sha256
-    assert "groups" not in sand.provenance["content"], "as a patch without groups is recorded"
+    assert "groups" not in sand.provenance["content"], (
+        "as a patch without groups is recorded"
+    )
 
 
 @pytest.mark.parametrize(
     ("content", "words", "code", "complaint"),
     [
         (grouped(asphalt=0, sand=0), [], 78, "choose one with --group: asphalt, sand"),
-        (grouped(asphalt=0, sand=0), ["mud"], 78, "has no group 'mud'; it has asphalt, sand"),
+        (
+            grouped(asphalt=0, sand=0),
+            ["mud"],
+            78,
+            "has no group 'mud'; it has asphalt, sand",
+        ),
         (PATCH, ["sand"], 78, "has no groups; leave --group sand out"),
         (grouped(sand=20), ["sand"], 78, "groups.sand.rotation_gain: 20 1 is outside"),
     ],
@@ -167,7 +194,9 @@ def test_a_group_without_a_patch_is_a_sentence(tmp_path, monkeypatch, capsys):
 
 def test_a_complaint_about_a_term_of_a_group_names_its_line(tmp_path):
     path = write(tmp_path, grouped(sand=-0.2))
-    with pytest.raises(ConfigError, match=r"patch\.yaml:\d+: groups\.sand\.rotation_gain: "):
+    with pytest.raises(
+        ConfigError, match=r"patch\.yaml:\d+: groups\.sand\.rotation_gain: "
+    ):
         load_patch(path, "sand").applied(PlantConfig(terms={"rotation_gain": 0.1}))
 
 
@@ -184,6 +213,8 @@ def test_the_schema_accepts_what_the_model_accepts():
 def test_a_flat_patch_of_900_kb_is_not_even_parsed(tmp_path):
     """Before, validating its terms held the event loop up for more than a second."""
     path = tmp_path / "flat.yaml"
-    path.write_text("terms:\n" + "".join(f"  t{i}: {{value: 1}}\n" for i in range(45_000)))
+    path.write_text(
+        "terms:\n" + "".join(f"  t{i}: {{value: 1}}\n" for i in range(45_000))
+    )
     with pytest.raises(ConfigError, match=r"flat\.yaml: larger than 100000 bytes"):
         load_patch(path)

@@ -54,7 +54,9 @@ def test_node_ids(text, address):
     assert NodeAddress.parse(text) == address
 
 
-@pytest.mark.parametrize("text", ["", "rpm", "s=rpm", "ns=x;s=rpm", "nsu=;s=rpm", "ns=1;i=rpm"])
+@pytest.mark.parametrize(
+    "text", ["", "rpm", "s=rpm", "ns=x;s=rpm", "nsu=;s=rpm", "ns=1;i=rpm"]
+)
 def test_what_is_no_node_id(text):
     with pytest.raises(ValueError, match="is not a node id"):
         NodeAddress.parse(text)
@@ -66,32 +68,53 @@ def test_what_is_no_node_id(text):
         ({"mode": "push"}, "'auto', 'subscribe' or 'poll'"),
         ({"publishin_ms": 5}, "Extra inputs are not permitted"),
         ({"endpoint": "192.0.2.10:53880"}, "is not an endpoint"),
-        ({"endpoint": "opc.tcp://me:secret@192.0.2.10:53880/"}, "must not contain a user name"),
+        (
+            {"endpoint": "opc.tcp://me:secret@192.0.2.10:53880/"},
+            "must not contain a user name",
+        ),
         ({"endpoint": "opc.tcp://192.0.2.10:port/"}, "is not an endpoint"),
-        ({"endpoint": "opc.tcp://192.0.2.10:0/"}, "needs the port that the peer listens on"),
+        (
+            {"endpoint": "opc.tcp://192.0.2.10:0/"},
+            "needs the port that the peer listens on",
+        ),
         ({"sampling_ms": float("nan")}, "finite number"),
         ({"stale_after_ms": 60}, "at least twice the interval"),
         ({"poll_ms": 0}, "greater than or equal to 1"),
         ({"publishing_ms": -1}, "greater than 0"),
         ({"read": {}, "write": {}}, "reads and writes nothing"),
-        ({"security": {"policy": "Basic256"}}, "Input should be 'None', 'Basic256Sha256'"),
+        (
+            {"security": {"policy": "Basic256"}},
+            "Input should be 'None', 'Basic256Sha256'",
+        ),
         ({"security": {"mode": "sign"}}, "mode has no effect while policy is None"),
-        ({"security": {"peer_host": "x"}}, "peer_host has no effect while policy is None"),
+        (
+            {"security": {"peer_host": "x"}},
+            "peer_host has no effect while policy is None",
+        ),
         ({"security": {"trust": "x"}}, "trust has no effect while policy is None"),
         (
             {"security": SECURE | {"certificate": "a.der"}},
             "certificate needs private_key as well: give both, or neither",
         ),
-        ({"security": SECURE | {"private_key": "a.pem"}}, "private_key needs certificate as well"),
+        (
+            {"security": SECURE | {"private_key": "a.pem"}},
+            "private_key needs certificate as well",
+        ),
         ({"security": SECURE | {"user": "otto"}}, "user needs password_file as well"),
-        ({"security": SECURE | {"password_file": "x"}}, "password_file needs user as well"),
+        (
+            {"security": SECURE | {"password_file": "x"}},
+            "password_file needs user as well",
+        ),
         ({"security": SECURE | {"password": "x"}}, "Extra inputs are not permitted"),
         ({"security": LOG_IN}, "could read the password of 'otto' with policy None"),
         (
             {"security": SECURE | LOG_IN | {"allow_clear_password": True}},
             "allow_clear_password has no effect",
         ),
-        ({"security": {"allow_clear_password": True}}, "allow_clear_password has no effect"),
+        (
+            {"security": {"allow_clear_password": True}},
+            "allow_clear_password has no effect",
+        ),
         ({"sequence_node": "seq"}, "is not a node id"),
         ({"name": "a b"}, "String should match pattern"),
         (
@@ -109,7 +132,9 @@ def test_a_secure_peer_encrypts_unless_told_otherwise():
     security = PeerConfig.model_validate(example(security=SECURE)).security
     assert security.is_secure
     assert security.effective_mode == "sign_and_encrypt"
-    signs = PeerConfig.model_validate(example(security=SECURE | {"mode": "sign"})).security
+    signs = PeerConfig.model_validate(
+        example(security=SECURE | {"mode": "sign"})
+    ).security
     assert signs.effective_mode == "sign"
     assert not PeerConfig.model_validate(example()).security.is_secure
 
@@ -138,15 +163,22 @@ def test_signals_are_checked_against_the_table():
             write={"wheel.fl.setpoint_rpm": "ns=1;s=c"},
         )
     )
-    problems = {problem.location: problem.message for problem in check_signals(peer, TABLE)}
+    problems = {
+        problem.location: problem.message for problem in check_signals(peer, TABLE)
+    }
     assert problems == {
         ("read", "ns=1;s=a"): "there is no signal 'wheel.fl.setpoint_rmp'; did you mean"
         " 'wheel.fl.setpoint_rpm'?",
-        ("read", "ns=1;s=b"): "'wheel.fl.speed_rpm' is an output, so no peer can set it",
+        (
+            "read",
+            "ns=1;s=b",
+        ): "'wheel.fl.speed_rpm' is an output, so no peer can set it",
         ("read", "ns=1;s=d"): "there is no signal 'wheel.rr.set_rpm'; did you mean"
         " 'wheel.rr.setpoint_rpm'?",
-        ("write", "wheel.fl.setpoint_rpm"): "'wheel.fl.setpoint_rpm' is an input: write sends"
-        " outputs",
+        (
+            "write",
+            "wheel.fl.setpoint_rpm",
+        ): "'wheel.fl.setpoint_rpm' is an input: write sends outputs",
     }
 
 

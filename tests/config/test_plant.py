@@ -7,7 +7,14 @@ import pytest
 from hilserver.body.parameters import BodyParameters, Tyre
 from hilserver.config import mechatronic, plant
 from hilserver.plant.parameters import RobotParameters
-from hilserver.plant.parts import Battery, Controller, Imu, Navigation, Process, RangeFinders
+from hilserver.plant.parts import (
+    Battery,
+    Controller,
+    Imu,
+    Navigation,
+    Process,
+    RangeFinders,
+)
 
 PAIRS = [
     (plant.PlantConfig, RobotParameters),
@@ -31,7 +38,9 @@ def test_every_quantity_has_its_key_with_default_and_meaning(section, part):
         key = section.model_fields[item.name]
         assert key.default == item.default
         unit = item.metadata["unit"]
-        assert key.description == item.metadata["meaning"] + (f" [{unit}]" if unit else "")
+        assert key.description == item.metadata["meaning"] + (
+            f" [{unit}]" if unit else ""
+        )
         assert len(key.metadata) == len(item.metadata["bounds"])
 
 

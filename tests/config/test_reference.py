@@ -15,7 +15,9 @@ SCHEMA = json.loads(schema_text(Config))
 
 
 def test_the_schema_is_up_to_date():
-    assert json.loads((ROOT / "config.schema.json").read_text()) == SCHEMA, "run: make reference"
+    assert json.loads((ROOT / "config.schema.json").read_text()) == SCHEMA, (
+        "run: make reference"
+    )
 
 
 def test_the_shipped_file_is_the_default_and_names_every_key():

@@ -23,21 +23,34 @@ from hilserver.config.ros2 import Ros2Config
         ({"namespace": "a b"}, "pattern"),
         ({"domain": 233}, "232"),
         ({"flavour": "thesis_sil", "reenable": "service"}, "no service that enables"),
-        ({"measured": "iotbot"}, r"publishes /iotbot/rpm/return .* set ros2\.namespace: /sim, or"),
+        (
+            {"measured": "iotbot"},
+            r"publishes /iotbot/rpm/return .* set ros2\.namespace: /sim, or",
+        ),
         (
             {"measured": {"topics": {"/tf": "TFMessage"}}, "publish": {"tf": True}},
             r"publishes /tf as well.* set ros2\.topics: {/tf: /sim/tf} ",
         ),
         (
-            {"namespace": "/sim", "topics": {"iotbot/imu": "/iotbot/imu"}, "measured": "iotbot"},
+            {
+                "namespace": "/sim",
+                "topics": {"iotbot/imu": "/iotbot/imu"},
+                "measured": "iotbot",
+            },
             r"publishes /iotbot/imu as well.* set ros2\.topics: {iotbot/imu: /sim/iotbot/imu}",
         ),
         (
             {"measured": {"topics": {"cmd_vel": "Odometry"}}},
             r"is driven by /cmd_vel as well.* set ros2\.namespace",
         ),
-        ({"measured": {"topics": {"odom": "Odometry", "/odom": "Odometry"}}}, "/odom twice"),
-        ({"measured": {"frame": "/map", "base_frame": "map"}}, "frame and base_frame are the same"),
+        (
+            {"measured": {"topics": {"odom": "Odometry", "/odom": "Odometry"}}},
+            "/odom twice",
+        ),
+        (
+            {"measured": {"frame": "/map", "base_frame": "map"}},
+            "frame and base_frame are the same",
+        ),
     ],
 )
 def test_what_cannot_work_is_refused(keys, said):
@@ -75,7 +88,11 @@ def test_viewers_stay_on_this_computer_unless_allowed():
         ({"flavour": "eduard"}, "cmd_vel", "/eduard/cmd_vel"),
         ({"flavour": "eduard", "namespace": "/"}, "cmd_vel", "/cmd_vel"),
         ({"namespace": "a"}, "/tf", "/tf"),
-        ({"topics": {"iotbot/rpm": "/x/rpm"}, "namespace": "a"}, "iotbot/rpm", "/x/rpm"),
+        (
+            {"topics": {"iotbot/rpm": "/x/rpm"}, "namespace": "a"},
+            "iotbot/rpm",
+            "/x/rpm",
+        ),
         ({"topics": {"iotbot/rpm": "rpm"}, "namespace": "a"}, "iotbot/rpm", "/a/rpm"),
     ],
 )
@@ -100,14 +117,21 @@ def test_silence_and_the_way_back_by_flavour(keys, action, command_enables):
 
 
 HELD = {"enabled": True, "flavour": "thesis_sil"}
-CELL = {"name": "cell", "endpoint": "opc.tcp://192.0.2.1:4840", "write": {"sim.tick": "ns=1;s=t"}}
+CELL = {
+    "name": "cell",
+    "endpoint": "opc.tcp://192.0.2.1:4840",
+    "write": {"sim.tick": "ns=1;s=t"},
+}
 
 
 @pytest.mark.parametrize(
     ("sections", "machine"),
     [
         ({"peers": [CELL]}, "peers.cell may be one"),
-        ({"shield": {"enabled": True, "device": "/dev/ttyS1"}}, "shield.device '/dev/ttyS1'"),
+        (
+            {"shield": {"enabled": True, "device": "/dev/ttyS1"}},
+            "shield.device '/dev/ttyS1'",
+        ),
     ],
 )
 def test_a_held_command_moves_no_real_machine(sections, machine):
@@ -122,13 +146,18 @@ def test_a_held_command_may_be_shown_on_this_computer():
 
 def test_it_has_control_at_the_start():
     assert Config(ros2={"enabled": True}).first_source == "ros2"
-    assert Config(ros2={"enabled": True}, control={"source": "opcua"}).first_source == "opcua"
+    assert (
+        Config(ros2={"enabled": True}, control={"source": "opcua"}).first_source
+        == "opcua"
+    )
 
 
 def test_the_real_robot_beside_the_simulated_one():
     """Set-points of the real robot may drive both; what each of them says is kept apart."""
     shared = {"iotbot/rpm": "/iotbot/rpm"}
-    config = Ros2Config(enabled=True, namespace="/sim", topics=shared, measured="iotbot")
+    config = Ros2Config(
+        enabled=True, namespace="/sim", topics=shared, measured="iotbot"
+    )
     real = config.measured
     assert [real.full_name(name) for name in real.topics][:3] == [
         "/iotbot/rpm/return",
@@ -143,6 +172,8 @@ def test_the_real_robot_beside_the_simulated_one():
 
 
 def test_iotbot_is_short_for_its_topics():
-    short, whole = (Ros2Config(enabled=True, namespace="/a", measured=m) for m in ("iotbot", {}))
+    short, whole = (
+        Ros2Config(enabled=True, namespace="/a", measured=m) for m in ("iotbot", {})
+    )
     assert short == whole
     assert Ros2Config.model_validate(short.model_dump(mode="json")) == short

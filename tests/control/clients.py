@@ -60,7 +60,9 @@ class Client:
     def __init__(self, kind, doors):
         self.kind, self.doors = kind, doors
         self._pipe, theirs = processes.Pipe()
-        self.process = processes.Process(target=_serve, args=(kind, asdict(doors), theirs))
+        self.process = processes.Process(
+            target=_serve, args=(kind, asdict(doors), theirs)
+        )
         self.process.start()
         theirs.close()
 
@@ -114,7 +116,11 @@ class Teleop(Client):
         getattr(self, f"_{what}")()
 
     def _take(self):
-        where = os.ttyname(self._slave), self.doors.opcua, SPEEDS_RPM["teleop"] * M_S_PER_RPM
+        where = (
+            os.ttyname(self._slave),
+            self.doors.opcua,
+            SPEEDS_RPM["teleop"] * M_S_PER_RPM,
+        )
         self.process = processes.Process(target=_teleop, args=where)
         self.process.start()
         end_s, shown = time.monotonic() + ANSWER_WITHIN_S, ""
@@ -122,7 +128,9 @@ class Teleop(Client):
             shown += self._drain()
             if "has control and outranks" in shown:
                 raise RefusedError(shown.strip())
-            assert time.monotonic() < end_s, f"teleop does not show the robot: {shown[-500:]!r}"
+            assert time.monotonic() < end_s, (
+                f"teleop does not show the robot: {shown[-500:]!r}"
+            )
             time.sleep(0.01)
         os.write(self._master, b"\x1b[?11u")  # this terminal reports releases
 
@@ -164,7 +172,10 @@ def _teleop(terminal, url, speed_m_s):
     fcntl.ioctl(file, termios.TIOCSCTTY, 0)
     for standard in (0, 1, 2):
         os.dup2(file, standard)
-    sys.stdin, sys.stdout = os.fdopen(0), os.fdopen(1, "w")  # multiprocessing has closed its own
+    sys.stdin, sys.stdout = (
+        os.fdopen(0),
+        os.fdopen(1, "w"),
+    )  # multiprocessing has closed its own
     os._exit(main(["teleop", "--endpoint", url, "--speed", str(speed_m_s)]))
 
 
@@ -237,7 +248,9 @@ class _ByHand(_Source):
         m_s, self.m_s = self.m_s, 0.0
         if self._speaking is None:
             await self.say()
-            await asyncio.sleep(2 * self.every_s)  # of two messages at once the newer one counts
+            await asyncio.sleep(
+                2 * self.every_s
+            )  # of two messages at once the newer one counts
         self.m_s = m_s
         await super().hold()
 
@@ -248,7 +261,9 @@ class OpcUa(_Source):
     async def connect(self):
         from asyncua import Client as Ua
 
-        self._ua = Ua(self.doors["opcua"], ANSWER_WITHIN_S, watchdog_intervall=6 * ANSWER_WITHIN_S)
+        self._ua = Ua(
+            self.doors["opcua"], ANSWER_WITHIN_S, watchdog_intervall=6 * ANSWER_WITHIN_S
+        )
         self._ua.name = self.kind
         await self._ua.connect()
         self._index = await self._ua.get_namespace_index("urn:hilserver:robot")
@@ -260,7 +275,8 @@ class OpcUa(_Source):
         types |= {str: ua.VariantType.String, bool: ua.VariantType.Boolean}
         nodes = [self._node(name) for name in values]
         await self._ua.write_values(
-            nodes, [ua.DataValue(ua.Variant(v, types[type(v)])) for v in values.values()]
+            nodes,
+            [ua.DataValue(ua.Variant(v, types[type(v)])) for v in values.values()],
         )
 
     def _node(self, name):
@@ -295,7 +311,10 @@ class OpcUa(_Source):
     async def call(self, method, *arguments):
         from asyncua import ua
 
-        given = [ua.Variant(a, ua.VariantType.UInt32) if type(a) is int else a for a in arguments]
+        given = [
+            ua.Variant(a, ua.VariantType.UInt32) if type(a) is int else a
+            for a in arguments
+        ]
         await self._node("methods").call_method(self._node(f"methods.{method}"), *given)
 
     async def press(self):
@@ -324,7 +343,9 @@ class Page(_ByHand):
         self._origin = {"Origin": url.rstrip("/")}
         self._session = aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True))
         await self._load()
-        self._socket = await self._session.ws_connect(f"{url}api/live", headers=self._origin)
+        self._socket = await self._session.ws_connect(
+            f"{url}api/live", headers=self._origin
+        )
         await self._socket.send_json({"ticket": await self.call("ticket")})
         self._number = (await self._socket.receive_json())["you"]
         await self._socket.send_json({"subscribe": ["sim.tick"], "number": 1})
@@ -335,7 +356,9 @@ class Page(_ByHand):
     async def _load(self):
         import aiohttp
 
-        for _ in range(100):  # the page's own process needs a moment longer than the daemon
+        for _ in range(
+            100
+        ):  # the page's own process needs a moment longer than the daemon
             with contextlib.suppress(aiohttp.ClientError):
                 async with self._session.get(self._url) as response:
                     text = await response.text()
@@ -351,7 +374,9 @@ class Page(_ByHand):
     async def call(self, method, *arguments):
         headers = {"X-Hilserver-Token": self._token} | self._origin
         body = {"method": method, "arguments": arguments}
-        async with self._session.post(f"{self._url}api/call", json=body, headers=headers) as answer:
+        async with self._session.post(
+            f"{self._url}api/call", json=body, headers=headers
+        ) as answer:
             told = await answer.json()
         if not told["ok"]:
             raise RefusedError(told["text"])
@@ -361,7 +386,12 @@ class Page(_ByHand):
         await self.call("take", self._number)
 
     async def say(self):
-        command = {"mode": "twist", "linear": self.m_s, "turn": 0.0, "seen": self._stamp}
+        command = {
+            "mode": "twist",
+            "linear": self.m_s,
+            "turn": 0.0,
+            "seen": self._stamp,
+        }
         await self._socket.send_json({"drive": command})
 
     async def press(self):
@@ -390,7 +420,12 @@ class Foxglove(_ByHand):
         self._socket = await self._session.ws_connect(
             self.doors["foxglove"], protocols=["foxglove.sdk.v1"]
         )
-        channel = {"id": 1, "topic": "/cmd_vel", "encoding": "json", "schemaName": "Twist"}
+        channel = {
+            "id": 1,
+            "topic": "/cmd_vel",
+            "encoding": "json",
+            "schemaName": "Twist",
+        }
         await self._socket.send_json({"op": "advertise", "channels": [channel]})
         self._reading = asyncio.create_task(self._read())
 
@@ -400,7 +435,9 @@ class Foxglove(_ByHand):
 
     async def say(self):
         twist = {"linear": {"x": self.m_s}, "angular": {"z": 0.0}}
-        await self._socket.send_bytes(struct.pack("<BI", 1, 1) + json.dumps(twist).encode())
+        await self._socket.send_bytes(
+            struct.pack("<BI", 1, 1) + json.dumps(twist).encode()
+        )
 
     async def close(self):
         await self._socket.close()

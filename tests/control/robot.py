@@ -49,7 +49,9 @@ def configuration(folder, domain, **control):
     """Every source there is, on ports that stay the same over restarts."""
     place = "127.0.0.1"
     peer = f"opc.tcp://{place}:{free_port()}/UA/NodeRedAgv"
-    nodes = {f"rpm_set_{wheel.upper()}": f"wheel.{wheel}.setpoint_rpm" for wheel in WHEELS}
+    nodes = {
+        f"rpm_set_{wheel.upper()}": f"wheel.{wheel}.setpoint_rpm" for wheel in WHEELS
+    }
     nodes["enable"] = "drive.enable"
     return {
         "image": {"name": image_name(), "ring_frames": RING_FRAMES},
@@ -115,9 +117,18 @@ class Robot:
         )
 
     def start(self):
-        (self.folder / "config.yaml").write_text(yaml.safe_dump(self.config), encoding="utf-8")
+        (self.folder / "config.yaml").write_text(
+            yaml.safe_dump(self.config), encoding="utf-8"
+        )
         log = self.folder / "daemon.log"
-        command = [sys.executable, "-m", "tests.control.daemon", "run", "-c", "config.yaml"]
+        command = [
+            sys.executable,
+            "-m",
+            "tests.control.daemon",
+            "run",
+            "-c",
+            "config.yaml",
+        ]
         self.process = self._spawned(command, log)
         end_s = time.monotonic() + START_WITHIN_S
         while RUNNING not in log.read_text(encoding="utf-8"):
@@ -182,7 +193,9 @@ class Eye:
 
     def __init__(self, image):
         self.reader = ImageReader.attach(image)
-        self.slots = {s["name"]: s["slots"][0] for s in self.reader.description["signals"]}
+        self.slots = {
+            s["name"]: s["slots"][0] for s in self.reader.description["signals"]
+        }
         self.board = BoardReader(self.reader)
         read_frames(self.reader, 0, 1)  # compiles it
 
@@ -245,4 +258,6 @@ class History:
     @property
     def stands(self):
         """Whether the front left wheel is to stand; in the safe state whatever is commanded."""
-        return (np.abs(self.wheel_rpm) < STANDING_RPM) | (self["internal.command"] > COMMANDING)
+        return (np.abs(self.wheel_rpm) < STANDING_RPM) | (
+            self["internal.command"] > COMMANDING
+        )

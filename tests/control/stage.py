@@ -32,9 +32,18 @@ class Stage:
         scenarios = robot.folder / "scenarios"
         scenarios.mkdir(exist_ok=True)
         metres = SPEEDS_RPM["scenario"] / 60 * 2 * np.pi * 0.085
-        drive = {"drive.enable": True, "control.mode": 1, "twist.linear_m_s": float(metres)}
-        steps = [{"at_s": 0.0, "write": drive}, {"at_s": 600.0, "write": {"lights.command": 1}}]
-        (scenarios / "drive.yaml").write_text(yaml.safe_dump({"steps": steps}), encoding="utf-8")
+        drive = {
+            "drive.enable": True,
+            "control.mode": 1,
+            "twist.linear_m_s": float(metres),
+        }
+        steps = [
+            {"at_s": 0.0, "write": drive},
+            {"at_s": 600.0, "write": {"lights.command": 1}},
+        ]
+        (scenarios / "drive.yaml").write_text(
+            yaml.safe_dump({"steps": steps}), encoding="utf-8"
+        )
         self.restore()
 
     @property
@@ -59,7 +68,9 @@ class Stage:
     def call(self, method, *arguments):
         try:
             self.clients["operator"].do("call", method, *arguments)
-        except RefusedError as error:  # whoever looks on may not disturb; a test stand may
+        except (
+            RefusedError
+        ) as error:  # whoever looks on may not disturb; a test stand may
             if "take control first" not in str(error) or method in ("give", "write"):
                 raise
             self.clients["engineer"].do("call", method, *arguments)
@@ -99,7 +110,10 @@ class Stage:
             self.clients[kind].do("rest")
         self.forget("teleop")
         self._try("give", "page")
-        for name in ("control.mode", "twist.linear_m_s"):  # what somebody may have left behind
+        for name in (
+            "control.mode",
+            "twist.linear_m_s",
+        ):  # what somebody may have left behind
             self._try("write", name, 0)
         self._try("give", "peer")
         self._try("Reset")
@@ -178,7 +192,9 @@ class Stage:
 
     def _cut(self, source):
         if source == "peer":
-            time.sleep(SETTLED_S)  # a link of less comes back later than what is missing is stale
+            time.sleep(
+                SETTLED_S
+            )  # a link of less comes back later than what is missing is stale
         self.clients[source].do("cut")
 
     def _killed(self, source):
@@ -237,7 +253,9 @@ class Stage:
 
     def _forced(self, source):
         name = "wheel.fl.setpoint_rpm" if source in OFFERING else "twist.linear_m_s"
-        value = FORCED_RPM if source in OFFERING else FORCED_RPM / 60 * 2 * np.pi * 0.085
+        value = (
+            FORCED_RPM if source in OFFERING else FORCED_RPM / 60 * 2 * np.pi * 0.085
+        )
         self.call("Force", name, value)
         assert self.wait(lambda: self.turns(FORCED_RPM)), "the force does not act"
         self.call("Unforce", name)
@@ -249,7 +267,9 @@ class Stage:
 
     def _stop(self):
         self.call("Stop")
-        assert self.wait(lambda: self.eye.now()["drive.enable"][-1] == 0), "no safe state"
+        assert self.wait(lambda: self.eye.now()["drive.enable"][-1] == 0), (
+            "no safe state"
+        )
 
     def _held_over(self, source):
         if source == "opcua":  # a program that writes again and again
@@ -261,14 +281,18 @@ class Stage:
         self.robot.stop(signal.SIGTERM)
         self.robot.start()
         # The serial line is another one now.
-        self.forget(*(kind for kind in self.clients if kind not in OFFERING or kind == "shield"))
+        self.forget(
+            *(kind for kind in self.clients if kind not in OFFERING or kind == "shield")
+        )
         return 0, time.monotonic_ns()  # another image, which begins anew
 
     # --- what has to follow -----------------------------------------------------------------------
 
     def check(self, event, source, outcome, head, at_ns):
         """Fail with a sentence if another outcome follows."""
-        other = event.removeprefix("taken by ") if event.startswith("taken by ") else "peer"
+        other = (
+            event.removeprefix("taken by ") if event.startswith("taken by ") else "peer"
+        )
         judge = getattr(self, f"_is_{outcome}")
         judge(source, other, head, at_ns)
 
@@ -282,7 +306,9 @@ class Stage:
 
         rpm = SPEEDS_RPM[other]
         assert self.wait(has_stood), f"{self._says()}: it does not begin at zero"
-        assert self.wait(lambda: self.turns(rpm)), f"{self._says()} instead of {rpm:g} rpm"
+        assert self.wait(lambda: self.turns(rpm)), (
+            f"{self._says()} instead of {rpm:g} rpm"
+        )
         self._is_driven_by(other)
 
     def _is_taken(self, _source, other, head, _at_ns):
@@ -340,7 +366,9 @@ class Stage:
         assert self.wait(lambda: len(self.eye.since(head)) >= 50), "no tick"
         wheel = self.eye.since(head).wheel_rpm[:50]
         wheel = wheel[~np.isnan(wheel)]
-        assert not (np.abs(wheel) > STANDING_RPM).any(), f"it goes on with {wheel[0]:.1f} rpm"
+        assert not (np.abs(wheel) > STANDING_RPM).any(), (
+            f"it goes on with {wheel[0]:.1f} rpm"
+        )
         self._is_driven_by(source)
 
     def _stays(self, head):
@@ -355,14 +383,18 @@ class Stage:
         self._stays(head)
         assert self.eye.now()["control.waits_for_start"][-1] == 1
         self.call("Start")
-        assert self.wait(lambda: self.turns(SPEEDS_RPM[source])), f"{self._says()} after Start"
+        assert self.wait(lambda: self.turns(SPEEDS_RPM[source])), (
+            f"{self._says()} after Start"
+        )
         self._is_driven_by(source)
 
     def _is_rest(self, source, _other, head, _at_ns):
         self._stays(head)
         self.clients[source].do("let_go")
         self.drive(source)
-        assert self.wait(lambda: self.turns(SPEEDS_RPM[source])), f"{self._says()} after rest"
+        assert self.wait(lambda: self.turns(SPEEDS_RPM[source])), (
+            f"{self._says()} after rest"
+        )
         self._is_driven_by(source)
 
     def _says(self):

@@ -8,7 +8,16 @@
 from collections.abc import Iterator, Mapping
 from typing import Final
 
-SOURCES: Final = ("peer", "opcua", "page", "ros2", "shield", "scenario", "foxglove", "teleop")
+SOURCES: Final = (
+    "peer",
+    "opcua",
+    "page",
+    "ros2",
+    "shield",
+    "scenario",
+    "foxglove",
+    "teleop",
+)
 """Who drives at first, by the column."""
 
 OUTCOMES: Final[Mapping[str, str]] = {
@@ -28,7 +37,10 @@ OUTCOMES: Final[Mapping[str, str]] = {
 }
 
 EVENTS: Final[Mapping[str, str]] = {
-    **{f"taken by {other}": f"{other} takes control, or is given it" for other in SOURCES},
+    **{
+        f"taken by {other}": f"{other} takes control, or is given it"
+        for other in SOURCES
+    },
     "given back": "control goes back to the source before",
     "closed": "its user ends it: tab, session, program, line; of a scenario, who started it",
     "cut": "its connection breaks",

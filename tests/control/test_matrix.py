@@ -35,7 +35,10 @@ def thin():
 THIN = frozenset(thin())
 CELLS = [
     pytest.param(
-        table.parts(cell[0])[1], cell, id=ids(cell), marks=[] if cell in THIN else pytest.mark.long
+        table.parts(cell[0])[1],
+        cell,
+        id=ids(cell),
+        marks=[] if cell in THIN else pytest.mark.long,
     )
     for cell in table.cells()
 ]

@@ -32,11 +32,15 @@ def judged(monkeypatch, *, until_ms, stops_ms, rpm=20.0, then=0.0, command=COMMA
     values = np.zeros((len(times_ms), len(SIGNALS)))
     values[:, SIGNALS.index("drive.enable")] = 1.0
     values[:, SIGNALS.index("wheel.fl.setpoint_rpm")] = np.where(has_stopped, then, rpm)
-    values[:, SIGNALS.index("internal.command")] = np.where(has_stopped, command, COMMANDING)
+    values[:, SIGNALS.index("internal.command")] = np.where(
+        has_stopped, command, COMMANDING
+    )
     batch = SimpleNamespace(values=values, planned_ns=at_ns + times_ms * 1_000_000)
     seen = History(batch, {name: i for i, name in enumerate(SIGNALS)})
     stage = Stage.__new__(Stage)
-    stage.robot = SimpleNamespace(eye=SimpleNamespace(since=lambda _: seen, now=lambda: seen))
+    stage.robot = SimpleNamespace(
+        eye=SimpleNamespace(since=lambda _: seen, now=lambda: seen)
+    )
     stage._stands("page", 0, at_ns)
 
 
@@ -45,7 +49,13 @@ def test_a_robot_that_stops_in_time_stands(monkeypatch):
 
 
 def test_in_the_safe_state_it_stands_whatever_is_commanded(monkeypatch):
-    judged(monkeypatch, until_ms=LIMIT_MS + 300, stops_ms=LIMIT_MS, then=20.0, command=SAFE_RAMP)
+    judged(
+        monkeypatch,
+        until_ms=LIMIT_MS + 300,
+        stops_ms=LIMIT_MS,
+        then=20.0,
+        command=SAFE_RAMP,
+    )
 
 
 def test_a_robot_that_goes_on_does_not_stand(monkeypatch):

@@ -6,7 +6,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hilserver.controller.path import Eight, Gains, Pose, Robot, follow, wheel_speeds_rpm
+from hilserver.controller.path import (
+    Eight,
+    Gains,
+    Pose,
+    Robot,
+    follow,
+    wheel_speeds_rpm,
+)
 
 STEP_S = 0.02
 
@@ -16,7 +23,9 @@ def move(robot: Robot, pose: Pose, wheels: dict[str, float], slip: float = 1.0) 
     left = (wheels["fl"] + wheels["rl"]) / 2 * 2 * math.pi / 60
     right = (wheels["fr"] + wheels["rr"]) / 2 * 2 * math.pi / 60
     v = robot.wheel_radius_m * (left - right) / 2
-    om = robot.yaw_sign * robot.wheel_radius_m * robot.k_om_per_m * slip * (left + right)
+    om = (
+        robot.yaw_sign * robot.wheel_radius_m * robot.k_om_per_m * slip * (left + right)
+    )
     lateral = -0.02 * om
     yaw = pose.yaw_rad + om * STEP_S / 2
     x = pose.x_m + (v * math.cos(yaw) - lateral * math.sin(yaw)) * STEP_S
@@ -44,7 +53,9 @@ def test_follows_the_eight(yaw_sign):
     assert max(ys) > 0.6
     assert min(ys) < -0.6
     # An eight crosses its middle in two directions.
-    crossings = [p.yaw_rad for p, _ in settled if abs(p.x_m) < 0.01 and abs(p.y_m) < 0.1]
+    crossings = [
+        p.yaw_rad for p, _ in settled if abs(p.x_m) < 0.01 and abs(p.y_m) < 0.1
+    ]
     assert max(crossings) - min(crossings) > 0.5
 
 
@@ -82,7 +93,9 @@ def test_signs_of_the_frame_page():
 
 
 @given(
-    st.floats(-10, 10), st.floats(-50, 50), st.sampled_from([62.0, 80.0, 90.0, 140.0, 89.9999999])
+    st.floats(-10, 10),
+    st.floats(-50, 50),
+    st.sampled_from([62.0, 80.0, 90.0, 140.0, 89.9999999]),
 )
 def test_no_wheel_is_asked_for_more_than_its_limit(v_m_s, om_rad_s, max_rpm):
     wheels = wheel_speeds_rpm(Robot(max_rpm=max_rpm), v_m_s, om_rad_s)

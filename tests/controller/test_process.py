@@ -12,7 +12,13 @@ import pytest
 from asyncua import Client, ua
 
 from hilserver.controller.loop import Controller, PoseWatch
-from hilserver.controller.nodes import NAMESPACE, SENSORS, SEQUENCE, SETPOINTS, demo_peer
+from hilserver.controller.nodes import (
+    NAMESPACE,
+    SENSORS,
+    SEQUENCE,
+    SETPOINTS,
+    demo_peer,
+)
 from hilserver.controller.path import Pose
 from tests.io.opcua_client.conftest import make_harness, wait_until
 
@@ -23,7 +29,9 @@ LIMIT_S = 100.0
 
 def test_a_pose_lives_only_while_its_stamp_moves():
     watch = PoseWatch(stale_s=0.5)
-    assert watch.observe((0.0, 0.0, 0.0), STAMP, 0.0) is None  # the node's own initial value
+    assert (
+        watch.observe((0.0, 0.0, 0.0), STAMP, 0.0) is None
+    )  # the node's own initial value
     later = STAMP + timedelta(seconds=1)
     assert watch.observe((1.0, 2.0, 3.0), later, 1.0) == Pose(1.0, 2.0, 3.0)
     assert watch.observe((1.0, 2.0, 3.0), later, 1.5) is not None
@@ -40,7 +48,12 @@ def test_a_pose_with_a_hole_is_no_pose(bad):
 async def started() -> tuple[asyncio.subprocess.Process, str]:
     process = await asyncio.create_subprocess_exec(
         sys.executable,
-        *("-m", "hilserver.controller", "--endpoint", "opc.tcp://127.0.0.1:0/UA/NodeRedAgv"),
+        *(
+            "-m",
+            "hilserver.controller",
+            "--endpoint",
+            "opc.tcp://127.0.0.1:0/UA/NodeRedAgv",
+        ),
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.STDOUT,
     )
@@ -56,7 +69,9 @@ async def test_process_drives_on_a_pose_and_stops_without():
     try:
         harness = make_harness(demo_peer(endpoint, name="iot2050"))
         await harness.link.start()
-        await wait_until(lambda: harness.gate.latest.get("wheel.fl.setpoint_rpm", 0.0) != 0.0)
+        await wait_until(
+            lambda: harness.gate.latest.get("wheel.fl.setpoint_rpm", 0.0) != 0.0
+        )
         fl, fr = (harness.gate.latest[f"wheel.{w}.setpoint_rpm"] for w in ("fl", "fr"))
         assert fl > 0 or fr < 0
         assert harness.status.faults == {}
@@ -73,7 +88,9 @@ async def test_process_drives_on_a_pose_and_stops_without():
                 n.Identifier
                 for n in [
                     child.nodeid
-                    for child in await client.get_node(f"ns={index};s=agv").get_children()
+                    for child in await client.get_node(
+                        f"ns={index};s=agv"
+                    ).get_children()
                 ]
             }
             assert served == {*SETPOINTS, SEQUENCE, *SENSORS}
@@ -94,7 +111,9 @@ async def test_a_taken_port_is_one_sentence():
         )
         _, errors = await asyncio.wait_for(second.communicate(), LIMIT_S)
         assert second.returncode == 1
-        assert re.fullmatch(r"hilserver: port \d+ cannot be used: .*\n", errors.decode())
+        assert re.fullmatch(
+            r"hilserver: port \d+ cannot be used: .*\n", errors.decode()
+        )
     finally:
         process.kill()
         await process.wait()
@@ -133,7 +152,12 @@ async def test_a_parent_that_ends_before_the_first_cycle_is_missed(monkeypatch):
 async def test_it_ends_without_a_word_when_its_starter_is_gone():
     process = await asyncio.create_subprocess_exec(
         sys.executable,
-        *("-m", "hilserver.controller", "--endpoint", "opc.tcp://127.0.0.1:0/UA/NodeRedAgv"),
+        *(
+            "-m",
+            "hilserver.controller",
+            "--endpoint",
+            "opc.tcp://127.0.0.1:0/UA/NodeRedAgv",
+        ),
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
     )

@@ -25,7 +25,9 @@ def test_a_step_of_the_system_clock_is_followed_slowly():
 
 def test_a_step_is_said_once_and_a_small_one_not_at_all():
     clock, step_s = ManualClock(), 0.0
-    utc = UtcClock(monotonic_ns=clock, utc_ns=lambda: clock.now_ns + round(step_s * 1e9))
+    utc = UtcClock(
+        monotonic_ns=clock, utc_ns=lambda: clock.now_ns + round(step_s * 1e9)
+    )
     said = []
     for step_s in (0.0, 0.9, 3600.0, 3600.0, 0.7, 0.0, -5.0):  # noqa: B007 - the lambda reads it
         clock.pass_s(0.1)

@@ -43,9 +43,15 @@ class World:
         self.image = make_image(self.table, live={"x": PlantState.n_words})
         self.events = EventBus()
         self.pacing = Pacing()
-        options = {"ramp_ticks": 5, "owner": "opcua", "waits_for_start": waits_for_start}
+        options = {
+            "ramp_ticks": 5,
+            "owner": "opcua",
+            "waits_for_start": waits_for_start,
+        }
         self.gate = make_gate(self.table, self.image, self.events, **options)
-        snapshots = SnapshotStore(self.image, tmp_path / "snapshots", {"parameters": "abc"})
+        snapshots = SnapshotStore(
+            self.image, tmp_path / "snapshots", {"parameters": "abc"}
+        )
         self.control = Control(
             self.table,
             self.image,
@@ -115,7 +121,9 @@ def test_a_command_leads_where_the_table_says(tmp_path, state, command):
     following = TRANSITIONS[command][state]
     try:
         if following is None:
-            with pytest.raises(ControlRefused, match=f"{command} is not possible in state"):
+            with pytest.raises(
+                ControlRefused, match=f"{command} is not possible in state"
+            ):
                 BY_METHOD[command](world.control)
         else:
             BY_METHOD[command](world.control)
@@ -151,7 +159,9 @@ def test_safe_state_disables_the_drive_after_the_ramp_and_waits_for_reset(world)
     assert control.state is State.RUNNING
     assert world.value("internal.command") == 0.0
     assert world.value("drive.enable") == 1.0
-    assert world.value("wheel.fl.setpoint_rpm") == 0.0, "an old set-point must not come back"
+    assert world.value("wheel.fl.setpoint_rpm") == 0.0, (
+        "an old set-point must not come back"
+    )
 
 
 HELD = {"wheel.fl.setpoint_rpm": 50.0}
@@ -199,7 +209,9 @@ def test_nothing_but_start_ends_the_wait(world):
     assert world.gate.write("opcua", HELD) == {"wheel.fl.setpoint_rpm": "not_started"}
 
 
-async def test_a_snapshot_of_before_ends_no_wait_and_one_of_a_wait_brings_it_back(world):
+async def test_a_snapshot_of_before_ends_no_wait_and_one_of_a_wait_brings_it_back(
+    world,
+):
     task = asyncio.create_task(latching(world))
     control = world.control
     await control.save_snapshot("before")
@@ -258,12 +270,21 @@ def test_the_safe_state_reaches_the_plant_although_the_queue_was_full(world):
 def test_the_plant_obeys_stop_before_the_daemon_knows_of_it(world):
     press_stop(world.image.name)
     world.latch()
-    assert (world.control.state, world.value("internal.command")) == (State.RUNNING, 2.0)
+    assert (world.control.state, world.value("internal.command")) == (
+        State.RUNNING,
+        2.0,
+    )
     world.control.supervise()
-    assert (world.control.state, world.control.reason) == (State.SAFE, "stopped by command")
+    assert (world.control.state, world.control.reason) == (
+        State.SAFE,
+        "stopped by command",
+    )
     world.control.reset()
     world.latch()
-    assert (world.control.state, world.value("internal.command")) == (State.RUNNING, 0.0)
+    assert (world.control.state, world.value("internal.command")) == (
+        State.RUNNING,
+        0.0,
+    )
 
 
 def test_reset_acknowledges_no_stop_that_was_pressed_since(world):
@@ -280,7 +301,10 @@ def test_a_stop_followed_at_once_by_reset_is_acknowledged(world):
     world.control.stop()
     world.control.reset()
     world.latch()
-    assert (world.control.state, world.value("internal.command")) == (State.RUNNING, 0.0)
+    assert (world.control.state, world.value("internal.command")) == (
+        State.RUNNING,
+        0.0,
+    )
 
 
 def test_a_fault_of_the_paced_loop_is_taken_over(world):
@@ -334,7 +358,9 @@ def test_what_waits_to_be_latched_does_not_survive_a_reset(world):
     """Before, a command of the same millisecond drove for another lease."""
     world.gate.take("page")
     world.latch()
-    assert world.gate.write("page:1", {"control.mode": 1, "twist.linear_m_s": 0.4}) == {}
+    assert (
+        world.gate.write("page:1", {"control.mode": 1, "twist.linear_m_s": 0.4}) == {}
+    )
     world.control.reset()
     for _ in range(10):
         world.latch()
@@ -360,7 +386,9 @@ async def test_a_hand_that_drives_while_a_snapshot_is_loaded_has_to_let_go(world
     assert world.value("twist.linear_m_s") == 0.0
 
 
-@pytest.mark.parametrize("name", ["../x", "/etc/passwd", "", "a/b", ".hidden", "x" * 200])
+@pytest.mark.parametrize(
+    "name", ["../x", "/etc/passwd", "", "a/b", ".hidden", "x" * 200]
+)
 async def test_snapshot_names_are_no_paths(world, name):
     with pytest.raises(ControlRefused, match="plain file name"):
         await world.control.save_snapshot(name)

@@ -42,7 +42,9 @@ def test_a_door_without_rights_only_watches(world):
     assert refused == dict.fromkeys((SPEED, MEASURED), "not_granted")
     assert w.latched(SPEED) == 0.0
     first, second = (event.message for event in w.events.recent)
-    assert "Foxglove knows no log-in, and foxglove.grants does not name 'command'" in first
+    assert (
+        "Foxglove knows no log-in, and foxglove.grants does not name 'command'" in first
+    )
     assert "'measured'" in second
     w.gate.write("page:foxglove", {SPEED: 40.0})
     assert len(w.events.recent) == 2
@@ -50,8 +52,12 @@ def test_a_door_without_rights_only_watches(world):
 
 
 def test_what_is_granted_is_accepted(world):
-    w = world(owner="page", doors=[VIEWER._replace(stranger=None, grants=("measured",))])
-    assert w.gate.write("page:foxglove", {SPEED: 30.0, MEASURED: 12.5}) == {SPEED: "not_granted"}
+    w = world(
+        owner="page", doors=[VIEWER._replace(stranger=None, grants=("measured",))]
+    )
+    assert w.gate.write("page:foxglove", {SPEED: 30.0, MEASURED: 12.5}) == {
+        SPEED: "not_granted"
+    }
     assert w.latched(MEASURED) == 12.5
 
 
@@ -71,9 +77,14 @@ def test_of_two_peers_the_first_keeps_a_signal_until_it_is_silent(world, name):
     w = world(owner="peer")
     assert w.gate.write("peer:a", {name: 10.0}) == {}
     w.clock.pass_s(60.0)  # its link judges its silence
-    assert w.gate.write("peer:s7", {name: -10.0, "drive.enable": True}) == {name: "not_in_control"}
+    assert w.gate.write("peer:s7", {name: -10.0, "drive.enable": True}) == {
+        name: "not_in_control"
+    }
     assert w.latched(name) == 10.0
-    assert f"peer:s7: {name} = -10.0 refused: 'peer:a' writes it" in w.events.recent[-1].message
+    assert (
+        f"peer:s7: {name} = -10.0 refused: 'peer:a' writes it"
+        in w.events.recent[-1].message
+    )
     told = len(w.events.recent)
     w.gate.write("peer:s7", {name: -10.0})
     assert len(w.events.recent) == told

@@ -11,7 +11,14 @@ from hilserver.core.inputs import Refusal, check_value
 from hilserver.errors import ControlRefused
 from hilserver.signals import robot_table
 from hilserver.status import GOOD, UNCERTAIN_LAST_USABLE_VALUE
-from tests.fakes import RANGES, ManualClock, latch_inputs, make_gate, make_image, make_table
+from tests.fakes import (
+    RANGES,
+    ManualClock,
+    latch_inputs,
+    make_gate,
+    make_image,
+    make_table,
+)
 
 
 @pytest.fixture
@@ -49,7 +56,9 @@ def test_of_scalar_and_array_the_later_write_wins(world):
 def test_a_source_without_control_is_reported_once_per_change(world):
     gate, _, events, _ = world
     for rpm in range(5):
-        gate.write("opcua", {"wheel.fl.setpoint_rpm": rpm, "wheel.fr.setpoint_rpm": -rpm})
+        gate.write(
+            "opcua", {"wheel.fl.setpoint_rpm": rpm, "wheel.fr.setpoint_rpm": -rpm}
+        )
     assert len(events.recent) == 1
     assert "'peer' has control" in events.recent[-1].message
     assert "write 'opcua' to control.source to take it" in events.recent[-1].message
@@ -112,7 +121,9 @@ def test_a_wrong_type_names_the_type_wanted(world, name, value, wanted):
         ("drive.enable", 1, Refusal.TYPE_MISMATCH),
         ("control.mode", 3, Refusal.OUT_OF_RANGE),
         ("control.mode", 0.5, Refusal.TYPE_MISMATCH),
-        pytest.param("wheel.fl.setpoint_rpm", 10**400, Refusal.NOT_FINITE, id="400 digits"),
+        pytest.param(
+            "wheel.fl.setpoint_rpm", 10**400, Refusal.NOT_FINITE, id="400 digits"
+        ),
         ("pose.x_m", 1.0, Refusal.NOT_WRITABLE),
         ("internal.command", 1.0, Refusal.UNKNOWN_SIGNAL),
         ("no.such_signal", 1.0, Refusal.UNKNOWN_SIGNAL),
@@ -165,11 +176,20 @@ def test_one_bad_value_of_a_group_does_not_hold_back_the_others(world):
     assert latched(image, "wheel.fr.setpoint_rpm") == -30.0
 
 
-@given(st.floats(allow_nan=True, allow_infinity=True) | st.integers() | st.booleans() | st.text())
+@given(
+    st.floats(allow_nan=True, allow_infinity=True)
+    | st.integers()
+    | st.booleans()
+    | st.text()
+)
 def test_only_finite_numbers_in_range_pass(value):
     signal = make_table()["wheel.fl.setpoint_rpm"]
     checked = check_value(signal, value)
-    passes = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 90
+    passes = (
+        isinstance(value, int | float)
+        and not isinstance(value, bool)
+        and abs(value) <= 90
+    )
     assert isinstance(checked, tuple) == passes
     assert not passes or checked == (float(value),)
 
@@ -239,7 +259,10 @@ def test_a_change_is_measured_to_the_first_frame_that_contains_it(world):
 
 def test_the_end_of_the_leases_zeroes_every_setpoint(world):
     gate, image, _, _ = world
-    gate.write("peer:a", {"wheels.setpoints_rpm": [5.0, 5.0, -5.0, -5.0], "twist.linear_m_s": 0.1})
+    gate.write(
+        "peer:a",
+        {"wheels.setpoints_rpm": [5.0, 5.0, -5.0, -5.0], "twist.linear_m_s": 0.1},
+    )
     gate.end()
     assert latched(image, "wheel.rr.setpoint_rpm") == 0.0
     assert latched(image, "twist.linear_m_s") == 0.0
@@ -248,7 +271,9 @@ def test_the_end_of_the_leases_zeroes_every_setpoint(world):
 def test_a_silent_source_taints_only_what_it_wrote_last(world):
     gate, image, _, _ = world
     left, right = (make_table().slot(f"wheel.{w}.setpoint_rpm") for w in ("fl", "fr"))
-    gate.write("peer:a", {"wheel.fl.setpoint_rpm": 40.0, "wheel.fr.setpoint_rpm": -40.0})
+    gate.write(
+        "peer:a", {"wheel.fl.setpoint_rpm": 40.0, "wheel.fr.setpoint_rpm": -40.0}
+    )
     gate.take("opcua")
     gate.write("opcua", {"wheel.fl.setpoint_rpm": 10.0})
     gate.mark_stale("peer:a")
@@ -275,10 +300,18 @@ def test_what_is_known_of_a_sample_does_not_depend_on_how_old_the_command_may_be
     gate, image, _, clock = world
     clock.pass_s(10.0)
     received = clock()
-    assert gate.write("peer:a", {"wheel.fl.setpoint_rpm": 1.0}, commanded_ns=received - 5) == {}
+    assert (
+        gate.write("peer:a", {"wheel.fl.setpoint_rpm": 1.0}, commanded_ns=received - 5)
+        == {}
+    )
     assert gate.age_s("peer:a") == 0.0
     assert gate.take_change(image.pushed_rows) == received
-    gate.write("peer:a", {"wheel.fl.setpoint_rpm": 2.0}, received_ns=received - 3, commanded_ns=0)
+    gate.write(
+        "peer:a",
+        {"wheel.fl.setpoint_rpm": 2.0},
+        received_ns=received - 3,
+        commanded_ns=0,
+    )
     assert gate.take_change(image.pushed_rows) == received - 3
 
 
@@ -289,18 +322,25 @@ def test_a_group_is_sampled_where_one_of_its_values_is_new():
     speed, place = "measured.wheel.fl.speed_rpm", "measured.nav.x_m"
     for news in (None, {speed}, {speed}, set()):
         assert gate.write("peer:robot", {speed: 1.0, place: 2.0}, news=news) == {}
-    rows = {table.by_slot(row.slot).name: row.value for row in gate.stamps([place], 5.0, 0.03)}
+    rows = {
+        table.by_slot(row.slot).name: row.value
+        for row in gate.stamps([place], 5.0, 0.03)
+    }
     assert rows == {
         "internal.samples_nav": 2.0,
         "internal.time_nav_s": 5.0,
         "internal.taken_nav_s": 4.97,
     }
     (count,) = (
-        r.value for r in gate.stamps([speed], 5.0) if "samples" in table.by_slot(r.slot).name
+        r.value
+        for r in gate.stamps([speed], 5.0)
+        if "samples" in table.by_slot(r.slot).name
     )
     assert count == 4.0
     gate.leases.add("peer", 100.0, "zero")
     before = image.pushed_rows
     gate.write("peer:robot", {speed: 1.0})
-    assert image.pushed_rows - before == 4, "a value, its stamps, and nothing that renews"
+    assert image.pushed_rows - before == 4, (
+        "a value, its stamps, and nothing that renews"
+    )
     image.close()

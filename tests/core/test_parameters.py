@@ -46,7 +46,9 @@ def moving(request, tmp_path_factory):
     core = build(assemble_config(config_of(PLANTS[request.param]), folder))
     loop.run_until_complete(core.__aenter__())
     core.image.control.state = 1
-    assert core.image.push(Row(core.table.slot(f"{n}.setpoint_rpm"), v) for n, v in TURN.items())
+    assert core.image.push(
+        Row(core.table.slot(f"{n}.setpoint_rpm"), v) for n, v in TURN.items()
+    )
     loop.run_until_complete(core.scheduler.advance(MOVING_TICKS))
     loop.run_until_complete(core.snapshots.capture())
     yield Moving(core, loop, core.image.shadow.copy())
@@ -59,12 +61,16 @@ class Moving:
 
     def __init__(self, core, loop, state):
         self.core, self.loop, self.state = core, loop, state
-        self.names = [s.name for s in core.table.scalars if s.direction is Direction.OUT]
+        self.names = [
+            s.name for s in core.table.scalars if s.direction is Direction.OUT
+        ]
         self.slots = [core.table.slot(name) for name in self.names]
 
     def go_on(self, values=None, ticks=1):
         """Return the outputs of the next tick, after a change if there is one."""
-        self.loop.run_until_complete(self.core.snapshots.restore(self.state, MOVING_TICKS))
+        self.loop.run_until_complete(
+            self.core.snapshots.restore(self.state, MOVING_TICKS)
+        )
         if values:
             assert self.core.parameters.write("test", values) == {}
         self.loop.run_until_complete(self.core.scheduler.advance(1))
@@ -85,7 +91,9 @@ class Moving:
                 continue
             if self.core.parameters.write("test", {name: value}) == {}:
                 yield value
-                self.loop.run_until_complete(self.core.snapshots.restore(self.state, MOVING_TICKS))
+                self.loop.run_until_complete(
+                    self.core.snapshots.restore(self.state, MOVING_TICKS)
+                )
 
 
 @pytest.mark.parametrize("name", AT_A_TICK)
@@ -97,7 +105,9 @@ def test_nothing_jumps_but_what_the_table_says(moving, name):
         allowed = ("internal.edition", *PLANT[name].outputs)
         wrong = [
             (signal, float(a), float(b))
-            for signal, a, b, jump in zip(moving.names, before, after, jumped, strict=True)
+            for signal, a, b, jump in zip(
+                moving.names, before, after, jumped, strict=True
+            )
             if jump and not any(fnmatchcase(signal, pattern) for pattern in allowed)
         ]
         assert not wrong, f"{name} = {value}"
@@ -126,7 +136,19 @@ def test_writing_what_is_in_force_changes_no_bit(moving, data):
     assert now.tobytes() == last.tobytes()
 
 
-HOSTILE = [math.nan, math.inf, -math.inf, 1e308, -1e308, None, "1", True, [1.0, 2.0], b"", 10**400]
+HOSTILE = [
+    math.nan,
+    math.inf,
+    -math.inf,
+    1e308,
+    -1e308,
+    None,
+    "1",
+    True,
+    [1.0, 2.0],
+    b"",
+    10**400,
+]
 
 
 @pytest.fixture
@@ -161,7 +183,10 @@ async def test_what_does_not_fit_together_is_refused_as_a_whole(core):
     assert set(refused) == set(unstable)
     assert "unstable" in refused["terms.rotation_gain"].text
     assert core.parameters.differing == {}
-    fitting = {"plant.wheelbase_m": 0.03, "plant.icr_offset_m": 0.01}  # neither would do alone
+    fitting = {
+        "plant.wheelbase_m": 0.03,
+        "plant.icr_offset_m": 0.01,
+    }  # neither would do alone
     assert core.parameters.write("test", {"plant.wheelbase_m": 0.03}) != {}
     assert core.parameters.write("test", fitting) == {}
     assert core.parameters.differing == fitting
@@ -214,7 +239,9 @@ async def test_a_snapshot_brings_its_parameters_and_a_reset_keeps_those_of_now(c
 
 async def test_what_is_scheduled_acts_at_its_tick(core):
     slot = core.table.slot("internal.edition")
-    core.parameters.schedule([(5, {"plant.max_rpm": 50.0}), (8, {"plant.max_rpm": 60.0})])
+    core.parameters.schedule(
+        [(5, {"plant.max_rpm": 50.0}), (8, {"plant.max_rpm": 60.0})]
+    )
     core.parameters.look_ahead(20)
     editions = []
     for _ in range(10):

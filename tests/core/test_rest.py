@@ -22,7 +22,9 @@ def world():
 
 
 @pytest.mark.parametrize("source", ["page:3", "page:foxglove", "opcua:teleop"])
-def test_a_hand_that_is_held_over_a_reset_moves_nothing_until_it_was_at_rest(world, source):
+def test_a_hand_that_is_held_over_a_reset_moves_nothing_until_it_was_at_rest(
+    world, source
+):
     """Before, the robot drove on by itself as soon as somebody pressed Reset."""
     gate, image, events, clock = world
     gate.take(source.partition(":")[0])
@@ -105,7 +107,9 @@ def automatic(world, request):
     return gate, image, request.param
 
 
-def test_an_automatic_source_that_goes_on_over_a_reset_moves_nothing_until_start(automatic):
+def test_an_automatic_source_that_goes_on_over_a_reset_moves_nothing_until_start(
+    automatic,
+):
     """Before, a controller drove on by itself as soon as somebody pressed Reset."""
     gate, image, source = automatic
     gate.end()
@@ -115,13 +119,17 @@ def test_an_automatic_source_that_goes_on_over_a_reset_moves_nothing_until_start
         assert latched(image, "twist.linear_m_s") == 0.0
     assert latched(image, "control.waits_for_start") == 1.0
     gate.interlock.release()
-    assert latched(image, "twist.linear_m_s") == 0.0, "what it said before Start counts no more"
+    assert latched(image, "twist.linear_m_s") == 0.0, (
+        "what it said before Start counts no more"
+    )
     assert gate.write(source, HELD) == {}
     assert latched(image, "twist.linear_m_s") == 0.4
     assert latched(image, "control.waits_for_start") == 0.0
 
 
-def test_what_an_automatic_source_offers_before_start_does_not_act_by_a_hand_over(automatic):
+def test_what_an_automatic_source_offers_before_start_does_not_act_by_a_hand_over(
+    automatic,
+):
     gate, image, source = automatic
     gate.end()
     gate.interlock.engage()
@@ -168,7 +176,9 @@ def test_who_waits_for_start_cannot_be_called_silent(world):
     assert image.pushed_rows == before
 
 
-def test_a_client_that_waits_for_start_is_told_once_and_a_link_that_repeats_itself_never(world):
+def test_a_client_that_waits_for_start_is_told_once_and_a_link_that_repeats_itself_never(
+    world,
+):
     gate, image, events, _ = world
     gate.interlock = Interlock(make_table(), image, must_wait=True)
     gate.interlock.engage()

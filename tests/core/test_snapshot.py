@@ -39,12 +39,16 @@ def test_a_sound_one_is_read(tmp_path):
 def test_what_unpacks_to_much_is_refused_before_it_is_unpacked(tmp_path):
     path = npz(tmp_path / "a.npz", state=bytes(MOST_BYTES + 1), meta=META)
     assert path.stat().st_size < 100_000
-    with pytest.raises(ControlRefused, match="unpacks to more than 64 MB, more than any"):
+    with pytest.raises(
+        ControlRefused, match="unpacks to more than 64 MB, more than any"
+    ):
         read_snapshot(path)
 
 
 def test_a_shape_that_is_a_lie_is_damage(tmp_path):
-    data = member(np.zeros(8, dtype=np.int64)).replace(b"(8,), }", b"(9999999999999,), }"[:19])
+    data = member(np.zeros(8, dtype=np.int64)).replace(
+        b"(8,), }", b"(9999999999999,), }"[:19]
+    )
     for state in (data, b"", b"\x93NUMPY\x01\x00\xff\xff{", STATE[:-9]):
         with pytest.raises(ControlRefused, match=r"damaged|does not follow"):
             read_snapshot(npz(tmp_path / "a.npz", state=state, meta=META))

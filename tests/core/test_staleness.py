@@ -46,7 +46,9 @@ def test_a_peer_is_waited_for_until_every_commanding_input_had_a_value():
     watch = Staleness(LIMIT, ["wheel.fl.setpoint_rpm"])
     watch.unusable("wheel.fl.setpoint_rpm", 0)
     watch.unusable("measured.pose.x_m", 0)
-    for now in range(0, 20 * LIMIT, LIMIT // 2):  # the server answers, the node is not there
+    for now in range(
+        0, 20 * LIMIT, LIMIT // 2
+    ):  # the server answers, the node is not there
         watch.renew(now)
         assert watch.check(now) is None
     assert watch.waiting

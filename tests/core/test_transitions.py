@@ -22,7 +22,10 @@ def test_the_safe_state_ends_by_reset_alone():
 
 
 def test_nothing_leaves_stopping():
-    assert {row[State.STOPPING] for row in TRANSITIONS.values()} == {State.STOPPING, None}
+    assert {row[State.STOPPING] for row in TRANSITIONS.values()} == {
+        State.STOPPING,
+        None,
+    }
 
 
 def test_from_every_state_the_daemon_can_go_to_the_safe_state_and_end():

@@ -37,12 +37,17 @@ class Doors:
         self._n = 0
 
     async def opcua(self, values):
-        rows = ((f"parameters.{n}", float(v), ua.VariantType.Double) for n, v in values.items())
+        rows = (
+            (f"parameters.{n}", float(v), ua.VariantType.Double)
+            for n, v in values.items()
+        )
         return all(code == "Good" for code in await self._client.write(*rows))
 
     async def page(self, values):
         try:
-            await self._hand.write({f"parameters.{n}": float(v) for n, v in values.items()})
+            await self._hand.write(
+                {f"parameters.{n}": float(v) for n, v in values.items()}
+            )
         except RefusedError:
             return False
         return True
@@ -103,12 +108,16 @@ async def test_a_thousand_changes_over_every_door_come_again_to_the_bit(tmp_path
         try:
             for n in range(CHANGES):
                 if n % DRIVE_EVERY == 0:
-                    speeds = {w: rpm * rng.choice([-1, 0, 1, 1]) for w, rpm in TURN.items()}
+                    speeds = {
+                        w: rpm * rng.choice([-1, 0, 1, 1]) for w, rpm in TURN.items()
+                    }
                     kit.write({f"{w}.setpoint_rpm": rpm for w, rpm in speeds.items()})
                 names = rng.sample(AT_A_TICK, rng.choice([1, 1, 3]))
                 values = {name: random_value(name, rng) for name in names}
                 rare = n % 50 == 49
-                door = rng.choice(("scenario", "patch")) if rare else rng.choice(DOORS[:4])
+                door = (
+                    rng.choice(("scenario", "patch")) if rare else rng.choice(DOORS[:4])
+                )
                 accepted[door] += await getattr(doors, door)(values)
                 await asyncio.sleep(0.02)
         finally:

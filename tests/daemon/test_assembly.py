@@ -29,16 +29,28 @@ ONE = "name: {}, function: 'own.py:follow', slice: sensors, inputs: {{u: pose.x_
 @pytest.mark.parametrize(
     ("blocks", "complaint"),
     [
-        ([ONE.format("a"), ONE.format("a")], ":3: blocks[1].name: two blocks have the name 'a'"),
+        (
+            [ONE.format("a"), ONE.format("a")],
+            ":3: blocks[1].name: two blocks have the name 'a'",
+        ),
         ([ONE.format("audit")], ":2: blocks[0].name: 'audit' is reserved"),
         ([ONE.format("pose")], ":2: blocks[0].name: 'pose' is reserved"),
-        ([ONE.format("a").replace("pose.x_m", "pose.z_m")], ":2: blocks[0].inputs.u: there is no"),
-        ([ONE.format("a").replace("inputs: {u", "inputs: {v")], ":2: blocks[0].inputs: input 'u'"),
+        (
+            [ONE.format("a").replace("pose.x_m", "pose.z_m")],
+            ":2: blocks[0].inputs.u: there is no",
+        ),
+        (
+            [ONE.format("a").replace("inputs: {u", "inputs: {v")],
+            ":2: blocks[0].inputs: input 'u'",
+        ),
         (
             [ONE.format("a") + ", parameters: {g: 1}"],
             ":2: blocks[0].parameters.g: ",
         ),
-        ([ONE.format("a").replace("sensors", "publish")], ":2: blocks[0].slice: there is no"),
+        (
+            [ONE.format("a").replace("sensors", "publish")],
+            ":2: blocks[0].slice: there is no",
+        ),
     ],
 )
 def test_blocks_that_do_not_fit(tmp_path, blocks, complaint):
@@ -50,14 +62,18 @@ def test_blocks_that_do_not_fit(tmp_path, blocks, complaint):
 def test_the_identity_tells_apart_what_cannot_continue_each_other(tmp_path):
     first = assemble(write(tmp_path, [ONE.format("a")])).identity
     assert assemble(write(tmp_path, [ONE.format("a")])).identity == first
-    other = assemble(write(tmp_path, [ONE.format("a") + ", parameters: {gain: 2}"])).identity
+    other = assemble(
+        write(tmp_path, [ONE.format("a") + ", parameters: {gain: 2}"])
+    ).identity
     assert other != first
     slower = Config.model_validate({"scheduler": {"slices": {"sensors": 20}}})
     assert assemble_config(slower).identity != assemble_config(Config()).identity
 
 
 def test_slices_of_the_plant_come_first():
-    assembly = assemble_config(Config.model_validate({"scheduler": {"slices": {"aux": 5}}}))
+    assembly = assemble_config(
+        Config.model_validate({"scheduler": {"slices": {"aux": 5}}})
+    )
     assert next(s.name for s in assembly.slices if s.compiled) == "plant"
     assert [s.compiled for s in assembly.slices] == sorted(
         (s.compiled for s in assembly.slices), reverse=True

@@ -23,7 +23,9 @@ async def test_what_is_built_moves_the_robot_and_leaves_no_memory_behind():
     name = image_name()
     async with build(assembly(), Pace(image=name)) as core:
         slots = core.table["wheels.setpoints_rpm"].slots
-        rows = [Row(slot, rpm) for slot, rpm in zip(slots, (30, 30, -30, -30), strict=True)]
+        rows = [
+            Row(slot, rpm) for slot, rpm in zip(slots, (30, 30, -30, -30), strict=True)
+        ]
         assert core.image.push(rows)
         await core.scheduler.advance(1000)
         assert core.image.latest().values[core.table.slot("pose.x_m")] > 0.05

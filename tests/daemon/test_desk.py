@@ -18,7 +18,10 @@ from hilserver.image import Row
 from hilserver.testing.opening import open_hil
 
 CONFIG = Config.model_validate({"scheduler": {"backend": "virtual"}})
-DRIVES = {"ahead.yaml": ("twist.linear_m_s", 0.1), "turn.yaml": ("twist.angular_rad_s", 0.2)}
+DRIVES = {
+    "ahead.yaml": ("twist.linear_m_s", 0.1),
+    "turn.yaml": ("twist.angular_rad_s", 0.2),
+}
 
 
 @pytest.fixture
@@ -27,8 +30,13 @@ async def run(tmp_path):
         begin = {"at_s": 0, "write": {"control.mode": 1, signal: value}}
         steps = [begin, {"at_s": 9, "write": {signal: 0.0}}]
         (tmp_path / name).write_text(yaml.safe_dump({"steps": steps}), encoding="utf-8")
-    late = [{"at_s": s, "write": {"control.mode": 1, "twist.linear_m_s": 0.3}} for s in (0, 0.5)]
-    (tmp_path / "late.yaml").write_text(yaml.safe_dump({"steps": late}), encoding="utf-8")
+    late = [
+        {"at_s": s, "write": {"control.mode": 1, "twist.linear_m_s": 0.3}}
+        for s in (0, 0.5)
+    ]
+    (tmp_path / "late.yaml").write_text(
+        yaml.safe_dump({"steps": late}), encoding="utf-8"
+    )
     async with build(assemble_config(CONFIG, tmp_path)) as core:
         core.image.control.state = 1
         yield core, Scenarios(tmp_path, core.stage(), core)
@@ -70,7 +78,9 @@ async def test_after_a_stop_no_planned_step_drives(run):
 
 @pytest.mark.parametrize("is_safe", [False, True])
 @pytest.mark.usefixtures("run")
-async def test_a_reset_that_the_plant_has_no_room_for_changes_nothing(tmp_path, is_safe):
+async def test_a_reset_that_the_plant_has_no_room_for_changes_nothing(
+    tmp_path, is_safe
+):
     async with open_hil(None, "virtual", scenario=tmp_path / "late.yaml") as hil:
         control, faults = hil.daemon.control, hil.daemon.faults
         await hil.run_for(0.1)
@@ -82,7 +92,9 @@ async def test_a_reset_that_the_plant_has_no_room_for_changes_nothing(tmp_path, 
         with contextlib.suppress(ValueError):
             for _ in range(1000):
                 faults.force("pose.y_m", 1.0)
-        with pytest.raises(ControlRefused, match="has not applied the last faults yet; try again"):
+        with pytest.raises(
+            ControlRefused, match="has not applied the last faults yet; try again"
+        ):
             control.reset()
         assert (control.state, hil.daemon.gate.owner) == (before, owner)
         await hil.step()
@@ -93,10 +105,15 @@ async def test_a_reset_that_the_plant_has_no_room_for_changes_nothing(tmp_path, 
         assert (control.state.word, hil.tick > 100) == ("running", is_safe)
 
 
-FAULTS = [{"fault": "noise", "signal": "pose.x_m", "sd": 0.1, "name": f"n{i}"} for i in range(20)]
+FAULTS = [
+    {"fault": "noise", "signal": "pose.x_m", "sd": 0.1, "name": f"n{i}"}
+    for i in range(20)
+]
 
 
-async def test_a_reset_without_room_for_the_scenario_s_faults_changes_nothing(run, tmp_path):
+async def test_a_reset_without_room_for_the_scenario_s_faults_changes_nothing(
+    run, tmp_path
+):
     step = {"at_s": 0.05, "write": {"twist.linear_m_s": 0.1}}
     path = tmp_path / "faulty.yaml"
     path.write_text(yaml.safe_dump({"steps": [step], "faults": FAULTS}))
@@ -106,7 +123,9 @@ async def test_a_reset_without_room_for_the_scenario_s_faults_changes_nothing(ru
         for _ in range(58):  # each ends the one before: 115 commands of 128
             faults.force("pose.y_m", 1.0)
         before = (faults.names, hil.daemon.gate.owner)
-        with pytest.raises(ControlRefused, match="has not applied the last faults yet; try again"):
+        with pytest.raises(
+            ControlRefused, match="has not applied the last faults yet; try again"
+        ):
             control.reset()
         assert (faults.names, hil.daemon.gate.owner) == before
         await hil.step()
@@ -116,16 +135,22 @@ async def test_a_reset_without_room_for_the_scenario_s_faults_changes_nothing(ru
         assert (hil.tick, faults.names.count("n1;"), faults.forced) == (1, 1, "")
 
 
-async def test_a_reset_without_room_for_the_scenario_s_steps_changes_nothing(run, tmp_path):
+async def test_a_reset_without_room_for_the_scenario_s_steps_changes_nothing(
+    run, tmp_path
+):
     names = [f"wheel.{w}.setpoint_rpm" for w in ("fl", "rl", "fr", "rr")]
-    steps = [{"at_s": 0.001 * i, "write": dict.fromkeys(names, 1.0)} for i in range(1, 1800)]
+    steps = [
+        {"at_s": 0.001 * i, "write": dict.fromkeys(names, 1.0)} for i in range(1, 1800)
+    ]
     path = tmp_path / "long.yaml"
     path.write_text(yaml.safe_dump({"steps": steps}))
     async with open_hil(None, "virtual", scenario=path) as hil:
         await hil.run_for(0.1)
         short = load_scenario(tmp_path / "late.yaml")
         hil.daemon.stage.play(short, hil.daemon.scheduler.tick + 1)
-        with pytest.raises(ControlRefused, match="call Stop and Reset to end them, then try again"):
+        with pytest.raises(
+            ControlRefused, match="call Stop and Reset to end them, then try again"
+        ):
             hil.daemon.control.reset()
         await hil.step()
         assert hil.tick > 100
@@ -143,7 +168,9 @@ def fill_inputs(core):
         pass
 
 
-async def test_a_reset_that_cannot_give_control_to_the_scenario_changes_nothing(run, tmp_path):
+async def test_a_reset_that_cannot_give_control_to_the_scenario_changes_nothing(
+    run, tmp_path
+):
     step = {"at_s": 0.05, "write": {"twist.linear_m_s": 0.1}}
     path = tmp_path / "faulty.yaml"
     path.write_text(yaml.safe_dump({"steps": [step], "faults": FAULTS}))
@@ -188,7 +215,9 @@ async def test_a_scenario_that_cannot_begin_changes_nothing(run, hinder, why):
     hinder(core)
     owner = core.gate.owner
     with pytest.raises(ControlRefused) as refused:
-        core.stage().play(scenario)  # at once: while it waits, the plant takes what is queued
+        core.stage().play(
+            scenario
+        )  # at once: while it waits, the plant takes what is queued
     assert str(refused.value) == why
     assert (core.faults.names, core.gate.owner) == ("", owner)
 
@@ -196,10 +225,14 @@ async def test_a_scenario_that_cannot_begin_changes_nothing(run, hinder, why):
 async def test_a_scenario_without_room_for_its_faults_changes_nothing(run, tmp_path):
     core, scenarios = run
     step = {"at_s": 0.05, "write": {"twist.linear_m_s": 0.1}}
-    (tmp_path / "faulty.yaml").write_text(yaml.safe_dump({"steps": [step], "faults": FAULTS}))
+    (tmp_path / "faulty.yaml").write_text(
+        yaml.safe_dump({"steps": [step], "faults": FAULTS})
+    )
     core.faults.inject(*({**fault, "name": f"m{i}"} for i, fault in enumerate(FAULTS)))
     owner = core.gate.owner
-    with pytest.raises(ControlRefused, match=r"more than 32 signals .* clear the other faults"):
+    with pytest.raises(
+        ControlRefused, match=r"more than 32 signals .* clear the other faults"
+    ):
         await scenarios.start("faulty")
     await core.scheduler.advance(100)
     speed = core.image.latest().values[core.table.slot("twist.linear_m_s")]
@@ -220,7 +253,9 @@ async def test_a_recording_that_has_ended_by_itself_is_over(run, tmp_path):
             async with asyncio.timeout(120):
                 while recordings.view() is not None:  # noqa: ASYNC110 - a child ends it
                     await asyncio.sleep(0.05)
-            assert not (tmp_path / name).exists()  # it could not begin: the disk is too full
+            assert not (
+                tmp_path / name
+            ).exists()  # it could not begin: the disk is too full
         with pytest.raises(ControlRefused, match="nothing is being recorded"):
             recordings.stop()
     finally:

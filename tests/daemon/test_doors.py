@@ -4,7 +4,11 @@ from hilserver.config.root import Config
 from hilserver.daemon.doors import doors_lost, rows_of, table_of_doors
 from tests.config.test_doors import USERS
 
-PEER = {"name": "plc", "endpoint": "opc.tcp://h:1", "read": {"ns=1;s=a": "wheel.fl.setpoint_rpm"}}
+PEER = {
+    "name": "plc",
+    "endpoint": "opc.tcp://h:1",
+    "read": {"ns=1;s=a": "wheel.fl.setpoint_rpm"},
+}
 
 
 def config_of(**sections):

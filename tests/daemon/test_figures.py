@@ -36,7 +36,9 @@ async def test_model_gap_is_measured_minus_simulated_of_what_is_measured() -> No
             return dict(model_gap(daemon.gate, daemon.table, daemon.image.latest()))
 
         assert gaps() == {}
-        await wait_until(lambda: slice_table(daemon.scheduler)["plant"]["realtime_factor_total"])
+        await wait_until(
+            lambda: slice_table(daemon.scheduler)["plant"]["realtime_factor_total"]
+        )
         plant = slice_table(daemon.scheduler)["plant"]
         assert 0 <= plant["margin_min_tick"] < daemon.scheduler.tick
         daemon.control.set_pose(0.0, 0.0, 3.0)

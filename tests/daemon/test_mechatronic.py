@@ -70,7 +70,10 @@ async def test_the_body_follows_the_plant_until_a_wall_stops_it():
         assert value(core, "mech.gap_m") < 0.02
         assert value(core, "mech.contact") == 0.0
         assert value(core, "mech.imu.accel_z_m_s2") == pytest.approx(9.81, abs=0.01)
-        forces = [value(core, f"mech.wheel.{w}.normal_force_n") for w in ("fl", "rl", "fr", "rr")]
+        forces = [
+            value(core, f"mech.wheel.{w}.normal_force_n")
+            for w in ("fl", "rl", "fr", "rr")
+        ]
         assert sum(forces) == pytest.approx(5.0 * 9.81, rel=1e-3)
         for place in ("fl", "fr"):
             assert value(core, f"mech.tof.{place}_m") == pytest.approx(
@@ -107,8 +110,13 @@ async def test_at_a_wall_whatever_measures_the_robot_measures_its_body(driven_by
     body = {"enabled": True, "driven_by": driven_by, "sensors": "body"}
     config = {"mechatronic": body, "sensors": {"nav": {"enabled": True, **exact}}}
     async with build(assemble_config(Config.model_validate(config))) as core:
-        place = {"internal.pose_request": 1.0, "internal.pose_x_m": 4.0}  # the wall is at 5 m
-        assert core.image.push([Row(core.table.slot(name), v) for name, v in place.items()])
+        place = {
+            "internal.pose_request": 1.0,
+            "internal.pose_x_m": 4.0,
+        }  # the wall is at 5 m
+        assert core.image.push(
+            [Row(core.table.slot(name), v) for name, v in place.items()]
+        )
         drive(core, 0.5)
         await core.scheduler.advance(4001)
         shown = {s.name: value(core, s.name) for s in core.table.scalars}
@@ -167,7 +175,9 @@ async def test_set_pose_takes_the_body_along():
             "internal.pose_x_m": 1.0,
             "internal.pose_yaw_rad": 1.0,
         }
-        assert core.image.push([Row(core.table.slot(name), v) for name, v in pose.items()])
+        assert core.image.push(
+            [Row(core.table.slot(name), v) for name, v in pose.items()]
+        )
         await core.scheduler.advance(3)
         assert value(core, "mech.x_m") == pytest.approx(1.0, abs=0.01)
         assert value(core, "mech.yaw_rad") == pytest.approx(1.0, abs=0.01)

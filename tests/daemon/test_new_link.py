@@ -42,7 +42,9 @@ class UdpConfig(LinkSection):
     @property
     def driver(self):
         who = ("udp", "peer:udp", "the UDP sender")
-        return Driver(*who, self.stale_after_ms, self.on_stale, self.enabled, has_faults=False)
+        return Driver(
+            *who, self.stale_after_ms, self.on_stale, self.enabled, has_faults=False
+        )
 
 
 class UdpConfiguration(Config):
@@ -58,7 +60,9 @@ class UdpLink(Part, asyncio.DatagramProtocol):
         self._port, publish, self._job = config.port, world.events.publish, None
         self._tasks = world.tasks
         fresh = lambda: "UDP: datagrams come in"  # noqa: E731
-        self._source = Source(config.driver, "UDP", self.status, world.gate, publish, fresh=fresh)
+        self._source = Source(
+            config.driver, "UDP", self.status, world.gate, publish, fresh=fresh
+        )
 
     @property
     def address(self):
@@ -67,7 +71,9 @@ class UdpLink(Part, asyncio.DatagramProtocol):
 
     async def start(self):
         make = asyncio.get_running_loop().create_datagram_endpoint
-        self._transport, _ = await make(lambda: self, local_addr=("127.0.0.1", self._port))
+        self._transport, _ = await make(
+            lambda: self, local_addr=("127.0.0.1", self._port)
+        )
         self._job = self._tasks.every("udp: watch", WATCH_S, self._look)
 
     async def stop(self):
@@ -109,7 +115,9 @@ class Notes:
 
 async def test_a_link_of_its_own_drives_is_shown_and_lapses():
     base = configuration(opcua={"enabled": False})
-    config = UdpConfiguration.model_validate(base.model_dump() | {"udp": {"enabled": True}})
+    config = UdpConfiguration.model_validate(
+        base.model_dump() | {"udp": {"enabled": True}}
+    )
     async with Daemon(assemble_config(config), links=(*LINKS, parts)) as daemon:
         link, notes = daemon.part("udp"), Notes()
         Announcer(notes, "console").running(daemon)
@@ -119,20 +127,31 @@ async def test_a_link_of_its_own_drives_is_shown_and_lapses():
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
 
             def drives():
-                for values in ({"wheel.fl.setpoint_rpm": 30.0}, {"wheel.fl.setpoint_rpm": "fast"}):
+                for values in (
+                    {"wheel.fl.setpoint_rpm": 30.0},
+                    {"wheel.fl.setpoint_rpm": "fast"},
+                ):
                     sender.sendto(json.dumps(values).encode(), ("127.0.0.1", port))
                 sender.sendto(b"no JSON", ("127.0.0.1", port))
                 return daemon.image.frame_values[speed] > 20.0 and link.status.connected
 
             await wait_until(drives)
-        assert +link.status.fault_counts == {"refused_value": link.status.fault_counts.total()}
+        assert +link.status.fault_counts == {
+            "refused_value": link.status.fault_counts.total()
+        }
         text = await scrape(daemon)
         assert 'hil_peer_faults_total{kind="refused_value",peer="udp"}' in text
         assert 'hil_input_age_seconds{source="peer:udp"}' in text
-        await wait_until(lambda: daemon.control.state is State.SAFE and link.status.stale)
+        await wait_until(
+            lambda: daemon.control.state is State.SAFE and link.status.stale
+        )
         assert daemon.control.reason == "the UDP sender is silent"
-        lost = [e.message for e in daemon.events.recent if e.kind is EventKind.PEER_LOST]
-        assert lost == [f"UDP: no new value for more than {LIMIT_MS:g} ms; on_stale is ramp"]
+        lost = [
+            e.message for e in daemon.events.recent if e.kind is EventKind.PEER_LOST
+        ]
+        assert lost == [
+            f"UDP: no new value for more than {LIMIT_MS:g} ms; on_stale is ramp"
+        ]
 
 
 async def test_a_port_in_use_is_one_sentence_with_a_remedy():
@@ -141,7 +160,9 @@ async def test_a_port_in_use_is_one_sentence_with_a_remedy():
         base = configuration(opcua={"enabled": False}).model_dump()
         section = {"enabled": True, "port": taken.getsockname()[1]}
         config = UdpConfiguration.model_validate(base | {"udp": section})
-        with pytest.raises(FailedError, match=r"^udp: cannot start \(.*in use\); end the program"):
+        with pytest.raises(
+            FailedError, match=r"^udp: cannot start \(.*in use\); end the program"
+        ):
             async with Daemon(assemble_config(config), links=(*LINKS, parts)):
                 pass
 
@@ -170,5 +191,7 @@ def test_the_check_of_a_configuration_names_it():
     assembly = assemble_config(UdpConfiguration(udp=UdpConfig(enabled=True)))
     lines = describe(assembly)
     assert "link udp: on, stale after 2000 ms: ramp" in lines
-    assert any(line.startswith("control: 'peer' has control at the start") for line in lines)
+    assert any(
+        line.startswith("control: 'peer' has control at the start") for line in lines
+    )
     assert not any(line.startswith("warning") for line in lines)

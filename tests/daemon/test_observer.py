@@ -92,7 +92,11 @@ async def feed(core, ticks, *, frozen=False):
     for k in range(ticks // 20):
         await core.scheduler.advance(20)
         is_due = k % 5 == 0 and not frozen
-        names = [*wheels, "imu.gyro_z_rad_s", *([f"nav.{n}" for n in ESTIMATED] if is_due else [])]
+        names = [
+            *wheels,
+            "imu.gyro_z_rad_s",
+            *([f"nav.{n}" for n in ESTIMATED] if is_due else []),
+        ]
         read = {f"measured.{n}": value(core, n) for n in names}
         now_ns = core.image.latest().planned_ns
         assert core.gate.write("ros2", read, received_ns=now_ns) == {}
@@ -131,7 +135,9 @@ async def test_equal_samples_are_samples():
         still = {f"measured.wheel.{w}.speed_rpm": 0.0 for w in ("fl", "rl", "fr", "rr")}
         pose = {f"measured.nav.{n}": 1.0 for n in ESTIMATED}
         for _ in range(30):
-            core.gate.write("ros2", still | pose, received_ns=core.image.latest().planned_ns)
+            core.gate.write(
+                "ros2", still | pose, received_ns=core.image.latest().planned_ns
+            )
             await core.scheduler.advance(20)
         assert value(core, "internal.samples_nav") == 30.0
         samples = samples_of(core)
@@ -195,7 +201,16 @@ def test_a_recording_is_replayed_to_the_bit(tmp_path, monkeypatch, source):
         f"observer: {{enabled: true, source: {source}}}\nsensors: {{{nav}}}\n"
     )
     Path("drive.yaml").write_text(STEPS)
-    words = ["simulate", "drive.yaml", "-c", "config.yaml", "-o", "one.mcap", "--duration", "2"]
+    words = [
+        "simulate",
+        "drive.yaml",
+        "-c",
+        "config.yaml",
+        "-o",
+        "one.mcap",
+        "--duration",
+        "2",
+    ]
     assert main(words) == 0
     log = read_log(Path("one.mcap"))
     assert log.columns["estimate.state"][-1] > 0.0

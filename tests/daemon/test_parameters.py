@@ -40,7 +40,9 @@ async def as_configured(kit: Hil) -> AsyncIterator[None]:
 
 
 async def write(client, **values):
-    return await client.write(*((f"parameters.{n}", v, DOUBLE) for n, v in values.items()))
+    return await client.write(
+        *((f"parameters.{n}", v, DOUBLE) for n, v in values.items())
+    )
 
 
 async def test_every_parameter_is_there_with_range_unit_and_meaning(kit, client):
@@ -49,7 +51,9 @@ async def test_every_parameter_is_there_with_range_unit_and_meaning(kit, client)
         value = await node.read_value()
         shown = kit.daemon.core.parameters.values[name]
         assert value == shown or (math.isnan(value) and math.isnan(shown)), name
-        properties = {(await p.read_browse_name()).Name: p for p in await node.get_properties()}
+        properties = {
+            (await p.read_browse_name()).Name: p for p in await node.get_properties()
+        }
         eu_range = await properties["EURange"].read_value()
         unit = await properties["EngineeringUnits"].read_value()
         assert (eu_range.Low, eu_range.High) == (parameter.low, parameter.high)
@@ -81,7 +85,9 @@ async def test_k_om_has_names_and_null_is_what_is_configured(kit, client):
         return ua.Variant(value, ua.VariantType.String)
 
     async def named(name, value):
-        return (await client.call("SetParameter", text(name), text(value))).StatusCode.name
+        return (
+            await client.call("SetParameter", text(name), text(value))
+        ).StatusCode.name
 
     gain = "kinematics.rotation_gain"
     parameters = kit.daemon.core.parameters
@@ -129,7 +135,9 @@ async def test_exclusive_mode_acts_at_a_tick(kit, client):
         ({"plant.controller.kp": 1.0}, "BadNodeIdUnknown", None),
     ],
 )
-async def test_what_cannot_be_is_a_status_and_a_sentence(kit, client, values, code, text):
+async def test_what_cannot_be_is_a_status_and_a_sentence(
+    kit, client, values, code, text
+):
     before = dict(kit.daemon.core.parameters.values)
     assert await write(client, **values) == [code]
     assert kit.daemon.core.parameters.values == pytest.approx(before, nan_ok=True)
@@ -139,7 +147,12 @@ async def test_what_cannot_be_is_a_status_and_a_sentence(kit, client, values, co
 
 @pytest.mark.parametrize(
     ("value", "kind"),
-    [(1, ua.VariantType.Int64), ([1.0], DOUBLE), ("1", ua.VariantType.String), (True, None)],
+    [
+        (1, ua.VariantType.Int64),
+        ([1.0], DOUBLE),
+        ("1", ua.VariantType.String),
+        (True, None),
+    ],
 )
 async def test_only_a_double_is_a_double(kit, client, value, kind):
     codes = await client.write(("parameters.plant.max_rpm", value, kind))
@@ -158,13 +171,17 @@ async def test_what_was_tuned_is_saved_reset_and_loaded(kit, client):
         return ua.Variant(value, ua.VariantType.String)
 
     tuned = {"plant.controller.k_i": 150.0, "terms.dead_zone": 2.0}
-    assert (await client.call("SaveParameters", text("own"))).StatusCode.name == "BadInvalidState"
+    assert (
+        await client.call("SaveParameters", text("own"))
+    ).StatusCode.name == "BadInvalidState"
     assert await write(client, **tuned) == ["Good", "Good"]
     assert (await client.call("SaveParameters", text("../own"))).StatusCode.name == (
         "BadInvalidArgument"
     )
     assert (await client.call("SaveParameters", text("own"))).StatusCode.name == "Good"
-    assert (await client.call("SaveParameters", text("own"))).StatusCode.name == "BadInvalidState"
+    assert (
+        await client.call("SaveParameters", text("own"))
+    ).StatusCode.name == "BadInvalidState"
     assert (await client.call("ResetParameters")).StatusCode.name == "Good"
     assert await client.read("parameters.terms.dead_zone") == 0.0
     assert kit.daemon.core.parameters.differing == {}
@@ -178,10 +195,16 @@ async def test_what_was_tuned_is_saved_reset_and_loaded(kit, client):
     ("role", "code"), [("operator", "BadUserAccessDenied"), ("engineer", "Good")]
 )
 async def test_only_an_engineer_changes_the_robot(role, code):
-    opcua = {**OPCUA["opcua"], "anonymous": role, "permissions": {"write": {"*": "observer"}}}
+    opcua = {
+        **OPCUA["opcua"],
+        "anonymous": role,
+        "permissions": {"write": {"*": "observer"}},
+    }
     async with open_hil({"opcua": opcua}, "virtual") as kit:
         found = RobotClient(kit.daemon.part("opcua").url)
         await found.connect()
         assert await write(found, **{"plant.max_rpm": 70.0}) == [code]
-        assert await found.read("parameters.plant.max_rpm") == (90.0 if code != "Good" else 70.0)
+        assert await found.read("parameters.plant.max_rpm") == (
+            90.0 if code != "Good" else 70.0
+        )
         await found.disconnect()

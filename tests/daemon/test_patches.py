@@ -60,7 +60,9 @@ class Run:
     async def turn_rate(self):
         """Half a second on: the rate that the wheels give."""
         await self.core.scheduler.advance(500)
-        return self.core.image.latest().values[self.core.table.slot("velocity.angular_rad_s")]
+        return self.core.image.latest().values[
+            self.core.table.slot("velocity.angular_rad_s")
+        ]
 
 
 @pytest.fixture
@@ -87,7 +89,9 @@ async def test_it_acts_from_its_tick_on_and_leaves_nothing_behind(run):
     ]
 
 
-async def test_a_recording_goes_on_in_its_segment_and_comes_again_to_the_bit(run, folder):
+async def test_a_recording_goes_on_in_its_segment_and_comes_again_to_the_bit(
+    run, folder
+):
     await run.turn_rate()
     await run.patches.load("turn.yaml")
     await run.turn_rate()
@@ -107,7 +111,9 @@ async def test_a_recording_goes_on_in_its_segment_and_comes_again_to_the_bit(run
     assert [c.tick for c in read_log(folder / "again.mcap").changes] == [500, 1000]
 
 
-async def test_a_recording_says_the_patch_it_began_with_and_comes_again_to_the_bit(run, folder):
+async def test_a_recording_says_the_patch_it_began_with_and_comes_again_to_the_bit(
+    run, folder
+):
     await run.patches.load("turn.yaml")
     await run.turn_rate()
     later = Recorder(run.core.image.name, Settings(folder / "later.mcap", waits=True))
@@ -116,12 +122,17 @@ async def test_a_recording_says_the_patch_it_began_with_and_comes_again_to_the_b
     await run.turn_rate()
     await run.patches.remove()
     await run.turn_rate()
-    for recorder, name, patch in ((run.recorder, "run", None), (later, "later", "turn.yaml")):
+    for recorder, name, patch in (
+        (run.recorder, "run", None),
+        (later, "later", "turn.yaml"),
+    ):
         recorder._supervise(0.0)
         recorder.close()
         said = read_log(folder / f"{name}.mcap").run["patch"]
         assert said == (patch and load_patch(folder / patch).provenance)
-    said = await asyncio.to_thread(replay, "later.mcap", "-o", "again.mcap", "--check", cwd=folder)
+    said = await asyncio.to_thread(
+        replay, "later.mcap", "-o", "again.mcap", "--check", cwd=folder
+    )
     assert "ticks are equal, bit for bit" in said
     assert [c.tick for c in read_log(folder / "again.mcap").changes] == [1000]
 
@@ -150,7 +161,9 @@ async def test_what_an_option_adds_is_no_other_configuration(folder):
         run.recorder.close()
 
 
-async def test_a_snapshot_brings_its_patch_and_a_reset_keeps_the_one_at_work(run, folder):
+async def test_a_snapshot_brings_its_patch_and_a_reset_keeps_the_one_at_work(
+    run, folder
+):
     store: SnapshotStore = run.core.snapshots
     p, _ = run.core.image.region("p")
     plain = p.copy()
@@ -166,7 +179,10 @@ async def test_a_snapshot_brings_its_patch_and_a_reset_keeps_the_one_at_work(run
     assert np.array_equal(p, plain)
     assert run.core.parameters.differing == {}
     assert run.patches.loaded is None
-    assert "'turn.yaml' is not part of the loaded state" in run.core.events.recent[-1].message
+    assert (
+        "'turn.yaml' is not part of the loaded state"
+        in run.core.events.recent[-1].message
+    )
     await run.patches.load("turn.yaml")
     await store.save("after")
     await run.turn_rate()
@@ -183,11 +199,15 @@ async def test_a_snapshot_brings_its_patch_and_a_reset_keeps_the_one_at_work(run
     run.recorder.close()
 
 
-async def test_a_full_disk_leaves_no_half_of_a_patch_or_snapshot(run, folder, monkeypatch):
+async def test_a_full_disk_leaves_no_half_of_a_patch_or_snapshot(
+    run, folder, monkeypatch
+):
     assert run.core.parameters.write("test", {"terms.rotation_gain": 0.1}) == {}
     with monkeypatch.context() as full:
         full.setattr("hilserver.daemon.patches.os.fsync", refuse_for_lack_of_space)
-        with pytest.raises(ControlRefused, match=r"full\.npz: cannot be written: No space left"):
+        with pytest.raises(
+            ControlRefused, match=r"full\.npz: cannot be written: No space left"
+        ):
             await run.core.snapshots.save("full")
         with pytest.raises(ControlRefused, match="cannot be written: No space left"):
             await run.patches.save("tuned")
@@ -201,7 +221,11 @@ def refuse_for_lack_of_space(_file):
 
 
 async def test_what_was_tuned_is_saved_as_a_patch_that_brings_it_back(run, folder):
-    tuned = {"plant.controller.k_p": 15.0, "terms.rotation_gain": 0.1, "plant.wheelbase_m": 0.3}
+    tuned = {
+        "plant.controller.k_p": 15.0,
+        "terms.rotation_gain": 0.1,
+        "plant.wheelbase_m": 0.3,
+    }
     with pytest.raises(ControlRefused, match="no parameter differs"):
         await run.patches.save("tuned")
     assert run.core.parameters.write("test", tuned) == {}
@@ -234,7 +258,15 @@ async def test_what_was_tuned_is_saved_as_a_patch_that_brings_it_back(run, folde
     ],
 )
 def test_a_name_without_suffix_is_that_of_the_yaml_file(tmp_path, name, found):
-    for file in ("drive", "drive.yaml", "drive.yml", "hall", "hall.yml", "hall.v2.yaml", "bare"):
+    for file in (
+        "drive",
+        "drive.yaml",
+        "drive.yml",
+        "hall",
+        "hall.yml",
+        "hall.v2.yaml",
+        "bare",
+    ):
         (tmp_path / file).touch()
     assert file_of(tmp_path, name, "patch").name == found
     with pytest.raises(ControlRefused, match=r"there is no patch 'bare\.yaml'"):

@@ -28,7 +28,10 @@ STOP_WITHIN_S = 2.0
 
 def config():
     user = f"{{name: otto, password: '{hash_password('drive')}', role: operator}}"
-    return f"policies: [Basic256Sha256], users: [{user}]", f"page: {{port: 0}}\n{NO_LIMITS}"
+    return (
+        f"policies: [Basic256Sha256], users: [{user}]",
+        f"page: {{port: 0}}\n{NO_LIMITS}",
+    )
 
 
 async def operate(url, plant):
@@ -47,7 +50,9 @@ async def operate(url, plant):
                 try:
                     await visitor.load()
                     break
-                except aiohttp.ClientError:  # the page is a process of its own, which still starts
+                except (
+                    aiohttp.ClientError
+                ):  # the page is a process of its own, which still starts
                     await asyncio.sleep(0.1)
             note("load")
             status, answer = await visitor.call("login", "otto", "drive")
@@ -93,11 +98,15 @@ def wait_until(condition, within_s=120.0):
 
 
 @pytest.mark.parametrize("share", [0.25, 0.05])
-def test_an_operator_logs_in_sees_and_stops_and_no_link_is_lost(tmp_path, monkeypatch, share):
+def test_an_operator_logs_in_sees_and_stops_and_no_link_is_lost(
+    tmp_path, monkeypatch, share
+):
     """Before, a start of a minute said nothing, and a log-in at 5 % was near its limit of 20 s."""
     opcua, rest = config()
     with controller() as endpoint, control_group(share) as group:
-        peer = demo_peer(endpoint).changed(on_stale="zero")  # the robot has to wait for our Stop
+        peer = demo_peer(endpoint).changed(
+            on_stale="zero"
+        )  # the robot has to wait for our Stop
         rest += f"peers: {json.dumps([peer.model_dump(mode='json')])}\n"
         monkeypatch.setenv(GROUP, str(group))
         began_s = time.monotonic()

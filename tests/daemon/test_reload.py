@@ -30,7 +30,9 @@ def test_changes_are_found_key_by_key() -> None:
 
 
 def test_every_reloadable_key_exists() -> None:
-    keys = [c.key for c in changes(Config(), Config())] + _keys(Config().model_dump(mode="json"))
+    keys = [c.key for c in changes(Config(), Config())] + _keys(
+        Config().model_dump(mode="json")
+    )
     for begin in RELOADABLE:
         assert any(key.startswith(begin) for key in keys), begin
 
@@ -90,10 +92,14 @@ async def test_a_running_daemon_takes_what_it_can(tmp_path: Path, monkeypatch) -
         assert daemon.gate.leases.limit_ms("opcua") == 250.0
         assert daemon.config.control.opcua_stale_after_ms == 250.0
         after = daemon.metrics.render()[0].decode()
-        assert f'config="{daemon.config.sha256}"' in after, "hil_build_info names what is in force"
+        assert f'config="{daemon.config.sha256}"' in after, (
+            "hil_build_info names what is in force"
+        )
         assert daemon.config.sha256 != daemon.assembly.config.sha256
 
-        with structlog.testing.capture_logs() as said:  # what waits for a restart is told again
+        with (
+            structlog.testing.capture_logs() as said
+        ):  # what waits for a restart is told again
             assert await reloader.reload()
         assert [line.get("key") for line in about_reload(said)] == ["plant.max_rpm"]
 
@@ -121,7 +127,9 @@ async def test_what_options_replaced_is_no_change(tmp_path, option, name) -> Non
     reloader = Reloader(Daemon(option(assemble(path), path)))
     with structlog.testing.capture_logs() as said:
         assert await reloader.reload()
-    assert [line["event"] for line in said] == ["reload: the configuration has not changed"]
+    assert [line["event"] for line in said] == [
+        "reload: the configuration has not changed"
+    ]
     text = path.read_text(encoding="utf-8")
     path.write_text(f"{text}recording: {{buffer_mb: 33}}\n", encoding="utf-8")
     with structlog.testing.capture_logs() as said:
@@ -129,12 +137,16 @@ async def test_what_options_replaced_is_no_change(tmp_path, option, name) -> Non
     assert [line["key"] for line in said] == ["recording.buffer_mb"]
 
 
-async def test_a_patch_of_the_file_that_was_read_again_is_of_this_configuration(tmp_path) -> None:
+async def test_a_patch_of_the_file_that_was_read_again_is_of_this_configuration(
+    tmp_path,
+) -> None:
     """The hash was that of the start: each patch that was fitted after a reload warned."""
     path = write_config(tmp_path)
     daemon = Daemon(assemble(path))
     before = daemon.desk.patches.config_sha256
-    path.write_text(f"{path.read_text(encoding='utf-8')}control: {{opcua_stale_after_ms: 250.0}}\n")
+    path.write_text(
+        f"{path.read_text(encoding='utf-8')}control: {{opcua_stale_after_ms: 250.0}}\n"
+    )
     assert await Reloader(daemon).reload()
     fitted = {"schema": SCHEMA_2, "made_from": {"config_sha256": "", "version": "1"}}
     for sha256, is_other in ((load_config(path).sha256, False), (before, True)):
@@ -145,7 +157,13 @@ async def test_a_patch_of_the_file_that_was_read_again_is_of_this_configuration(
 
 def test_only_limits_of_its_own_stop_a_demonstration(tmp_path) -> None:
     path = write_config(tmp_path)
-    assert demonstrated(assemble(path), path).config.scheduler.limits.single_overrun_ms is None
+    assert (
+        demonstrated(assemble(path), path).config.scheduler.limits.single_overrun_ms
+        is None
+    )
     stricter = "scheduler: {limits: {single_overrun_ms: 20.0}}\n"
     path = write_config(tmp_path, stricter)
-    assert demonstrated(assemble(path), path).config.scheduler.limits.single_overrun_ms == 20.0
+    assert (
+        demonstrated(assemble(path), path).config.scheduler.limits.single_overrun_ms
+        == 20.0
+    )

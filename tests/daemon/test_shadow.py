@@ -45,7 +45,9 @@ def test_a_gap_that_lasts_is_told_once_and_its_end_too():
     assert world.run(0.2, 3.0) == []
     assert world.run(0.4, 4.0) == []
     (told,) = world.run(-0.4, 8.0)
-    assert told == "model gap: pose.x_m: measured minus simulated is -0.4 m, limit 0.3 m"
+    assert (
+        told == "model gap: pose.x_m: measured minus simulated is -0.4 m, limit 0.3 m"
+    )
     assert world.watch.alarms == {"pose.x_m": True}
     assert "within its limit again" in world.run(0.1, 9.0)[-1]
     assert world.watch.alarms == {"pose.x_m": False}
@@ -94,7 +96,10 @@ def test_the_measured_pose_is_preferred_and_nothing_is_made_up():
 
 
 @hypothesis.given(
-    *[st.floats(-5, 5)] * 2, st.floats(-3.1, 3.1), st.floats(-0.5, 0.5), st.floats(0.8, 1.2)
+    *[st.floats(-5, 5)] * 2,
+    st.floats(-3.1, 3.1),
+    st.floats(-0.5, 0.5),
+    st.floats(0.8, 1.2),
 )
 def test_the_tags_place_scale_and_frame_are_taken_off(x, y, yaw, turned, scale):
     lever = (0.2, -0.1)
@@ -109,5 +114,7 @@ def test_the_tags_place_scale_and_frame_are_taken_off(x, y, yaw, turned, scale):
 
 def test_a_limit_for_what_nothing_measures_is_refused():
     config = Config.model_validate({"shadow": {"limits": {"pose.z_m": 1.0}}})
-    with pytest.raises(ConfigError, match=r"shadow\.limits\.pose\.z_m: there is no measured value"):
+    with pytest.raises(
+        ConfigError, match=r"shadow\.limits\.pose\.z_m: there is no measured value"
+    ):
         assemble_config(config)

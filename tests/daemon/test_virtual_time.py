@@ -20,10 +20,20 @@ SCENARIO = "steps: [{at_s: 0, write: {wheels.setpoints_rpm: [30, 30, -30, -30]}}
 
 
 @pytest.mark.parametrize("name", ["run.mcap", "run.csv"])
-def test_a_recording_begins_at_tick_0_and_holds_every_tick_of_the_duration(tmp_path, name):
+def test_a_recording_begins_at_tick_0_and_holds_every_tick_of_the_duration(
+    tmp_path, name
+):
     (tmp_path / "config.yaml").write_text(CONFIG)
     (tmp_path / "drive.yaml").write_text(SCENARIO)
-    words = ["run", "--duration", "12.345", "--record", name, "--scenario", "drive.yaml"]
+    words = [
+        "run",
+        "--duration",
+        "12.345",
+        "--record",
+        name,
+        "--scenario",
+        "drive.yaml",
+    ]
     done = subprocess.run(
         [sys.executable, "-m", "hilserver", *words],
         cwd=tmp_path,

@@ -40,7 +40,9 @@ def the_twins_are_one_group(findings, *twins):
 
 def the_value_is_right(findings, name, true, null=0.0):
     """The value has the true sign, and lies within 20 % or holds the truth in its interval."""
-    found = {key: p for finding in findings.findings for key, p in finding.parameters.items()}
+    found = {
+        key: p for finding in findings.findings for key, p in finding.parameters.items()
+    }
     parameter = found[name]
     away, wanted = parameter.value - null, true - null
     assert away * wanted > 0.0, f"{name} is {parameter.value}, hidden was {true}"
@@ -68,7 +70,9 @@ def family_wise_error_holds(draws, *, level, most):
         s = score(columns[blocks.order], left[blocks.order], blocks)
         limit = critical(null_maxima([s], rng), level)
         alarms.append(np.abs(s.t).max() > limit)
-    assert np.mean(alarms) <= most, f"{np.mean(alarms):.1%} of {len(alarms)} logs without an effect"
+    assert np.mean(alarms) <= most, (
+        f"{np.mean(alarms):.1%} of {len(alarms)} logs without an effect"
+    )
 
 
 def no_prediction_saw_its_block(problem, model, spoil):
@@ -83,5 +87,9 @@ def no_prediction_saw_its_block(problem, model, spoil):
         spoilt = spoil(problem, rows)
         start = spoilt.point(model, spoilt.start_poses({}))
         after = held_out(spoilt, crossed(spoilt, start, model))
-        assert np.allclose(after[rows], before[rows], rtol=0.0, atol=1e-9), "saw its own block"
-        assert not np.allclose(after[~rows], before[~rows], rtol=0.0, atol=1e-3), "nothing was fed"
+        assert np.allclose(after[rows], before[rows], rtol=0.0, atol=1e-9), (
+            "saw its own block"
+        )
+        assert not np.allclose(after[~rows], before[~rows], rtol=0.0, atol=1e-3), (
+            "nothing was fed"
+        )

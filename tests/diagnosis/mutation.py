@@ -9,9 +9,14 @@ from contextlib import contextmanager
 def mutated(function, line, changed):
     """Run the function with `changed` in the place of `line`, wherever it is called from."""
     source = textwrap.dedent(inspect.getsource(function))
-    assert source.count(line) == 1, f"{function.__name__} has changed: where is '{line}'?"
+    assert source.count(line) == 1, (
+        f"{function.__name__} has changed: where is '{line}'?"
+    )
     namespace = dict(function.__globals__)
-    exec(compile(source.replace(line, changed), inspect.getfile(function), "exec"), namespace)
+    exec(
+        compile(source.replace(line, changed), inspect.getfile(function), "exec"),
+        namespace,
+    )
     original = function.__code__
     function.__code__ = namespace[function.__name__].__code__
     try:

@@ -34,12 +34,18 @@ ROTATION = Parameter(value=-0.47, ci95=(-0.48, -0.46), unit="1")
 
 def gain(before, after, low, high, horizon_s=5.0):
     return Gain(
-        horizon_s=horizon_s, before=before, after=after, ratio=before / after, ci95=(low, high)
+        horizon_s=horizon_s,
+        before=before,
+        after=after,
+        ratio=before / after,
+        ci95=(low, high),
     )
 
 
 def gain_of(horizon_s, before, ratio, ci95):
-    return Gain(horizon_s=horizon_s, before=before, after=before / ratio, ratio=ratio, ci95=ci95)
+    return Gain(
+        horizon_s=horizon_s, before=before, after=before / ratio, ratio=ratio, ci95=ci95
+    )
 
 
 def noise_of(white_sd, ou_sd=0.0, ou_tau_s=None, tail_dof=None):
@@ -71,7 +77,9 @@ def findings(**changes):
                 block="kinematics",
                 parameters={
                     "icr_offset": Parameter(value=0.06, ci95=(0.045, 0.074), unit="m"),
-                    "nav_lever_arm.x": Parameter(value=-0.06, ci95=(-0.074, -0.045), unit="m"),
+                    "nav_lever_arm.x": Parameter(
+                        value=-0.06, ci95=(-0.074, -0.045), unit="m"
+                    ),
                 },
                 p_adjusted=0.003,
                 separating_experiment=separating_experiment(GROUP),
@@ -88,7 +96,9 @@ def findings(**changes):
                 causes=("unit_error",),
                 block="data",
                 parameters={
-                    "unit_error.imu.gyro_z_rad_s": Parameter(value=57.3, ci95=None, unit="1")
+                    "unit_error.imu.gyro_z_rad_s": Parameter(
+                        value=57.3, ci95=None, unit="1"
+                    )
                 },
             ),
         ),
@@ -120,7 +130,9 @@ def findings(**changes):
         "notices": ("Row 18001 ends early and was dropped.",),
         "decisions": (
             Decision("rotation_gain", "taken", 7.7, "passes every gate"),
-            Decision("gyro_scale", "refused", 0.98, "brings nothing on held-out blocks"),
+            Decision(
+                "gyro_scale", "refused", 0.98, "brings nothing on held-out blocks"
+            ),
         ),
         "model_patch": "model_patch.yaml",
     }

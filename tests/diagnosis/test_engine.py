@@ -16,7 +16,9 @@ from hilserver.diagnosis.schema.findings import Gain
 
 
 def blas_threads():
-    return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+    return {
+        pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"
+    }
 
 
 def test_linear_algebra_keeps_to_one_thread_and_gives_the_others_back():
@@ -37,7 +39,9 @@ class Worse(Explained):
     """What is reported makes the yaw worse, whatever it is made of."""
 
     def gains(self, horizon_s, rng, before=None):
-        gain = Gain(horizon_s=horizon_s, before=1.0, after=2.0, ratio=0.5, ci95=(0.4, 0.6))
+        gain = Gain(
+            horizon_s=horizon_s, before=1.0, after=2.0, ratio=0.5, ci95=(0.4, 0.6)
+        )
         return {"yaw_rad": gain}
 
 
@@ -48,7 +52,10 @@ def test_no_patch_is_written_where_a_reported_quantity_is_worse(monkeypatch):
     assert diagnose(log, assembly, jobs=1).evidence.extension
 
     def worse(*args):
-        return [replace(a, patch=Worse(a.patch.parts, a.patch.without)) for a in answers_of(*args)]
+        return [
+            replace(a, patch=Worse(a.patch.parts, a.patch.without))
+            for a in answers_of(*args)
+        ]
 
     monkeypatch.setattr(engine, "answers_of", worse)
     found = diagnose(log, assembly, jobs=1)
@@ -57,8 +64,13 @@ def test_no_patch_is_written_where_a_reported_quantity_is_worse(monkeypatch):
 
 
 def test_a_fault_of_both_sets_is_said_once_and_of_which():
-    fault, other = (data_fault(name, ["nav.x_m"], 1.0, None, "1", f"{name}.") for name in "ab")
+    fault, other = (
+        data_fault(name, ["nav.x_m"], 1.0, None, "1", f"{name}.") for name in "ab"
+    )
     both = engine._of_both([fault], [fault, other])
-    assert sorted(f.explanation for f in both) == ["In both sets: a.", "In the second set: b."]
+    assert sorted(f.explanation for f in both) == [
+        "In both sets: a.",
+        "In the second set: b.",
+    ]
     (first,) = engine._of_both([other], [])
     assert first.explanation == "In the first set: b."

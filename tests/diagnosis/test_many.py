@@ -69,8 +69,12 @@ def campaign(folder, lines):
         f"tasks = [{str(file)!r}] * 40",
     ]
     script.write_text("\n".join([*head, *lines]))
-    parent = subprocess.Popen([sys.executable, str(script)], env=os.environ | {"PYTHONPATH": "."})
-    found = until(lambda: file.exists() and file.read_text().split(), lambda ids: len(ids) == 2)
+    parent = subprocess.Popen(
+        [sys.executable, str(script)], env=os.environ | {"PYTHONPATH": "."}
+    )
+    found = until(
+        lambda: file.exists() and file.read_text().split(), lambda ids: len(ids) == 2
+    )
     return parent, found
 
 
@@ -129,7 +133,11 @@ def test_a_worker_that_is_ended_is_a_sentence():
 @pytest.mark.filterwarnings("ignore")  # of the cluster's own making
 def test_a_dask_cluster_gives_the_same(expected):
     distributed = pytest.importorskip("distributed")
-    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
+    options = {
+        "n_workers": 2,
+        "threads_per_worker": 1,
+        "dashboard_address": "127.0.0.1:0",
+    }
     with distributed.LocalCluster(processes=True, **options) as cluster:
         assert collected(on_cluster(work, TASKS, cluster.scheduler_address)) == expected
 

@@ -18,7 +18,9 @@ from tests.diagnosis.sample import ROTATION, evidence, findings, nothing_found
 
 FITTED = Evidence(
     extension=(FittedTerm("rotation_gain", ROTATION),),
-    fitted=FittedIn(speed_m_s=(0.0, 0.4), turn_rate_rad_s=(-1.0, 1.0), conditions="carpet"),
+    fitted=FittedIn(
+        speed_m_s=(0.0, 0.4), turn_rate_rad_s=(-1.0, 1.0), conditions="carpet"
+    ),
 )
 
 
@@ -45,12 +47,23 @@ def test_the_findings_come_back_as_they_were(tmp_path):
     data = json.loads((tmp_path / "findings.json").read_text(encoding="utf-8"))
     assert data["schema"] == "hilserver.diagnosis/2"
     read = Findings.model_validate(data)
-    assert findings_text(read) == (tmp_path / "findings.json").read_text(encoding="utf-8")
+    assert findings_text(read) == (tmp_path / "findings.json").read_text(
+        encoding="utf-8"
+    )
     for key, gain in findings().total_gain.items():
-        assert read.total_gain[key].ratio == pytest.approx(gain.ratio, rel=1e-8), "nine digits"
-    plain = {"total_gain": {}, "patch_gain": {}, "findings": (), "smallest_detectable": ()}
+        assert read.total_gain[key].ratio == pytest.approx(gain.ratio, rel=1e-8), (
+            "nine digits"
+        )
+    plain = {
+        "total_gain": {},
+        "patch_gain": {},
+        "findings": (),
+        "smallest_detectable": (),
+    }
     assert read.model_copy(update=plain) == findings().model_copy(update=plain)
-    assert [f.parameters for f in read.findings] == [f.parameters for f in findings().findings]
+    assert [f.parameters for f in read.findings] == [
+        f.parameters for f in findings().findings
+    ]
 
 
 def test_without_an_extension_there_is_no_patch_and_an_old_one_goes(tmp_path):
@@ -108,16 +121,24 @@ def test_what_could_not_be_judged_is_not_nothing_found():
 
 @pytest.mark.parametrize("verdict", ["nothing_found", "no_difference", "not_judged"])
 def test_where_nothing_could_be_judged_the_simulation_is_not_said_to_fit(verdict):
-    found = nothing_found().model_copy(update={"verdict": verdict, "smallest_detectable": ()})
+    found = nothing_found().model_copy(
+        update={"verdict": verdict, "smallest_detectable": ()}
+    )
     assert found.not_judged
-    assert summary(found).startswith("Nothing about the robot could be judged (no duty).")
+    assert summary(found).startswith(
+        "Nothing about the robot could be judged (no duty)."
+    )
 
 
 def test_a_term_of_several_parts_keeps_them_all():
     terms = (
         FittedTerm("stribeck_friction.f_s", Parameter(value=4.0, ci95=None, unit="%")),
-        FittedTerm("stribeck_friction.n_s", Parameter(value=6.0, ci95=None, unit="rpm")),
+        FittedTerm(
+            "stribeck_friction.n_s", Parameter(value=6.0, ci95=None, unit="rpm")
+        ),
     )
-    text = documents(Diagnosis(findings(), replace(FITTED, extension=terms)))["model_patch.yaml"]
+    text = documents(Diagnosis(findings(), replace(FITTED, extension=terms)))[
+        "model_patch.yaml"
+    ]
     assert "stribeck_friction.f_s" in text
     assert "stribeck_friction.n_s" in text

@@ -14,8 +14,19 @@ from hilserver.commands import main
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.engine import judge
 from hilserver.diagnosis.plan.document import PlanDocument
-from hilserver.diagnosis.plan.manoeuvre import Manoeuvre, as_scenario, of_log, of_scenario
-from hilserver.diagnosis.plan.null_log import GROUPS, Recording, Studio, null_log, path_of
+from hilserver.diagnosis.plan.manoeuvre import (
+    Manoeuvre,
+    as_scenario,
+    of_log,
+    of_scenario,
+)
+from hilserver.diagnosis.plan.null_log import (
+    GROUPS,
+    Recording,
+    Studio,
+    null_log,
+    path_of,
+)
 from hilserver.diagnosis.plan.outlook import grouped, look
 from hilserver.diagnosis.plan.pieces import MARGIN_M, of_moves, pieces
 from hilserver.diagnosis.plan.planning import PLAN, SCENARIO
@@ -26,7 +37,13 @@ from hilserver.measured.reading import read_measured
 from hilserver.testing.opening import open_hil
 
 ROBOT = assemble(None).robot
-ROTATION = {"rotation_gain", "gyro_scale", "side_slip", "icr_offset", "longitudinal_slip"}
+ROTATION = {
+    "rotation_gain",
+    "gyro_scale",
+    "side_slip",
+    "icr_offset",
+    "longitudinal_slip",
+}
 STRAIGHT = of_moves([(1, 0, 0), (4, 45, 45), (1, 0, 0), (4, -45, -45), (1, 0, 0)] * 3)
 CIRCLE = of_moves([(20, 30, 60)])
 
@@ -79,11 +96,15 @@ def test_a_straight_drive_cannot_show_rotation():
     outlook = seen(STRAIGHT)
     assert set(outlook.not_judged) >= ROTATION
     assert "hardly excited" in outlook.not_judged["rotation_gain"]
-    assert {"wheel_radius_difference", "nav_latency", "process_gain"} <= set(outlook.shown)
+    assert {"wheel_radius_difference", "nav_latency", "process_gain"} <= set(
+        outlook.shown
+    )
 
 
 def test_a_circle_at_one_speed_cannot_tell_nav_latency_from_side_slip():
-    assert any({"nav_latency", "side_slip"} <= set(group) for group in seen(CIRCLE).groups)
+    assert any(
+        {"nav_latency", "side_slip"} <= set(group) for group in seen(CIRCLE).groups
+    )
 
 
 def test_what_is_not_recorded_is_not_judged():
@@ -91,7 +112,9 @@ def test_what_is_not_recorded_is_not_judged():
     outlook = seen(CIRCLE, recording=Recording(channels))
     assert outlook.not_judged["nav_scale"] == "no position in the log"
     assert outlook.not_judged["yaw_latency"] == "no navigation yaw in the log"
-    assert any({"rotation_gain", "gyro_scale"} <= set(group) for group in outlook.groups)
+    assert any(
+        {"rotation_gain", "gyro_scale"} <= set(group) for group in outlook.groups
+    )
 
 
 def test_twice_the_drive_shows_less_than_twice_as_small():
@@ -131,9 +154,13 @@ def test_the_proposed_manoeuvre_separates_nav_latency_from_side_slip(planned):
 @pytest.mark.parametrize("cause", ["nav_latency", "side_slip"])
 def test_a_diagnosis_names_on_it_what_the_plan_promises(planned, cause):
     plan = document(planned)
-    reference = next(found.reference for found in plan.proposed.causes if found.cause == cause)
+    reference = next(
+        found.reference for found in plan.proposed.causes if found.cause == cause
+    )
     spans = of_scenario(planned / SCENARIO, ROBOT, 40.0)
-    log = null_log(spans, ROBOT, Recording(), np.random.default_rng(3), {cause: reference})
+    log = null_log(
+        spans, ROBOT, Recording(), np.random.default_rng(3), {cause: reference}
+    )
     assert [f.causes for f in judge(log, ROBOT).findings.findings] == [(cause,)]
 
 
@@ -184,7 +211,9 @@ def test_no_choice_is_longer_than_allowed_and_little_time_is_left():
 
 
 @settings(max_examples=50, deadline=None)
-@given(st.lists(st.tuples(st.integers(1, 3000), *[st.integers(-900, 900)] * 4), min_size=2))
+@given(
+    st.lists(st.tuples(st.integers(1, 3000), *[st.integers(-900, 900)] * 4), min_size=2)
+)
 def test_a_scenario_plays_the_manoeuvre_it_was_made_of(tmp_path_factory, moves):
     at_s = np.cumsum([0, *[ms for ms, *_ in moves[:-1]]]) / 1000.0
     rpm = 0.1 * np.array([move[1:] for move in moves], dtype=float)
@@ -196,13 +225,26 @@ def test_a_scenario_plays_the_manoeuvre_it_was_made_of(tmp_path_factory, moves):
 
 
 def test_a_log_of_twists_is_the_same_manoeuvre_as_its_scenario(tmp_path):
-    rows = [(0.0, 0.0, 0.0), (1.0, 0.3, 0.5), (3.0, -0.2, 0.0), (5.0, 0.0, 0.0), (6.0, 0.0, 0.0)]
+    rows = [
+        (0.0, 0.0, 0.0),
+        (1.0, 0.3, 0.5),
+        (3.0, -0.2, 0.0),
+        (5.0, 0.0, 0.0),
+        (6.0, 0.0, 0.0),
+    ]
     log = tmp_path / "log.csv"
     text = "t_s,twist.linear_m_s,twist.angular_rad_s\n"
     log.write_text(text + "".join(f"{t},{v},{om}\n" for t, v, om in rows))
     scenario = tmp_path / "scenario.yaml"
     steps = [
-        {"at_s": t, "write": {"control.mode": 1, "twist.linear_m_s": v, "twist.angular_rad_s": om}}
+        {
+            "at_s": t,
+            "write": {
+                "control.mode": 1,
+                "twist.linear_m_s": v,
+                "twist.angular_rad_s": om,
+            },
+        }
         for t, v, om in rows
     ]
     scenario.write_text(yaml.safe_dump({"steps": steps}))
@@ -226,7 +268,12 @@ def test_the_documents_are_the_same_again(planned, tmp_path):
 def test_it_says_what_a_channel_would_add(tmp_path, capsys):
     path = written(tmp_path, CIRCLE)
     out = str(tmp_path / "out")
-    assert main(["plan", str(path), "--channels", "speed,gyro", "--room", "4x3", "-o", out]) == 0
+    assert (
+        main(
+            ["plan", str(path), "--channels", "speed,gyro", "--room", "4x3", "-o", out]
+        )
+        == 0
+    )
     said = capsys.readouterr().out
     assert "also with yaw: " in said
     assert "cannot separate: gyro_scale, rotation_gain, wheel_radius" in said
@@ -234,7 +281,10 @@ def test_it_says_what_a_channel_would_add(tmp_path, capsys):
     assert set(missing) == {"duty", "position", "yaw", "voltage"}
     assert {"floor_slope", "nav_lever_arm"} <= set(missing["position"].shows)
     assert "gyro_scale" in missing["position"].separates
-    assert json.loads((tmp_path / "out" / PLAN).read_text())["schema"] == "hilserver.plan/1"
+    assert (
+        json.loads((tmp_path / "out" / PLAN).read_text())["schema"]
+        == "hilserver.plan/1"
+    )
 
 
 @pytest.mark.parametrize(
@@ -242,8 +292,16 @@ def test_it_says_what_a_channel_would_add(tmp_path, capsys):
     [
         ("steps: []\n", 78, "writes no set-points"),
         ("steps: [{at_s: 0, write: {lights.red: 3}}]\n", 78, "writes no set-points"),
-        ("steps: [{at_s: 9000, write: {twist.linear_m_s: 0.1}}]\n", 78, "lasts 9e+03 s"),
-        ("steps: [{at_s: 0, write: {wheels.setpoints_rpm: [1, 2]}}]\n", 78, "a list of 4"),
+        (
+            "steps: [{at_s: 9000, write: {twist.linear_m_s: 0.1}}]\n",
+            78,
+            "lasts 9e+03 s",
+        ),
+        (
+            "steps: [{at_s: 0, write: {wheels.setpoints_rpm: [1, 2]}}]\n",
+            78,
+            "a list of 4",
+        ),
         ("step: []\n", 78, "unknown key 'step'"),
     ],
 )
@@ -264,7 +322,9 @@ def test_a_log_without_set_points_is_one_sentence(tmp_path, capsys):
     assert "contains no set-points" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("option", [["--room", "5"], ["--room", "0x9"], ["--channels", "smell"]])
+@pytest.mark.parametrize(
+    "option", [["--room", "5"], ["--room", "0x9"], ["--channels", "smell"]]
+)
 def test_options_that_make_no_sense_are_refused(tmp_path, capsys, option):
     with pytest.raises(SystemExit):
         main(["plan", "x.yaml", "-o", str(tmp_path), *option])
@@ -272,17 +332,30 @@ def test_options_that_make_no_sense_are_refused(tmp_path, capsys, option):
 
 
 @pytest.mark.parametrize("moment", ["assemble", "plan"])
-def test_a_signal_is_one_sentence_and_leaves_nothing(tmp_path, monkeypatch, capsys, moment):
+def test_a_signal_is_one_sentence_and_leaves_nothing(
+    tmp_path, monkeypatch, capsys, moment
+):
     interrupted = lambda *_: os.kill(os.getpid(), signal.SIGINT)  # noqa: E731
     monkeypatch.setattr(f"hilserver.commands.plan.{moment}", interrupted)
     assert main(["plan", "x.yaml", "-o", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().err
-    assert said == "hilserver: stopped before the plan was finished: nothing was written\n"
+    assert (
+        said == "hilserver: stopped before the plan was finished: nothing was written\n"
+    )
     assert not (tmp_path / "out").exists()
 
 
 def test_too_small_a_room_is_one_sentence(tmp_path, capsys):
     path = written(tmp_path, STRAIGHT)
-    args = ["plan", str(path), "--duration", "2", "--room", "1x1", "-o", str(tmp_path / "out")]
+    args = [
+        "plan",
+        str(path),
+        "--duration",
+        "2",
+        "--room",
+        "1x1",
+        "-o",
+        str(tmp_path / "out"),
+    ]
     assert main(args) == 1
     assert "no piece fits" in capsys.readouterr().err

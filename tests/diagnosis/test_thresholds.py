@@ -22,11 +22,17 @@ def used():
     return found
 
 
-@pytest.mark.parametrize("module", [of_diagnosis, of_measured], ids=lambda one: one.__name__)
+@pytest.mark.parametrize(
+    "module", [of_diagnosis, of_measured], ids=lambda one: one.__name__
+)
 def test_every_number_has_a_meaning_and_a_use(module, used):
     text = Path(module.__file__).read_text(encoding="utf-8")
     lines = ["", *text.splitlines()]
-    numbers = {s.target.id: s.lineno for s in ast.parse(text).body if isinstance(s, ast.AnnAssign)}
+    numbers = {
+        s.target.id: s.lineno
+        for s in ast.parse(text).body
+        if isinstance(s, ast.AnnAssign)
+    }
     assert len(numbers) > 10
     for name, at in numbers.items():
         assert "#" in lines[at] or lines[at - 1].startswith("# "), f"no word on {name}"

@@ -34,7 +34,9 @@ def started(script, *arguments, **environment):
 
 
 def test_every_folder_is_listed():
-    listed = re.findall(r"^\| \[[^]]+\]\(([^)]+)\)", (EXAMPLES / "README.md").read_text(), re.M)
+    listed = re.findall(
+        r"^\| \[[^]]+\]\(([^)]+)\)", (EXAMPLES / "README.md").read_text(), re.M
+    )
     assert sorted(listed) == sorted(p.name for p in EXAMPLES.iterdir() if p.is_dir())
 
 
@@ -63,9 +65,13 @@ async def test_a_left_right_controller_moves_all_four_wheels():
 
             def speeds():
                 names = (f"wheel.{w}.speed_rpm" for w in ("fl", "rl", "fr", "rr"))
-                return [daemon.image.frame_values[daemon.table.slot(name)] for name in names]
+                return [
+                    daemon.image.frame_values[daemon.table.slot(name)] for name in names
+                ]
 
-            await wait_until(lambda: min(speeds()[:2]) > 15 and max(speeds()[2:]) < -15, PATIENCE_S)
+            await wait_until(
+                lambda: min(speeds()[:2]) > 15 and max(speeds()[2:]) < -15, PATIENCE_S
+            )
             left_front, left_rear, right_front, right_rear = speeds()
             assert left_front == pytest.approx(left_rear, abs=1.0)
             assert right_front == pytest.approx(right_rear, abs=1.0)
@@ -75,12 +81,16 @@ async def test_a_left_right_controller_moves_all_four_wheels():
 
 
 async def test_a_hardened_server_of_ten_lines_lets_its_valve_be_opened():
-    program = started("opcua-server/server.py", "opc.tcp://127.0.0.1:0/tank", PYTHONUNBUFFERED="1")
+    program = started(
+        "opcua-server/server.py", "opc.tcp://127.0.0.1:0/tank", PYTHONUNBUFFERED="1"
+    )
     try:
         url = (await asyncio.to_thread(program.stdout.readline)).strip()
         async with Client(url) as client:
             index = await client.get_namespace_index("urn:example:tank")
-            level, valve = (client.get_node(ua.NodeId(n, index)) for n in ("level_m", "valve"))
+            level, valve = (
+                client.get_node(ua.NodeId(n, index)) for n in ("level_m", "valve")
+            )
             with pytest.raises(ua.uaerrors.BadNotWritable):
                 await level.write_value(2.0)
             before = await level.read_value()
@@ -106,7 +116,9 @@ async def test_a_program_without_ros_drives_over_ros_2():
 
 
 async def test_a_controller_in_lockstep_sees_the_same_bits_every_time():
-    config = configuration(scheduler={"backend": "virtual"}, control={"source": "opcua"})
+    config = configuration(
+        scheduler={"backend": "virtual"}, control={"source": "opcua"}
+    )
     async with running(config) as (daemon, _):
         said = []
         for _ in range(2):
@@ -122,15 +134,23 @@ def test_a_sweep_says_that_friction_decides(tmp_path, capsys):
     text = (EXAMPLES / "sweep" / "sweep.yaml").read_text()
     assert "machines: 300\n" in text
     shutil.copy(EXAMPLES / "sweep" / "controller.py", tmp_path)
-    (tmp_path / "sweep.yaml").write_text(text.replace("machines: 300\n", "machines: 40\n"))
+    (tmp_path / "sweep.yaml").write_text(
+        text.replace("machines: 300\n", "machines: 40\n")
+    )
     out = tmp_path / "result"
-    assert main(["sweep", str(tmp_path / "sweep.yaml"), "-o", str(out), "--workers", "2"]) == 0
+    assert (
+        main(["sweep", str(tmp_path / "sweep.yaml"), "-o", str(out), "--workers", "2"])
+        == 0
+    )
     assert "of 40 machines pass" in capsys.readouterr().out
     table = read_table(out)
     found = influences(dict(table.parameters), table.margins["arrives"])
     assert found[0].names == ("terms.coulomb_friction",)
     assert found[0].interval[1] < -0.8
-    friction, margin = table.parameters["terms.coulomb_friction"], table.margins["arrives"]
+    friction, margin = (
+        table.parameters["terms.coulomb_friction"],
+        table.margins["arrives"],
+    )
     assert margin[friction > 13.0].max() < 0.0 < margin[friction < 6.0].min()
 
 
@@ -155,12 +175,16 @@ async def test_node_red_as_a_client_drives_a_circle(tmp_path):
     flow = with_sink(flow, poses, out="pose-out")
     async with running(configuration()) as (daemon, _):
         environment = {"HIL_ENDPOINT": daemon.part("opcua").url}
-        node_red = NodeRed(tmp_path / "home", free_port(), flow, environment=environment)
+        node_red = NodeRed(
+            tmp_path / "home", free_port(), flow, environment=environment
+        )
         await node_red.start(ready=False)
         try:
             yaw = daemon.table.slot("velocity.angular_rad_s")
             await wait_until(lambda: daemon.image.frame_values[yaw] > 0.4, 60)
-            await wait_until(lambda: poses.exists() and "pose.x_m" in poses.read_text(), PATIENCE_S)
+            await wait_until(
+                lambda: poses.exists() and "pose.x_m" in poses.read_text(), PATIENCE_S
+            )
         finally:
             await node_red.kill()
 
@@ -172,7 +196,12 @@ def test_the_own_block_fits_its_configuration(capsys):
 
 def diagnosed(folder, log, out):
     """Return what `hilserver diagnose` finds in a log of an example."""
-    words = ["-c", str(folder / "config.yaml"), "--mapping", str(folder / "mapping.yaml")]
+    words = [
+        "-c",
+        str(folder / "config.yaml"),
+        "--mapping",
+        str(folder / "mapping.yaml"),
+    ]
     assert main(["diagnose", str(log), *words, "--out", str(out)]) == 0
     findings = json.loads((out / "findings.json").read_text())["findings"]
     return [(tuple(f["causes"]), f["parameters"]) for f in findings]

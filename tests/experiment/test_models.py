@@ -56,12 +56,16 @@ def test_from_set_points_the_configured_drive_turns_the_wheels():
     courses = run_models(recording(without=SPEEDS, **asked), ROBOT, NONE)
     assert not courses.are_measured
     assert courses.wheels_rpm[-1] == pytest.approx([3.0, 3.0, -45.0, -45.0], abs=0.1)
-    assert np.abs(courses.wheels_rpm[:, 3]).max() > 45.5  # it overshoots, as the loop does
+    assert (
+        np.abs(courses.wheels_rpm[:, 3]).max() > 45.5
+    )  # it overshoots, as the loop does
 
 
 @pytest.mark.parametrize("missing", [SPEEDS, (*TAG, GYRO)])
 def test_a_recording_that_shows_too_little_is_refused_in_one_sentence(missing):
-    with pytest.raises(LogError, match=r"wheel\.fl\.speed_rpm .* map their columns or topics"):
+    with pytest.raises(
+        LogError, match=r"wheel\.fl\.speed_rpm .* map their columns or topics"
+    ):
         run_models(recording(without=missing), ROBOT, NONE)
 
 

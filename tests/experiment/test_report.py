@@ -25,14 +25,17 @@ def page_of(name, log, body):
     experiment = EXPERIMENTS[name]
     both = beside_models(run_models(log, ROBOT, body), experiment.channels)
     identified = identify(experiment, both.courses.log, ROBOT)
-    return both, render(experiment, both, THIRD, identified, [("Configuration", "robot.yaml")])
+    return both, render(
+        experiment, both, THIRD, identified, [("Configuration", "robot.yaml")]
+    )
 
 
 def curves(page, title):
     """How often each model is drawn in the figure of a title."""
     figure = page.split(f"<h3>{title}</h3>")[1].split("</figure>")[0]
     return {
-        role: figure.count(f'class="line {role}"') for role in ("measured", "simulated", "extended")
+        role: figure.count(f'class="line {role}"')
+        for role in ("measured", "simulated", "extended")
     }
 
 
@@ -81,7 +84,9 @@ def test_a_gap_is_that_of_the_curves():
 @pytest.mark.parametrize("without", [(YAW,), (YAW, IMU_YAW)])
 def test_where_no_yaw_was_measured_the_imu_shows_it(without):
     _, columns = circle()
-    log = recording((*TAG, *without), **({} if IMU_YAW in without else {IMU_YAW: columns[YAW]}))
+    log = recording(
+        (*TAG, *without), **({} if IMU_YAW in without else {IMU_YAW: columns[YAW]})
+    )
     yaw = beside_models(run_models(log, ROBOT, NONE), ("turn", "yaw")).measured["yaw"]
     assert yaw.signal == (GYRO if IMU_YAW in without else IMU_YAW)
     assert yaw.values[-1] - yaw.values[0] == pytest.approx(TURN_RAD_S * 6.0, abs=0.05)
@@ -90,7 +95,9 @@ def test_where_no_yaw_was_measured_the_imu_shows_it(without):
 def test_5_2_identifies_what_the_thesis_did_beside_what_it_printed():
     _, page = page_of("5.2.1", recording(), NONE)
     text = Reader(page).text
-    assert "tile 1.052, floating floor 1.019, hard carpet 1.036, soft carpet 1.030" in text
+    assert (
+        "tile 1.052, floating floor 1.019, hard carpet 1.036, soft carpet 1.030" in text
+    )
     assert f"{ROBOT.k_om:.4g} 1/m" in text
     assert "Left wheels (figure 5.4 of the thesis)" in text
     assert "Turn rate over time (figure 5.11 of the thesis)" in text

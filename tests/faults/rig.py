@@ -14,12 +14,18 @@ class Rig:
 
     def __init__(self, backend="virtual", *, silence_ticks=0, folder=None, config=None):
         snapshots = {} if folder is None else {"snapshots": {"folder": str(folder)}}
-        self.assembly = assemble_config(Config.model_validate(snapshots | (config or {})))
+        self.assembly = assemble_config(
+            Config.model_validate(snapshots | (config or {}))
+        )
         core = self.core = build(
             self.assembly, Pace(backend=backend, command_limit_ticks=silence_ticks)
         )
         self.table, self.image, self.snapshots = core.table, core.image, core.snapshots
-        self.scheduler, self.faults, self.events = core.scheduler, core.faults, core.events
+        self.scheduler, self.faults, self.events = (
+            core.scheduler,
+            core.faults,
+            core.events,
+        )
         self.mailbox = Mailbox(self.image)
         if backend != "virtual":
             self.scheduler.set_speed(10)
@@ -43,7 +49,9 @@ class Rig:
 
     def frames(self, first_tick=0):
         found = [self.image.frame(number) for number in range(self.image.head)]
-        return [frame for frame in found if frame is not None and frame.tick >= first_tick]
+        return [
+            frame for frame in found if frame is not None and frame.tick >= first_tick
+        ]
 
     def series(self, name, first_tick=0):
         slot = self.table.slot(name)

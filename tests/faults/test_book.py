@@ -24,21 +24,38 @@ BIAS = {"fault": "bias", "signal": "pose.x_m", "offset": 1.0}
         ({"fault": "bias", "peer": "a", "offset": 1}, "bias acts on signal"),
         ({"fault": "rust", "signal": "a"}, "fault: should be 'stuck'"),
         (BIAS | {"signal": "pose.z_m"}, "there is no signal 'pose.z_m'"),
-        (BIAS | {"signal": "pose.x"}, "there is no signal 'pose.x'; did you mean 'pose.x_m'"),
-        (BIAS | {"signal": "internal.command"}, "there is no signal 'internal.command'"),
+        (
+            BIAS | {"signal": "pose.x"},
+            "there is no signal 'pose.x'; did you mean 'pose.x_m'",
+        ),
+        (
+            BIAS | {"signal": "internal.command"},
+            "there is no signal 'internal.command'",
+        ),
         (BIAS | {"signal": "sim.tick"}, "shows time or state"),
         (BIAS | {"offset": float("nan")}, "finite number"),
         (BIAS | {"offset": 1e300}, "less than or equal to"),
         (BIAS | {"colour": "red"}, "a fault has no key 'colour'"),
         (BIAS | {"from_s": 3, "until_s": 2}, "until_s is 2, it must be above from_s"),
-        ({"fault": "delay", "signal": "pose.x_m", "delay_s": 2}, "reaches back at most 1.023 s"),
+        (
+            {"fault": "delay", "signal": "pose.x_m", "delay_s": 2},
+            "reaches back at most 1.023 s",
+        ),
         ({"fault": "delay", "peer": "plc", "delay_s": 2}, "there is no peer 'plc'"),
-        ({"fault": "force", "signal": "drive.enable", "value": 0.5}, "takes whole numbers"),
-        ({"fault": "force", "signal": "wheel.fl.setpoint_rpm", "value": 500}, "is outside"),
+        (
+            {"fault": "force", "signal": "drive.enable", "value": 0.5},
+            "takes whole numbers",
+        ),
+        (
+            {"fault": "force", "signal": "wheel.fl.setpoint_rpm", "value": 500},
+            "is outside",
+        ),
         ("bias", "a fault is a mapping"),
     ],
 )
-async def test_a_bad_fault_is_refused_with_one_sentence_and_nothing_happens(fault, sentence):
+async def test_a_bad_fault_is_refused_with_one_sentence_and_nothing_happens(
+    fault, sentence
+):
     async with Rig() as rig:
         with pytest.raises(ValueError, match=sentence.replace("(", r"\(")) as refusal:
             rig.faults.inject(BIAS, fault)
@@ -58,7 +75,10 @@ async def test_what_waits_and_what_acts_is_listed():
         await rig.advance(10)
         assert [a.is_acting for a in rig.faults.active()] == [True]
         assert rig.faults.counts() == {"injected": 1, "forced": 0}
-        assert rig.faults.figures()["injected"] == {"count": 1, "names": "bias:pose.x_m"}
+        assert rig.faults.figures()["injected"] == {
+            "count": 1,
+            "names": "bias:pose.x_m",
+        }
         await rig.advance(10)
         assert rig.faults.active() == []
 
@@ -69,7 +89,9 @@ async def test_the_same_name_replaces_and_an_unknown_one_is_refused():
         rig.faults.inject(BIAS | {"offset": 5.0})
         await rig.advance(1)
         assert rig.series("pose.x_m")[-1] == 5.0
-        with pytest.raises(ValueError, match="no fault 'nothing'; active are bias:pose"):
+        with pytest.raises(
+            ValueError, match="no fault 'nothing'; active are bias:pose"
+        ):
             rig.faults.clear("nothing")
         with pytest.raises(ValueError, match="not forced"):
             rig.faults.unforce("pose.x_m")
@@ -98,7 +120,10 @@ async def test_events_tell_what_was_done():
         rig.faults.inject(BIAS)
         rig.faults.clear()
         messages = [event.message for event in rig.events.recent]
-        assert messages == ["fault injected: bias:pose.x_m (offset 1.0)", "all faults cleared"]
+        assert messages == [
+            "fault injected: bias:pose.x_m (offset 1.0)",
+            "all faults cleared",
+        ]
 
 
 def assert_faults_or_sentence(parse, given):
@@ -116,7 +141,9 @@ def assert_faults_or_sentence(parse, given):
 
 @given(st.text(max_size=200) | st.binary(max_size=50).map(repr))
 def test_any_text_is_a_fault_or_one_sentence(text):
-    assert_faults_or_sentence(lambda: parse_faults(text), given=0)  # only an empty list is no error
+    assert_faults_or_sentence(
+        lambda: parse_faults(text), given=0
+    )  # only an empty list is no error
 
 
 @given(
@@ -134,7 +161,11 @@ def test_the_schema_agrees_with_the_model():
     schema = json.loads(schema_text(Scenario))
     good = {"faults": [BIAS, {"fault": "shield.rpm_unsigned"}]}
     jsonschema.validate(good, schema)
-    for wrong in ({"fault": "bias", "signal": "a"}, BIAS | {"sd": 1}, BIAS | {"peer": "x"}):
+    for wrong in (
+        {"fault": "bias", "signal": "a"},
+        BIAS | {"sd": 1},
+        BIAS | {"peer": "x"},
+    ):
         with pytest.raises(jsonschema.ValidationError):
             jsonschema.validate({"faults": [wrong]}, schema)
     assert json.dumps(schema)

@@ -33,10 +33,15 @@ def travel(lane, clock, n, every_s=0.010):
     for i in range(n):
         lane.put(i)
         for _ in range(10):
-            arrived += [(batch, round(clock() - 1.0 - batch * every_s, 6)) for batch in lane.take()]
+            arrived += [
+                (batch, round(clock() - 1.0 - batch * every_s, 6))
+                for batch in lane.take()
+            ]
             clock.pass_s(every_s / 10)
     for _ in range(1000):
-        arrived += [(batch, round(clock() - 1.0 - batch * every_s, 6)) for batch in lane.take()]
+        arrived += [
+            (batch, round(clock() - 1.0 - batch * every_s, 6)) for batch in lane.take()
+        ]
         clock.pass_s(0.001)
     return arrived
 
@@ -54,7 +59,9 @@ def test_delay_is_the_same_for_all():
 
 
 def test_jitter_keeps_the_order():
-    _, lane, clock = lane_with({"fault": "jitter", "delay_s": 0.020, "jitter_s": 0.060, "seed": 4})
+    _, lane, clock = lane_with(
+        {"fault": "jitter", "delay_s": 0.020, "jitter_s": 0.060, "seed": 4}
+    )
     found = travel(lane, clock, 50)
     assert [batch for batch, _ in found] == list(range(50))
     assert len({late for _, late in found}) > 10
@@ -80,8 +87,13 @@ def test_drop_loses_its_share_and_counts():
 def test_a_direction_and_a_time_limit_it():
     _, lane, clock = lane_with({"fault": "drop", "probability": 1, "direction": "out"})
     assert len(travel(lane, clock, 5)) == 5
-    line, lane, clock = lane_with({"fault": "drop", "probability": 1, "from_s": 0.1, "for_s": 0.1})
-    assert [batch for batch, _ in travel(lane, clock, 30)] == [*range(10), *range(20, 30)]
+    line, lane, clock = lane_with(
+        {"fault": "drop", "probability": 1, "from_s": 0.1, "for_s": 0.1}
+    )
+    assert [batch for batch, _ in travel(lane, clock, 30)] == [
+        *range(10),
+        *range(20, 30),
+    ]
     assert line.active() == []
 
 
@@ -100,19 +112,26 @@ async def test_a_real_link_is_cut_comes_back_and_is_late():
     await harness.link.start()
     try:
         await peer.cycle(rpm_set_FL=1.0)
-        await wait_until(lambda: harness.gate.latest.get("wheel.fl.setpoint_rpm") == 1.0)
+        await wait_until(
+            lambda: harness.gate.latest.get("wheel.fl.setpoint_rpm") == 1.0
+        )
         line.inject(parse_fault({"fault": "disconnect", "peer": "iot2050"}))
         await wait_until(lambda: not harness.status.connected)
         assert harness.status.last_error == "an injected fault cut the link"
         failed = harness.status.failed_attempts
         await wait_until(lambda: harness.stale != [])
-        assert (harness.status.connected, harness.status.failed_attempts) == (False, failed)
+        assert (harness.status.connected, harness.status.failed_attempts) == (
+            False,
+            failed,
+        )
         line.clear()
         await wait_until(lambda: harness.status.connected)
         line.inject(parse_fault({"fault": "delay", "peer": "iot2050", "delay_s": 0.4}))
         sent_s = time.monotonic()
         await peer.cycle(rpm_set_FL=2.0)
-        await wait_until(lambda: harness.gate.latest.get("wheel.fl.setpoint_rpm") == 2.0)
+        await wait_until(
+            lambda: harness.gate.latest.get("wheel.fl.setpoint_rpm") == 2.0
+        )
         assert time.monotonic() - sent_s >= 0.4
     finally:
         await harness.link.stop()

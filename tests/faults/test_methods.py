@@ -8,7 +8,10 @@ from hilserver.status import GOOD_LOCAL_OVERRIDE
 from hilserver.testing.opening import open_hil
 from tests.io.opcua_server.rig import RobotClient
 
-OPCUA = {"opcua": {"endpoint": "opc.tcp://127.0.0.1:0/hilserver"}, "metrics": {"port": 0}}
+OPCUA = {
+    "opcua": {"endpoint": "opc.tcp://127.0.0.1:0/hilserver"},
+    "metrics": {"port": 0},
+}
 
 
 def text(value):

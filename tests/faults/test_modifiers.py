@@ -50,7 +50,13 @@ async def test_delay_shows_the_sample_of_so_many_ticks_ago():
 
 async def test_jitter_keeps_the_order_and_its_limits():
     true, seen = await run(
-        {"fault": "jitter", "signal": INPUT, "delay_s": 0.002, "jitter_s": 0.005, "seed": 3}
+        {
+            "fault": "jitter",
+            "signal": INPUT,
+            "delay_s": 0.002,
+            "jitter_s": 0.005,
+            "seed": 3,
+        }
     )
     late = np.rint((true - seen) / 0.1).astype(int)
     assert np.all(np.diff(seen) >= 0)
@@ -59,7 +65,9 @@ async def test_jitter_keeps_the_order_and_its_limits():
 
 
 async def test_drop_shows_the_last_sample_that_came():
-    true, seen = await run({"fault": "drop", "signal": INPUT, "probability": 0.5, "seed": 1})
+    true, seen = await run(
+        {"fault": "drop", "signal": INPUT, "probability": 0.5, "seed": 1}
+    )
     fresh = seen == true
     assert 15 < fresh.sum() < 45
     assert all(seen[i] == seen[i - 1] for i in range(1, N) if not fresh[i])
@@ -74,7 +82,13 @@ async def test_dropping_everything_and_nothing():
 
 async def test_reorder_brings_old_samples_after_newer_ones():
     true, seen = await run(
-        {"fault": "reorder", "signal": INPUT, "probability": 0.3, "delay_s": 0.004, "seed": 2}
+        {
+            "fault": "reorder",
+            "signal": INPUT,
+            "probability": 0.3,
+            "delay_s": 0.004,
+            "seed": 2,
+        }
     )
     late = np.rint((true - seen)[5:] / 0.1).astype(int)
     assert set(late) == {0, 4}
@@ -104,14 +118,18 @@ async def test_noise_has_the_deviation_and_follows_its_seed():
 
 async def test_noise_with_a_sample_time_stays_for_it():
     _, seen = await run(
-        {"fault": "noise", "signal": INPUT, "sd": 1.0, "every_s": 0.010}, n=100, ramp=False
+        {"fault": "noise", "signal": INPUT, "sd": 1.0, "every_s": 0.010},
+        n=100,
+        ramp=False,
     )
     assert 10 <= len(set(seen)) <= 11
 
 
 async def test_spike_adds_its_size_now_and_then():
     true, seen = await run(
-        {"fault": "spike", "signal": INPUT, "size": 9.0, "probability": 0.2}, n=400, ramp=False
+        {"fault": "spike", "signal": INPUT, "size": 9.0, "probability": 0.2},
+        n=400,
+        ramp=False,
     )
     assert set(seen - true) == {-9.0, 0.0, 9.0}
     assert 40 < np.count_nonzero(seen != true) < 130
@@ -119,7 +137,13 @@ async def test_spike_adds_its_size_now_and_then():
 
 async def test_a_fault_ends_and_the_true_value_is_back():
     true, seen = await run(
-        {"fault": "bias", "signal": INPUT, "offset": 1.0, "from_s": 0.010, "until_s": 0.020}
+        {
+            "fault": "bias",
+            "signal": INPUT,
+            "offset": 1.0,
+            "from_s": 0.010,
+            "until_s": 0.020,
+        }
     )
     wrong = np.zeros(N)
     wrong[10:20] = 1.0
@@ -146,7 +170,9 @@ async def test_force_overrides_faults_sources_and_plant_and_shows_it():
     async with Rig() as rig:
         rig.faults.force("wheel.fl.setpoint_rpm", 30.0)
         rig.faults.force("pose.x_m", 42.0)
-        rig.faults.inject({"fault": "bias", "signal": "wheel.fl.setpoint_rpm", "offset": 5.0})
+        rig.faults.inject(
+            {"fault": "bias", "signal": "wheel.fl.setpoint_rpm", "offset": 5.0}
+        )
         for _ in range(300):
             rig.write(wheel__fl__setpoint_rpm=-60.0)
             await rig.advance(1)
@@ -172,7 +198,9 @@ async def test_a_fault_on_an_output_leaves_plant_and_sensors_alone():
             return rig.series("pose.yaw_rad"), rig.series("imu.gyro_z_rad_s")
 
     yaw, gyro = await pose()
-    wrong_yaw, same_gyro = await pose({"fault": "bias", "signal": "pose.yaw_rad", "offset": 1.0})
+    wrong_yaw, same_gyro = await pose(
+        {"fault": "bias", "signal": "pose.yaw_rad", "offset": 1.0}
+    )
     assert np.array_equal(wrong_yaw, yaw + 1.0)
     assert np.array_equal(same_gyro, gyro)
 
@@ -193,7 +221,9 @@ async def test_whole_numbers_stay_whole_and_in_range():
 
 async def test_an_array_is_faulted_in_all_its_scalars():
     async with Rig() as rig:
-        rig.faults.inject({"fault": "stuck", "signal": "wheels.speeds_rpm", "value": 12.0})
+        rig.faults.inject(
+            {"fault": "stuck", "signal": "wheels.speeds_rpm", "value": 12.0}
+        )
         await rig.advance(2)
         assert [rig.series(f"wheel.{w}.speed_rpm")[-1] for w in WHEELS] == [12] * 4
 

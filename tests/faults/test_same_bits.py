@@ -12,12 +12,42 @@ from hilserver.image import Row
 from tests.faults.rig import Rig
 
 FAULTS = (
-    {"fault": "noise", "signal": "imu.gyro_z_rad_s", "sd": 0.1, "seed": 1, "from_s": 0.1},
+    {
+        "fault": "noise",
+        "signal": "imu.gyro_z_rad_s",
+        "sd": 0.1,
+        "seed": 1,
+        "from_s": 0.1,
+    },
     {"fault": "jitter", "signal": "wheel.fl.setpoint_rpm", "jitter_s": 0.2, "seed": 2},
-    {"fault": "drop", "signal": "pose.x_m", "probability": 0.4, "seed": 3, "every_s": 0.02},
-    {"fault": "reorder", "signal": "tof.fl_m", "probability": 0.2, "delay_s": 0.1, "seed": 4},
-    {"fault": "force", "signal": "wheel.rr.setpoint_rpm", "value": -20, "from_s": 1, "for_s": 0.5},
-    {"fault": "spike", "signal": "battery.voltage_v", "size": 3, "probability": 0.01, "seed": 5},
+    {
+        "fault": "drop",
+        "signal": "pose.x_m",
+        "probability": 0.4,
+        "seed": 3,
+        "every_s": 0.02,
+    },
+    {
+        "fault": "reorder",
+        "signal": "tof.fl_m",
+        "probability": 0.2,
+        "delay_s": 0.1,
+        "seed": 4,
+    },
+    {
+        "fault": "force",
+        "signal": "wheel.rr.setpoint_rpm",
+        "value": -20,
+        "from_s": 1,
+        "for_s": 0.5,
+    },
+    {
+        "fault": "spike",
+        "signal": "battery.voltage_v",
+        "size": 3,
+        "probability": 0.01,
+        "seed": 5,
+    },
     {"fault": "hold", "signal": "wheels.speeds_rpm", "every_s": 0.05, "until_s": 2.5},
 )
 N = 3000

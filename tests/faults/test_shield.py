@@ -22,7 +22,9 @@ async def drive(*faults, ticks=1500, silence_ticks=0, **values):
 
 async def test_1_yaw_rate_without_60_2pi_turns_9_5_times_too_slow():
     healthy = await drive(twist__angular_rad_s=1.0, **MODE)
-    broken = await drive("shield.yaw_rate_without_60_2pi", twist__angular_rad_s=1.0, **MODE)
+    broken = await drive(
+        "shield.yaw_rate_without_60_2pi", twist__angular_rad_s=1.0, **MODE
+    )
     ratio = healthy["velocity.angular_rad_s"][-1] / broken["velocity.angular_rad_s"][-1]
     assert ratio == pytest.approx(60 / (2 * math.pi), rel=0.02)
 
@@ -70,7 +72,9 @@ async def test_3_last_wheel_scaling_bends_the_path():
     assert curvature(broken) != pytest.approx(curvature(healthy), rel=0.02)
     slow = {"twist__linear_m_s": 0.2, "twist__angular_rad_s": 0.2}
     same = await drive(LAST_WHEEL, **slow, **MODE)
-    assert curvature(same) == pytest.approx(curvature(await drive(**slow, **MODE)), rel=1e-6)
+    assert curvature(same) == pytest.approx(
+        curvature(await drive(**slow, **MODE)), rel=1e-6
+    )
 
 
 async def test_4_front_wheels_change_places():
@@ -91,5 +95,9 @@ async def test_5_imu_in_g_and_degrees():
     values = {"twist__angular_rad_s": 1.0, "twist__linear_m_s": 0.3}
     healthy = await drive(**values, **MODE)
     broken = await drive("shield.imu_raw_units", **values, **MODE)
-    assert np.allclose(broken["imu.gyro_z_rad_s"], np.degrees(healthy["imu.gyro_z_rad_s"]))
-    assert np.allclose(broken["imu.accel_y_m_s2"] * 9.80665, healthy["imu.accel_y_m_s2"])
+    assert np.allclose(
+        broken["imu.gyro_z_rad_s"], np.degrees(healthy["imu.gyro_z_rad_s"])
+    )
+    assert np.allclose(
+        broken["imu.accel_y_m_s2"] * 9.80665, healthy["imu.accel_y_m_s2"]
+    )

@@ -40,7 +40,9 @@ class Robot:
         """The newest value, or the newest `n`, of an output of the FMU."""
         slot = self.table.slot(f"motor.{name}")
         head = self.image.head
-        values = np.array([self.image.frame(i).values[slot] for i in range(head - (n or 1), head)])
+        values = np.array(
+            [self.image.frame(i).values[slot] for i in range(head - (n or 1), head)]
+        )
         return values if n else values[0]
 
     def status(self, name):

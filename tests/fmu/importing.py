@@ -23,7 +23,9 @@ def compiled(folder, compiler="gcc"):
 def unpacked(folder, fmu, platform="x86_64-linux"):
     """Unpack the shared library for a platform into a folder."""
     with zipfile.ZipFile(fmu) as packed:
-        (name,) = (n for n in packed.namelist() if n.startswith(f"binaries/{platform}/robot."))
+        (name,) = (
+            n for n in packed.namelist() if n.startswith(f"binaries/{platform}/robot.")
+        )
         library = folder / Path(name).name
         library.write_bytes(packed.read(name))
     return library
@@ -41,6 +43,8 @@ def run(program, library, fmu, rows, n, before=()):
 
 def linked_to(file):
     """The libraries that the loader takes for a program or library, without their versions."""
-    said = subprocess.run(["ldd", file], capture_output=True, text=True, check=True).stdout
+    said = subprocess.run(
+        ["ldd", file], capture_output=True, text=True, check=True
+    ).stdout
     print(said)
     return set(re.findall(r"^\s*(lib\w+)\.so", said, re.MULTILINE))

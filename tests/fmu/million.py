@@ -22,7 +22,10 @@ def main(path, rows, n, outputs):
 
     def begun():
         fmu = FMU3Slave(
-            guid=said.guid, unzipDirectory=folder, modelIdentifier="robot", instanceName="r"
+            guid=said.guid,
+            unzipDirectory=folder,
+            modelIdentifier="robot",
+            instanceName="r",
         )
         fmu.instantiate()
         fmu.enterInitializationMode()
@@ -37,12 +40,18 @@ def main(path, rows, n, outputs):
     assert set(others) == {first}
     took_s = time.perf_counter() - start
     more = resident_kb() - used
-    print(f"{INSTANCES} robots, {STEPS} steps each: {took_s:.1f} s, {more / INSTANCES:.0f} kB each")
+    print(
+        f"{INSTANCES} robots, {STEPS} steps each: {took_s:.1f} s, {more / INSTANCES:.0f} kB each"
+    )
 
 
 def resident_kb():
     """Memory of this process that is in use."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() // 1024
+    return (
+        int(Path("/proc/self/statm").read_text().split()[1])
+        * resource.getpagesize()
+        // 1024
+    )
 
 
 def driven(fmu, rows, shown, n):

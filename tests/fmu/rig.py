@@ -39,7 +39,8 @@ def description(version, *, state=True, variables="", interface="CoSimulation"):
     kind = f'<{interface} modelIdentifier="model" {can}/>{unit}'
     if version == 3:
         rows = "".join(
-            f'<{t} name="{n}" valueReference="{r}" {c} {more}/>' for t, n, r, c, more in VARIABLES
+            f'<{t} name="{n}" valueReference="{r}" {c} {more}/>'
+            for t, n, r, c, more in VARIABLES
         )
         return (
             '<fmiModelDescription fmiVersion="3.0" modelName="lag" instantiationToken="{lag}">'
@@ -66,7 +67,9 @@ def make(path, version=3, *flags, text=None, folder=None, state=True):
     command = ["gcc", "-shared", "-fPIC", "-O1", f"-DFMI={version}", *flags, "-w"]
     subprocess.run([*command, "-o", library, SOURCE], check=True)
     with zipfile.ZipFile(path, "w") as packed:
-        packed.writestr("modelDescription.xml", text or description(version, state=state))
+        packed.writestr(
+            "modelDescription.xml", text or description(version, state=state)
+        )
         packed.write(library, f"binaries/{folder or FOLDER[version]}/model.so")
     return path
 

@@ -143,7 +143,11 @@ async def test_arrays_and_small_numbers(robot):
 
 
 async def test_arrays_and_numbers_of_one_type_go_through_one_call(robot):
-    inputs = {"u": "wheel.fl.setpoint_rpm", "v[1]": "sim.tick", "v[2]": "wheel.fl.setpoint_rpm"}
+    inputs = {
+        "u": "wheel.fl.setpoint_rpm",
+        "v[1]": "sim.tick",
+        "v[2]": "wheel.fl.setpoint_rpm",
+    }
     async with robot("lag3", inputs=inputs) as r:
         await r.run(5, fl=7.0)
         assert r.output("sum") == 3.0 + 10.0 * 7.0
@@ -177,7 +181,10 @@ class Silent:
         self.s, self.x = np.zeros(at.N_SHARED + 1, dtype=np.int64), np.zeros(at.X_STATE)
         self.a, self.y = np.zeros(at.ROWS, dtype=np.int64), np.zeros(1)
         self.s[at.S_ASKED] = 1  # and not done
-        self.a[at.A_SHARED], self.a[at.A_SHARED_LENGTH] = self.s.ctypes.data, self.s.size
+        self.a[at.A_SHARED], self.a[at.A_SHARED_LENGTH] = (
+            self.s.ctypes.data,
+            self.s.size,
+        )
         self.dt_s, self.a[at.A_LIMIT] = dt_s, round(10e9 * dt_s)
 
     def run(self, tick, ago_s):

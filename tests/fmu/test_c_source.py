@@ -71,11 +71,21 @@ double run(double a, double b, long n, long m) {
     words = ["gcc", "-O2", "-w", "-shared", "-fPIC", "mixed.c", "-o", "mixed.so", "-lm"]
     subprocess.run(words, cwd=tmp_path, check=True)
     run = ctypes.CDLL(str(tmp_path / "mixed.so")).run
-    run.restype, run.argtypes = ctypes.c_double, [ctypes.c_double] * 2 + [ctypes.c_long] * 2
+    run.restype, run.argtypes = (
+        ctypes.c_double,
+        [ctypes.c_double] * 2 + [ctypes.c_long] * 2,
+    )
     rng = random.Random(3)
     special = [0.0, -0.0, math.inf, -math.inf, math.nan, 5e-324, 1e308, 4.0, -3.0]
     numbers = [*special, *(rng.gauss(0.0, 10.0) for _ in range(40))]
-    wholes = [0, 1, -1, 2**62, -(2**62), *(rng.randrange(-(2**40), 2**40) for _ in range(20))]
+    wholes = [
+        0,
+        1,
+        -1,
+        2**62,
+        -(2**62),
+        *(rng.randrange(-(2**40), 2**40) for _ in range(20)),
+    ]
     for a in numbers:
         for b in numbers:
             n, m = rng.choice(wholes), rng.choice(wholes)

@@ -20,7 +20,9 @@ SLEEPS, DIVIDES, CRASHES, LOOPS, FAILS, EXITS = range(1, 7)
 
 def daemon_with(fmu, realtime=LIGHT, **more):
     block, scheduler = BLOCK | {"fmu": str(fmu)} | more, {"realtime": realtime}
-    return Daemon(assemble_config(configuration(blocks=[block], scheduler=scheduler, **QUIET)))
+    return Daemon(
+        assemble_config(configuration(blocks=[block], scheduler=scheduler, **QUIET))
+    )
 
 
 @pytest.fixture
@@ -38,7 +40,9 @@ def patient(monkeypatch):
         (EXITS, "ended with exit code 7"),
     ],
 )
-async def test_beside_the_daemon_nothing_that_it_does_stops_the_plant(fmus, mischief, words):
+async def test_beside_the_daemon_nothing_that_it_does_stops_the_plant(
+    fmus, mischief, words
+):
     start = {"mischief": mischief, "atStep": 300}
     async with daemon_with(fmus / "lag3.fmu", process=True, start=start) as daemon:
         await wait_until(lambda: daemon.control.state is State.SAFE)
@@ -61,7 +65,9 @@ async def test_beside_the_plant_it_comes_right_behind_the_plants_thread(fmus):
         (thread,) = [g for g in daemon.scheduler.grants if g.name == "thread_priority"]
         ((model, _),) = daemon.supervision._models.values()
         child = model._child._process.pid
-        await wait_until(lambda: (os.sched_getscheduler(child) != os.SCHED_OTHER) == thread.ok)
+        await wait_until(
+            lambda: (os.sched_getscheduler(child) != os.SCHED_OTHER) == thread.ok
+        )
         if thread.ok:
             assert os.sched_getparam(child).sched_priority == 19
 
@@ -69,7 +75,9 @@ async def test_beside_the_plant_it_comes_right_behind_the_plants_thread(fmus):
 @pytest.mark.parametrize("priority", [0, 20])
 async def test_one_that_loops_for_ever_is_ended_whatever_its_priority(fmus, priority):
     start, realtime = {"mischief": LOOPS, "atStep": 300}, LIGHT | {"priority": priority}
-    async with daemon_with(fmus / "lag3.fmu", realtime, process=True, start=start) as daemon:
+    async with daemon_with(
+        fmus / "lag3.fmu", realtime, process=True, start=start
+    ) as daemon:
         await wait_until(lambda: daemon.control.state is State.SAFE)
         assert "no longer answers and was ended" in daemon.control.reason
 
@@ -94,7 +102,10 @@ async def test_a_slow_one_is_named_as_the_cause_of_the_overrun(fmus):
             return [e.message for e in found if "long_run" in e.message]
 
         await wait_until(lambda: len(overruns()) > 3)
-        assert all("slice, " in text and "ms of it in FMU 'motor'" in text for text in overruns())
+        assert all(
+            "slice, " in text and "ms of it in FMU 'motor'" in text
+            for text in overruns()
+        )
 
 
 async def test_an_error_here_leads_to_the_safe_state_in_its_words(fmus):
@@ -130,10 +141,15 @@ def test_a_recording_comes_again_to_the_bit(fmus, tmp_path, capsys, version, pro
     assert read_log(again).columns["motor.y"][-1] > 0.1
 
 
-def test_a_recording_of_one_that_cannot_store_its_state_is_not_replayed(fmus, tmp_path, capsys):
+def test_a_recording_of_one_that_cannot_store_its_state_is_not_replayed(
+    fmus, tmp_path, capsys
+):
     config, log = run_and_record(tmp_path, fmus / "stateless3.fmu", "false", "0.1")
     assert "not replayable" in capsys.readouterr().err
     assert main(["check", "-c", config]) == 0
-    assert "warning: FMU 'stateless3.fmu' cannot store its state" in capsys.readouterr().out
+    assert (
+        "warning: FMU 'stateless3.fmu' cannot store its state"
+        in capsys.readouterr().out
+    )
     assert main(["replay", log, "-o", str(tmp_path / "b.mcap")]) == 2
     assert "is not replayable: FMU 'stateless3.fmu' cannot" in capsys.readouterr().err

@@ -40,7 +40,15 @@ N = 4000
 def exported(folder, version=3, *words):
     configured(folder, **ROBOT)
     path = folder / f"robot{version}.fmu"
-    command = ["fmu", "-c", str(folder / "config.yaml"), "-o", str(path), "--fmi", str(version)]
+    command = [
+        "fmu",
+        "-c",
+        str(folder / "config.yaml"),
+        "-o",
+        str(path),
+        "--fmi",
+        str(version),
+    ]
     assert main([*command, *words]) == 0
     return path
 
@@ -55,7 +63,11 @@ def drives():
     """Set-points, a twist, the safe ramp, another pose, duties."""
     rng = random.Random(4)
     rows = [
-        (tick, f"wheel.{rng.choice(('fl', 'rl', 'fr', 'rr'))}.setpoint_rpm", rng.uniform(-90, 90))
+        (
+            tick,
+            f"wheel.{rng.choice(('fl', 'rl', 'fr', 'rr'))}.setpoint_rpm",
+            rng.uniform(-90, 90),
+        )
         for tick in sorted(rng.choices(range(N), k=200))
     ]
     rows += [(1000, "control.mode", 1.0), (1000, "twist.angular_rad_s", 0.4)]
@@ -68,14 +80,21 @@ def drives():
 async def both(folder, fmu, writes, start=(), tuned=()):
     """Outputs of the daemon's robot and of the FMU beside it, shape (N, N_Y) each."""
     names = [s.name for s in configured(folder).table.scalars if s.slots[0] < N_U]
-    block = {"name": "copy", "fmu": str(fmu), "inputs": {n: n for n in names}, "start": dict(start)}
+    block = {
+        "name": "copy",
+        "fmu": str(fmu),
+        "inputs": {n: n for n in names},
+        "start": dict(start),
+    }
     async with build(configured(folder, block, **ROBOT)) as core:
         core.image.control.state = -1  # the commands come in rows
         table = core.table
         rows = [Row(table.slot(name), value, tick=tick) for tick, name, value in writes]
         assert core.image.push_timed(rows)
         for due, values in tuned:  # of the robot and of the FMU in one tick
-            copied = {f"blocks.copy.{name}": value or 0.0 for name, value in values.items()}
+            copied = {
+                f"blocks.copy.{name}": value or 0.0 for name, value in values.items()
+            }
             core.parameters.apply(core.parameters.checked(values | copied), due=due)
         await core.scheduler.advance(N)
         frames = np.array([core.image.frame(i).values for i in range(N)])
@@ -98,7 +117,9 @@ async def test_another_seed_gives_other_noise_alone(fmu, tmp_path):
 
 
 @pytest.mark.parametrize("version", [2, 3])
-async def test_what_is_tuned_while_it_drives_gives_the_bits_of_the_daemon(fmu, tmp_path, version):
+async def test_what_is_tuned_while_it_drives_gives_the_bits_of_the_daemon(
+    fmu, tmp_path, version
+):
     tuned = [
         (700, {"terms.dead_zone": 8.0, "terms.gyro_bias": -0.1}),
         (800, {"terms.body_lag": 0.0, "terms.floor_slope.x": 0.2}),
@@ -111,9 +132,20 @@ async def test_what_is_tuned_while_it_drives_gives_the_bits_of_the_daemon(fmu, t
         (1900, {"plant.controller.k_d": 0.02, "terms.controller_gains.p": 0.3}),
         (
             2000,
-            {"plant.process.t1_s": 0.09, "terms.time_constant": 0.1, "terms.encoder_filter": 0.01},
+            {
+                "plant.process.t1_s": 0.09,
+                "terms.time_constant": 0.1,
+                "terms.encoder_filter": 0.01,
+            },
         ),
-        (2300, {"plant.wheel_radius_m": 0.07, "plant.track_m": 0.4, "plant.icr_offset_m": -0.05}),
+        (
+            2300,
+            {
+                "plant.wheel_radius_m": 0.07,
+                "plant.track_m": 0.4,
+                "plant.icr_offset_m": -0.05,
+            },
+        ),
         (2500, {"terms.actuation_delay": 0.03, "terms.imu_latency": 0.005}),
         (2700, {"sensors.nav.rate_hz": 50.0, "sensors.nav.latency_s": 0.04}),
         (2900, {"kinematics.yaw_sign": 1.0, "sensors.battery.capacity_ah": 1.0}),
@@ -126,15 +158,22 @@ async def test_what_is_tuned_while_it_drives_gives_the_bits_of_the_daemon(fmu, t
 
 
 @pytest.mark.parametrize("version", [2, 3])
-def test_the_checker_has_no_complaint_and_it_needs_libm_and_libc_alone(fmu, tmp_path, version):
+def test_the_checker_has_no_complaint_and_it_needs_libm_and_libc_alone(
+    fmu, tmp_path, version
+):
     assert validate_fmu(str(fmu[version])) == []
     with zipfile.ZipFile(fmu[version]) as packed:
         (library,) = (n for n in packed.namelist() if n.endswith(".so"))
         packed.extract(library, tmp_path)
     needed = subprocess.run(
-        ["readelf", "-d", tmp_path / library], capture_output=True, text=True, check=True
+        ["readelf", "-d", tmp_path / library],
+        capture_output=True,
+        text=True,
+        check=True,
     ).stdout
-    names = {line.split("[")[1][:-1] for line in needed.splitlines() if "NEEDED" in line}
+    names = {
+        line.split("[")[1][:-1] for line in needed.splitlines() if "NEEDED" in line
+    }
     assert names == {"libm.so.6", "libc.so.6"}
 
 
@@ -146,10 +185,16 @@ def test_signals_and_parameters_have_their_names_units_and_ranges(fmu):
     assert said["seed"].variability == "tunable"
     assert said["terms.dead_zone"].start == "3"
     gain = said["plant.controller.k_p"]
-    assert (gain.causality, gain.variability, gain.unit) == ("parameter", "tunable", "%/rpm")
+    assert (gain.causality, gain.variability, gain.unit) == (
+        "parameter",
+        "tunable",
+        "%/rpm",
+    )
     at_a_tick = {name for name, about in PLANT.items() if about.when == "tick"}
     left_out = {
-        name for name in at_a_tick - said.keys() if not name.startswith("terms.friction_anisotropy")
+        name
+        for name in at_a_tick - said.keys()
+        if not name.startswith("terms.friction_anisotropy")
     }
     assert left_out == {"terms.roller_slip", "sensors.battery.initial_charge"}
     by_name = said["kinematics.rotation_gain"]
@@ -160,14 +205,19 @@ def test_signals_and_parameters_have_their_names_units_and_ranges(fmu):
 
 def rows_of(fmu):
     """The drive as the importer takes it: step, value reference, value."""
-    reference = {v.name: v.valueReference for v in read_model_description(str(fmu)).modelVariables}
+    reference = {
+        v.name: v.valueReference
+        for v in read_model_description(str(fmu)).modelVariables
+    }
     return [(tick, reference[name], value) for tick, name, value in drives()]
 
 
 async def test_an_importer_in_c_gets_the_bits_too(fmu, tmp_path):
     ours, _ = await both(tmp_path, fmu[3], drives())
     library = importing.unpacked(tmp_path, fmu[3])
-    copy = importing.run(importing.compiled(tmp_path), library, fmu[3], rows_of(fmu[3]), N)
+    copy = importing.run(
+        importing.compiled(tmp_path), library, fmu[3], rows_of(fmu[3]), N
+    )
     assert np.array_equal(ours, copy, equal_nan=True)
 
 
@@ -183,9 +233,13 @@ def test_any_compiler_makes_the_same_of_its_sources(fmu, tmp_path, version):
     words = ["cc", "-w", "-shared", "-fPIC", "-o", library, "robot_fmu.c", "-lm"]
     subprocess.run(words, cwd=tmp_path / "sources", check=True)
     if version == 3:
-        built = importing.run(importing.compiled(tmp_path), library, alone, rows_of(alone), N)
+        built = importing.run(
+            importing.compiled(tmp_path), library, alone, rows_of(alone), N
+        )
         packed = importing.unpacked(tmp_path, fmu[3])
-        ours = importing.run(importing.compiled(tmp_path), packed, fmu[3], rows_of(fmu[3]), N)
+        ours = importing.run(
+            importing.compiled(tmp_path), packed, fmu[3], rows_of(fmu[3]), N
+        )
         assert np.array_equal(built, ours, equal_nan=True)
 
 
@@ -229,7 +283,12 @@ async def test_on_windows_it_computes_the_same(tmp_path, fmu):
     ours, _ = await both(tmp_path, fmu[3], drives())
     program = importing.compiled(tmp_path, "x86_64-w64-mingw32-gcc")
     library = importing.unpacked(tmp_path, other, "x86_64-windows")
-    before = ("env", "WINEDEBUG=-all", f"WINEPREFIX={tmp_path / 'wine'}", "/usr/lib/wine/wine64")
+    before = (
+        "env",
+        "WINEDEBUG=-all",
+        f"WINEPREFIX={tmp_path / 'wine'}",
+        "/usr/lib/wine/wine64",
+    )
     copy = importing.run(program, library, other, rows_of(other), N, before)
     difference = np.abs(ours - copy).max()
     print(f"largest difference {difference:.3g}")
@@ -310,7 +369,10 @@ print("done")
 
 def test_states_instances_reset_and_refusals_in_a_foreign_importer(fmu):
     done = subprocess.run(
-        [sys.executable, "-c", DRIVE, fmu[3]], capture_output=True, text=True, check=False
+        [sys.executable, "-c", DRIVE, fmu[3]],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.stdout.endswith("done\n"), done.stdout + done.stderr
     for sentence in (
@@ -328,7 +390,10 @@ def test_states_instances_reset_and_refusals_in_a_foreign_importer(fmu):
 def test_what_is_no_part_of_it_is_refused(fmu, tmp_path, capsys):
     for sections, words in (
         ({"mechatronic": {"enabled": True}}, "runs in MuJoCo, which is not part"),
-        ({"blocks": [{"name": "copy", "fmu": str(fmu[3])}]}, "own block 'copy' cannot be part of"),
+        (
+            {"blocks": [{"name": "copy", "fmu": str(fmu[3])}]},
+            "own block 'copy' cannot be part of",
+        ),
     ):
         configured(tmp_path, *sections.get("blocks", ()), **sections)
         out = tmp_path / "r.fmu"
@@ -341,4 +406,7 @@ def test_another_platform_is_named(tmp_path, capsys):
     words = ["fmu", "-o", str(tmp_path / "r.fmu"), "--platforms", "riscv-linux"]
     configured(tmp_path)
     assert main([*words, "-c", str(tmp_path / "config.yaml")]) == 1
-    assert "platforms are x86_64-linux, aarch64-linux, x86_64-windows" in capsys.readouterr().err
+    assert (
+        "platforms are x86_64-linux, aarch64-linux, x86_64-windows"
+        in capsys.readouterr().err
+    )

@@ -26,7 +26,10 @@ CONFIG = {
         "imu": {"gyro_noise_rad_s": 0.002, "accel_noise_m_s2": 0.01},
     },
 }
-ALL = {name: {"value": v, "unit": TERMS[name].unit} for name, v in cases()["everything"].items()}
+ALL = {
+    name: {"value": v, "unit": TERMS[name].unit}
+    for name, v in cases()["everything"].items()
+}
 PATCH = {
     "schema": "hilserver.model_patch/1",
     "made_from": {"findings_sha256": "", "config_sha256": "", "version": "1"},
@@ -94,7 +97,10 @@ def test_fmpy_with_a_state_restored_half_way_and_a_thousand_robots(folder, recor
     program = Path(__file__).with_name("million.py")
     words = [folder / "robot.fmu", folder / "rows", N, folder / "outputs"]
     done = subprocess.run(
-        [sys.executable, program, *map(str, words)], capture_output=True, text=True, check=False
+        [sys.executable, program, *map(str, words)],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     print(done.stdout)

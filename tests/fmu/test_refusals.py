@@ -45,11 +45,15 @@ def test_what_is_no_fmu(tmp_path):
         (description(3, variables=CLOCK), "has clocks, which need event mode"),
         (description(3, interface=EXCHANGE), "offers no co-simulation"),
         (
-            description(3).replace('modelIdentifier="model"', 'modelIdentifier="../libm"'),
+            description(3).replace(
+                'modelIdentifier="model"', 'modelIdentifier="../libm"'
+            ),
             f"has no binaries/{PLATFORM}/../libm.so, which its description names",
         ),
         (
-            description(3).replace("<CoSimulation ", '<CoSimulation needsExecutionTool="true" '),
+            description(3).replace(
+                "<CoSimulation ", '<CoSimulation needsExecutionTool="true" '
+            ),
             "runs only with the tool that made it",
         ),
     ],
@@ -62,10 +66,18 @@ def test_what_it_says_of_itself_does_not_fit(tmp_path, text, words):
 @pytest.mark.parametrize(
     ("name", "size", "words"),
     [
-        ("../../etc/passwd", 1, "has a path that leaves the archive, '../../etc/passwd'"),
+        (
+            "../../etc/passwd",
+            1,
+            "has a path that leaves the archive, '../../etc/passwd'",
+        ),
         ("/etc/passwd", 1, "cannot be unpacked: Illegal path /etc/passwd"),
         ("resources/zeros", 1 << 30, "unpacks to more than 1 GB"),
-        ("modelDescription.xml", (1 << 26) + 1, "has a modelDescription.xml of more than 64 MB"),
+        (
+            "modelDescription.xml",
+            (1 << 26) + 1,
+            "has a modelDescription.xml of more than 64 MB",
+        ),
     ],
 )
 def test_what_it_packs_is_looked_at_before_anything_is_unpacked(
@@ -107,7 +119,9 @@ def test_a_thousand_tunable_parameters_are_said_to_be_too_many(tmp_path, capsys)
 
 
 def test_an_array_of_a_billion_is_too_long_before_anybody_counts_it(tmp_path):
-    text = description(3).replace('<Dimension start="2"/>', '<Dimension start="1000000000"/>')
+    text = description(3).replace(
+        '<Dimension start="2"/>', '<Dimension start="1000000000"/>'
+    )
     make(tmp_path / "lag.fmu", 3, text=text)
     words = refused(tmp_path, "lag.fmu", inputs={"v[1]": "sim.tick"})
     assert "'v' of lag.fmu has 1000000000 values; at most 256 are possible" in words
@@ -123,7 +137,9 @@ def test_another_platform_is_named(tmp_path):
 @pytest.mark.parametrize("process", [False, True], ids=["here", "beside"])
 def test_a_missing_function_is_named(tmp_path, version, process):
     make(tmp_path / "lag.fmu", version, "-DLACKS_STEP")
-    assert f"lacks the function fmi{version}DoStep" in refused(tmp_path, "lag.fmu", process=process)
+    assert f"lacks the function fmi{version}DoStep" in refused(
+        tmp_path, "lag.fmu", process=process
+    )
     make(tmp_path / "lag.fmu", version, "-DSTATELESS")
     text = refused(tmp_path, "lag.fmu", process=process)
     assert "lacks the function" in text
@@ -147,7 +163,10 @@ def test_what_it_says_when_it_does_not_start(fmus, tmp_path, process):
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        ({"inputs": {"uu": "sim.tick"}}, "has no variable 'uu'; known are u, y, Gain, lag"),
+        (
+            {"inputs": {"uu": "sim.tick"}},
+            "has no variable 'uu'; known are u, y, Gain, lag",
+        ),
         ({"outputs": {"gain": "k"}}, "did you mean 'Gain'?"),
         ({"inputs": {"y": "sim.tick"}}, "'y' of lag3.fmu is output, not input"),
         ({"inputs": {"v[1]": "sim.tick"}}, "input 'v[2]' of lag3.fmu is not wired"),

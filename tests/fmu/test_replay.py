@@ -23,12 +23,17 @@ async def test_slices_that_were_late_are_late_again(fmus, tmp_path, given_up):
     assembly = configured(tmp_path, block, scheduler={"backend": "virtual"})
     async with build(assembly) as core:
         recorder = Recorder(core.image.name, Settings(path, waits=True))
-        a, setpoint = core.image.region("motor.a")[1], core.table.slot("wheel.fl.setpoint_rpm")
+        a, setpoint = (
+            core.image.region("motor.a")[1],
+            core.table.slot("wheel.fl.setpoint_rpm"),
+        )
         for turn in range(TURNS):
             core.image.push([Row(setpoint, 2.0 * turn)])
             if given_up and turn > TURNS // 2:
                 a[at.A_LIMIT] = 2
-            a[at.A_WAITS] = 0  # these slices are over in a moment, and it sleeps for 5 ms in each
+            a[at.A_WAITS] = (
+                0  # these slices are over in a moment, and it sleeps for 5 ms in each
+            )
             await core.scheduler.advance(3)
             a[at.A_WAITS] = 1
             await core.scheduler.advance(4)

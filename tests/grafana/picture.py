@@ -21,7 +21,9 @@ from matplotlib.colors import PowerNorm
 from tests.helpers.daemons import NO_LIMITS, running_daemon
 from tests.prometheus.server import running_prometheus
 
-DASHBOARD = Path(__file__).parents[2] / "deploy" / "grafana" / "dashboards" / "hilserver.json"
+DASHBOARD = (
+    Path(__file__).parents[2] / "deploy" / "grafana" / "dashboards" / "hilserver.json"
+)
 WINDOW_S, STEP_S, RATE = 80, 1, "4s"
 COLUMNS, CELL_INCH = 24, 0.34
 PAPER, PANEL, INK = "#111217", "#181b1f", "#ccccdc"
@@ -76,8 +78,12 @@ def draw_stat(axes, panel, series):
     defaults = panel["fieldConfig"]["defaults"]
     text = name if is_name else shown(values[-1], defaults["unit"])
     steps = defaults["thresholds"]["steps"]
-    reached = [s["color"] for s in steps if s["value"] is None or values[-1] >= s["value"]]
-    axes.text(0.5, 0.45, text, color=COLOURS[reached[-1]], size=17, ha="center", va="center")
+    reached = [
+        s["color"] for s in steps if s["value"] is None or values[-1] >= s["value"]
+    ]
+    axes.text(
+        0.5, 0.45, text, color=COLOURS[reached[-1]], size=17, ha="center", va="center"
+    )
     axes.set_axis_off()
 
 
@@ -96,14 +102,20 @@ def draw_heatmap(axes, panel, series):
     """Draw counts per bucket and time; the buckets are cumulative."""
     rows = sorted(series, key=lambda row: float(row[0]))
     times = sorted({t for _, ts, _ in rows for t in ts})
-    counts = [[dict(zip(ts, vs, strict=True)).get(t, 0.0) for t in times] for _, ts, vs in rows]
+    counts = [
+        [dict(zip(ts, vs, strict=True)).get(t, 0.0) for t in times]
+        for _, ts, vs in rows
+    ]
     per_bucket = [
         [max(0.0, high - low) for high, low in zip(row, below, strict=True)]
         for row, below in zip(counts, [[0.0] * len(times), *counts], strict=False)
     ]
-    axes.pcolormesh(times, range(len(rows)), per_bucket, cmap="turbo", norm=PowerNorm(0.4))
+    axes.pcolormesh(
+        times, range(len(rows)), per_bucket, cmap="turbo", norm=PowerNorm(0.4)
+    )
     axes.set_yticks(
-        range(0, len(rows), 3), [shown(float(rows[i][0]), "s") for i in range(0, len(rows), 3)]
+        range(0, len(rows), 3),
+        [shown(float(rows[i][0]), "s") for i in range(0, len(rows), 3)],
     )
 
 
@@ -129,17 +141,28 @@ DRAW = {
 def draw(dashboard, answer):
     """Return the figure; `answer` gives the series of a panel."""
     height = max(p["gridPos"]["y"] + p["gridPos"]["h"] for p in dashboard["panels"])
-    figure = plt.figure(figsize=(COLUMNS * CELL_INCH * 1.6, height * CELL_INCH), facecolor=PAPER)
+    figure = plt.figure(
+        figsize=(COLUMNS * CELL_INCH * 1.6, height * CELL_INCH), facecolor=PAPER
+    )
     for panel in dashboard["panels"]:
         x, y, w, h = (panel["gridPos"][key] for key in "xywh")
         left, top = x / COLUMNS, 1 - y / height
         if panel["type"] == "row":
-            figure.text(left + 0.005, top - 0.6 / height, panel["title"], color=INK, size=10)
+            figure.text(
+                left + 0.005, top - 0.6 / height, panel["title"], color=INK, size=10
+            )
             continue
-        box = (left + 0.002, top - (h - 0.15) / height, w / COLUMNS - 0.004, (h - 0.3) / height)
+        box = (
+            left + 0.002,
+            top - (h - 0.15) / height,
+            w / COLUMNS - 0.004,
+            (h - 0.3) / height,
+        )
         frame = figure.add_axes(box, facecolor=PANEL)
         frame.set(xticks=[], yticks=[])
-        frame.set_title(panel["title"], color=INK, size=7, loc="left", x=0.01, y=1.0, pad=-9)
+        frame.set_title(
+            panel["title"], color=INK, size=7, loc="left", x=0.01, y=1.0, pad=-9
+        )
         x0, y0, wide, high = box
         room = min(0.08 if panel["type"] == "state-timeline" else 0.05, wide / 4)
         inner = (x0 + room, y0 + 0.7 / height, wide - room - 0.01, high - 2.0 / height)
@@ -175,8 +198,12 @@ def main(out):
             with running_prometheus(folder, target) as prometheus:
                 time.sleep(WINDOW_S + 10)
                 end_s = time.time()
-                refuse_starved(prometheus.get("query", query=MISSED, time=end_s)["result"])
-                figure = draw(dashboard, lambda panel: series_of(panel, prometheus, end_s))
+                refuse_starved(
+                    prometheus.get("query", query=MISSED, time=end_s)["result"]
+                )
+                figure = draw(
+                    dashboard, lambda panel: series_of(panel, prometheus, end_s)
+                )
     figure.savefig(out, dpi=90)
 
 

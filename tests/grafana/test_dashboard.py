@@ -17,7 +17,9 @@ from tests.grafana.picture import draw, refuse_starved
 
 HERE = Path(__file__).parent
 GRAFANA = HERE.parents[1] / "deploy" / "grafana"
-DASHBOARD = json.loads((GRAFANA / "dashboards" / "hilserver.json").read_text(encoding="utf-8"))
+DASHBOARD = json.loads(
+    (GRAFANA / "dashboards" / "hilserver.json").read_text(encoding="utf-8")
+)
 PANELS = [panel for panel in DASHBOARD["panels"] if panel["type"] != "row"]
 INSTALL = "npm install --no-audit --no-fund --prefix tests/grafana"
 
@@ -26,7 +28,9 @@ def complaints(dashboard: dict, folder: Path) -> str:
     """Return what the TypeScript compiler says of the dashboard; empty: it fits."""
     modules = HERE / "node_modules"
     if not (modules / "@grafana" / "schema").is_dir() or not shutil.which("node"):
-        pytest.fail(f"Grafana's schema is not installed: run '{INSTALL}'", pytrace=False)
+        pytest.fail(
+            f"Grafana's schema is not installed: run '{INSTALL}'", pytrace=False
+        )
     (folder / "node_modules").symlink_to(modules)
     panels = [panel for panel in dashboard["panels"] if panel["type"] != "row"]
 
@@ -36,10 +40,14 @@ def complaints(dashboard: dict, folder: Path) -> str:
         if what == "DASHBOARD":
             return json.dumps(dashboard)
         if what == "TARGETS":
-            return json.dumps([target for panel in panels for target in panel["targets"]])
+            return json.dumps(
+                [target for panel in panels for target in panel["targets"]]
+            )
         if what == "OPTIONS":
             return json.dumps([panel["options"] for panel in of_kind])
-        return json.dumps([panel["fieldConfig"]["defaults"]["custom"] for panel in of_kind])
+        return json.dumps(
+            [panel["fieldConfig"]["defaults"]["custom"] for panel in of_kind]
+        )
 
     template = (HERE / "schema.ts.in").read_text(encoding="utf-8")
     source = folder / "dashboard.ts"
@@ -47,7 +55,8 @@ def complaints(dashboard: dict, folder: Path) -> str:
         re.sub(r"@(DASHBOARD|TARGETS|OPTIONS:[a-z-]+|CUSTOM:[a-z-]+)@", fill, template)
     )
     options = (
-        "--noEmit --strict --skipLibCheck --target es2022 --module esnext --moduleResolution node"
+        "--noEmit --strict --skipLibCheck --target es2022 "
+        "--module esnext --moduleResolution node"
     )
     done = subprocess.run(
         ["node", str(modules / "typescript/bin/tsc"), *options.split(), str(source)],
@@ -85,8 +94,12 @@ def test_panels_have_their_own_place_and_number() -> None:
     ids = [panel["id"] for panel in DASHBOARD["panels"]]
     assert len(set(ids)) == len(ids)
     for one, other in combinations((p["gridPos"] for p in DASHBOARD["panels"]), 2):
-        apart_x = one["x"] + one["w"] <= other["x"] or other["x"] + other["w"] <= one["x"]
-        apart_y = one["y"] + one["h"] <= other["y"] or other["y"] + other["h"] <= one["y"]
+        apart_x = (
+            one["x"] + one["w"] <= other["x"] or other["x"] + other["w"] <= one["x"]
+        )
+        apart_y = (
+            one["y"] + one["h"] <= other["y"] or other["y"] + other["h"] <= one["y"]
+        )
         assert apart_x or apart_y, (one, other)
     assert all(p["gridPos"]["x"] + p["gridPos"]["w"] <= 24 for p in DASHBOARD["panels"])
 
@@ -94,9 +107,13 @@ def test_panels_have_their_own_place_and_number() -> None:
 def test_every_metric_is_on_the_dashboard() -> None:
     queries = " ".join(t["expr"] for panel in PANELS for t in panel["targets"])
     variables = " ".join(str(v["query"]) for v in DASHBOARD["templating"]["list"])
-    for_the_soak = {"hil_asyncio_tasks"}  # flat for months: an alert would say it, no picture
+    for_the_soak = {
+        "hil_asyncio_tasks"
+    }  # flat for months: an alert would say it, no picture
     shown = queries + variables
-    missing = [m.name for m in METRICS if m.name not in shown and m.name not in for_the_soak]
+    missing = [
+        m.name for m in METRICS if m.name not in shown and m.name not in for_the_soak
+    ]
     assert not missing
 
 
@@ -126,7 +143,10 @@ def test_every_panel_can_be_drawn() -> None:
     def answer(panel: dict) -> list:
         if panel["title"] == "Model gap":  # nobody measures
             return []
-        return [("0.001", (-2.0, -1.0), (0.0, 1.0)), ("0.002", (-2.0, -1.0), (0.0, 3.0))]
+        return [
+            ("0.001", (-2.0, -1.0), (0.0, 1.0)),
+            ("0.002", (-2.0, -1.0), (0.0, 3.0)),
+        ]
 
     figure = draw(DASHBOARD, answer)
     titles = [axes.get_title(loc="left") for axes in figure.axes]
@@ -139,5 +159,7 @@ def test_every_panel_can_be_drawn() -> None:
 def test_a_picture_with_missed_ticks_is_not_saved() -> None:
     refuse_starved([])
     refuse_starved([{"value": [0.0, "0"]}])
-    with pytest.raises(SystemExit, match="no picture is saved, 12 ticks were missed in 80 s"):
+    with pytest.raises(
+        SystemExit, match="no picture is saved, 12 ticks were missed in 80 s"
+    ):
         refuse_starved([{"value": [0.0, "12.2"]}])

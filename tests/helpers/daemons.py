@@ -77,17 +77,25 @@ def running_daemon(
         prepare(folder)
     errors = (folder / "daemon.log").open("w+", encoding="utf-8")
     command = [sys.executable, "-m", program, "run", "-c", "config.yaml", *options]
-    env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}  # for programs of the tests
+    env = os.environ | {
+        "PYTHONPATH": str(Path(__file__).parents[2])
+    }  # for programs of the tests
     with (
         errors,
-        subprocess.Popen(command, stderr=errors, cwd=folder, stdin=stdin, env=env) as process,
+        subprocess.Popen(
+            command, stderr=errors, cwd=folder, stdin=stdin, env=env
+        ) as process,
     ):
         try:
-            yield RunningDaemon(process, image, *_addresses(process, folder / "daemon.log"), folder)
+            yield RunningDaemon(
+                process, image, *_addresses(process, folder / "daemon.log"), folder
+            )
         finally:
             process.kill()
             process.wait(600)
-            path_of(image).unlink(missing_ok=True)  # what a killed daemon leaves in /dev/shm
+            path_of(image).unlink(
+                missing_ok=True
+            )  # what a killed daemon leaves in /dev/shm
 
 
 def _addresses(process, log):
@@ -105,7 +113,9 @@ def _addresses(process, log):
 def announced(lines):
     """Return the line in which a daemon says where it is reached; None while it has not."""
     found = (
-        line for line in lines if '"hilserver is running"' in line and line.rstrip().endswith("}")
+        line
+        for line in lines
+        if '"hilserver is running"' in line and line.rstrip().endswith("}")
     )
     return next((json.loads(line) for line in found), None)
 

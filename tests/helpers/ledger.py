@@ -26,7 +26,9 @@ def room_of(nodeid: str) -> str:
 
 
 def _cpu_s() -> float:
-    own, children = map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    own, children = map(
+        resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    )
     return own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime
 
 
@@ -46,7 +48,12 @@ def pytest_configure():
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item):
-    cpu_s, wall_s, steps, started = _cpu_s(), time.monotonic(), _steps(), _started["processes"]
+    cpu_s, wall_s, steps, started = (
+        _cpu_s(),
+        time.monotonic(),
+        _steps(),
+        _started["processes"],
+    )
     try:
         return (yield)
     finally:

@@ -65,7 +65,9 @@ class PromDiff:
         series = (name, frozenset(labels.items()))
         if series not in self.after:
             known = sorted(str(dict(s[1])) for s in self.after if s[0] == name)
-            raise KeyError(f"no series {name}{dict(labels)}; of this name there are {known}")
+            raise KeyError(
+                f"no series {name}{dict(labels)}; of this name there are {known}"
+            )
         return self.after[series] - self.before.get(series, 0.0)
 
     def moved(self) -> set[str]:

@@ -21,7 +21,9 @@ _EMPTY_WITHIN_S = 30.0
 def control_group(share: float) -> Iterator[Path]:
     """Make a group with so much of one core, until all of its processes have ended."""
     if os.geteuid() != 0:
-        raise PermissionError("a quota of a core needs root, who may make control groups")
+        raise PermissionError(
+            "a quota of a core needs root, who may make control groups"
+        )
     is_old = (_V1 / "cpu.cfs_quota_us").exists() or (_V1 / "cgroup.procs").exists()
     group = (_V1 if is_old else _V2) / f"hilserver-test-{os.getpid()}"
     group.mkdir()

@@ -22,12 +22,22 @@ def main() -> int:
     """Live the seeds asked for; return 1 if the judges found something."""
     parser = argparse.ArgumentParser(prog="python -m tests.hours")
     parser.add_argument("seeds", help="one number, or first:end")
-    parser.add_argument("--seconds", type=float, default=20.0, help="simulated, for each seed")
+    parser.add_argument(
+        "--seconds", type=float, default=20.0, help="simulated, for each seed"
+    )
     parser.add_argument("--mode", default="poll", help="how the controller is read")
-    parser.add_argument("--mutant", help="plant a fault of the product first; all: one by one")
-    parser.add_argument("--journal", type=Path, help="keep results here; what is there is done")
-    parser.add_argument("--until-found", action="store_true", help="end with the first breach")
-    parser.add_argument("--story", action="store_true", help="print what the daemon said")
+    parser.add_argument(
+        "--mutant", help="plant a fault of the product first; all: one by one"
+    )
+    parser.add_argument(
+        "--journal", type=Path, help="keep results here; what is there is done"
+    )
+    parser.add_argument(
+        "--until-found", action="store_true", help="end with the first breach"
+    )
+    parser.add_argument(
+        "--story", action="store_true", help="print what the daemon said"
+    )
     options = parser.parse_args()
     if os.environ.get("PYTHONHASHSEED") != "0":  # sets of names have an order then
         os.execve(
@@ -65,7 +75,9 @@ def main() -> int:
 class _Lives:
     """Lives seeds, each in a fork of this process."""
 
-    def __init__(self, begin: Callable[[int], Any], options: argparse.Namespace) -> None:
+    def __init__(
+        self, begin: Callable[[int], Any], options: argparse.Namespace
+    ) -> None:
         self._begin, self._options = begin, options
 
     def live(self, seeds: range, plant: Callable[[Any], None] | None) -> int:
@@ -82,7 +94,10 @@ class _Lives:
             if journal is not None and seed not in done:
                 with journal.open("a", encoding="utf-8") as file:
                     print(json.dumps(result), file=file)
-            simulated_s, cpu_s = simulated_s + result["simulated_s"], cpu_s + result["cpu_s"]
+            simulated_s, cpu_s = (
+                simulated_s + result["simulated_s"],
+                cpu_s + result["cpu_s"],
+            )
             n_seeds, bad = n_seeds + 1, bad + bool(result["found"])
             print(f"seed {seed} {result.get('digest', '')}", flush=True)
             if result["found"] or len(seeds) == 1:

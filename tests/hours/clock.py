@@ -18,7 +18,9 @@ START_NS = 1_000_000_000_000  # a computer that has run for a while
 UTC_AT_START_NS = 1_790_000_000_000_000_000 - START_NS
 READ_NS = 1000  # what a look at the clock takes: whoever waits by looking gets on
 
-_real = {name: getattr(time, name) for name in ("monotonic_ns", "time_ns", "perf_counter_ns")}
+_real = {
+    name: getattr(time, name) for name in ("monotonic_ns", "time_ns", "perf_counter_ns")
+}
 _real_urandom = os.urandom
 
 
@@ -70,8 +72,14 @@ def _urandom(size: int) -> bytes:
 
 def install() -> None:
     """Replace the clocks and the randomness of this process."""
-    assert "hilserver.core.inputs" not in sys.modules, "the product already has the real clock"
-    time.monotonic_ns, time.perf_counter_ns, time.time_ns = _monotonic_ns, _monotonic_ns, _utc_ns
+    assert "hilserver.core.inputs" not in sys.modules, (
+        "the product already has the real clock"
+    )
+    time.monotonic_ns, time.perf_counter_ns, time.time_ns = (
+        _monotonic_ns,
+        _monotonic_ns,
+        _utc_ns,
+    )
     time.monotonic = time.perf_counter = lambda: _monotonic_ns() * 1e-9
     time.time = lambda: _utc_ns() * 1e-9
     os.urandom = random._urandom = _urandom
@@ -100,7 +108,9 @@ class Dates(metaclass=_TypeOfDates):
         return datetime.datetime.fromtimestamp(_utc_ns() / 1e9, zone)
 
 
-def install_dates(packages: tuple[str, ...] = ("hilserver", "asyncua", "tests")) -> None:
+def install_dates(
+    packages: tuple[str, ...] = ("hilserver", "asyncua", "tests"),
+) -> None:
     """Let the modules of these packages that are loaded by now read the virtual time of day."""
     for name, module in tuple(sys.modules.items()):
         is_ours = name.partition(".")[0] in packages and isinstance(module, ModuleType)

@@ -22,7 +22,9 @@ STOP_MS = 50  # Stop acts within so long of being read by the daemon
 LEASE_SLACK_MS = 80
 RAMP_TICKS = round(SAFE_RAMP_S * 1000)
 STEADY_TICKS = 5  # a ramp does not stay at a speed for so long
-CONTROLLER_LAG_MS = 300  # from what a controller offers to what we read: a poll and the network
+CONTROLLER_LAG_MS = (
+    300  # from what a controller offers to what we read: a poll and the network
+)
 POLL_NS = 60 * MS  # a controller is read that often
 DONE_NS = 20 * MS
 JUMPING = {"Reset", "LoadSnapshot"}  # the plant, to another state
@@ -42,7 +44,9 @@ class Judges:
         self._rest: tuple[NDArray[np.int64], ...] | None = None
         # when the daemon heard of whom; filled by the life of the town
         self.heard_ns: dict[str, list[int]] = {}
-        self.owners: list[tuple[int, str, str]] = []  # when control passed, from whom, to whom
+        self.owners: list[
+            tuple[int, str, str]
+        ] = []  # when control passed, from whom, to whom
         self._judged: set[int] = set()
 
     def look(self) -> None:
@@ -53,7 +57,8 @@ class Judges:
         if head <= self._next:
             return
         seen = History(
-            read_frames(self._town.reader, self._next, head - self._next), self._town.slots
+            read_frames(self._town.reader, self._next, head - self._next),
+            self._town.slots,
         )
         self._next = head
         if not len(seen):
@@ -65,7 +70,9 @@ class Judges:
 
     # --- never motion without a live lease --------------------------------------------------------
 
-    def _judge_motion(self, times_ns: NDArray[np.int64], rpm: NDArray[np.float64]) -> None:
+    def _judge_motion(
+        self, times_ns: NDArray[np.int64], rpm: NDArray[np.float64]
+    ) -> None:
         moves = np.abs(np.nan_to_num(rpm)) > STANDING_RPM
         self.moving += int(moves.sum())
         steps = np.flatnonzero(np.diff(rpm, prepend=np.nan) != 0.0)
@@ -78,7 +85,9 @@ class Judges:
             if speed is None:
                 unknown_ticks += last - first
                 if last - first > STEADY_TICKS or unknown_ticks > 10 * RAMP_TICKS:
-                    self.breach(times_ns[first], f"{rpm[first]:.3f} rpm, which nobody asks for")
+                    self.breach(
+                        times_ns[first], f"{rpm[first]:.3f} rpm, which nobody asks for"
+                    )
                     unknown_ticks = 0
             elif last - first >= STEADY_TICKS:
                 unknown_ticks = 0
@@ -90,7 +99,9 @@ class Judges:
         said = self._said_ns(speed)
         at = bisect_right(said, first_ns + MS)
         if not at:
-            self.breach(first_ns, f"{speed.user} drives at {speed.rpm:.2f} before it was said")
+            self.breach(
+                first_ns, f"{speed.user} drives at {speed.rpm:.2f} before it was said"
+            )
             return
         limit_ns = round((speed.lease_ms + LEASE_SLACK_MS) * MS)
         newest_ns = said[at - 1]
@@ -115,14 +126,18 @@ class Judges:
     def _said_ns(self, speed: Speed) -> list[int]:
         """Return when the daemon's computer had been told this speed, in order."""
         if speed.kind != "peer":
-            return sorted(mark.came_ns for mark in speed.said if mark.came_ns is not None)
+            return sorted(
+                mark.came_ns for mark in speed.said if mark.came_ns is not None
+            )
         if not speed.said_ns:
             return []
         held_ns = max((b - a for a, b in self._town.holds), default=0)
         lag_ns = CONTROLLER_LAG_MS * MS + held_ns
         first_ns, last_ns = speed.said_ns[0], speed.said_ns[-1]
         heard = self.heard_ns.get("peer", [])
-        found = heard[bisect_left(heard, first_ns) : bisect_right(heard, last_ns + lag_ns)]
+        found = heard[
+            bisect_left(heard, first_ns) : bisect_right(heard, last_ns + lag_ns)
+        ]
         if not found or found[-1] < last_ns + POLL_NS:
             # Nobody could read it while the link was broken: it is news to whoever comes back.
             back = bisect_right(heard, last_ns + lag_ns)
@@ -140,10 +155,14 @@ class Judges:
         if not ended:
             return
         reset_ns = max(act.sent_ns for act in ended)
-        rests = [mark.came_ns for mark in self._ledger.neutral[speed.user] if mark.came_ns]
+        rests = [
+            mark.came_ns for mark in self._ledger.neutral[speed.user] if mark.came_ns
+        ]
         if not any(reset_ns <= rest_ns <= newest_ns for rest_ns in rests):
             name = max(ended, key=lambda act: act.sent_ns).name
-            self.breach(first_ns, f"{speed.user} drives after {name} without having let go")
+            self.breach(
+                first_ns, f"{speed.user} drives after {name} without having let go"
+            )
 
     def _judge_automatic(self, speed: Speed, last_ns: int) -> None:
         """After Stop and Reset, what is no hand drives only once somebody has asked for Start."""
@@ -151,7 +170,9 @@ class Judges:
             return
         acts = self._ledger.acts
         for reset in acts:
-            if not (reset.name == "Reset" and reset.is_accepted and reset.done_ns < last_ns):
+            if not (
+                reset.name == "Reset" and reset.is_accepted and reset.done_ns < last_ns
+            ):
                 continue
             # Where another act came between, the Reset may have acknowledged nothing.
             before = [act for act in acts if act.sent_ns < reset.sent_ns]
@@ -162,27 +183,43 @@ class Judges:
                 for act in acts
                 if reset.sent_ns <= act.sent_ns <= last_ns
             ):
-                self.breach(last_ns, f"{speed.user} drives after {reset.user}'s Reset, not started")
+                self.breach(
+                    last_ns,
+                    f"{speed.user} drives after {reset.user}'s Reset, not started",
+                )
 
     def _judge_outdated(self, speed: Speed, last_ns: int, said: list[int]) -> None:
         """What somebody said before a Reset or LoadSnapshot must not act when that is done."""
         if speed.kind == "peer":
             return
         for act in self._ledger.acts:
-            is_done = act.name in JUMPING and act.is_accepted and act.done_ns < last_ns - DONE_NS
+            is_done = (
+                act.name in JUMPING
+                and act.is_accepted
+                and act.done_ns < last_ns - DONE_NS
+            )
             if is_done and not any(act.sent_ns <= t <= last_ns for t in said):
-                self.breach(last_ns, f"{speed.user} drives on by what it said before {act.name}")
+                self.breach(
+                    last_ns, f"{speed.user} drives on by what it said before {act.name}"
+                )
 
-    def _judge_return(self, speed: Speed, first_ns: int, last_ns: int, said: list[int]) -> None:
+    def _judge_return(
+        self, speed: Speed, first_ns: int, last_ns: int, said: list[int]
+    ) -> None:
         """What somebody said before another took control must not act when control returns."""
         if speed.kind == "peer":
             return
         back = [
-            t for t, _, to in self.owners if to == speed.kind and t <= last_ns - RAMP_TICKS * MS
+            t
+            for t, _, to in self.owners
+            if to == speed.kind and t <= last_ns - RAMP_TICKS * MS
         ]
-        if back and not any(t >= back[-1] - LEASE_SLACK_MS * MS for t in said if t <= last_ns):
+        if back and not any(
+            t >= back[-1] - LEASE_SLACK_MS * MS for t in said if t <= last_ns
+        ):
             self.breach(
-                last_ns, f"{speed.user} drives again by what it said before it lost control"
+                last_ns,
+                f"{speed.user} drives again by what it said before it lost control",
             )
 
     # --- Stop within its promise ------------------------------------------------------------------
@@ -200,7 +237,9 @@ class Judges:
             if after.any() and not stands[after].all():
                 at = times_ns[after][np.argmin(stands[after])]
                 late_ms = (at - act.mark.read_ns) / MS
-                self.breach(at, f"it moves {late_ms:.0f} ms after {act.user}'s Stop was read")
+                self.breach(
+                    at, f"it moves {late_ms:.0f} ms after {act.user}'s Stop was read"
+                )
             ramped = after & (times_ns >= begins_ns + round(SAFE_RAMP_S * NS))
             if ramped.any() and not is_disabled[ramped].all():
                 at = times_ns[ramped][np.argmin(is_disabled[ramped])]
@@ -226,7 +265,9 @@ class Judges:
         """Compare every queue with its limit."""
         for name, (found, most) in self._town.limited().items():
             if found > most:
-                self.breach(self._town.loop.clock.now_ns, f"{name}: {found}, but at most {most}")
+                self.breach(
+                    self._town.loop.clock.now_ns, f"{name}: {found}, but at most {most}"
+                )
 
     def breach(self, at_ns: int, sentence: str) -> None:
         key = hash(sentence.partition(",")[0][:40])

@@ -109,7 +109,9 @@ class Life:
             said = f"{act.user}: {act.name} {act.is_accepted}"
             yield f"{at(act.sent_ns)} {said} {where} {at(act.done_ns)}"
         for speed in self.ledger.speeds.values():
-            said = [at(mark.came_ns) for mark in speed.said] or [at(t) for t in speed.said_ns[::9]]
+            said = [at(mark.came_ns) for mark in speed.said] or [
+                at(t) for t in speed.said_ns[::9]
+            ]
             yield f"{speed.user} {speed.rpm:.3f}: {' '.join(said)}"
         for user, marks in self.ledger.neutral.items():
             yield f"{user} 0: {' '.join(at(mark.came_ns) for mark in marks)}"
@@ -206,7 +208,9 @@ class Life:
         self.controller.is_silent = False
         begun_s = town.loop.time()
         self.controller.change()
-        user = Browser("the last", town, self.ledger)  # outranks all that may still be there
+        user = Browser(
+            "the last", town, self.ledger
+        )  # outranks all that may still be there
         speed = self.controller.speed
         while town.loop.time() < begun_s + PEACE_S:
             try:
@@ -227,12 +231,19 @@ class Life:
                 break
         else:
             if not user.came:
-                judges.found.append(f"{PEACE_S:g} s after the last fault nobody gets in")
+                judges.found.append(
+                    f"{PEACE_S:g} s after the last fault nobody gets in"
+                )
                 return
-            state = f"{town.daemon.gate.owner} has control, {town.daemon.control.reason}"
+            state = (
+                f"{town.daemon.gate.owner} has control, {town.daemon.control.reason}"
+            )
             judges.found += [
-                f"{PEACE_S:g} s after the last fault: {what}" for what in town.not_good()
-            ] or [f"{PEACE_S:g} s after the last fault the controller does not drive: {state}"]
+                f"{PEACE_S:g} s after the last fault: {what}"
+                for what in town.not_good()
+            ] or [
+                f"{PEACE_S:g} s after the last fault the controller does not drive: {state}"
+            ]
             return
         await user.act("Stop")
         await asyncio.sleep(0.4)

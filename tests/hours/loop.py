@@ -64,7 +64,9 @@ class VirtualLoop(asyncio.BaseEventLoop):
         self._clock_resolution = 1e-9
         self._arrivals: list[tuple[int, int, Callable[[], None]]] = []
         self._numbers = itertools.count()
-        self.set_task_factory(lambda loop, coro, **named: _Task(coro, loop=loop, **named))
+        self.set_task_factory(
+            lambda loop, coro, **named: _Task(coro, loop=loop, **named)
+        )
         self.set_exception_handler(lambda _loop, context: self.errors.append(context))
 
     def time(self) -> float:
@@ -130,10 +132,14 @@ class VirtualLoop(asyncio.BaseEventLoop):
 
     # --- what a computer would do -----------------------------------------------------------------
 
-    def call_soon_threadsafe(self, callback: Any, *args: Any, context: Any = None) -> Any:
+    def call_soon_threadsafe(
+        self, callback: Any, *args: Any, context: Any = None
+    ) -> Any:
         return self.call_soon(callback, *args, context=context)
 
-    def run_in_executor(self, _executor: Any, function: Any, *args: Any) -> asyncio.Future[Any]:
+    def run_in_executor(
+        self, _executor: Any, function: Any, *args: Any
+    ) -> asyncio.Future[Any]:
         """Do the work at once, but be ready with it later."""
         future = self.create_future()
 
@@ -150,10 +156,14 @@ class VirtualLoop(asyncio.BaseEventLoop):
         self.arrive(self.clock.now_ns + self.chance.randint(*EXECUTOR_NS), done)
         return future
 
-    async def create_connection(self, factory: Any, host: Any = None, port: Any = None, **_: Any):
+    async def create_connection(
+        self, factory: Any, host: Any = None, port: Any = None, **_: Any
+    ):
         return await self.network.connect(factory, host, port)
 
-    async def create_server(self, factory: Any, host: Any = None, port: Any = None, **_: Any):
+    async def create_server(
+        self, factory: Any, host: Any = None, port: Any = None, **_: Any
+    ):
         return self.network.listen(factory, host, port)
 
     def _process_events(self, _events: Any) -> None:

@@ -71,7 +71,9 @@ def _take_over_keeps_the_lease(_town: Any) -> None:
         kept = [
             Row(self.leases.place(before, slot), value)
             for slot, (source, value) in self._newest.items()
-            if slot < N_COMMANDS and kind_of(source) == before and before not in OFFERING
+            if slot < N_COMMANDS
+            and kind_of(source) == before
+            and before not in OFFERING
         ]
         take(self, kind, holder)
         if kept and self.owner != before:
@@ -96,7 +98,9 @@ def _filter_kills_the_loop(_town: Any) -> None:
 
     def fragile(self: Any) -> None:
         before, failed = rotation.log.warning, []
-        rotation.log = type("Log", (), {"warning": lambda *_, **said: failed.append(said)})
+        rotation.log = type(
+            "Log", (), {"warning": lambda *_, **said: failed.append(said)}
+        )
         run(self)
         rotation.log = type("Log", (), {"warning": before})
         if failed:
@@ -154,7 +158,9 @@ def _half_open_keep_their_places(_town: Any) -> None:
     from hilserver.opcua.transport import Connection, Listener
 
     Connection.check_deadlines = lambda *_: None
-    Listener.make_room = lambda self, _address: len(self.clients) < self.iserver.max_connections
+    Listener.make_room = lambda self, _address: (
+        len(self.clients) < self.iserver.max_connections
+    )
 
 
 def _dead_man_never_ends(town: Any) -> None:

@@ -15,7 +15,9 @@ from typing import Any
 
 from tests.hours.loop import NS, VirtualLoop
 
-KERNEL_BYTES = 32 * 1024  # both buffers of a direction, beyond which a writer is held up
+KERNEL_BYTES = (
+    32 * 1024
+)  # both buffers of a direction, beyond which a writer is held up
 DELAY_NS = (50_000, 3_000_000)
 CONNECT_NS = (100_000, 5_000_000)
 SYN_S = 120.0
@@ -64,7 +66,9 @@ class MemoryTransport(asyncio.Transport):
         self.is_vanished = False  # its computer is gone: nobody is told
         self.reads_slowly_ns = 0
         self._socket = _Socket(self)
-        self._unsent: deque[tuple[int, bytes, Mark | None]] = deque()  # from here to the other end
+        self._unsent: deque[tuple[int, bytes, Mark | None]] = (
+            deque()
+        )  # from here to the other end
         self._unsent_bytes = self._read_bytes = 0
         self._newest_ns = 0
         self._high = 64 * 1024
@@ -75,7 +79,9 @@ class MemoryTransport(asyncio.Transport):
 
     def get_extra_info(self, name: str, default: Any = None) -> Any:
         own, theirs = self.names
-        return {"socket": self._socket, "sockname": own, "peername": theirs}.get(name, default)
+        return {"socket": self._socket, "sockname": own, "peername": theirs}.get(
+            name, default
+        )
 
     def set_protocol(self, protocol: Any) -> None:
         self.protocol = protocol
@@ -86,7 +92,9 @@ class MemoryTransport(asyncio.Transport):
     def is_closing(self) -> bool:
         return self._is_closing
 
-    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
+    def set_write_buffer_limits(
+        self, high: int | None = None, low: int | None = None
+    ) -> None:
         self._high = 64 * 1024 if high is None else high
 
     def get_write_buffer_size(self) -> int:
@@ -120,7 +128,9 @@ class MemoryTransport(asyncio.Transport):
             self._is_closing = True
             self._put(b"", None)
             if not self.get_write_buffer_size():
-                self.loop.arrive(self.loop.clock.now_ns, self.end)  # the kernel sends the rest
+                self.loop.arrive(
+                    self.loop.clock.now_ns, self.end
+                )  # the kernel sends the rest
 
     def abort(self) -> None:
         self._is_closing = True
@@ -252,9 +262,13 @@ class Network:
         self.listening: dict[int, _Server] = {}
         self.open: dict[MemoryTransport, None] = {}
         self.held_until_ns = 0  # nothing arrives before, anywhere
-        self.lags_ns: dict[int, int] = {}  # how much later what a server at a port says arrives
+        self.lags_ns: dict[
+            int, int
+        ] = {}  # how much later what a server at a port says arrives
         self.swallows: set[int] = set()  # ports whose computer does not answer
-        self.most_unsent: dict[int, int] = {}  # bytes that a server kept for a client, by port
+        self.most_unsent: dict[
+            int, int
+        ] = {}  # bytes that a server kept for a client, by port
         self.heard: Callable[[MemoryTransport], None] = lambda _at: None
         self._ports = itertools.count(40_000)
         self._thawing: dict[MemoryTransport, list[Callable[[], None]]] = {}
@@ -276,7 +290,9 @@ class Network:
         port = port or next(self._ports)
         if port in self.listening:
             raise OSError(98, "Address already in use")
-        self.listening[port] = server = _Server(self, factory, host or "127.0.0.1", port)
+        self.listening[port] = server = _Server(
+            self, factory, host or "127.0.0.1", port
+        )
         return server
 
     async def connect(self, factory: Any, host: str, port: int) -> tuple[Any, Any]:
@@ -287,7 +303,10 @@ class Network:
         if server is None:
             raise ConnectionRefusedError(111, "Connection refused")
         own, theirs = ("127.0.0.1", next(self._ports)), (host, port)
-        here, there = MemoryTransport(self, (own, theirs)), MemoryTransport(self, (theirs, own))
+        here, there = (
+            MemoryTransport(self, (own, theirs)),
+            MemoryTransport(self, (theirs, own)),
+        )
         here.other, there.other = there, here
         for transport, make in ((here, factory), (there, server.factory)):
             transport.protocol = make()
@@ -306,7 +325,9 @@ class Network:
         """Break a connection; both ends are told, each at its own time."""
         transport.abort()
         error = ConnectionResetError(104, "Connection reset by peer")
-        self.loop.arrive(self.loop.clock.now_ns + self.delay_ns(), lambda: transport.end(error))
+        self.loop.arrive(
+            self.loop.clock.now_ns + self.delay_ns(), lambda: transport.end(error)
+        )
 
     def vanish(self, transport: MemoryTransport) -> None:
         """Let one end and its computer be gone: the other end is not told."""

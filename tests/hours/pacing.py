@@ -28,8 +28,14 @@ class ClockPacing:
         self._machine.prefault()
         # Otherwise the step's address is looked up anew in every batch.
         step, signature = self._machine.step, STEP_TYPE.signature
-        address, found = _get_wrapper_address(step, signature), step.get_compile_result(signature)
-        step.__wrapper_address__, step.get_compile_result = lambda: address, lambda _: found
+        address, found = (
+            _get_wrapper_address(step, signature),
+            step.get_compile_result(signature),
+        )
+        step.__wrapper_address__, step.get_compile_result = (
+            lambda: address,
+            lambda _: found,
+        )
         begin(self._machine.law, CLOCK.now_ns + self._machine.base_period_ns)
         CLOCK.on_advance = self._advance
         self._loop = CLOCK.loop

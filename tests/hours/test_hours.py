@@ -16,7 +16,15 @@ CAMPAIGN, PIECE = 10_000, 100
 
 def lives(seeds, *options, seconds=SECONDS):
     """Live seeds in a process of their own, which has no clock but ours; return what it says."""
-    command = [sys.executable, "-m", "tests.hours", seeds, "--seconds", str(seconds), *options]
+    command = [
+        sys.executable,
+        "-m",
+        "tests.hours",
+        seeds,
+        "--seconds",
+        str(seconds),
+        *options,
+    ]
     env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     run = subprocess.run(
         command, capture_output=True, text=True, timeout=LIMIT_S, env=env, check=False
@@ -52,5 +60,7 @@ def test_every_planted_fault_is_found(name):
 @pytest.mark.long
 @pytest.mark.parametrize("piece", range(0, CAMPAIGN, PIECE))
 def test_a_campaign(piece):
-    said = lives(f"{piece}:{piece + PIECE}", "--mode", ("poll", "subscribe")[piece // PIECE % 2])
+    said = lives(
+        f"{piece}:{piece + PIECE}", "--mode", ("poll", "subscribe")[piece // PIECE % 2]
+    )
     assert " 0 with a breach" in said, said

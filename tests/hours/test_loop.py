@@ -104,7 +104,10 @@ def test_a_reader_who_does_not_read_holds_up_its_writer():
             assert (here.protocol.paused, there.protocol.data) == (1, b"")
             there.resume_reading()
             await asyncio.sleep(1)
-            assert (here.protocol.paused, len(there.protocol.data)) == (0, KERNEL_BYTES + 100_000)
+            assert (here.protocol.paused, len(there.protocol.data)) == (
+                0,
+                KERNEL_BYTES + 100_000,
+            )
 
         loop.run_until_complete(talk())
 

@@ -41,7 +41,9 @@ MOST_UNSENT_BYTES = 2 * 256 * 1024
 
 def configuration(mode: str) -> dict[str, Any]:
     """Return a robot with a controller, for users of every kind."""
-    nodes = {f"rpm_set_{wheel.upper()}": f"wheel.{wheel}.setpoint_rpm" for wheel in WHEELS}
+    nodes = {
+        f"rpm_set_{wheel.upper()}": f"wheel.{wheel}.setpoint_rpm" for wheel in WHEELS
+    }
     nodes["enable"] = "drive.enable"
     return {
         "image": {"name": f"hours-{os.getpid()}", "ring_frames": RING_FRAMES},
@@ -70,7 +72,11 @@ def configuration(mode: str) -> dict[str, Any]:
             "slices": {"publish": PUBLISH_MS, "supervise": 100.0},
             "limits": {"single_overrun_ms": None, "consecutive_overruns": None},
             "communication_timeout_ms": STANDSTILL_MS,
-            "realtime": {"lock_memory": False, "priority": 0, "hold_latency_target": False},
+            "realtime": {
+                "lock_memory": False,
+                "priority": 0,
+                "hold_latency_target": False,
+            },
         },
     }
 
@@ -125,7 +131,9 @@ class Town:
         hilserver.scheduler.scheduler.ThreadPacing = ClockPacing
         hilserver.image.process_image.SharedFile = PrivateFile
         hilserver.image.reader.map_read_only = PrivateFile.made.__getitem__
-        structlog.configure(processors=[self._log], logger_factory=structlog.ReturnLoggerFactory())
+        structlog.configure(
+            processors=[self._log], logger_factory=structlog.ReturnLoggerFactory()
+        )
         install_dates()
 
     def _log(self, _logger: Any, level: str, entry: dict[str, Any]) -> str:
@@ -174,7 +182,10 @@ class Town:
             "connections": (len(listener.clients), settings.max_connections),
             "sessions": (len(server.sessions), settings.max_sessions),
             "subscriptions": (len(subscriptions), settings.max_subscriptions),
-            "unsent bytes": (self.network.most_unsent.get(OPCUA_PORT, 0), MOST_UNSENT_BYTES),
+            "unsent bytes": (
+                self.network.most_unsent.get(OPCUA_PORT, 0),
+                MOST_UNSENT_BYTES,
+            ),
             "refused values by name": (len(daemon.gate.rejected), MOST_NAMES),
             "errors of the loop": (len(self.loop.errors), 0),
         }
@@ -196,7 +207,9 @@ class Town:
 
     async def start(self) -> None:
         """Start the controller and the daemon."""
-        self.controller = ControllerServer(f"opc.tcp://127.0.0.1:{PEER_PORT}/UA/NodeRedAgv")
+        self.controller = ControllerServer(
+            f"opc.tcp://127.0.0.1:{PEER_PORT}/UA/NodeRedAgv"
+        )
         await self.controller.__aenter__()
         self.network.listening[PEER_PORT].label = "controller"
         self.daemon = Daemon(self.assembly)
@@ -204,7 +217,9 @@ class Town:
         install_dates()
         self.lasting = {job.name for job in self.daemon.core.tasks.jobs if job.lasting}
         self.reader = ImageReader.attach(self.image)
-        self.slots = {s["name"]: s["slots"][0] for s in self.reader.description["signals"]}
+        self.slots = {
+            s["name"]: s["slots"][0] for s in self.reader.description["signals"]
+        }
         self.types = {s["name"]: s["type"] for s in self.reader.description["signals"]}
 
     async def stop(self) -> None:
@@ -219,7 +234,9 @@ class Town:
         """Let the controller offer a speed."""
         signs = {"FL": 1, "RL": 1, "FR": -1, "RR": -1}
         speeds = {f"rpm_set_{wheel}": sign * rpm for wheel, sign in signs.items()}
-        await self.controller.offer(speeds | {"enable": True, "seq": sequence}, datetime.now(UTC))
+        await self.controller.offer(
+            speeds | {"enable": True, "seq": sequence}, datetime.now(UTC)
+        )
 
     @contextlib.contextmanager
     def peer_refuses(self) -> Iterator[None]:

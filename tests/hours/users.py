@@ -22,7 +22,11 @@ from tests.hours.town import HAND_LEASE_MS, OPCUA_LEASE_MS, OPCUA_PORT, PEER_POR
 
 URL = f"opc.tcp://127.0.0.1:{OPCUA_PORT}/h"
 ANSWER_S = 2.0
-TYPES = {bool: ua.VariantType.Boolean, int: ua.VariantType.Byte, float: ua.VariantType.Double}
+TYPES = {
+    bool: ua.VariantType.Boolean,
+    int: ua.VariantType.Byte,
+    float: ua.VariantType.Double,
+}
 TYPES[str] = ua.VariantType.String
 LOST = (OSError, TimeoutError, ua.UaError, RefusedError, asyncio.InvalidStateError)
 
@@ -95,7 +99,10 @@ class User:
 
     async def call(self, method: str, *arguments: Any) -> None:
         methods = self._client.get_node(ua.NodeId("methods", self.index))
-        given = [ua.Variant(a, ua.VariantType.UInt32) if type(a) is int else a for a in arguments]
+        given = [
+            ua.Variant(a, ua.VariantType.UInt32) if type(a) is int else a
+            for a in arguments
+        ]
         await methods.call_method(ua.NodeId(f"methods.{method}", self.index), *given)
 
     async def act(self, method: str, *arguments: Any) -> Act:
@@ -116,7 +123,9 @@ class User:
 
     async def command(self, rpm: float) -> Mark | None:
         values = {"drive.enable": True, "control.mode": 1, "twist.angular_rad_s": 0.0}
-        mark, task = await self.say(self.write({**values, "twist.linear_m_s": rpm * M_S_PER_RPM}))
+        mark, task = await self.say(
+            self.write({**values, "twist.linear_m_s": rpm * M_S_PER_RPM})
+        )
         if mark is not None:
             (self.speed.said if rpm else self.ledger.neutral[self.name]).append(mark)
         with contextlib.suppress(ua.UaStatusCodeError, RefusedError):

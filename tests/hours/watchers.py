@@ -49,7 +49,9 @@ class Watcher(User):
         seen = _Seen()
         subscription = await self._client.create_subscription(PUBLISHING_MS, seen)
         tick = self._client.get_node(ua.NodeId("sim.tick", self.index))
-        await subscription.subscribe_data_change(tick, queuesize=QUEUE, sampling_interval=0.0)
+        await subscription.subscribe_data_change(
+            tick, queuesize=QUEUE, sampling_interval=0.0
+        )
         if self.chance.random() < 0.5:
             await subscription.subscribe_events(evfilter=self._filter())
         begun_ns, transport = CLOCK.now_ns, self.transport
@@ -85,7 +87,9 @@ class Watcher(User):
         ticks = seen.ticks[-20:]
         steps = sorted(b - a for a, b in itertools.pairwise(ticks))
         if len(steps) >= ENOUGH and (usual := steps[len(steps) // 2]) > 2 * PUBLISH_MS:
-            self.found.append(f"{self.name} sees only every {usual} ms of a queue of {QUEUE}")
+            self.found.append(
+                f"{self.name} sees only every {usual} ms of a queue of {QUEUE}"
+            )
 
 
 class Engineer(User):
@@ -107,11 +111,17 @@ class Engineer(User):
     async def do_flood(self) -> None:
         """Ask many things at once."""
         session, asked = self._client.uaclient.session, self._much()
-        await asyncio.gather(*(session.read(asked) for _ in range(4)), return_exceptions=True)
+        await asyncio.gather(
+            *(session.read(asked) for _ in range(4)), return_exceptions=True
+        )
 
     async def do_deaf(self) -> None:
         """Ask for much and read nothing of it; some time later, or never, read on."""
-        session, asked, transport = self._client.uaclient.session, self._much(), self.transport
+        session, asked, transport = (
+            self._client.uaclient.session,
+            self._much(),
+            self.transport,
+        )
         transport.pause_reading()
         questions = [asyncio.ensure_future(session.read(asked)) for _ in range(20)]
         await asyncio.sleep(self.chance.choice([1.0, 3.0]))
@@ -133,7 +143,9 @@ class Engineer(User):
         result = await session.create_subscription(asked, lambda _answer: None)
         life_s = result.RevisedPublishingInterval * result.RevisedLifetimeCount / 1e3
         if life_s > LONGEST_LIFE_S:
-            self.found.append(f"{self.name} may leave a subscription behind for {life_s:.0f} s")
+            self.found.append(
+                f"{self.name} may leave a subscription behind for {life_s:.0f} s"
+            )
         with contextlib.suppress(*LOST):
             await session.close_session(False)
         raise ConnectionError("left")

@@ -44,7 +44,9 @@ def measured(t_s, values, has_stamps=True):
     )
 
 
-def spins(k_om, *, imu_late_s=0.0, reverse_s=2.0, duration_s=120.0, rng, rate_hz=50, **extra):
+def spins(
+    k_om, *, imu_late_s=0.0, reverse_s=2.0, duration_s=120.0, rng, rate_hz=50, **extra
+):
     """Spins to alternate sides; all wheels the same sign, so w_L + w_R = 2 w."""
     fine_s = np.arange(0.0, duration_s, STEP_S)
     aim = 60.0 * np.where((fine_s // reverse_s) % 2 == 0, 1.0, -1.0)

@@ -37,12 +37,19 @@ def incremental(period_ms, row_ms, seed=0):
 def test_update_period_is_found(period_ms):
     found = identify_update_rate(incremental(period_ms, row_ms=1))
     assert found.period_s.value == pytest.approx(period_ms * 1e-3, rel=0.1)
-    assert found.period_s.ci95[0] - 5e-4 <= period_ms * 1e-3 <= found.period_s.ci95[1] + 5e-4
+    assert (
+        found.period_s.ci95[0] - 5e-4
+        <= period_ms * 1e-3
+        <= found.period_s.ci95[1] + 5e-4
+    )
     assert found.rises[0].rise_s.ci95[0] <= found.rises[0].rise_s.value
 
 
 def test_controllers_are_ordered_and_only_different_ones_told_apart():
-    rates = [identify_update_rate(incremental(p, 1, seed=i)) for i, p in enumerate((10, 5, 5.05))]
+    rates = [
+        identify_update_rate(incremental(p, 1, seed=i))
+        for i, p in enumerate((10, 5, 5.05))
+    ]
     first, second = compare(rates)
     assert not first.distinguishable
     assert second.distinguishable
@@ -70,7 +77,9 @@ def test_a_step_ends_where_the_setpoint_changes_again():
     back = setpoint.with_values(np.where(setpoint.t_s < 1.0, setpoint.values, 0.0))
     stopped = log["wheel.fl.speed_rpm"]
     stopped = stopped.with_values(np.where(stopped.t_s < 1.0, stopped.values, 0.0))
-    changed = log.with_channels({"wheel.fl.setpoint_rpm": back, "wheel.fl.speed_rpm": stopped})
+    changed = log.with_channels(
+        {"wheel.fl.setpoint_rpm": back, "wheel.fl.speed_rpm": stopped}
+    )
     (rise,), (whole,) = (identify_update_rate(each).rises for each in (changed, log))
     assert rise.rise_s.value == pytest.approx(whole.rise_s.value, rel=0.05)
     short = setpoint.with_values(np.where(setpoint.t_s < 0.005, setpoint.values, 0.0))
@@ -80,10 +89,14 @@ def test_a_step_ends_where_the_setpoint_changes_again():
 
 def sweep(low, high, held=False):
     duty = np.arange(-60.0, 61.0, 1.0)
-    speed = np.where(duty < low, (duty - low) * 3.0, np.where(duty > high, (duty - high) * 3.0, 0))
+    speed = np.where(
+        duty < low, (duty - low) * 3.0, np.where(duty > high, (duty - high) * 3.0, 0)
+    )
     if held:
         speed[(duty >= low) & (duty <= 0.0)] = -7.3
-    return measured(np.arange(len(duty)), {"wheel.fl.duty_pct": duty, "wheel.fl.speed_rpm": speed})
+    return measured(
+        np.arange(len(duty)), {"wheel.fl.duty_pct": duty, "wheel.fl.speed_rpm": speed}
+    )
 
 
 @pytest.mark.parametrize("held", [False, True])
@@ -96,7 +109,9 @@ def test_dead_zone_lies_between_the_last_turning_and_the_first_resting_duty(held
 
 def test_equal_speeds_far_from_rest_are_measured():
     duty = np.arange(-60.0, 61.0, 1.0)
-    coarse = 30.0 * np.round(np.sign(duty) * np.maximum(np.abs(duty) - 12.0, 0.0) / 10.0)
+    coarse = 30.0 * np.round(
+        np.sign(duty) * np.maximum(np.abs(duty) - 12.0, 0.0) / 10.0
+    )
     log = measured(duty, {"wheel.fl.duty_pct": duty, "wheel.fl.speed_rpm": coarse})
     (zone,) = identify_dead_zone(log)
     assert zone.held_rows == 0
@@ -117,7 +132,8 @@ def standing(turning):
     return measured(
         t_s,
         {
-            "wheel.fl.speed_rpm": np.where(moving, 50.0, 0.0) + 0.12 * rng.normal(size=len(t_s)),
+            "wheel.fl.speed_rpm": np.where(moving, 50.0, 0.0)
+            + 0.12 * rng.normal(size=len(t_s)),
             "nav.x_m": np.where(moving, 3.0 * t_s, 0.0)
             + correlated(rng, t_s, 0.05, 0.6)
             + 0.01 * rng.normal(size=len(t_s)),
@@ -148,6 +164,8 @@ def test_a_duty_quicker_than_the_wheels_shows_no_dead_zone():
     t_s = np.arange(0.0, 20.0, 0.02)
     duty = 80.0 * np.sin(2.0 * t_s)
     speed = 3.0 * np.roll(duty, 20)
-    log = measured(t_s, {"wheel.fl.duty_pct": duty, "wheel.fl.speed_rpm": np.round(speed / 9) * 9})
+    log = measured(
+        t_s, {"wheel.fl.duty_pct": duty, "wheel.fl.speed_rpm": np.round(speed / 9) * 9}
+    )
     with pytest.raises(LogError, match="slower than the wheels"):
         identify_dead_zone(log)

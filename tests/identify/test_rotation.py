@@ -25,7 +25,9 @@ def late():
 
 
 def drop(values, *parts):
-    return {name: v for name, v in values.items() if not any(part in name for part in parts)}
+    return {
+        name: v for name, v in values.items() if not any(part in name for part in parts)
+    }
 
 
 def test_punctual_imu_gives_one_gain_from_all_samples(punctual):
@@ -78,7 +80,9 @@ def test_interval_holds_under_autocorrelation(punctual):
     held = 0
     for seed in range(60):
         noise = correlated(np.random.default_rng(seed), t_s[rows], 0.1, 2.0)
-        log = measured(t_s[rows], {**clean, GYRO: clean[GYRO] + noise}, has_stamps=False)
+        log = measured(
+            t_s[rows], {**clean, GYRO: clean[GYRO] + noise}, has_stamps=False
+        )
         held += identify_rotation(log, ROBOT).unsteady.holds(STEADY)
     assert held >= 52  # 0.1 % chance at a coverage of 95 %
 
@@ -126,7 +130,10 @@ def test_wheels_that_never_reach_the_set_point_give_no_steady_estimate(punctual)
 
 @pytest.mark.parametrize(
     ("missing", "words"),
-    [(("imu",), "needs one of imu.gyro"), (("fl.speed", "rl.speed"), "wheel.fl.speed_rpm")],
+    [
+        (("imu",), "needs one of imu.gyro"),
+        (("fl.speed", "rl.speed"), "wheel.fl.speed_rpm"),
+    ],
 )
 def test_what_is_missing_is_named(punctual, missing, words):
     t_s, values = punctual

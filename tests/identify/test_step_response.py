@@ -22,7 +22,13 @@ T_S = np.arange(0.0, 12.0, 0.01)
 
 @pytest.mark.parametrize(
     ("order", "ratio", "rise"),
-    [(2, 0.104, 2.718), (3, 0.218, 3.695), (4, 0.319, 4.463), (5, 0.410, 5.119), (6, 0.493, 5.699)],
+    [
+        (2, 0.104, 2.718),
+        (3, 0.218, 3.695),
+        (4, 0.319, 4.463),
+        (5, 0.410, 5.119),
+        (6, 0.493, 5.699),
+    ],
 )
 def test_table_of_the_method(order, ratio, rise):
     tangent = tangent_of_chain(order)

@@ -67,7 +67,9 @@ def copy_without_lock(values: Any, words: Any, out_values: Any, out_words: Any) 
 
 def count_frames(copy: Any) -> Any:
     @kernel(cache=False)
-    def loop(last: int, values: Any, words: Any, out_values: Any, out_words: Any) -> Any:
+    def loop(
+        last: int, values: Any, words: Any, out_values: Any, out_words: Any
+    ) -> Any:
         whole = torn = 0
         for _ in range(1_000_000_000):
             if load_acquire(words, word.RING_HEAD) >= last:
@@ -94,7 +96,9 @@ def write_in_process(name: str, ready: Any, go: Any) -> None:
     write_frames(N_FRAMES, values, words)
 
 
-@pytest.mark.parametrize(("copy", "locked"), [(copy_latest, True), (copy_without_lock, False)])
+@pytest.mark.parametrize(
+    ("copy", "locked"), [(copy_latest, True), (copy_without_lock, False)]
+)
 def test_million_frames_between_two_processes(image, copy, locked):
     loop = count_frames(copy)
     scratch = np.empty(N_DOUBLES), np.empty(N_DOUBLES + 3, dtype=np.int64)
@@ -128,9 +132,9 @@ def test_readers_without_a_compiler_see_no_half_frame_either(image):
     seen = 0
     while image.head < N_FRAMES:
         frame, batch = image.latest(), read_frames(image, image.head - 1, 1)
-        for tick, values in ([] if frame is None else [(frame.tick, frame.values)]) + list(
-            zip(batch.ticks.tolist(), batch.values, strict=True)
-        ):
+        for tick, values in (
+            [] if frame is None else [(frame.tick, frame.values)]
+        ) + list(zip(batch.ticks.tolist(), batch.values, strict=True)):
             assert (values == tick).all()
             seen += 1
     writer.join(120)

@@ -35,7 +35,10 @@ def test_a_file_left_behind_is_replaced(name):
 
 
 def test_a_second_owner_is_refused(name):
-    with closing(SharedFile(name, N_BYTES)), pytest.raises(FailedError, match=f"image '{name}'"):
+    with (
+        closing(SharedFile(name, N_BYTES)),
+        pytest.raises(FailedError, match=f"image '{name}'"),
+    ):
         SharedFile(name, N_BYTES)
 
 
@@ -51,7 +54,9 @@ def test_a_folder_or_a_link_in_its_place_is_named(name, tmp_path):
 
 
 def test_too_little_shared_memory_is_told_before_the_first_write(name):
-    with pytest.raises(FailedError, match=r"1099512 MB.*no space left.*image\.ring_frames"):
+    with pytest.raises(
+        FailedError, match=r"1099512 MB.*no space left.*image\.ring_frames"
+    ):
         SharedFile(name, 2**40)
     assert not path_of(name).exists()
 
@@ -60,7 +65,9 @@ def test_a_file_removed_by_its_last_owner_meanwhile_is_made_anew(name, monkeypat
     lock, calls = fcntl.flock, []
 
     def late(fd, operation):
-        if Path(f"/proc/self/fd/{fd}").readlink() == path_of(name):  # not what the sweep looks at
+        if Path(f"/proc/self/fd/{fd}").readlink() == path_of(
+            name
+        ):  # not what the sweep looks at
             calls.append(fd)
             if len(calls) == 1:
                 path_of(name).unlink()
@@ -84,13 +91,18 @@ def test_a_file_of_another_user_is_neither_adopted_nor_removed(name, monkeypatch
     path_of(name).write_bytes(b"theirs")
     path_of(name).chmod(0o666)
     monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
-    with pytest.raises(FailedError, match=rf"{name}: belongs to another user \(id \d+\).*image"):
+    with pytest.raises(
+        FailedError, match=rf"{name}: belongs to another user \(id \d+\).*image"
+    ):
         SharedFile(name, N_BYTES)
     assert path_of(name).read_bytes() == b"theirs"
 
 
 def test_who_had_a_leftover_open_does_not_see_the_daemon_in_it(name):
-    with path_of(name).open("w+b") as theirs, closing(SharedFile(name, N_BYTES)) as file:
+    with (
+        path_of(name).open("w+b") as theirs,
+        closing(SharedFile(name, N_BYTES)) as file,
+    ):
         file.map[:5] = b"robot"
         assert theirs.read() == b""
 

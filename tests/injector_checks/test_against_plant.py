@@ -42,7 +42,9 @@ def follow(p, x, u, y, q, ticks, setpoints, out):
 
 def differences(recipe, terms):
     table, truth = make(quiet(recipe))
-    drive = {"drive": "mecanum", **MECANUM_GEOMETRY} if recipe.drive == "mecanum" else {}
+    drive = (
+        {"drive": "mecanum", **MECANUM_GEOMETRY} if recipe.drive == "mecanum" else {}
+    )
     robot = RobotParameters(terms=terms, **drive)
     p, x = pack(robot), initial_state(robot)
     x.pose = truth.dense[0, [X, Y, YAW]]
@@ -51,7 +53,9 @@ def differences(recipe, terms):
     ticks = np.round(table.t_s * 1e3).astype(np.int64)
 
     def columns(what):
-        return np.stack([table.columns[f"wheel.{wheel}.{what}"] for wheel in WHEELS], axis=1)
+        return np.stack(
+            [table.columns[f"wheel.{wheel}.{what}"] for wheel in WHEELS], axis=1
+        )
 
     out = np.zeros((len(ticks), 7))
     follow(p, x, u, y, q, ticks, columns("setpoint_rpm"), out)
@@ -68,20 +72,26 @@ def test_nothing_hidden(kind):
     assert kind == "bench" or place < 1e-3
 
 
-@pytest.mark.parametrize("name", sorted({*REQUIRED, "body_lag", "traction_slip"} - SENSORS))
+@pytest.mark.parametrize(
+    "name", sorted({*REQUIRED, "body_lag", "traction_slip"} - SENSORS)
+)
 def test_every_cause_acts_as_its_term(name):
     recipe = replace(single(name, 2), duration_s=90.0)
     speed, place = differences(recipe, recipe.causes)
     without = differences(recipe, {})
     assert speed < (0.3 if name in SAMPLED else 0.01)
     assert recipe.kind == "bench" or place < 0.005
-    changed = max(without[0] / 0.12, without[1] / 0.05 if recipe.kind == "drive" else 0.0)
+    changed = max(
+        without[0] / 0.12, without[1] / 0.05 if recipe.kind == "drive" else 0.0
+    )
     assert changed > 0.3, "the cause shows in the log"
 
 
 def test_mecanum_wheels_drive_the_same_way_in_both():
     hidden = {"roller_slip": 0.1, "wheel_radius": 0.04, "wheel_radius_difference": 0.02}
-    recipe = Recipe(drive="mecanum", manoeuvre="omni", causes=hidden, seed=2, duration_s=60.0)
+    recipe = Recipe(
+        drive="mecanum", manoeuvre="omni", causes=hidden, seed=2, duration_s=60.0
+    )
     speed, place = differences(recipe, hidden)
     assert speed < 0.01
     assert place < 0.005

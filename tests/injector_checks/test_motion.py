@@ -5,7 +5,16 @@ import math
 import numpy as np
 import pytest
 from hilserver_injector import make
-from hilserver_injector.parameters import GAIN, ICR_M, K_OM, KI, KP, RADIUS_M, T1_S, T2_S
+from hilserver_injector.parameters import (
+    GAIN,
+    ICR_M,
+    K_OM,
+    KI,
+    KP,
+    RADIUS_M,
+    T1_S,
+    T2_S,
+)
 from hilserver_injector.sensors import OM, VY, YAW, V, X, Y
 from scipy.linalg import expm
 
@@ -14,7 +23,9 @@ RAD_S = math.pi / 30.0
 
 def sampled_step(setpoint_rpm, n):
     """Speed of a PI at 1 ms around the continuous process, by matrix exponentials, unsaturated."""
-    a = np.array([[-1 / T1_S, 0.0, GAIN / T1_S], [1 / T2_S, -1 / T2_S, 0.0], [0.0, 0.0, 0.0]])
+    a = np.array(
+        [[-1 / T1_S, 0.0, GAIN / T1_S], [1 / T2_S, -1 / T2_S, 0.0], [0.0, 0.0, 0.0]]
+    )
     over = expm(a * 1e-3)
     state, integral, speeds = np.zeros(3), 0.0, []
     for _ in range(n):
@@ -43,7 +54,9 @@ def test_forward_is_left_positive_right_negative(one_move):
 
 def test_left_forward_turns_clockwise(one_move):
     _, truth = make(one_move(20.0, -20.0, duration_s=3.0))
-    assert truth.dense[-1, OM] == pytest.approx(-2 * RADIUS_M * K_OM * 20.0 * RAD_S, rel=1e-4)
+    assert truth.dense[-1, OM] == pytest.approx(
+        -2 * RADIUS_M * K_OM * 20.0 * RAD_S, rel=1e-4
+    )
     assert truth.dense[-1, YAW] < truth.dense[0, YAW]
 
 

@@ -78,7 +78,9 @@ def test_same_seed_same_log():
     other, _ = make(Recipe(seed=5, duration_s=5.0))
     for name, values in first.columns.items():
         np.testing.assert_array_equal(values, again.columns[name])
-    assert not np.array_equal(first.columns["nav.x_m"], other.columns["nav.x_m"], equal_nan=True)
+    assert not np.array_equal(
+        first.columns["nav.x_m"], other.columns["nav.x_m"], equal_nan=True
+    )
 
 
 def test_measured_noise_needs_the_recording(monkeypatch):

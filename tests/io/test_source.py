@@ -23,7 +23,13 @@ def watched(until_ms, *, limit_ms=LIMIT_MS, has_written=True, is_exact=False):
     status = PeerStatus("plc")
     driver = DRIVER._replace(limit_ms=limit_ms)
     source = Source(
-        driver, "PLC", status, gate, events.publish, fresh=lambda: "fresh", is_exact=is_exact
+        driver,
+        "PLC",
+        status,
+        gate,
+        events.publish,
+        fresh=lambda: "fresh",
+        is_exact=is_exact,
     )
     if has_written:
         source.write({}, 1000 * MS)
@@ -117,7 +123,9 @@ def test_a_command_is_handed_on_with_when_it_came(monkeypatch):
     for at_ms in (2000, 2500, 2700):
         source.write({}, at_ms * MS)
     assert came == [2000 * MS, 2000 * MS, 2700 * MS]
-    assert received == [2000 * MS, 2500 * MS, 2700 * MS], "when a sample was taken is another thing"
+    assert received == [2000 * MS, 2500 * MS, 2700 * MS], (
+        "when a sample was taken is another thing"
+    )
 
 
 def test_the_first_command_of_all_is_none_that_is_left_over():

@@ -38,8 +38,12 @@ WRONG = [
 
 async def test_a_damaged_state_is_refused_and_a_sound_one_with_faults_is_not(tmp_path):
     async with build(assemble_config(Config(), tmp_path)) as core:
-        core.faults.inject({"fault": "delay", "signal": "imu.gyro_z_rad_s", "delay_s": 0.02})
-        core.faults.inject({"fault": "bias", "signal": "battery.voltage_v", "offset": 1.0})
+        core.faults.inject(
+            {"fault": "delay", "signal": "imu.gyro_z_rad_s", "delay_s": 0.02}
+        )
+        core.faults.inject(
+            {"fault": "bias", "signal": "battery.voltage_v", "offset": 1.0}
+        )
         await core.scheduler.advance(50)
         path = await core.snapshots.save("sound")
         await core.snapshots.load("sound")
@@ -48,7 +52,10 @@ async def test_a_damaged_state_is_refused_and_a_sound_one_with_faults_is_not(tmp
             state = archive["state"]
         for region, place, value in WRONG:
             damaged = state.copy()
-            first = core.image.layout.regions[region].base - core.image.layout.regions["live"].base
+            first = (
+                core.image.layout.regions[region].base
+                - core.image.layout.regions["live"].base
+            )
             assert damaged[first + place] != value
             damaged[first + place] = value
             with pytest.raises(ControlRefused, match="the state is damaged"):

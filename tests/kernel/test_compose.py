@@ -62,7 +62,9 @@ class Plant:
 
     def __init__(self, folder, *functions):
         (folder / "own.py").write_text(BLOCKS)
-        entries = [f"{{name: b{n}, function: 'own.py:{f}'}}" for n, f in enumerate(functions)]
+        entries = [
+            f"{{name: b{n}, function: 'own.py:{f}'}}" for n, f in enumerate(functions)
+        ]
         path = folder / "config.yaml"
         path.write_text(f"blocks: [{', '.join(entries)}]\n")
         assembly = assemble(path)
@@ -85,7 +87,8 @@ class Plant:
 
 
 @pytest.mark.parametrize(
-    ("function", "value"), [("first", 1.0), ("second", 2.0), ("seven", 7.0), ("eight", 8.0)]
+    ("function", "value"),
+    [("first", 1.0), ("second", 2.0), ("seven", 7.0), ("eight", 8.0)],
 )
 def test_functions_of_one_file_are_not_taken_for_each_other(tmp_path, function, value):
     with closing(Plant(tmp_path, function)) as plant:
@@ -96,7 +99,10 @@ def test_functions_of_one_file_are_not_taken_for_each_other(tmp_path, function, 
 @pytest.mark.parametrize("function", ["writes_outside", "writes_far_outside", "raises"])
 def test_a_block_that_goes_astray_is_a_fault_and_harms_nobody(tmp_path, function):
     astray = Plant(tmp_path, "first", function, "second")
-    with closing(astray) as plant, closing(Plant(tmp_path, "first", "second", "second")) as sound:
+    with (
+        closing(astray) as plant,
+        closing(Plant(tmp_path, "first", "second", "second")) as sound,
+    ):
         for number in range(3):
             assert plant.tick(number) == 2, "the number of the block, counted from 1"
             assert sound.tick(number) == 0

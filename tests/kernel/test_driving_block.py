@@ -68,7 +68,10 @@ async def test_what_is_out_of_range_is_not_commanded(tmp_path, wild):
 @pytest.mark.parametrize(
     ("drives", "says"),
     [
-        ({"speed": "twist.linear_m_s"}, r"drives.speed: the block has no output 'speed'"),
+        (
+            {"speed": "twist.linear_m_s"},
+            r"drives.speed: the block has no output 'speed'",
+        ),
         ({"speed_m_s": "pose.x_m"}, "is not a scalar set-point"),
         ({"speed_m_s": "wheels.setpoints_rpm"}, "is not a scalar set-point"),
         ({"speed_m_s": "nothing"}, "is not a scalar set-point"),

@@ -19,7 +19,11 @@ UNITS = {"rotation_gain": "1", "nav_scale": "1", "gyro_scale": "1", "process_gai
 
 def patch(name, value=0.01, **fitted_in):
     term = {"value": value, "unit": UNITS[name], "fitted_in": fitted_in}
-    data = {"schema": "hilserver.model_patch/1", "made_from": MADE, "terms": {name: term}}
+    data = {
+        "schema": "hilserver.model_patch/1",
+        "made_from": MADE,
+        "terms": {name: term},
+    }
     return Patch(ModelPatch.model_validate(data))
 
 
@@ -46,13 +50,19 @@ class Plant:
 
     def uncertain(self, rpm):
         frame = self.drive(rpm)
-        return {s.name for s in self.table.scalars if frame.status[s.slots[0]] == UNCERTAIN}
+        return {
+            s.name for s in self.table.scalars if frame.status[s.slots[0]] == UNCERTAIN
+        }
 
 
 @pytest.mark.parametrize(
     ("term", "flagged", "good"),
     [
-        ("rotation_gain", {"pose.x_m", "imu.gyro_z_rad_s", "nav.x_m"}, {"wheel.fl.speed_rpm"}),
+        (
+            "rotation_gain",
+            {"pose.x_m", "imu.gyro_z_rad_s", "nav.x_m"},
+            {"wheel.fl.speed_rpm"},
+        ),
         ("nav_scale", {"nav.x_m", "nav.yaw_rad"}, {"pose.x_m", "imu.gyro_z_rad_s"}),
         ("gyro_scale", {"imu.gyro_z_rad_s"}, {"pose.x_m", "nav.x_m"}),
         ("process_gain", {"wheel.fl.speed_rpm", "pose.x_m"}, {"battery.voltage_v"}),

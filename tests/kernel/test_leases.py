@@ -66,7 +66,9 @@ async def test_who_takes_control_begins_at_zero_and_nothing_of_before_is_left():
         assert (now(core, "control.mode"), now(core, "twist.linear_m_s")) == (1.0, 0.1)
         core.gate.take("peer")
         await core.scheduler.advance(2 * RAMP_TICKS)
-        assert (now(core, "control.mode"), now(core)) == (0.0, 40.0), "its mode, its newest row"
+        assert (now(core, "control.mode"), now(core)) == (0.0, 40.0), (
+            "its mode, its newest row"
+        )
         assert now(core, "twist.linear_m_s") == 0.0
 
 
@@ -106,7 +108,9 @@ async def test_a_command_that_nobody_renews_lapses_in_the_step(on_stale):
 
 
 @pytest.mark.parametrize("on_stale", ["hold", "zero", "ramp"])
-async def test_an_offer_that_has_lapsed_is_not_driven_by_who_gets_control_back(on_stale):
+async def test_an_offer_that_has_lapsed_is_not_driven_by_who_gets_control_back(
+    on_stale,
+):
     async with robot(on_stale) as core:
         await drive(core, "peer:plc", 40.0)
         core.gate.take("opcua")
@@ -152,7 +156,9 @@ async def test_what_is_renewed_goes_on_also_without_a_new_value():
 async def test_a_command_lapses_from_when_it_came_in():
     async with robot("zero") as core:
         core.gate.write("peer:plc", {LEFT: 40.0}, renews=False)
-        core.image.push(core.gate.leases.renewal("peer:plc", -(LIMIT_TICKS - 50) * 1_000_000))
+        core.image.push(
+            core.gate.leases.renewal("peer:plc", -(LIMIT_TICKS - 50) * 1_000_000)
+        )
         await core.scheduler.advance(LIMIT_TICKS)
         assert series(core, 0).count(40.0) == 51
         assert [lapse.source for lapse in core.gate.leases.lapses()] == ["peer:plc"]
@@ -174,11 +180,15 @@ async def test_what_came_in_before_a_standstill_of_ours_is_never_driven(on_stale
         assert on_stale == "ramp" or set(series(core, 0)) == {0.0}
         assert (now(core, "internal.command") == 2.0) == (on_stale == "ramp")
         control.before_reset[0]()
-        assert on_stale == "zero" or said[0].startswith("the daemon's event loop was blocked for")
+        assert on_stale == "zero" or said[0].startswith(
+            "the daemon's event loop was blocked for"
+        )
         core.gate.leases.now_ns = lambda: 0
         core.gate.write("peer:plc", {LEFT: 40.0}, commanded_ns=long_ago_ns)
         await core.scheduler.advance(10)
-        assert on_stale == "ramp" or now(core) == 40.0, "simulated time does not pass meanwhile"
+        assert on_stale == "ramp" or now(core) == 40.0, (
+            "simulated time does not pass meanwhile"
+        )
 
 
 async def test_a_peer_that_lacks_an_input_does_not_renew():
@@ -247,7 +257,9 @@ def let_command(core, client, *, took_control):
 
 
 @pytest.mark.parametrize("took_control", [True, False])
-async def test_a_client_that_leaves_while_the_queue_is_full_drives_no_longer(took_control):
+async def test_a_client_that_leaves_while_the_queue_is_full_drives_no_longer(
+    took_control,
+):
     async with robot(source="opcua") as core:
         control, supervision = supervised(core)
         let_command(core, client := object(), took_control=took_control)
@@ -263,7 +275,9 @@ async def test_a_client_that_leaves_while_the_queue_is_full_drives_no_longer(too
 
 
 @pytest.mark.parametrize("took_control", [True, False])
-async def test_a_queue_that_stays_full_after_a_client_has_left_is_the_safe_state(took_control):
+async def test_a_queue_that_stays_full_after_a_client_has_left_is_the_safe_state(
+    took_control,
+):
     async with robot(source="opcua") as core:
         control, supervision = supervised(core)
         let_command(core, client := object(), took_control=took_control)

@@ -14,15 +14,21 @@ from hilserver.daemon.builder import build
 from hilserver.scheduler.pacing_loop import run_batch
 
 CALLS = 50
-NEEDS_MUJOCO = pytest.mark.skipif(find_spec("mujoco") is None, reason="needs the extra physics")
+NEEDS_MUJOCO = pytest.mark.skipif(
+    find_spec("mujoco") is None, reason="needs the extra physics"
+)
 ROBOTS = {
     "default": {},
     "all terms": {
-        "plant": {"terms": {"actuation_delay": 0.03, "dead_zone": 4.0, "rotation_gain": -0.1}},
+        "plant": {
+            "terms": {"actuation_delay": 0.03, "dead_zone": 4.0, "rotation_gain": -0.1}
+        },
         "sensors": {"nav": {"enabled": True}},
         "observer": {"enabled": True},
     },
-    "mechatronic": {"mechatronic": {"enabled": True, "driven_by": "torque", "sensors": "body"}},
+    "mechatronic": {
+        "mechatronic": {"enabled": True, "driven_by": "torque", "sensors": "body"}
+    },
 }
 
 
@@ -57,7 +63,9 @@ def test_the_count_sees_an_allocation():
 async def test_no_tick_allocates(robot, tmp_path):
     """What a call from Python takes is counted with few ticks; with many it may not be more."""
     settings = {"scheduler": {"backend": "virtual"}} | ROBOTS[robot]
-    async with build(assemble_config(Config.model_validate(settings), tmp_path)) as core:
+    async with build(
+        assemble_config(Config.model_validate(settings), tmp_path)
+    ) as core:
         core.image.control.state = 1
         core.faults.inject(
             {"fault": "bias", "signal": "imu.gyro_z_rad_s", "offset": 0.2},

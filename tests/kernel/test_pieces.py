@@ -28,7 +28,9 @@ def step(phase, tick, planned_ns, values, words):
 
 
 def calls(source):
-    return Counter(ast.unparse(node) for node in ast.walk(ast.parse(source)) if is_call(node))
+    return Counter(
+        ast.unparse(node) for node in ast.walk(ast.parse(source)) if is_call(node)
+    )
 
 
 def is_call(node):

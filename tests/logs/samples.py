@@ -41,7 +41,9 @@ def batch_of(values, *, first=0, segment=0, status=None, first_tick=None):
     words[:, 1] = (np.arange(n) + first) * PERIOD_NS + 7
     if status is not None:
         words[:, 3:] = status
-    return Segmented(FrameBatch(first, words, values), np.full(n, segment, dtype=np.int64))
+    return Segmented(
+        FrameBatch(first, words, values), np.full(n, segment, dtype=np.int64)
+    )
 
 
 def ramp(n, first=0):

@@ -43,7 +43,9 @@ def convert(*words):
 
 
 def same(first, second):
-    assert list(first.columns) == list(second.columns) or set(first.columns) == set(second.columns)
+    assert list(first.columns) == list(second.columns) or set(first.columns) == set(
+        second.columns
+    )
     np.testing.assert_array_equal(first.t_s.view(np.int64), second.t_s.view(np.int64))
     np.testing.assert_array_equal(first.segment, second.segment)
     for name, values in first.columns.items():
@@ -55,7 +57,8 @@ def test_a_recording_survives_bag_and_back(recording, tmp_path, storage):
     convert(recording, tmp_path / "bag", "--storage", storage)
     convert(tmp_path / "bag", tmp_path / "again.mcap")
     first, between, last = (
-        read_log(path) for path in (recording, tmp_path / "bag", tmp_path / "again.mcap")
+        read_log(path)
+        for path in (recording, tmp_path / "bag", tmp_path / "again.mcap")
     )
     for log in (between, last):
         same(first, log)
@@ -67,10 +70,18 @@ def test_a_recording_survives_bag_and_back(recording, tmp_path, storage):
         assert log.run["configuration"] == first.run["configuration"]
 
 
-def test_what_is_replayed_from_a_bag_is_the_same_bit_for_bit(recording, tmp_path, capsys):
+def test_what_is_replayed_from_a_bag_is_the_same_bit_for_bit(
+    recording, tmp_path, capsys
+):
     convert(recording, tmp_path / "bag")
     convert(tmp_path / "bag", tmp_path / "again.mcap")
-    words = ["replay", str(tmp_path / "again.mcap"), "-o", str(tmp_path / "x.mcap"), "--check"]
+    words = [
+        "replay",
+        str(tmp_path / "again.mcap"),
+        "-o",
+        str(tmp_path / "x.mcap"),
+        "--check",
+    ]
     assert commands.main(words) == 0
     assert "equal, bit for bit" in capsys.readouterr().out
 
@@ -93,8 +104,13 @@ def test_a_diagnosis_says_the_same_of_log_and_bag(tmp_path):
 
     Of EduArt's topics alone, which are rounded to float32, it finds the same things.
     """
-    assert commands.main(["scenarios", "make", "pulls_aside", "-o", str(tmp_path / "s")]) == 0
-    lines = (tmp_path / "s" / "logs" / "drive.csv").read_text().splitlines(keepends=True)
+    assert (
+        commands.main(["scenarios", "make", "pulls_aside", "-o", str(tmp_path / "s")])
+        == 0
+    )
+    lines = (
+        (tmp_path / "s" / "logs" / "drive.csv").read_text().splitlines(keepends=True)
+    )
     (tmp_path / "log.csv").write_text("".join(lines[:900]))
     convert(tmp_path / "log.csv", tmp_path / "bag")
     config, said = str(tmp_path / "s" / "config.yaml"), []
@@ -138,16 +154,25 @@ def test_rosbags_reads_every_topic(recording, tmp_path):
     convert(recording, tmp_path / "bag")
     log = read_log(recording)
     with Reader(tmp_path / "bag") as raw:
-        counts = {connection.topic: connection.msgcount for connection in raw.connections}
+        counts = {
+            connection.topic: connection.msgcount for connection in raw.connections
+        }
     with AnyReader([tmp_path / "bag"]) as reader:
         frames = [c for c in reader.connections if c.topic == "/hilserver/frame"]
         for i, (connection, _, data) in enumerate(reader.messages(frames)):
             message = reader.deserialize(data, connection.msgtype)
             assert message.wheel.fl.speed_rpm == log.columns["wheel.fl.speed_rpm"][i]
         speeds = [c for c in reader.connections if c.topic == "/iotbot/rpm/return"]
-        rows = [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(speeds)]
+        rows = [
+            reader.deserialize(data, c.msgtype)
+            for c, _, data in reader.messages(speeds)
+        ]
     assert counts["/hilserver/frame"] == len(log)
-    assert counts["/iotbot/rpm"] == counts["/iotbot/rpm/return"] == math.ceil(len(log) / 20)
+    assert (
+        counts["/iotbot/rpm"]
+        == counts["/iotbot/rpm/return"]
+        == math.ceil(len(log) / 20)
+    )
     expected = log.columns["wheel.rr.speed_rpm"][::20].astype(np.float32)
     np.testing.assert_array_equal([row.rear_right_rpm for row in rows], expected)
 
@@ -178,7 +203,9 @@ def test_eduarts_topics_are_the_signals_rounded_to_float32(recording, tmp_path):
         np.testing.assert_array_equal(theirs.columns[name], expected, err_msg=name)
     for name in ("imu.gyro_z_rad_s", "nav.x_m"):
         np.testing.assert_array_equal(theirs.columns[name], ours.columns[name][::20])
-    np.testing.assert_allclose(theirs.columns["nav.yaw_rad"], ours.columns["nav.yaw_rad"][::20])
+    np.testing.assert_allclose(
+        theirs.columns["nav.yaw_rad"], ours.columns["nav.yaw_rad"][::20]
+    )
 
 
 def test_driven_by_a_twist_the_target_is_what_the_wheels_are_asked_to_do(tmp_path):
@@ -188,7 +215,14 @@ def test_driven_by_a_twist_the_target_is_what_the_wheels_are_asked_to_do(tmp_pat
         "  - {at_s: 0.1, write: {wheels.setpoints_rpm: [40, 40, -30, -30]}}\n"
         "  - {at_s: 0.3, write: {control.mode: 1, twist.linear_m_s: 0.3}}\n"
     )
-    words = ["simulate", str(scenario), "--duration", "0.7", "-o", str(tmp_path / "drive.mcap")]
+    words = [
+        "simulate",
+        str(scenario),
+        "--duration",
+        "0.7",
+        "-o",
+        str(tmp_path / "drive.mcap"),
+    ]
     assert commands.main(words) == 0
     convert(tmp_path / "drive.mcap", tmp_path / "bag")
     convert(tmp_path / "bag", tmp_path / "mapped.csv", "--mapping", "iotbot")
@@ -229,7 +263,9 @@ def test_a_few_signals_give_the_topics_that_they_suffice_for(tmp_path):
 
 def test_what_no_sensor_measured_is_marked_in_the_imu(tmp_path):
     """A rate alone: neither heading nor acceleration, and in one row nothing of the IMU at all."""
-    wheels = [name.replace("speed", what) for name in WHEELS for what in ("speed", "setpoint")]
+    wheels = [
+        name.replace("speed", what) for name in WHEELS for what in ("speed", "setpoint")
+    ]
     cells = ",".join(["1.0"] * len(wheels))
     rows = "".join(f"{0.02 * i},{cells},{0.25 if i != 2 else ''}\n" for i in range(5))
     header = ",".join(["t_s", *wheels, "imu.gyro_z_rad_s"])
@@ -237,7 +273,9 @@ def test_what_no_sensor_measured_is_marked_in_the_imu(tmp_path):
     convert(tmp_path / "0.csv", tmp_path / "bag")
     with AnyReader([tmp_path / "bag"]) as reader:
         imu = [c for c in reader.connections if c.topic == "/iotbot/imu"]
-        sent = [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(imu)]
+        sent = [
+            reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(imu)
+        ]
     parts = ("orientation", "angular_velocity", "linear_acceleration")
     assert [[getattr(m, f"{part}_covariance")[0] for part in parts] for m in sent] == [
         [-1.0, 0.0, -1.0]
@@ -259,7 +297,9 @@ def test_what_no_sensor_measured_is_marked_in_the_imu(tmp_path):
         (["empty.mcap", "x.csv"], "contains no rows; there is nothing to convert", 2),
     ],
 )
-def test_what_cannot_be_converted_is_a_sentence(tmp_path, monkeypatch, capsys, words, said, code):
+def test_what_cannot_be_converted_is_a_sentence(
+    tmp_path, monkeypatch, capsys, words, said, code
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "in.csv").write_text("t_s,battery.voltage_v\n0.0,20.0\n")
     (tmp_path / "folder").mkdir()
@@ -271,7 +311,9 @@ def test_what_cannot_be_converted_is_a_sentence(tmp_path, monkeypatch, capsys, w
 @pytest.mark.parametrize("out", ["x.mcap", "x.csv", "x"])
 def test_a_disk_that_fills_up_leaves_no_half(tmp_path, monkeypatch, capsys, out):
     monkeypatch.chdir(tmp_path)
-    with contextlib.closing(open_writer(Path("in.mcap"), run_of(), range(len(NAMES)))) as writer:
+    with contextlib.closing(
+        open_writer(Path("in.mcap"), run_of(), range(len(NAMES)))
+    ) as writer:
         writer.write(batch_of(ramp(10)))
 
     def half(log, writer):

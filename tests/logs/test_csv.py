@@ -57,7 +57,9 @@ def test_a_recording_says_where_it_comes_from_and_keeps_its_states(tmp_path):
 
 
 def test_a_bad_status_is_no_sample(tmp_path):
-    path = written(tmp_path / "a.csv", batch_of(ramp(2), status=[[0, 0, BAD_WAITING, 0]] * 2))
+    path = written(
+        tmp_path / "a.csv", batch_of(ramp(2), status=[[0, 0, BAD_WAITING, 0]] * 2)
+    )
     assert path.read_text().splitlines()[1] == "0.0,0,0.0,-0.0,nan,0.0"
     assert np.isnan(read_log(path).columns["wheel.fl.speed_rpm"]).all()
 
@@ -102,18 +104,45 @@ def test_others_may_leave_out_samples_and_the_last_line_end(tmp_path):
     [
         (b"", "is empty; the first row must be the header"),
         (b"0.0,1.0\n0.1,2.0\n", "row 1 contains numbers instead of a header; put 't_s"),
-        (b"time,a\n0,1\n", "row 1: there is no column 't_s'; give the time column this name"),
-        (b"t_s,wheel.fl.setpoint\n0,1\n", "row 1, column 2 'wheel.fl.setpoint': there is no such"),
+        (
+            b"time,a\n0,1\n",
+            "row 1: there is no column 't_s'; give the time column this name",
+        ),
+        (
+            b"t_s,wheel.fl.setpoint\n0,1\n",
+            "row 1, column 2 'wheel.fl.setpoint': there is no such",
+        ),
         (b"t_s,wheel.fl.setpoint\n0,1\n", "did you mean 'wheel.fl.setpoint_rpm'?"),
         (b"t_s,a,a\n0,1,2\n", "row 1, column 3 'a': the column appears twice"),
-        (b"t_s,a\n0,1\n0.1,x\n0.2,1\n", "row 3, column 2 'a': 'x' is not a number; write one"),
-        (b"t_s,a\n0,1\n0.1\n0.2,1\n", "row 3 has 1 columns, the header has 2; remove or complete"),
-        (b"t_s,a\n0,1\n0.2,1\n0.1,1\n", "row 4, column 1 't_s': 0.1 is not later than 0.2; sort"),
-        (b"t_s,a\n0,1\n0.1,1\n0,1\n", "0.0 is not later than 0.1; number the runs in a column"),
-        (b"t_s,a\n0,1\nnan,1\n", "row 3, column 1 't_s': the time is missing; every row needs one"),
+        (
+            b"t_s,a\n0,1\n0.1,x\n0.2,1\n",
+            "row 3, column 2 'a': 'x' is not a number; write one",
+        ),
+        (
+            b"t_s,a\n0,1\n0.1\n0.2,1\n",
+            "row 3 has 1 columns, the header has 2; remove or complete",
+        ),
+        (
+            b"t_s,a\n0,1\n0.2,1\n0.1,1\n",
+            "row 4, column 1 't_s': 0.1 is not later than 0.2; sort",
+        ),
+        (
+            b"t_s,a\n0,1\n0.1,1\n0,1\n",
+            "0.0 is not later than 0.1; number the runs in a column",
+        ),
+        (
+            b"t_s,a\n0,1\nnan,1\n",
+            "row 3, column 1 't_s': the time is missing; every row needs one",
+        ),
         (b"t_s,a\n0,1\n,1\n", "row 3, column 1 't_s': the time is missing"),
-        (b"t_s,segment\n0,0.5\n", "row 2, column 2 'segment': 0.5 is not a whole number"),
-        (b"t_s,a\n0,1\n0.1,\xe4\n", "row 3: byte 14 is not UTF-8; save the file as UTF-8"),
+        (
+            b"t_s,segment\n0,0.5\n",
+            "row 2, column 2 'segment': 0.5 is not a whole number",
+        ),
+        (
+            b"t_s,a\n0,1\n0.1,\xe4\n",
+            "row 3: byte 14 is not UTF-8; save the file as UTF-8",
+        ),
         ("t_s,a\n0,1\n".encode("utf-16"), "is not UTF-8; save the file as UTF-8"),
         (b't_s,a\n0,"1\n', "not CSV"),
         (b"t_s,a\n0," + b"1" * 20_000 + b"\n", "not CSV"),
@@ -135,7 +164,9 @@ def test_time_may_fall_between_segments(tmp_path):
     assert read_log(path).segment.tolist() == [1, 1, 2]
 
 
-@pytest.mark.parametrize("text", ["", "{}", "[]", '{"schema": "x"}', '{"schema": 1, "states": 2}'])
+@pytest.mark.parametrize(
+    "text", ["", "{}", "[]", '{"schema": "x"}', '{"schema": 1, "states": 2}']
+)
 def test_a_damaged_file_beside_the_log_is_named(tmp_path, text):
     path = written(tmp_path / "a.csv", batch_of(ramp(3)))
     meta_path(path).write_text(text)

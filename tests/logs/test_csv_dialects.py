@@ -16,7 +16,9 @@ def written(path, rows, separator, comma, end, is_quoted):
     """Write a table; one with a quoted name goes to the strict reader."""
     header = ["t_s", '"left"' if is_quoted else "left", "right"]
     lines = [separator.join(row).replace(".", comma) for row in rows]
-    path.write_bytes("".join(f"{line}{end}" for line in [separator.join(header), *lines]).encode())
+    path.write_bytes(
+        "".join(f"{line}{end}" for line in [separator.join(header), *lines]).encode()
+    )
     return path
 
 
@@ -24,7 +26,9 @@ def written(path, rows, separator, comma, end, is_quoted):
 @pytest.mark.parametrize("is_quoted", [False, True])
 @given(
     rows=st.lists(
-        st.tuples(st.floats(allow_nan=False, allow_infinity=False), st.integers(-99, 99)),
+        st.tuples(
+            st.floats(allow_nan=False, allow_infinity=False), st.integers(-99, 99)
+        ),
         min_size=1,
         max_size=9,
     ),
@@ -36,9 +40,14 @@ def test_it_is_the_table_with_points_and_commas(
     tmp_path_factory, separator, is_quoted, rows, comma, end
 ):
     folder = tmp_path_factory.getbasetemp()
-    texts = [(f"{0.5 * i}", repr(a), "" if b == 7 else str(b)) for i, (a, b) in enumerate(rows)]
+    texts = [
+        (f"{0.5 * i}", repr(a), "" if b == 7 else str(b))
+        for i, (a, b) in enumerate(rows)
+    ]
     ours = read_log(written(folder / "ours.csv", texts, ",", ".", "\n", is_quoted))
-    theirs = read_log(written(folder / "theirs.csv", texts, separator, comma, end, is_quoted))
+    theirs = read_log(
+        written(folder / "theirs.csv", texts, separator, comma, end, is_quoted)
+    )
     assert theirs.t_s.tolist() == ours.t_s.tolist()
     for name in ("left", "right"):
         assert np.array_equal(theirs.columns[name], ours.columns[name], equal_nan=True)
@@ -86,12 +95,16 @@ def test_two_kinds_of_marks_are_refused_at_the_second(tmp_path, rows, place):
 
 def test_marks_of_columns_that_nobody_reads_do_not_matter(tmp_path):
     path = tmp_path / "log.csv"
-    path.write_text("t_s;a;date;\n" + "".join(f"{i},5;1,5;26.11.2026;x\n" for i in range(3)))
+    path.write_text(
+        "t_s;a;date;\n" + "".join(f"{i},5;1,5;26.11.2026;x\n" for i in range(3))
+    )
     with pytest.raises(
         LogError, match=r"'26.11.2026': the file has both decimal commas and points"
     ):
         read_log(path)
-    path.write_text("t_s;a;;\n" + "".join(f"{i},5;1,5;26.11.2026;x\n" for i in range(3)))
+    path.write_text(
+        "t_s;a;;\n" + "".join(f"{i},5;1,5;26.11.2026;x\n" for i in range(3))
+    )
     assert read_log(path).t_s.tolist() == [0.5, 1.5, 2.5]
 
 

@@ -13,12 +13,17 @@ from hilserver.logs.message import make_layout
 from tests.logs.samples import NAMES, batch_of, ramp, run_of
 
 N_CHUNKS, CHUNK_FRAMES = 5, 20
-CONFIG, ATTACHMENT_HEAD = b"config.yaml", 29  # the first record after those that a reader needs
+CONFIG, ATTACHMENT_HEAD = (
+    b"config.yaml",
+    29,
+)  # the first record after those that a reader needs
 BAD_WAITING = 0x80320000
 
 
 def written(path):
-    writer = open_writer(path, run_of(), range(len(NAMES)), utc_minus_monotonic_ns=10**18)
+    writer = open_writer(
+        path, run_of(), range(len(NAMES)), utc_minus_monotonic_ns=10**18
+    )
     writer.add_state(State(0, 0, np.arange(3)))
     for i in range(N_CHUNKS):
         first = i * CHUNK_FRAMES
@@ -43,7 +48,9 @@ def test_what_was_written_comes_back(tmp_path):
 
 def test_a_foreign_reader_finds_signals_by_their_names(tmp_path):
     with written(tmp_path / "a.mcap").open("rb") as file:
-        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        reader = make_reader(
+            file, validate_crcs=True, decoder_factories=[DecoderFactory()]
+        )
         summary = reader.get_summary()
         assert summary.statistics.message_count == N_CHUNKS * CHUNK_FRAMES
         assert len(summary.chunk_indexes) == N_CHUNKS
@@ -69,7 +76,9 @@ def test_a_cut_anywhere_leaves_the_whole_chunks_before_it(tmp_path_factory, shar
     cut = round(share * len(whole))
     path.write_bytes(whole[:cut])
     if cut < whole.index(CONFIG) - ATTACHMENT_HEAD:
-        with pytest.raises(LogError, match=r"(not an MCAP file|contains no hilserver recording)"):
+        with pytest.raises(
+            LogError, match=r"(not an MCAP file|contains no hilserver recording)"
+        ):
             read_log(path)
         return
     log = read_log(path)
@@ -111,7 +120,9 @@ def test_a_run_that_cannot_be_is_a_sentence(tmp_path, key, value, says, suffix):
     writer.write(batch_of(ramp(5)))
     writer.tell(run_of() | {key: value})
     writer.close()
-    with pytest.raises(LogError, match=says if suffix == ".mcap" else "is damaged; remove it"):
+    with pytest.raises(
+        LogError, match=says if suffix == ".mcap" else "is damaged; remove it"
+    ):
         read_log(path)
 
 
@@ -120,7 +131,9 @@ def test_a_run_that_does_not_know_a_column_is_a_sentence(tmp_path):
     writer.write(batch_of(ramp(5)))
     writer.tell(run_of() | {"signals": run_of()["signals"][1:]})
     writer.close()
-    with pytest.raises(LogError, match=r"does not list the signal 'wheel\.fl\.setpoint_rpm'"):
+    with pytest.raises(
+        LogError, match=r"does not list the signal 'wheel\.fl\.setpoint_rpm'"
+    ):
         read_log(tmp_path / "a.mcap")
 
 
@@ -142,7 +155,10 @@ def test_lost_frames_are_said_and_bad_values_are_no_samples(tmp_path):
     writer.close()
     log = read_log(tmp_path / "a.mcap")
     assert "7 frames were lost" in log.notices[0]
-    assert np.isnan(log.columns["wheel.fl.setpoint_rpm"]).tolist() == [True] * 5 + [False] * 5
+    assert (
+        np.isnan(log.columns["wheel.fl.setpoint_rpm"]).tolist()
+        == [True] * 5 + [False] * 5
+    )
     assert log.status["wheel.fl.setpoint_rpm"][0] == BAD_WAITING
 
 
@@ -157,7 +173,15 @@ def test_what_is_no_recording_is_said(tmp_path, data):
 
 
 def test_a_signal_and_a_group_of_the_same_name_get_along():
-    layout = make_layout(["frame.a", "status.b", "arm.length", "arm.length.left", "top"])
+    layout = make_layout(
+        ["frame.a", "status.b", "arm.length", "arm.length.left", "top"]
+    )
     fields = [line.split()[1] for line in layout.schema.splitlines() if " " in line]
     assert {"frame", "frame_", "status", "status_", "length", "length_"} <= set(fields)
-    assert sorted(layout.names) == ["arm.length", "arm.length.left", "frame.a", "status.b", "top"]
+    assert sorted(layout.names) == [
+        "arm.length",
+        "arm.length.left",
+        "frame.a",
+        "status.b",
+        "top",
+    ]

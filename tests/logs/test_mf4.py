@@ -38,7 +38,10 @@ def convert(*words):
 
 
 def in_order(run):
-    return {**run, "signals": sorted(run["signals"], key=lambda signal: signal["slots"])}
+    return {
+        **run,
+        "signals": sorted(run["signals"], key=lambda signal: signal["slots"]),
+    }
 
 
 def bits(values):
@@ -56,8 +59,12 @@ def test_a_recording_survives_there_and_back(recording, tmp_path):
         np.testing.assert_array_equal(bits(log.t_s), bits(first.t_s))
         np.testing.assert_array_equal(log.segment, first.segment)
         for name, values in first.columns.items():
-            np.testing.assert_array_equal(bits(log.columns[name]), bits(values), err_msg=name)
-            np.testing.assert_array_equal(log.status[name], first.status[name], err_msg=name)
+            np.testing.assert_array_equal(
+                bits(log.columns[name]), bits(values), err_msg=name
+            )
+            np.testing.assert_array_equal(
+                log.status[name], first.status[name], err_msg=name
+            )
         assert in_order(log.run) == in_order(first.run)
         assert [(s.segment, s.tick, s.words.tobytes()) for s in log.states] == [
             (s.segment, s.tick, s.words.tobytes()) for s in first.states
@@ -66,7 +73,9 @@ def test_a_recording_survives_there_and_back(recording, tmp_path):
 
 def test_what_is_replayed_from_it_is_the_same_bit_for_bit(recording, tmp_path, capsys):
     log = str(recording.with_suffix(".mf4"))
-    assert commands.main(["replay", log, "-o", str(tmp_path / "x.mcap"), "--check"]) == 0
+    assert (
+        commands.main(["replay", log, "-o", str(tmp_path / "x.mcap"), "--check"]) == 0
+    )
     assert "equal, bit for bit" in capsys.readouterr().out
 
 
@@ -75,15 +84,21 @@ def test_foreign_numbers_survive_with_segments_blocks_and_gaps(tmp_path):
     lines = [f"t_s,segment,block,{SPEED},nav.x_m"]
     for i in range(300):
         x = "" if i % 3 else repr(float(rng.normal()))
-        lines.append(f"{i % 150 * 0.013!r},{i // 150},{i // 60},{rng.normal() * 1e-7!r},{x}")
+        lines.append(
+            f"{i % 150 * 0.013!r},{i // 150},{i // 60},{rng.normal() * 1e-7!r},{x}"
+        )
     (tmp_path / "0.csv").write_text("\n".join(lines) + "\n")
-    for before, after in itertools.pairwise(["0.csv", "1.mf4", "2.mcap", "3.mf4", "4.csv"]):
+    for before, after in itertools.pairwise(
+        ["0.csv", "1.mf4", "2.mcap", "3.mf4", "4.csv"]
+    ):
         convert(tmp_path / before, tmp_path / after)
     assert (tmp_path / "0.csv").read_text() == (tmp_path / "4.csv").read_text()
     with asammdf.MDF(tmp_path / "3.mf4") as mdf:
         speed = mdf.get(SPEED)
     assert speed.unit == "rpm"
-    assert (np.diff(speed.timestamps) > 0).all()  # over both segments, as viewers need it
+    assert (
+        np.diff(speed.timestamps) > 0
+    ).all()  # over both segments, as viewers need it
 
 
 def test_asammdf_and_another_reader_see_names_units_and_numbers(recording):
@@ -100,7 +115,9 @@ def test_asammdf_and_another_reader_see_names_units_and_numbers(recording):
             np.testing.assert_array_equal(bits(other.values(name)), bits(values))
 
 
-def test_whatever_is_cut_or_flipped_is_read_or_refused_in_one_sentence(recording, tmp_path, capfd):
+def test_whatever_is_cut_or_flipped_is_read_or_refused_in_one_sentence(
+    recording, tmp_path, capfd
+):
     whole = recording.with_suffix(".mf4").read_bytes()
     rng, path = random.Random(2), tmp_path / "damaged.mf4"
     complaints = []
@@ -123,7 +140,9 @@ def test_a_column_that_its_run_does_not_know_is_a_sentence(tmp_path):
     run = run_of() | {"states": []}
     with asammdf.MDF() as mdf:
         names = ("t_s", "segment", *NAMES[1:], "another")
-        mdf.append([asammdf.Signal(np.zeros(3), np.arange(3.0), name=name) for name in names])
+        mdf.append(
+            [asammdf.Signal(np.zeros(3), np.arange(3.0), name=name) for name in names]
+        )
         mdf.attach(json.dumps(run).encode(), META, mime="application/json")
         mdf.save(path)
     with pytest.raises(LogError, match="does not list the signal 'another'"):
@@ -133,14 +152,20 @@ def test_a_column_that_its_run_does_not_know_is_a_sentence(tmp_path):
 def test_mf4_of_others_is_refused_with_a_remedy(tmp_path):
     path = tmp_path / "theirs.mf4"
     with asammdf.MDF() as mdf:
-        mdf.append([asammdf.Signal(np.arange(3.0), np.arange(3.0), name="n_FL", unit="1/min")])
+        mdf.append(
+            [asammdf.Signal(np.arange(3.0), np.arange(3.0), name="n_FL", unit="1/min")]
+        )
         mdf.save(path)
-    with pytest.raises(LogError, match=r"not written by hilserver .*; export it as CSV"):
+    with pytest.raises(
+        LogError, match=r"not written by hilserver .*; export it as CSV"
+    ):
         read_log(path)
 
 
 def test_without_the_library_it_is_a_sentence(recording, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "asammdf", None)
-    with pytest.raises(LogError, match=r"needs the library asammdf; install .*hilserver\[mdf\]"):
+    with pytest.raises(
+        LogError, match=r"needs the library asammdf; install .*hilserver\[mdf\]"
+    ):
         read_log(recording.with_suffix(".mf4"))
     assert commands.main(["convert", str(recording), str(tmp_path / "x.mf4")]) == 2

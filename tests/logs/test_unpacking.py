@@ -58,7 +58,9 @@ def chunk(compression, declared, data):
     """A chunk record of MCAP."""
     name = compression.encode()
     body = bytes(16) + declared.to_bytes(8, "little") + bytes(4)
-    body += len(name).to_bytes(4, "little") + name + len(data).to_bytes(8, "little") + data
+    body += (
+        len(name).to_bytes(4, "little") + name + len(data).to_bytes(8, "little") + data
+    )
     return b"\x06" + len(body).to_bytes(8, "little") + body
 
 
@@ -84,7 +86,9 @@ def mcap_with(path, *records):
         ("", bytes(4000)),
     ],
 )
-def test_a_chunk_that_holds_more_than_it_declares_ends_the_reading(tmp_path, compression, data):
+def test_a_chunk_that_holds_more_than_it_declares_ends_the_reading(
+    tmp_path, compression, data
+):
     path = mcap_with(tmp_path / "a.mcap", chunk(compression, 100, data))
     with bounded(300):
         (bag,) = read_messages(path, {TOPIC})
@@ -105,7 +109,10 @@ def recording_with(path, *records):
 
 @pytest.mark.parametrize(
     ("make", "read"),
-    [(mcap_with, lambda path: read_messages(path, {TOPIC})), (recording_with, read_mcap)],
+    [
+        (mcap_with, lambda path: read_messages(path, {TOPIC})),
+        (recording_with, read_mcap),
+    ],
 )
 def test_what_a_file_unpacks_to_in_all_is_bounded(tmp_path, monkeypatch, make, read):
     monkeypatch.setattr(unpacking, "FREE_BYTES", 16 * MB)
@@ -115,7 +122,10 @@ def test_what_a_file_unpacks_to_in_all_is_bounded(tmp_path, monkeypatch, make, r
     records["length"] = record_dtype(4).itemsize - 9
     data = zstandard.ZstdCompressor().compress(records.tobytes())
     path = make(tmp_path / "a.mcap", *[chunk("zstd", records.nbytes, data)] * 20)
-    with bounded(200), pytest.raises(LogError, match="expand to far more than a recording would"):
+    with (
+        bounded(200),
+        pytest.raises(LogError, match="expand to far more than a recording would"),
+    ):
         read(path)
 
 
@@ -126,7 +136,9 @@ def test_a_chunk_that_declares_too_much_is_refused(tmp_path):
 
 
 def test_a_record_that_is_longer_than_its_file_ends_it(tmp_path):
-    path = mcap_with(tmp_path / "a.mcap", b"\x06" + (1 << 32).to_bytes(8, "little") + b"x")
+    path = mcap_with(
+        tmp_path / "a.mcap", b"\x06" + (1 << 32).to_bytes(8, "little") + b"x"
+    )
     with bounded(100):
         assert len(read_messages(path, {TOPIC})[0].messages[TOPIC]) == 10
 
@@ -179,7 +191,10 @@ def test_views_that_never_end_and_giant_blobs_are_refused(tmp_path, script, comp
     connection.executescript(TABLES + script)
     connection.commit()
     connection.close()
-    with bounded(500), pytest.raises(LogError, match=f"not a readable bag .*{complaint}"):
+    with (
+        bounded(500),
+        pytest.raises(LogError, match=f"not a readable bag .*{complaint}"),
+    ):
         read_messages(path, {TOPIC})
 
 

@@ -14,7 +14,9 @@ def test_a_file_that_is_being_written_is_refused(tmp_path, suffix):
     first = open_writer(path, run_of(), slots)
     first.write(batch_of(ramp(10)))
     beside = meta_path(path).read_bytes() if suffix == ".csv" else b""
-    with pytest.raises(FailedError, match="another program is writing to it; choose another name"):
+    with pytest.raises(
+        FailedError, match="another program is writing to it; choose another name"
+    ):
         open_writer(path, {**run_of(), "seed": 99}, slots)
     if beside:
         assert meta_path(path).read_bytes() == beside

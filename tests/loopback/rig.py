@@ -26,9 +26,16 @@ def configuration(*, scheduler=None, **sections):
     limits = {"single_overrun_ms": None, "consecutive_overruns": None}
     ours = {
         "image": {"name": "auto", "ring_frames": RING_FRAMES},
-        "opcua": {"endpoint": "opc.tcp://127.0.0.1:0/hilserver", "max_events_per_s": 1000},
+        "opcua": {
+            "endpoint": "opc.tcp://127.0.0.1:0/hilserver",
+            "max_events_per_s": 1000,
+        },
         "metrics": {"port": 0},
-        "scheduler": {"realtime": LIGHT, "limits": limits, "communication_timeout_ms": 0}
+        "scheduler": {
+            "realtime": LIGHT,
+            "limits": limits,
+            "communication_timeout_ms": 0,
+        }
         | (scheduler or {}),
     }
     return Config.model_validate(ours | sections)
@@ -77,7 +84,9 @@ async def scrape(daemon, path="/metrics"):
 
 def frames(daemon, since=0) -> Iterator:
     """Every frame from number `since` on that is still in the ring."""
-    for number in range(max(since, daemon.image.head - RING_FRAMES + 256), daemon.image.head):
+    for number in range(
+        max(since, daemon.image.head - RING_FRAMES + 256), daemon.image.head
+    ):
         frame = daemon.image.frame(number)
         assert frame is not None, f"frame {number} was overwritten while it was read"
         yield frame
@@ -175,7 +184,9 @@ class Peer(ControllerServer):
             if not self.is_silent:
                 self.sequence += 1
                 self.offered_ns = time.monotonic_ns()
-                await self.offer(self.values | {SEQUENCE: self.sequence}, datetime.now(UTC))
+                await self.offer(
+                    self.values | {SEQUENCE: self.sequence}, datetime.now(UTC)
+                )
             await asyncio.sleep(0.02)
 
     def set(self, fl, rl, fr, rr):

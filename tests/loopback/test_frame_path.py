@@ -32,7 +32,9 @@ async def at_rest(robot):
 
 async def drive(client, fl, rl, fr, rr):
     names = [f"wheel__{wheel}__setpoint_rpm" for wheel in WHEELS]
-    codes = await client.write_doubles(**dict(zip(names, (fl, rl, fr, rr), strict=True)))
+    codes = await client.write_doubles(
+        **dict(zip(names, (fl, rl, fr, rr), strict=True))
+    )
     assert codes == ["Good"] * 4
 
 
@@ -60,7 +62,9 @@ async def test_a_set_point_reaches_the_wheel_and_comes_back(at_rest):
     assert speeds[-1] == pytest.approx(30.0, abs=0.5)
     mirrored = [f.values[slot("wheel.fr.speed_rpm")] for f in history]
     assert mirrored == [-v for v in speeds], "forward is negative on the right"
-    assert await client.read("wheels.speeds_rpm") == pytest.approx([30, 30, -30, -30], abs=0.5)
+    assert await client.read("wheels.speeds_rpm") == pytest.approx(
+        [30, 30, -30, -30], abs=0.5
+    )
 
 
 async def test_the_stamp_is_the_tick_that_made_the_value(at_rest):
@@ -102,7 +106,9 @@ async def test_a_positive_twist_turns_left(at_rest):
 
 async def test_set_pose_puts_the_robot_there(at_rest):
     daemon, client = at_rest
-    assert await call(client, "SetPose", double(1.5), double(-2.0), double(0.75)) == "Good"
+    assert (
+        await call(client, "SetPose", double(1.5), double(-2.0), double(0.75)) == "Good"
+    )
     await run_ticks(daemon, 60)
     await asyncio.sleep(0.05)
     pose = [await client.read(f"pose.{name}") for name in ("x_m", "y_m", "yaw_rad")]

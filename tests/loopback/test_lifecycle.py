@@ -41,8 +41,12 @@ def daemon_process(folder, text):
     path.write_text(SETTINGS + text, encoding="utf-8")
     command = [sys.executable, "-m", "hilserver", "run", "-c", str(path)]
     lines = []
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=folder) as process:
-        reader = threading.Thread(target=lambda: lines.extend(process.stderr), daemon=True)
+    with subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, cwd=folder
+    ) as process:
+        reader = threading.Thread(
+            target=lambda: lines.extend(process.stderr), daemon=True
+        )
         reader.start()
         try:
             yield process, lines
@@ -84,7 +88,10 @@ blocks:
 
 def test_a_stopped_process_is_a_late_wake_and_the_log_says_so(tmp_path):
     text = f"scheduler: {{policy: skip, {REALTIME}, slices: {{supervise: 100}}}}\n"
-    late = ("hil_overruns_total", frozenset({("slice", "plant"), ("cause", "late_wake")}))
+    late = (
+        "hil_overruns_total",
+        frozenset({("slice", "plant"), ("cause", "late_wake")}),
+    )
     missed = ("hil_missed_ticks_total", frozenset({("slice", "plant")}))
     with daemon_process(tmp_path, text) as (process, lines):
         wait_for(lambda: any(line.get("event") == "running" for line in logged(lines)))
@@ -103,7 +110,9 @@ def test_a_stopped_process_is_a_late_wake_and_the_log_says_so(tmp_path):
         after = scrape(lines)
     assert after[late] >= before[late] + 1
     assert after[missed] >= before[missed] + 40
-    assert any(line["slice"] == "plant" and line["kind"] == "late_wake" for line in stopped)
+    assert any(
+        line["slice"] == "plant" and line["kind"] == "late_wake" for line in stopped
+    )
     assert process.returncode == 0
 
 
@@ -161,6 +170,10 @@ async def test_a_start_that_fails_gives_everything_back():
         port = taken.getsockname()[1]
         endpoint = f"opc.tcp://127.0.0.1:{port}/hilserver"
         before = await resources()
-        with pytest.raises(FailedError, match=rf"port {port} \(address already in use\); end the"):
-            await Daemon(assemble_config(configuration(opcua={"endpoint": endpoint}))).__aenter__()
+        with pytest.raises(
+            FailedError, match=rf"port {port} \(address already in use\); end the"
+        ):
+            await Daemon(
+                assemble_config(configuration(opcua={"endpoint": endpoint}))
+            ).__aenter__()
         assert await resources() == before

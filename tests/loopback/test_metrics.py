@@ -19,7 +19,15 @@ from hilserver.daemon.metrics import METRICS
 from hilserver.io.opcua_client.session import judge
 from hilserver.monitoring.health_http import RENDER_EVERY_S
 from tests.helpers.prom_diff import PromDiff, series_of_text
-from tests.loopback.rig import call, configuration, run_ticks, running, scrape, take, wait_until
+from tests.loopback.rig import (
+    call,
+    configuration,
+    run_ticks,
+    running,
+    scrape,
+    take,
+    wait_until,
+)
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
@@ -53,7 +61,10 @@ class ControllerProcess:
     @property
     def config(self):
         peer = demo_peer(f"opc.tcp://127.0.0.1:{self.port}/UA/NodeRedAgv", name="plc")
-        return peer.model_dump(mode="json") | {"stale_after_ms": 300, "on_stale": "hold"}
+        return peer.model_dump(mode="json") | {
+            "stale_after_ms": 300,
+            "on_stale": "hold",
+        }
 
     async def kill(self):
         self._process.kill()
@@ -80,7 +91,9 @@ class Robot:
 
     async def value(self, name, **labels):
         await asyncio.sleep(1.2 * RENDER_EVERY_S)
-        return series_of_text(await scrape(self.daemon)).get((name, frozenset(labels.items())))
+        return series_of_text(await scrape(self.daemon)).get(
+            (name, frozenset(labels.items()))
+        )
 
     async def connected(self):
         return await self.value("hil_peer_connected", peer="plc") == 1.0
@@ -93,12 +106,20 @@ async def robot():
     config = configuration(
         peers=[controller.config],
         blocks=[
-            {"name": "busy", "function": "blocks.py:busy", "inputs": {"busy": "lights.blue"}},
+            {
+                "name": "busy",
+                "function": "blocks.py:busy",
+                "inputs": {"busy": "lights.blue"},
+            },
         ],
         scheduler={
             "policy": "skip",
             "limits": {"single_overrun_ms": None, "consecutive_overruns": None},
-            "realtime": {"priority": 0, "lock_memory": False, "hold_latency_target": False},
+            "realtime": {
+                "priority": 0,
+                "lock_memory": False,
+                "hold_latency_target": False,
+            },
         },
     )
     try:
@@ -145,11 +166,15 @@ async def collected_garbage(_robot):
 
 
 async def refused_write(robot):
-    assert await robot.client.write_doubles(wheel__fl__setpoint_rpm=math.nan) == ["BadOutOfRange"]
+    assert await robot.client.write_doubles(wheel__fl__setpoint_rpm=math.nan) == [
+        "BadOutOfRange"
+    ]
 
 
 async def setpoint_change(robot):
-    await robot.client.write_doubles(wheel__fl__setpoint_rpm=float(time.monotonic() % 50))
+    await robot.client.write_doubles(
+        wheel__fl__setpoint_rpm=float(time.monotonic() % 50)
+    )
     await run_ticks(robot.daemon, 60)
     await asyncio.sleep(0.05)
 
@@ -165,7 +190,9 @@ async def a_fault(robot):
 
 async def another_gain(robot):
     parameters = robot.daemon.core.parameters
-    await parameters.taken(parameters.apply(parameters.checked({"plant.controller.k_p": 0.6})))
+    await parameters.taken(
+        parameters.apply(parameters.checked({"plant.controller.k_p": 0.6}))
+    )
 
 
 async def another_task(robot):
@@ -184,7 +211,9 @@ async def lying_values(robot):
     """The link judges a sample that no sane controller sends."""
     node = next(iter(robot.daemon.config.peers[0].read))
     intake = robot.daemon.parts_of("peers")[0]._intake
-    intake.receive([(node, judge(ua.DataValue(ua.Variant(math.nan))))], time.monotonic_ns())
+    intake.receive(
+        [(node, judge(ua.DataValue(ua.Variant(math.nan))))], time.monotonic_ns()
+    )
 
 
 async def recovered(robot):
@@ -198,7 +227,13 @@ STIMULI = [
     ("hil_wake_latency_seconds", "_count", {"slice": "plant"}, ticks, 100),
     ("hil_execution_seconds", "_sum", {"slice": "plant"}, a_long_slice, 0.005),
     ("hil_wake_jitter_seconds", "", {"slice": "publish"}, a_blocked_loop, None),
-    ("hil_overruns_total", "", {"slice": "plant", "cause": "long_run"}, a_long_slice, 1),
+    (
+        "hil_overruns_total",
+        "",
+        {"slice": "plant", "cause": "long_run"},
+        a_long_slice,
+        1,
+    ),
     ("hil_missed_ticks_total", "", {"slice": "plant"}, a_long_slice, 1),
     ("hil_missed_ticks_total", "", {"slice": "publish"}, a_blocked_loop, 5),
     ("hil_missed_ticks_total", "", {"slice": "supervise"}, a_blocked_loop, 1),
@@ -247,7 +282,9 @@ MOVED_ELSEWHERE = {
 
 
 @pytest.mark.parametrize(("name", "suffix", "labels", "stimulus", "least"), STIMULI)
-async def test_the_stimulus_moves_the_metric(robot, name, suffix, labels, stimulus, least):
+async def test_the_stimulus_moves_the_metric(
+    robot, name, suffix, labels, stimulus, least
+):
     async def has_moved():
         await robot.scrape_again(diff)
         if (name + suffix, frozenset(labels.items())) not in diff.after:
@@ -273,10 +310,15 @@ async def test_overruns_of_communication_slices_are_counted(robot):
         await a_blocked_loop(robot)
     for name in ("publish", "supervise"):
         causes = ("late_wake", "long_run")
-        assert sum(diff["hil_overruns_total", {"slice": name, "cause": c}] for c in causes) >= 1
+        assert (
+            sum(diff["hil_overruns_total", {"slice": name, "cause": c}] for c in causes)
+            >= 1
+        )
 
 
-async def test_the_margin_falls_below_zero_with_a_long_slice_and_starts_anew_by_reset(robot):
+async def test_the_margin_falls_below_zero_with_a_long_slice_and_starts_anew_by_reset(
+    robot,
+):
     assert await call(robot.client, "ResetStatistics") == "Good"
     await a_long_slice(robot)
     assert await robot.value("hil_margin_min_seconds", slice="plant") < -0.001
@@ -292,7 +334,9 @@ async def test_the_log_line_names_the_slice_as_the_cause(robot):
     wanted = {"kind": "long_run", "slice": "plant", "cause": "slice"}.items()
 
     async def is_named():
-        await a_long_slice(robot)  # a busy computer may stop the thread meanwhile: another cause
+        await a_long_slice(
+            robot
+        )  # a busy computer may stop the thread meanwhile: another cause
         return any(wanted <= line.items() for line in lines)
 
     with capture_logs() as lines:
@@ -308,12 +352,17 @@ async def test_a_killed_peer_is_not_connected_grows_old_and_comes_back(robot):
         await wait_until(lambda: _not(robot.connected()))
         old = await robot.value("hil_input_age_seconds", source="peer:plc")
         await asyncio.sleep(0.3)
-        assert await robot.value("hil_input_age_seconds", source="peer:plc") >= old + 0.3
+        assert (
+            await robot.value("hil_input_age_seconds", source="peer:plc") >= old + 0.3
+        )
         await robot.controller.start()
         await wait_until(robot.connected)
         offset = ("hil_clock_offset_seconds", frozenset(PEER.items()))
         await wait_until(
-            lambda: robot.daemon.parts_of("peers")[0].status.clock_offset_s != diff.before[offset]
+            lambda: (
+                robot.daemon.parts_of("peers")[0].status.clock_offset_s
+                != diff.before[offset]
+            )
         )
         await wait_until(lambda: robot.daemon.gate.age_s("peer:plc") < 0.3)
     assert diff["hil_peer_reconnects_total", PEER] == 1

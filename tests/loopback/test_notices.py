@@ -5,7 +5,9 @@ from tests.loopback.rig import configuration, running, wait_until
 
 
 def notices(daemon, word):
-    return sum(e.kind is EventKind.STATE and word in e.message for e in daemon.events.recent)
+    return sum(
+        e.kind is EventKind.STATE and word in e.message for e in daemon.events.recent
+    )
 
 
 async def test_an_exclusive_twist_and_a_scaled_twist_are_reported():
@@ -13,7 +15,9 @@ async def test_an_exclusive_twist_and_a_scaled_twist_are_reported():
     async with running(config) as (daemon, _):
         write = daemon.gate.write
         assert write("opcua", {"control.mode": 1, "twist.linear_m_s": 0.3}) == {}
-        await wait_until(lambda: daemon.image.latest().values[daemon.table.slot("pose.x_m")] > 0.05)
+        await wait_until(
+            lambda: daemon.image.latest().values[daemon.table.slot("pose.x_m")] > 0.05
+        )
         assert notices(daemon, "exclusive_twist") == 0
         assert write("opcua", {"twist.angular_rad_s": 0.5}) == {}
         await wait_until(lambda: notices(daemon, "exclusive_twist") == 1)

@@ -65,7 +65,9 @@ async def test_it_runs_every_10_ms_and_computes_what_it_says(driving):
     runs = [f for f in history if f.tick % 10 == 0]
     for before, after in itertools.pairwise(history):
         if after.tick % 10:
-            assert after.values[force] == before.values[force], "between its runs nothing changes"
+            assert after.values[force] == before.values[force], (
+                "between its runs nothing changes"
+            )
     share = PERIOD_S / (LAG_S + PERIOD_S)
     for before, after in itertools.pairwise(runs):
         old, duty = before.values[force], after.values[slot("wheel.fl.duty_pct")]

@@ -51,7 +51,9 @@ async def peer(plc):
 
 
 def config(*peers, **sections):
-    return configuration(peers=list(peers), plant={"safe_ramp_s": SAFE_RAMP_S}, **sections)
+    return configuration(
+        peers=list(peers), plant={"safe_ramp_s": SAFE_RAMP_S}, **sections
+    )
 
 
 def robot(*peers):
@@ -88,7 +90,10 @@ def status(daemon, name):
 
 
 async def test_ramp_is_the_safe_state_until_the_peer_is_back_and_reset_is_called(peer):
-    async with robot(peer.config(on_stale="ramp")) as (daemon, client), inbox(client) as box:
+    async with (
+        robot(peer.config(on_stale="ramp")) as (daemon, client),
+        inbox(client) as box,
+    ):
         await driven(daemon, peer)
         first = daemon.image.head
         peer.is_silent = True
@@ -98,14 +103,24 @@ async def test_ramp_is_the_safe_state_until_the_peer_is_back_and_reset_is_called
         slot = daemon.table.slot
         speeds = [abs(f.values[slot("wheel.fl.speed_rpm")]) for f in history]
         begin = [f.values[slot("internal.command")] for f in history].index(2.0)
-        ramp = round(SAFE_RAMP_S * 1e3)  # in ticks: what the wheels do hangs on no clock
+        ramp = round(
+            SAFE_RAMP_S * 1e3
+        )  # in ticks: what the wheels do hangs on no clock
         assert speeds[begin] > 45.0
         assert speeds[begin + ramp // 2] > 15.0, "a ramp, not a stop"
         assert max(speeds[begin + ramp + SETTLING_TICKS :]) < 1.0
-        told = [e.monotonic_ns for e in daemon.events.recent if e.kind is EventKind.PEER_LOST]
-        assert told[-1] - peer.offered_ns > STALE_AFTER_S * 1e9, "called silent too soon"
+        told = [
+            e.monotonic_ns
+            for e in daemon.events.recent
+            if e.kind is EventKind.PEER_LOST
+        ]
+        assert told[-1] - peer.offered_ns > STALE_AFTER_S * 1e9, (
+            "called silent too soon"
+        )
         assert status(daemon, "wheel.fl.setpoint_rpm") == UNCERTAIN_LAST_USABLE_VALUE
-        await wait_until(lambda: box.has("peer_lost") and box.has("safe_state", "silent"))
+        await wait_until(
+            lambda: box.has("peer_lost") and box.has("safe_state", "silent")
+        )
         await wait_until(lambda: newest(daemon, "drive.enable") == 0.0)
 
         refused = await client.call("Reset")
@@ -123,11 +138,15 @@ async def test_ramp_is_the_safe_state_until_the_peer_is_back_and_reset_is_called
 
         await wait_until(reset)
         await run_ticks(daemon, 400)
-        assert max(map(abs, column(daemon, "wheel.fl.speed_rpm", first))) < 1.0, "old set-point"
+        assert max(map(abs, column(daemon, "wheel.fl.speed_rpm", first))) < 1.0, (
+            "old set-point"
+        )
         peer.set(30.0, 30.0, -30.0, -30.0)
         await run_ticks(daemon, 400)
         assert newest(daemon, "control.waits_for_start") == 1.0
-        assert max(map(abs, column(daemon, "wheel.fl.speed_rpm", first))) < 1.0, "without Start"
+        assert max(map(abs, column(daemon, "wheel.fl.speed_rpm", first))) < 1.0, (
+            "without Start"
+        )
         assert await call(client, "Start") == "Good"
         await driven(daemon, peer, 30.0)
 
@@ -147,7 +166,10 @@ async def test_zero_stops_at_once_and_the_peer_drives_on_when_it_is_back(peer):
 
 
 async def test_hold_drives_on_and_says_so(peer):
-    async with robot(peer.config(on_stale="hold")) as (daemon, client), inbox(client) as box:
+    async with (
+        robot(peer.config(on_stale="hold")) as (daemon, client),
+        inbox(client) as box,
+    ):
         await driven(daemon, peer)
         first = daemon.image.head
         peer.is_silent = True
@@ -157,18 +179,26 @@ async def test_hold_drives_on_and_says_so(peer):
 
         async def shows_it():  # a loop that is held up may have said the same before, and gone on
             data = await client.data_value("wheel.fl.setpoint_rpm")
-            return (data.Value.Value, data.StatusCode.name) == (50.0, "UncertainLastUsableValue")
+            return (data.Value.Value, data.StatusCode.name) == (
+                50.0,
+                "UncertainLastUsableValue",
+            )
 
         await wait_until(shows_it)
         assert daemon.control.state is State.RUNNING
 
 
 async def test_a_silent_peer_without_control_disturbs_nobody(peer):
-    async with robot(peer.config(on_stale="ramp")) as (daemon, client), inbox(client) as box:
+    async with (
+        robot(peer.config(on_stale="ramp")) as (daemon, client),
+        inbox(client) as box,
+    ):
         await driven(daemon, peer)
         assert await take(client, "opcua") == "Good"
         kind = ua.VariantType.Double
-        codes = await client.write(("wheels.setpoints_rpm", [10.0, 10.0, -10.0, -10.0], kind))
+        codes = await client.write(
+            ("wheels.setpoints_rpm", [10.0, 10.0, -10.0, -10.0], kind)
+        )
         assert codes == ["Good"]
         await run_ticks(daemon, 1200)  # down to zero, and up again
         first = daemon.image.head
@@ -183,26 +213,37 @@ async def test_a_silent_peer_without_control_disturbs_nobody(peer):
         await wait_until(lambda: daemon.control.state is State.SAFE)
         assert await call(client, "Reset") == "BadInvalidState"
         assert await take(client, "opcua") == "Good"
-        assert await call(client, "Reset") == "Good", "the silent peer has no control any more"
+        assert await call(client, "Reset") == "Good", (
+            "the silent peer has no control any more"
+        )
         await run_ticks(daemon, 50)
         assert daemon.control.state is State.RUNNING
 
 
 async def test_nan_with_status_good_never_reaches_the_plant(peer):
-    async with robot(peer.config(on_stale="ramp")) as (daemon, client), inbox(client) as box:
+    async with (
+        robot(peer.config(on_stale="ramp")) as (daemon, client),
+        inbox(client) as box,
+    ):
         await driven(daemon, peer)
         first = daemon.image.head
         peer.values["rpm_set_FL"] = math.nan
         await wait_until(lambda: box.has("peer_fault", "rpm_set_FL"))
         await wait_until(lambda: daemon.control.state is State.SAFE)
         await run_ticks(daemon, 400)
-        inputs = [daemon.table.slot(s.name) for s in daemon.table if s.writable and not s.is_array]
+        inputs = [
+            daemon.table.slot(s.name)
+            for s in daemon.table
+            if s.writable and not s.is_array
+        ]
         for frame in frames(daemon, first):
             assert all(map(math.isfinite, frame.values[inputs]))
             assert math.isfinite(frame.values[daemon.table.slot("wheel.fl.speed_rpm")])
         assert set(column(daemon, "wheel.fl.setpoint_rpm", first)) == {50.0}
         name = 'hil_peer_faults_total{kind="not_finite",peer="plc"}'
-        assert any(line.startswith(name) for line in (await scrape(daemon)).splitlines())
+        assert any(
+            line.startswith(name) for line in (await scrape(daemon)).splitlines()
+        )
         assert any(e.SourceName == "plc" for e in box.events if e.Kind == "peer_fault")
 
 
@@ -212,7 +253,9 @@ async def test_of_two_silent_peers_both_have_to_come_back_before_reset(peer):
     right = {node: name for node, name in every.items() if node.endswith(("FR", "RR"))}
     async with (
         Peer(left) as other,
-        robot_without_server(other.config("left"), peer.config("right", read=right)) as daemon,
+        robot_without_server(
+            other.config("left"), peer.config("right", read=right)
+        ) as daemon,
     ):
         other.values |= dict.fromkeys(left, 40.0)
         peer.set(0.0, 0.0, -40.0, -40.0)

@@ -96,7 +96,9 @@ async def test_step_is_refused_while_running(at_rest):
     assert await call(client, "Step", uint32(0)) == "BadInvalidArgument"
 
 
-async def test_written_values_are_visible_while_paused_and_latched_by_the_next_tick(at_rest):
+async def test_written_values_are_visible_while_paused_and_latched_by_the_next_tick(
+    at_rest,
+):
     daemon, client = at_rest
     await pause(daemon, client)
     await forward(client, 12.0)
@@ -141,7 +143,9 @@ async def test_stop_ramps_to_zero_disables_the_drive_and_waits_for_reset(at_rest
     assert await client.read("wheel.fl.setpoint_rpm") == 0.0
     assert (await client.data_value("wheel.fl.speed_rpm")).StatusCode.is_good()
 
-    assert await client.write_doubles(wheel__fl__setpoint_rpm=12.0) == ["BadInvalidState"]
+    assert await client.write_doubles(wheel__fl__setpoint_rpm=12.0) == [
+        "BadInvalidState"
+    ]
     await wait_until(lambda: _reads(client, True, "control.waits_for_start"))
     async with inbox(client) as box:
         assert await call(client, "Start") == "Good"
@@ -238,10 +242,14 @@ async def test_control_is_taken_by_priority_and_refusals_say_so(at_rest):
     daemon, client = at_rest
     assert await take(client, "peer") == "Good"
     async with inbox(client) as box:
-        assert await client.write_doubles(wheel__fl__setpoint_rpm=5.0) == ["BadUserAccessDenied"]
+        assert await client.write_doubles(wheel__fl__setpoint_rpm=5.0) == [
+            "BadUserAccessDenied"
+        ]
         await wait_until(lambda: box.has("setpoint_refused", "'peer' has control"))
         assert await take(client, "opcua") == "Good"
-        await wait_until(lambda: box.has("state", "control passes from 'peer' to 'opcua'"))
+        await wait_until(
+            lambda: box.has("state", "control passes from 'peer' to 'opcua'")
+        )
     assert await take(client, "somebody") == "BadOutOfRange"
     assert await client.write_doubles(wheel__fl__setpoint_rpm=5.0) == ["Good"]
     daemon.gate.take("page")
@@ -253,7 +261,9 @@ async def test_control_is_taken_by_priority_and_refusals_say_so(at_rest):
 async def test_a_bad_value_never_gets_into_a_frame(at_rest, value):
     daemon, client = at_rest
     first = daemon.image.head
-    assert await client.write_doubles(wheel__fl__setpoint_rpm=value) == ["BadOutOfRange"]
+    assert await client.write_doubles(wheel__fl__setpoint_rpm=value) == [
+        "BadOutOfRange"
+    ]
     await run_ticks(daemon, 20)
     assert set(column(daemon, "wheel.fl.setpoint_rpm", first)) == {0.0}
 

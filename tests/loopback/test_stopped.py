@@ -44,7 +44,9 @@ class AtOnce:
         return getattr(self._transport, name)
 
     def write(self, data):
-        connection = socket.socket(fileno=self._transport.get_extra_info("socket").fileno())
+        connection = socket.socket(
+            fileno=self._transport.get_extra_info("socket").fileno()
+        )
         connection.send(data)
         connection.detach()
         self.sent += 1
@@ -90,12 +92,21 @@ class Viewer:
     async def connect(self):
         self._session = aiohttp.ClientSession()
         url = f"ws://127.0.0.1:{self._port}"
-        self._socket = await self._session.ws_connect(url, protocols=["foxglove.sdk.v1"])
-        channel = {"id": 1, "topic": "/hilserver/set", "encoding": "json", "schemaName": ""}
+        self._socket = await self._session.ws_connect(
+            url, protocols=["foxglove.sdk.v1"]
+        )
+        channel = {
+            "id": 1,
+            "topic": "/hilserver/set",
+            "encoding": "json",
+            "schemaName": "",
+        }
         await self._socket.send_json({"op": "advertise", "channels": [channel]})
 
     async def say(self, rpm):
-        await self._socket.send_bytes(struct.pack("<BI", 1, 1) + json.dumps({FL: rpm}).encode())
+        await self._socket.send_bytes(
+            struct.pack("<BI", 1, 1) + json.dumps({FL: rpm}).encode()
+        )
 
     say_now = say  # a socket that is not full sends in the call
 
@@ -116,7 +127,9 @@ class Host:
         self._file = os.open(self._link, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
 
     async def say(self, rpm):
-        speeds = struct.pack("<4h", *(round(100 * sign * rpm) for sign in (-1, -1, 1, 1)))
+        speeds = struct.pack(
+            "<4h", *(round(100 * sign * rpm) for sign in (-1, -1, 1, 1))
+        )
         os.write(self._file, request(Command.ENABLE) + request(Command.SET_RPM, speeds))
         with contextlib.suppress(BlockingIOError):
             os.read(self._file, 1 << 16)
@@ -128,9 +141,13 @@ class Host:
 
 
 @pytest.mark.parametrize("kind", [Teleop, Viewer, Host])
-async def test_what_was_sent_while_it_was_stopped_does_not_drive_after_it(tmp_path, kind):
+async def test_what_was_sent_while_it_was_stopped_does_not_drive_after_it(
+    tmp_path, kind
+):
     port = free_port()
-    with running_daemon(tmp_path, config=CONFIG.format(source=kind.source, port=port)) as daemon:
+    with running_daemon(
+        tmp_path, config=CONFIG.format(source=kind.source, port=port)
+    ) as daemon:
         image = ImageReader.attach(daemon.image)
         slots = {row["name"]: row["slots"][0] for row in image.description["signals"]}
         client = kind(daemon, port)
@@ -154,7 +171,9 @@ async def test_what_was_sent_while_it_was_stopped_does_not_drive_after_it(tmp_pa
             return len(frames) > 500
 
         await wait_until(has_gone_on)
-        assert 50.0 not in {frame.values[slots[FL]] for frame in frames if frame is not None}
+        assert 50.0 not in {
+            frame.values[slots[FL]] for frame in frames if frame is not None
+        }
         await wait_until(lambda: drives(30.0))
         await client.close()
 

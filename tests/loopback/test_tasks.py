@@ -32,7 +32,10 @@ KEPT = {
 
 def sections():
     """Every link that needs no other program; the peer and the broker are not there."""
-    peer = {"name": "plc", "endpoint": f"opc.tcp://127.0.0.1:{free_port()}/UA/NodeRedAgv"}
+    peer = {
+        "name": "plc",
+        "endpoint": f"opc.tcp://127.0.0.1:{free_port()}/UA/NodeRedAgv",
+    }
     return {
         "peers": [peer | {"read": {NODE: "wheel.fl.setpoint_rpm"}}],
         "edge": {
@@ -84,7 +87,10 @@ async def test_no_task_ends_without_a_word(tmp_path, monkeypatch):
             what = f"task '{job.name}' was cancelled from outside; it begins again in 0.01 s"
             assert what in [event.message for event in daemon.events.recent[heard:]]
 
-        for work, why in ((returns, "returned"), (fails, "failed: ValueError: no bread")):
+        for work, why in (
+            (returns, "returned"),
+            (fails, "failed: ValueError: no bread"),
+        ):
             for job in jobs:
                 real = job._make
                 monkeypatch.setattr(job, "_make", work)
@@ -92,7 +98,9 @@ async def test_no_task_ends_without_a_word(tmp_path, monkeypatch):
                 await wait_until(lambda: job.why_down == why)  # noqa: B023
                 monkeypatch.setattr(job, "_make", real)
                 await wait_until(lambda: not job.task.done() and not job.why_down)  # noqa: B023
-                assert any(f"'{job.name}' {why}" in e.message for e in daemon.events.recent)
+                assert any(
+                    f"'{job.name}' {why}" in e.message for e in daemon.events.recent
+                )
 
         assert all(kept.restarts[name] >= 5 for name in KEPT)
         exported = await scrape(daemon)

@@ -39,7 +39,10 @@ def daemon(runner, domain, tmp_path_factory):
         foxglove={"enabled": True, "port": 0},
         s7={"server": {"port": 0, "blocks": {1: DRIVE}}},
         ros2={"enabled": True, "domain": domain},
-        shield={"enabled": True, "link": str(tmp_path_factory.mktemp("line") / "shield")},
+        shield={
+            "enabled": True,
+            "link": str(tmp_path_factory.mktemp("line") / "shield"),
+        },
         control={"source": "opcua"},
     )
     daemon = Daemon(assemble_config(config))

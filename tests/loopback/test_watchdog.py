@@ -71,7 +71,9 @@ async def test_a_blocked_event_loop_stops_the_robot(robot):
         assert safe, "the plant waited for the event loop"
         silent_s = (safe[0].planned_ns - begin_ns) * 1e-9
         assert silent_s > TIMEOUT_S - 0.1, "it went too early"
-        assert abs(blocked[-1].values[slot("wheel.fl.speed_rpm")]) < 1.0, "stopped while blocked"
+        assert abs(blocked[-1].values[slot("wheel.fl.speed_rpm")]) < 1.0, (
+            "stopped while blocked"
+        )
         await wait_until(lambda: daemon.control.state is State.SAFE)
         assert "did not answer in time" in daemon.control.reason
         await wait_until(lambda: box.has("safe_state", "did not answer"))
@@ -120,12 +122,18 @@ async def test_the_time_out_is_real_time_at_every_speed(robot):
 
 
 async def test_the_heartbeat_goes_on_in_a_pause_as_often_as_the_time_out_needs():
-    config = configuration(opcua={"enabled": False}, scheduler={"communication_timeout_ms": 80.0})
+    config = configuration(
+        opcua={"enabled": False}, scheduler={"communication_timeout_ms": 80.0}
+    )
     async with Daemon(assemble_config(config)) as daemon:
-        daemon.image.control.heartbeat_limit = 0  # the beats count here, not who watches them
+        daemon.image.control.heartbeat_limit = (
+            0  # the beats count here, not who watches them
+        )
         daemon.control.pause()
         seen = []
-        while len(seen) < TRIES and max(seen, default=0) <= 10:  # others may have the cores
+        while (
+            len(seen) < TRIES and max(seen, default=0) <= 10
+        ):  # others may have the cores
             before = daemon.image.control.heartbeat
             await asyncio.sleep(0.5)
             seen.append(daemon.image.control.heartbeat - before)

@@ -26,7 +26,9 @@ def write_csv(path, header="t_s,wheel.fl.speed_rpm", rows=120, row="{t},{i}", en
     return path
 
 
-def write_bag(path, storage=SQLITE, n=100, topics=("/iotbot/rpm", "/iotbot/rpm/return"), pose=True):
+def write_bag(
+    path, storage=SQLITE, n=100, topics=("/iotbot/rpm", "/iotbot/rpm/return"), pose=True
+):
     """Write a bag at 50 Hz: number i of a topic holds i, i + 1, i + 2, i + 3 in `FIELDS`."""
     store = store_of_types()
     with Writer(path, version=9, storage_plugin=storage) as writer:
@@ -48,7 +50,9 @@ def _write_pose(writer, store, n):
     for i in range(n):
         received = 1_700_000_000_000_000_000 + i * 20_000_000 + 5_000_000
         made = received - 100_000_000
-        stamp = t["builtin_interfaces/msg/Time"](sec=made // 10**9, nanosec=made % 10**9)
+        stamp = t["builtin_interfaces/msg/Time"](
+            sec=made // 10**9, nanosec=made % 10**9
+        )
         yaw = 0.01 * i
         message = t[kind](
             header=t["std_msgs/msg/Header"](stamp=stamp, frame_id="map"),
@@ -74,7 +78,9 @@ def write_chunks(path, n):
         channels = [writer.register_channel(topic, "cdr", schema) for topic in topics]
         for i in range(n):
             data = bytes(
-                store.serialize_cdr(store.types[RPM](*(float(i + k) for k in range(4))), RPM)
+                store.serialize_cdr(
+                    store.types[RPM](*(float(i + k) for k in range(4))), RPM
+                )
             )
             for channel in channels:
                 writer.add_message(channel, i * 20_000_000, data, i * 20_000_000)

@@ -18,12 +18,16 @@ from tests.measured.samples import MCAP, bag_file, write_bag, write_csv
 
 SPEED = "wheel.fl.speed_rpm"
 COLUMNS = "channels:\n  wheel.fl.speed_rpm: {column: left}\n"
-TOPICS = "channels:\n  wheel.fl.speed_rpm: {topic: /iotbot/rpm, field: front_left_rpm}\n"
+TOPICS = (
+    "channels:\n  wheel.fl.speed_rpm: {topic: /iotbot/rpm, field: front_left_rpm}\n"
+)
 
 
 def raw(content, name="log.csv"):
     def make(folder):
-        (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+        (folder / name).write_bytes(
+            content if isinstance(content, bytes) else content.encode()
+        )
         return folder / name
 
     return make
@@ -109,23 +113,43 @@ T = np.arange(120) * 0.02
 KINDS = {
     "missing": (lambda folder: folder / "none.csv", None, "none.csv: no such file"),
     "missing, mapped": (lambda folder: folder / "none", COLUMNS, "none: no such file"),
-    "missing bag": (lambda folder: folder / "none.bag", TOPICS, "none.bag: no such file"),
-    "folder": (folder_without_a_bag, TOPICS, "the folder contains no bag .* name the log"),
+    "missing bag": (
+        lambda folder: folder / "none.bag",
+        TOPICS,
+        "none.bag: no such file",
+    ),
+    "folder": (
+        folder_without_a_bag,
+        TOPICS,
+        "the folder contains no bag .* name the log",
+    ),
     "folder without mapping": (
         folder_without_a_bag,
         None,
         "the folder contains no bag .* name the log",
     ),
     "empty": (raw(""), None, "log.csv: is empty; the first row must be the header"),
-    "only header": (raw(f"t_s,{SPEED}\n"), None, "contains no samples of any signal; record"),
+    "only header": (
+        raw(f"t_s,{SPEED}\n"),
+        None,
+        "contains no samples of any signal; record",
+    ),
     "one row": (csv(rows=1), None, "contains only 0 s; a diagnosis needs at least 1 s"),
-    "too short": (csv(rows=30), None, "contains only 0.58 s; a diagnosis needs at least 1 s"),
+    "too short": (
+        csv(rows=30),
+        None,
+        "contains only 0.58 s; a diagnosis needs at least 1 s",
+    ),
     "no header": (
         raw("0.0,1.0\n0.1,2.0\n"),
         None,
         "row 1 contains numbers instead of a header; put 't_s",
     ),
-    "no time column": (csv(header=f"time,{SPEED}"), None, "row 1: there is no column 't_s'; give"),
+    "no time column": (
+        csv(header=f"time,{SPEED}"),
+        None,
+        "row 1: there is no column 't_s'; give",
+    ),
     "unknown column": (
         csv(header="t_s,wheel.fl.speed"),
         None,
@@ -156,7 +180,11 @@ KINDS = {
         None,
         "row 1 begins with '# ma'; .* remove everything before it",
     ),
-    "the header a comment": (csv(header=f"# t_s,{SPEED}"), None, "row 1 begins with '# t_'; the"),
+    "the header a comment": (
+        csv(header=f"# t_s,{SPEED}"),
+        None,
+        "row 1 begins with '# t_'; the",
+    ),
     "a row of units": (
         raw(f"t_s,{SPEED}\ns,rpm\n" + "".join(f"{0.02 * i},{i}\n" for i in range(120))),
         None,
@@ -177,15 +205,31 @@ KINDS = {
         None,
         r"its rows are 20 s apart, .* in a mapping, as time: \{unit: ms\}",
     ),
-    "decimal commas": (row_of("0,06,3"), None, "row 5 has 3 columns, the header has 2; remove"),
-    "device": (lambda _folder: Path("/dev/zero"), None, "is a device or pipe, not a file; save"),
-    "pipe": (pipe, None, "log.csv: is a device or pipe, not a file; save the log to a file"),
+    "decimal commas": (
+        row_of("0,06,3"),
+        None,
+        "row 5 has 3 columns, the header has 2; remove",
+    ),
+    "device": (
+        lambda _folder: Path("/dev/zero"),
+        None,
+        "is a device or pipe, not a file; save",
+    ),
+    "pipe": (
+        pipe,
+        None,
+        "log.csv: is a device or pipe, not a file; save the log to a file",
+    ),
     "time of no clock": (
         csv(row="{i}e30,1"),
         None,
         r"its times are about 5.95e\+31 s, impossible for a recording; write seconds, or",
     ),
-    "years": (csv(row="{i}e6,1"), None, "lasts 1.19e[+]08 s; a diagnosis accepts 28800 s at most"),
+    "years": (
+        csv(row="{i}e6,1"),
+        None,
+        "lasts 1.19e[+]08 s; a diagnosis accepts 28800 s at most",
+    ),
     "text": (
         row_of("0.06,fast"),
         None,
@@ -201,7 +245,11 @@ KINDS = {
         None,
         "row 5, .* 1e[+]300 is not a possible value for a robot; write",
     ),
-    "too few fields": (row_of("0.06"), None, "row 5 has 1 columns, the header has 2; remove"),
+    "too few fields": (
+        row_of("0.06"),
+        None,
+        "row 5 has 1 columns, the header has 2; remove",
+    ),
     "time falls": (
         row_of("0.01,3"),
         None,
@@ -213,15 +261,34 @@ KINDS = {
         "row 62, column 1 't_s': 0.0 is not later than 1.18; number the runs in a column 'seg",
     ),
     "a run in between": (
-        raw(f"t_s,{SPEED}\n" + "".join(f"{0.02 * i - (i // 60)},{i}\n" for i in range(120))),
+        raw(
+            f"t_s,{SPEED}\n"
+            + "".join(f"{0.02 * i - (i // 60)},{i}\n" for i in range(120))
+        ),
         None,
         "is not later than 1.18; number the runs",
     ),
-    "time is NaN": (row_of("nan,3"), None, "row 5, column 1 't_s': the time is missing; every row"),
-    "time is infinite": (row_of("inf,3"), None, "row 5, column 1 't_s': the time is missing"),
+    "time is NaN": (
+        row_of("nan,3"),
+        None,
+        "row 5, column 1 't_s': the time is missing; every row",
+    ),
+    "time is infinite": (
+        row_of("inf,3"),
+        None,
+        "row 5, column 1 't_s': the time is missing",
+    ),
     "letters": (row_of("0.06,ä"), None, "row 5, .*'ä' is not a number"),
-    "not UTF-8": (raw(b"t_s,a\n0,1\n0.1,\xe4\n"), None, "byte 14 is not UTF-8; save the file"),
-    "UTF-16": (raw("t_s,a\n0,1\n".encode("utf-16")), None, "is not UTF-8; save the file"),
+    "not UTF-8": (
+        raw(b"t_s,a\n0,1\n0.1,\xe4\n"),
+        None,
+        "byte 14 is not UTF-8; save the file",
+    ),
+    "UTF-16": (
+        raw("t_s,a\n0,1\n".encode("utf-16")),
+        None,
+        "is not UTF-8; save the file",
+    ),
     "binary": (raw(bytes(range(256)) * 20), None, "is not UTF-8; save the file"),
     "zeros": (raw(b"\0" * 400), None, "log.csv: .*(not CSV|no column 't_s')"),
     "quote not closed": (row_of('0.06,"3'), None, "not CSV: .*; write UTF-8 text"),
@@ -232,7 +299,11 @@ KINDS = {
     ),
     "gzip named CSV": (raw(gzip.compress(b"t_s,a\n0,1\n" * 99)), None, "is not UTF-8"),
     "kind": (raw("x", "log.xlsx"), None, "not a readable log; supported are"),
-    "kind, mapped": (raw("x", "log.xlsx"), COLUMNS, "not a readable table; supported are"),
+    "kind, mapped": (
+        raw("x", "log.xlsx"),
+        COLUMNS,
+        "not a readable table; supported are",
+    ),
     "segment not whole": (
         csv(header=f"t_s,segment,{SPEED}", row="{t},0.5,{i}"),
         None,
@@ -244,7 +315,10 @@ KINDS = {
         "row 2, column 2 'block': nan is not a whole number; write one",
     ),
     "a segment every few rows": (
-        raw(f"t_s,segment,{SPEED}\n" + "".join(f"{0.02 * i},{i // 12},{i}\n" for i in range(150))),
+        raw(
+            f"t_s,segment,{SPEED}\n"
+            + "".join(f"{0.02 * i},{i // 12},{i}\n" for i in range(150))
+        ),
         None,
         "the longest of 13 segments lasts 0.22 s; a diagnosis needs 0.5 s without a pause: number"
         " runs, not rows",
@@ -257,8 +331,16 @@ KINDS = {
         None,
         "segment 0 begins twice; give each run its own number",
     ),
-    "no usable channel": (csv(row="{t},"), None, "contains no samples of any signal; record some"),
-    "only time": (csv(header="t_s", row="{t}"), None, "contains no samples of any signal"),
+    "no usable channel": (
+        csv(row="{t},"),
+        None,
+        "contains no samples of any signal; record some",
+    ),
+    "only time": (
+        csv(header="t_s", row="{t}"),
+        None,
+        "contains no samples of any signal",
+    ),
     "same log twice": (
         two(csv(), csv()),
         None,
@@ -305,15 +387,31 @@ KINDS = {
         COLUMNS.replace("left", "left, unit: m"),
         "map.yaml:2: .*unit 'm' does not fit a signal in rpm; write one of rad/s, deg/s, rpm",
     ),
-    "mapping sign": (csv(), COLUMNS.replace("left", "left, sign: 2"), "map.yaml:2: .*sign"),
-    "mapping scale": (csv(), COLUMNS.replace("left", "left, scale: 0"), "scale must not be 0"),
+    "mapping sign": (
+        csv(),
+        COLUMNS.replace("left", "left, sign: 2"),
+        "map.yaml:2: .*sign",
+    ),
+    "mapping scale": (
+        csv(),
+        COLUMNS.replace("left", "left, scale: 0"),
+        "scale must not be 0",
+    ),
     "mapped far": (
         csv(header="time,left", row="{t},1{i}"),
         "time: {column: time}\n" + COLUMNS.replace("left", "left, scale: 1.0e+300"),
         "row 2, .*'left', as wheel.fl.speed_rpm: .* is not a possible value for a robot",
     ),
-    "mapping without channels": (csv(), "time: {rate_hz: 50}\n", "key 'channels' is missing"),
-    "mapping rate": (csv(), "time: {rate_hz: -1}\n" + COLUMNS, "map.yaml:1: time.rate_hz"),
+    "mapping without channels": (
+        csv(),
+        "time: {rate_hz: 50}\n",
+        "key 'channels' is missing",
+    ),
+    "mapping rate": (
+        csv(),
+        "time: {rate_hz: -1}\n" + COLUMNS,
+        "map.yaml:1: time.rate_hz",
+    ),
     "mapping column and rate": (
         csv(),
         "time: {rate_hz: 50, column: t}\n" + COLUMNS,
@@ -334,7 +432,11 @@ KINDS = {
         "channels:\n  nav.x_m: {topic: /a}\n",
         "map.yaml:2: .*topic and field belong together; write both",
     ),
-    "bag mapping for a table": (csv(), TOPICS, "names topics of a bag, but this is a table"),
+    "bag mapping for a table": (
+        csv(),
+        TOPICS,
+        "names topics of a bag, but this is a table",
+    ),
     "column mapping for a bag": (bag(), COLUMNS, "names columns, but this is a bag"),
     "bag without mapping": (
         bag(),
@@ -361,24 +463,48 @@ KINDS = {
         "time: {stamp: header}\n" + TOPICS,
         "its messages have no header; use 'stamp: received'",
     ),
-    "bag without messages": (bag(n=0), TOPICS, "the mapped topics contain no messages; record"),
-    "db3 truncated": (bag(cut(0.02)), TOPICS, "not a readable bag .*; copy it again, or run"),
+    "bag without messages": (
+        bag(n=0),
+        TOPICS,
+        "the mapped topics contain no messages; record",
+    ),
+    "db3 truncated": (
+        bag(cut(0.02)),
+        TOPICS,
+        "not a readable bag .*; copy it again, or run",
+    ),
     "db3 that is none": (raw("hello " * 99, "bag.db3"), TOPICS, "not a readable bag"),
-    "MCAP that is none": (raw("hello", "run.mcap"), None, "run.mcap: not an MCAP file; is its"),
+    "MCAP that is none": (
+        raw("hello", "run.mcap"),
+        None,
+        "run.mcap: not an MCAP file; is its",
+    ),
     "MCAP bag, cut early": (bag(cut(0.001), storage=MCAP), TOPICS, "no topic|no MCAP"),
     "foreign MCAP unmapped": (
         lambda folder: bag_file(write_bag(folder / "bag", storage=MCAP)),
         None,
         "a bag needs a mapping of its topics; give",
     ),
-    "Parquet that is none": (raw("hello", "log.parquet"), None, "not a readable Parquet file"),
+    "Parquet that is none": (
+        raw("hello", "log.parquet"),
+        None,
+        "not a readable Parquet file",
+    ),
     "Parquet with text": (
         parquet({"t_s": T, SPEED: ["x"] * 120}),
         None,
         "contains no numbers; leave",
     ),
-    "Parquet without time": (parquet({SPEED: T}), None, "there is no column 't_s'; give"),
-    "Parquet unknown": (parquet({"t_s": T, "speed": T}), None, "column 'speed': there is no such"),
+    "Parquet without time": (
+        parquet({SPEED: T}),
+        None,
+        "there is no column 't_s'; give",
+    ),
+    "Parquet unknown": (
+        parquet({"t_s": T, "speed": T}),
+        None,
+        "column 'speed': there is no such",
+    ),
 }
 
 
@@ -433,7 +559,9 @@ def test_no_log_at_all():
 
 def test_the_command_ends_with_2(tmp_path, capsys):
     path = write_csv(tmp_path / "log.csv", header="t_s,speed")
-    code = main(["diagnose", str(path), "-c", "config.yaml", "--out", str(tmp_path / "out")])
+    code = main(
+        ["diagnose", str(path), "-c", "config.yaml", "--out", str(tmp_path / "out")]
+    )
     said = capsys.readouterr().err
     assert code == 2
     assert "column 2 'speed'" in said

@@ -17,7 +17,9 @@ from tests.measured.samples import SQLITE, write_bag
 EXAMPLE = Path(__file__).parents[2] / "examples" / "bag"
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 MOTORS = "robot_msgs/msg/Motors"
-STORE.register(get_types_from_msg("robot_msgs/Motor[] motors\nfloat32 supply_volt\n", MOTORS))
+STORE.register(
+    get_types_from_msg("robot_msgs/Motor[] motors\nfloat32 supply_volt\n", MOTORS)
+)
 STORE.register(get_types_from_msg("string name\nfloat32 rpm\n", "robot_msgs/msg/Motor"))
 TYPES = STORE.types
 ZERO = TYPES["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
@@ -31,7 +33,8 @@ def header():
 def pose():
     kinds = "geometry_msgs/msg/"
     return TYPES[kinds + "Pose"](
-        TYPES[kinds + "Point"](1.0, 2.0, 0.0), TYPES[kinds + "Quaternion"](0.0, 0.0, 0.0, 1.0)
+        TYPES[kinds + "Point"](1.0, 2.0, 0.0),
+        TYPES[kinds + "Quaternion"](0.0, 0.0, 0.0, 1.0),
     )
 
 
@@ -52,7 +55,11 @@ def odometry():
 
 def joints(names, velocity=(), position=()):
     return TYPES["sensor_msgs/msg/JointState"](
-        header(), list(names), np.array(position), np.array(velocity), np.zeros(len(names))
+        header(),
+        list(names),
+        np.array(position),
+        np.array(velocity),
+        np.zeros(len(names)),
     )
 
 
@@ -69,7 +76,9 @@ def proposed(folder, topics):
         return {}
     (folder / "map.yaml").write_text(refusal.value.proposal)
     channels = load_mapping(folder / "map.yaml").channels
-    return {signal: (channel.topic, channel.field) for signal, channel in channels.items()}
+    return {
+        signal: (channel.topic, channel.field) for signal, channel in channels.items()
+    }
 
 
 def test_the_proposal_for_the_example_is_the_mapping_that_was_written_for_it(
@@ -109,8 +118,15 @@ def test_a_point_that_somebody_clicked_on_a_map_is_no_measured_position(tmp_path
 
 
 def test_odometry_alone_is_proposed_with_a_warning(tmp_path):
-    assert proposed(tmp_path, {"/odom": odometry()})["nav.x_m"] == ("/odom", "pose.pose.position.x")
-    (line, *_) = [row for row in (tmp_path / "map.yaml").read_text().splitlines() if "nav.x" in row]
+    assert proposed(tmp_path, {"/odom": odometry()})["nav.x_m"] == (
+        "/odom",
+        "pose.pose.position.x",
+    )
+    (line, *_) = [
+        row
+        for row in (tmp_path / "map.yaml").read_text().splitlines()
+        if "nav.x" in row
+    ]
     assert "computed from the wheel speeds?" in line
 
 
@@ -124,7 +140,11 @@ def test_a_twist_is_a_command_where_its_topic_says_so(tmp_path):
 
 def test_joints_have_the_speeds_of_their_names_and_no_torques(tmp_path):
     names = ("rear_right_wheel", "front_left_wheel", "arm")
-    topics = {"/joint_states": joints(names, velocity=(1.0, 2.0, 3.0), position=(4.0, 5.0, 6.0))}
+    topics = {
+        "/joint_states": joints(
+            names, velocity=(1.0, 2.0, 3.0), position=(4.0, 5.0, 6.0)
+        )
+    }
     assert proposed(tmp_path, topics) == {
         "wheel.fl.speed_rpm": ("/joint_states", "velocity[front_left_wheel]"),
         "wheel.fl.angle_rad": ("/joint_states", "position[front_left_wheel]"),
@@ -133,9 +153,13 @@ def test_joints_have_the_speeds_of_their_names_and_no_torques(tmp_path):
     }
 
 
-def test_bare_arrays_are_wheels_in_order_and_own_types_are_read_by_their_names(tmp_path):
+def test_bare_arrays_are_wheels_in_order_and_own_types_are_read_by_their_names(
+    tmp_path,
+):
     layout = TYPES["std_msgs/msg/MultiArrayLayout"]([], 0)
-    speeds = TYPES["std_msgs/msg/Float32MultiArray"](layout, np.ones(4, dtype=np.float32))
+    speeds = TYPES["std_msgs/msg/Float32MultiArray"](
+        layout, np.ones(4, dtype=np.float32)
+    )
     motor = TYPES["robot_msgs/msg/Motor"]
     motors = TYPES[MOTORS]([motor("left", 1.0), motor("right", 2.0)], 12.0)
     found = proposed(tmp_path, {"/target_rpm": speeds, "/motors": motors})
@@ -151,7 +175,9 @@ def test_without_a_topic_of_ours_nothing_is_proposed(tmp_path):
 
 
 def test_the_built_in_mapping_that_fits_is_named(tmp_path):
-    with pytest.raises(ForeignLog, match="give iotbot with --mapping, which fits") as refusal:
+    with pytest.raises(
+        ForeignLog, match="give iotbot with --mapping, which fits"
+    ) as refusal:
         read_measured([write_bag(tmp_path / "bag")])
     assert refusal.value.proposal == ""
 

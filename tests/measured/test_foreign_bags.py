@@ -32,7 +32,9 @@ def store():
 
 
 def header(types, i):
-    stamp = types["builtin_interfaces/msg/Time"](sec=at(i) // 10**9, nanosec=at(i) % 10**9)
+    stamp = types["builtin_interfaces/msg/Time"](
+        sec=at(i) // 10**9, nanosec=at(i) % 10**9
+    )
     return types["std_msgs/msg/Header"](stamp=stamp, frame_id="base_link")
 
 
@@ -77,7 +79,9 @@ def odometry(i, quaternion=(0.0, 0.0, 0.0, 1.0)):
             header(types, i),
             "base_link",
             types[g + "PoseWithCovariance"](pose, np.zeros(36)),
-            types[g + "TwistWithCovariance"](types[g + "Twist"](zero, zero), np.zeros(36)),
+            types[g + "TwistWithCovariance"](
+                types[g + "Twist"](zero, zero), np.zeros(36)
+            ),
         ),
     )
 
@@ -88,7 +92,9 @@ def measured(folder, path, **channels):
     lines = ["time: {stamp: header}"] if time else []
     lines.append("channels:")
     for signal, (topic, field) in channels.items():
-        name = {"speed": SPEED, "right": "wheel.fr.speed_rpm"}.get(signal, f"nav.{signal}")
+        name = {"speed": SPEED, "right": "wheel.fr.speed_rpm"}.get(
+            signal, f"nav.{signal}"
+        )
         lines.append(f'  {name}: {{topic: {topic}, field: "{field}"}}')
     (folder / "map.yaml").write_text("\n".join(lines) + "\n")
     return read_measured([path], folder / "map.yaml")
@@ -105,7 +111,9 @@ float32 variance
 
 
 @pytest.mark.parametrize("storage", [SQLITE, MCAP])
-def test_the_definition_in_the_bag_comes_before_that_of_the_distribution(tmp_path, storage):
+def test_the_definition_in_the_bag_comes_before_that_of_the_distribution(
+    tmp_path, storage
+):
     """A Range of Jazzy has a variance; and whoever changed a standard type has another yet."""
     jazzy = get_typestore(Stores.ROS2_JAZZY)
     t = jazzy.types
@@ -136,7 +144,9 @@ def test_a_definition_that_fails_costs_its_topic_not_the_bag(tmp_path):
     own.register(get_types_from_msg("float64 value\n", "acme/msg/Other"))
     kinds = ("acme/msg/Speed", "acme/msg/Other")
     messages = [
-        (f"/{k[9:].lower()}", k, at(i), own.types[k](float(i))) for k in kinds for i in range(100)
+        (f"/{k[9:].lower()}", k, at(i), own.types[k](float(i)))
+        for k in kinds
+        for i in range(100)
     ]
     bag = write(tmp_path / "bag", messages, types=own)
     damage_definition(bag, "acme/msg/Other", "float64 [broken")
@@ -145,7 +155,8 @@ def test_a_definition_that_fails_costs_its_topic_not_the_bag(tmp_path):
     assert log[SPEED].values.tolist() == list(range(100))
     assert "nav.x_m" not in log
     assert any(
-        "topic '/other': the definition of its type 'acme/msg/Other'" in n for n in log.notices
+        "topic '/other': the definition of its type 'acme/msg/Other'" in n
+        for n in log.notices
     )
     with pytest.raises(LogError, match="topic '/other': the definition of its type"):
         measured(tmp_path, bag, x_m=("/other", "value"))
@@ -177,14 +188,18 @@ def test_joints_are_found_by_their_names_in_any_order(tmp_path):
     ]
     bag = write(tmp_path / "bag", messages, MCAP)
     fields = {"speed": f"velocity[{NAMES[0]}]", "right": f"velocity[{NAMES[1]}]"}
-    log = measured(tmp_path, bag, **{k: ("/joint_states", f) for k, f in fields.items()})
+    log = measured(
+        tmp_path, bag, **{k: ("/joint_states", f) for k, f in fields.items()}
+    )
     assert log[SPEED].values.tolist() == list(range(100))
     assert log["wheel.fr.speed_rpm"].values.tolist() == [-i for i in range(100)]
     with pytest.raises(
         LogError, match=r"'velocity\[0\]' is 'front_left_joint' in some messages and"
     ):
         measured(tmp_path, bag, speed=("/joint_states", "velocity[0]"))
-    with pytest.raises(LogError, match=r"no 'front_lefd_joint'; did you mean 'front_left_joint'\?"):
+    with pytest.raises(
+        LogError, match=r"no 'front_lefd_joint'; did you mean 'front_left_joint'\?"
+    ):
         measured(tmp_path, bag, speed=("/joint_states", "velocity[front_lefd_joint]"))
 
 
@@ -194,7 +209,8 @@ def test_transforms_are_found_by_their_frames(tmp_path):
 
     def frame(i, name, x):
         transform = types[g + "Transform"](
-            types[g + "Vector3"](x, 0.0, 0.0), types[g + "Quaternion"](0.0, 0.0, 0.0, 1.0)
+            types[g + "Vector3"](x, 0.0, 0.0),
+            types[g + "Quaternion"](0.0, 0.0, 0.0, 1.0),
         )
         return types[g + "TransformStamped"](header(types, i), name, transform)
 
@@ -202,7 +218,9 @@ def test_transforms_are_found_by_their_frames(tmp_path):
     for i in range(100):
         frames = [frame(i, "base_link", 0.1 * i), frame(i, "camera", 9.0)]
         frames = frames[::-1] if i % 3 else frames
-        messages.append(("/tf", kind, at(i), types[kind](frames[: 1 if i == 50 else 2])))
+        messages.append(
+            ("/tf", kind, at(i), types[kind](frames[: 1 if i == 50 else 2]))
+        )
     bag = write(tmp_path / "bag", messages)
     x = "transforms[{}].transform.translation.x"
     log = measured(tmp_path, bag, x_m=("/tf", x.format("base_link")))
@@ -212,9 +230,15 @@ def test_transforms_are_found_by_their_frames(tmp_path):
 
 
 def test_a_quaternion_that_is_none_is_no_heading(tmp_path):
-    quaternions = {5: (0.0, 0.0, 0.0, 0.0), 6: (0.0, 0.0, 3.0, 1.0), 7: (np.nan, 0.0, 0.0, 1.0)}
+    quaternions = {
+        5: (0.0, 0.0, 0.0, 0.0),
+        6: (0.0, 0.0, 3.0, 1.0),
+        7: (np.nan, 0.0, 0.0, 1.0),
+    }
     turned = (0.0, 0.0, float(np.sin(0.1)), float(np.cos(0.1)))
-    bag = write(tmp_path / "bag", [odometry(i, quaternions.get(i, turned)) for i in range(100)])
+    bag = write(
+        tmp_path / "bag", [odometry(i, quaternions.get(i, turned)) for i in range(100)]
+    )
     log = measured(
         tmp_path,
         bag,
@@ -237,7 +261,10 @@ def test_stamps_of_headers_that_were_never_set_are_no_times(tmp_path):
     bag = write(tmp_path / "bag", messages)
     log = measured(tmp_path, bag, stamp=True, x_m=("/odom", "pose.pose.position.x"))
     assert len(log["nav.x_m"]) == 97
-    assert "3 messages without a time stamp in their header were left out" in log.notices[0]
+    assert (
+        "3 messages without a time stamp in their header were left out"
+        in log.notices[0]
+    )
 
 
 @pytest.mark.parametrize(
@@ -280,7 +307,9 @@ string frame_id
 
 def test_ros_1_in_mcap_is_read(tmp_path):
     messages = [
-        struct.pack("<III", i, 1_700_000_000 + i, 0) + b"\x03\0\0\0map" + struct.pack("<d", i)
+        struct.pack("<III", i, 1_700_000_000 + i, 0)
+        + b"\x03\0\0\0map"
+        + struct.pack("<d", i)
         for i in range(50)
     ]
     schema = ("acme/Pose", "ros1msg", ROS1.encode())
@@ -290,16 +319,25 @@ def test_ros_1_in_mcap_is_read(tmp_path):
     assert log["nav.x_m"].t_s == pytest.approx(list(range(50)))
 
 
-@pytest.mark.parametrize("schema", [None, ("Pose", "jsonschema", b'{"type": "object"}')])
+@pytest.mark.parametrize(
+    "schema", [None, ("Pose", "jsonschema", b'{"type": "object"}')]
+)
 def test_json_in_mcap_is_read(tmp_path, schema):
     messages = [
-        json.dumps({"pose": {"x": i if i != 3 else None}, "joints": [{"name": "a", "v": 2 * i}]})
+        json.dumps(
+            {
+                "pose": {"x": i if i != 3 else None},
+                "joints": [{"name": "a", "v": 2 * i}],
+            }
+        )
         for i in range(100)
     ]
     data = [message.encode() for message in messages]
     data[7] = b"{"
     path = write_mcap(tmp_path / "run.mcap", "", "json", schema, data)
-    log = measured(tmp_path, path, x_m=("/odom", "pose.x"), speed=("/odom", "joints[a].v"))
+    log = measured(
+        tmp_path, path, x_m=("/odom", "pose.x"), speed=("/odom", "joints[a].v")
+    )
     assert log["nav.x_m"].values.tolist() == [i for i in range(100) if i not in (3, 7)]
     assert log[SPEED].values[-1] == 198
     assert "1 messages that cannot be decoded (JSONDecodeError)" in log.notices[0]
@@ -309,7 +347,9 @@ def test_json_in_mcap_is_read(tmp_path, schema):
     ("make", "complaint"),
     [
         (
-            lambda p: write_mcap(p / "a.mcap", "", "protobuf", ("P", "protobuf", b""), [b"x"] * 9),
+            lambda p: write_mcap(
+                p / "a.mcap", "", "protobuf", ("P", "protobuf", b""), [b"x"] * 9
+            ),
             "topic '/odom': its messages are protobuf; only cdr, ros1 and json can be read",
         ),
         (
@@ -317,7 +357,9 @@ def test_json_in_mcap_is_read(tmp_path, schema):
             "the definition of its type '' is not in the bag",
         ),
         (
-            lambda p: write_mcap(p / "a.mcap", "", "json", None, [b"[]", b"1", b""] * 9),
+            lambda p: write_mcap(
+                p / "a.mcap", "", "json", None, [b"[]", b"1", b""] * 9
+            ),
             "topic '/odom': there is no field 'x'",
         ),
     ],
@@ -345,7 +387,8 @@ def test_a_mapped_topic_without_messages_is_a_notice(tmp_path):
     log = read_measured([bag], "iotbot")
     assert "nav.x_m" not in log
     assert (
-        "topic '/poseStamped' contains no messages; there are no data for nav.x_m" in log.notices[0]
+        "topic '/poseStamped' contains no messages; there are no data for nav.x_m"
+        in log.notices[0]
     )
 
 

@@ -41,7 +41,9 @@ def table(header, row, n=100):
     ],
 )
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
-def test_columns_that_the_mapping_does_not_name_do_not_matter(tmp_path, header, row, end):
+def test_columns_that_the_mapping_does_not_name_do_not_matter(
+    tmp_path, header, row, end
+):
     log = measured(tmp_path, table(header, row).replace("\n", end))
     assert set(log.channels) == {SPEED}
     assert log[SPEED].values.tolist() == list(range(100))
@@ -49,8 +51,12 @@ def test_columns_that_the_mapping_does_not_name_do_not_matter(tmp_path, header, 
 
 def test_an_export_of_rostopic_echo(tmp_path):
     """Stamps of 19 digits, 100 us apart at times: a double tells 256 ns."""
-    stamps = [1_700_000_000_123_456_789 + 20_000_000 * i + (i % 2) * 100 for i in range(100)]
-    rows = [f"{s},{i},{s},base_link,wheel_l,wheel_r,{i},{-i}" for i, s in enumerate(stamps)]
+    stamps = [
+        1_700_000_000_123_456_789 + 20_000_000 * i + (i % 2) * 100 for i in range(100)
+    ]
+    rows = [
+        f"{s},{i},{s},base_link,wheel_l,wheel_r,{i},{-i}" for i, s in enumerate(stamps)
+    ]
     head = (
         "%time,field.header.seq,field.header.stamp,field.header.frame_id,field.name0,field.name1,"
         "field.velocity0,field.velocity1"
@@ -66,7 +72,9 @@ def test_an_export_of_rostopic_echo(tmp_path):
 
 
 def test_stamps_that_one_double_holds_are_still_two(tmp_path):
-    text = "stamp,left\n" + "".join(f"{1_700_000_000_000_000_000 + 100 * i},{i}\n" for i in T_NS)
+    text = "stamp,left\n" + "".join(
+        f"{1_700_000_000_000_000_000 + 100 * i},{i}\n" for i in T_NS
+    )
     log = measured(tmp_path, text, "time: {column: stamp, unit: ns}\n" + LEFT)
     assert len(log[SPEED]) == len(T_NS)
 
@@ -76,7 +84,9 @@ T_NS = [*range(20), *range(10**7, 2 * 10**7, 10**6)]
 
 def test_a_long_stamp_that_falls_is_named_as_it_stands(tmp_path):
     text = "stamp,left\n1700000000000000200,1\n1700000000000000300,1\n1700000000000000250,1\n"
-    with pytest.raises(LogError, match="1700000000000000250 is not later than 1700000000000000300"):
+    with pytest.raises(
+        LogError, match="1700000000000000250 is not later than 1700000000000000300"
+    ):
         measured(tmp_path, text, "time: {column: stamp, unit: ns}\n" + LEFT)
 
 
@@ -102,16 +112,22 @@ def test_dates_are_stamps(tmp_path, form, comma):
 
 def test_what_is_no_date_is_named_and_a_date_without_mapping_too(tmp_path):
     mapping = "time: {column: when, unit: iso}\n" + LEFT
-    with pytest.raises(LogError, match="row 3, column 1 'when': 'noon' is not a date with a time"):
+    with pytest.raises(
+        LogError, match="row 3, column 1 'when': 'noon' is not a date with a time"
+    ):
         measured(tmp_path, "when,left\n2026-11-25T12:00:00,1\nnoon,2\n", mapping)
     path = tmp_path / "log.csv"
     path.write_text(f"t_s,{SPEED}\n2026-11-25T12:00:00,1\n")
-    with pytest.raises(LogError, match=r"row 2, .* a mapping reads dates, as time: \{unit: iso\}"):
+    with pytest.raises(
+        LogError, match=r"row 2, .* a mapping reads dates, as time: \{unit: iso\}"
+    ):
         read_measured([path])
 
 
 def test_rows_that_complete_each_other_are_one_row(tmp_path):
-    text = "t_s,left,x\n" + "".join(f"{t},{i},\n{t},,{2 * i}\n" for i, t in enumerate(T))
+    text = "t_s,left,x\n" + "".join(
+        f"{t},{i},\n{t},,{2 * i}\n" for i, t in enumerate(T)
+    )
     log = measured(tmp_path, text, LEFT + "  nav.x_m: {column: x}\n")
     assert log[SPEED].values.tolist() == list(range(100))
     assert log["nav.x_m"].values.tolist() == [2 * i for i in range(100)]
@@ -120,7 +136,9 @@ def test_rows_that_complete_each_other_are_one_row(tmp_path):
 
 
 def test_of_equal_stamps_the_first_row_counts_and_the_others_are_counted(tmp_path):
-    text = "t_s,left\n" + "".join(f"{t},{i}\n" + f"{t},7\n" * (i < 3) for i, t in enumerate(T))
+    text = "t_s,left\n" + "".join(
+        f"{t},{i}\n" + f"{t},7\n" * (i < 3) for i, t in enumerate(T)
+    )
     log = measured(tmp_path, text)
     assert log[SPEED].values.tolist() == list(range(100))
     assert log[SPEED].t_s.tolist() == T
@@ -131,7 +149,9 @@ def test_of_equal_stamps_the_first_row_counts_and_the_others_are_counted(tmp_pat
 
 
 def test_equal_stamps_of_two_segments_stay_apart(tmp_path):
-    text = f"t_s,segment,{SPEED}\n" + "".join(f"{i // 2 * 0.02},{i // 100},1\n" for i in range(200))
+    text = f"t_s,segment,{SPEED}\n" + "".join(
+        f"{i // 2 * 0.02},{i // 100},1\n" for i in range(200)
+    )
     text += "1.98,2,5\n" + "".join(f"{2 + 0.02 * i},2,5\n" for i in range(60))
     path = tmp_path / "log.csv"
     path.write_text(text)
@@ -197,5 +217,7 @@ def test_every_stamp_has_the_first_value_of_every_column(tmp_path_factory, rows)
     assert log.t_s.tolist() == sorted({row[0] for row in rows})
     for k, name in enumerate("ab", 1):
         for t, value in zip(log.t_s, log.columns[name], strict=True):
-            first = next((row[k] for row in rows if row[0] == t and row[k] is not None), np.nan)
+            first = next(
+                (row[k] for row in rows if row[0] == t and row[k] is not None), np.nan
+            )
             assert np.array_equal(value, first, equal_nan=True)

@@ -19,7 +19,8 @@ def write_frames(path, columns, first=0, step=1, n=2000):
     ticks = range(first, n, step)
     names = ["t_s", "sim.tick", *columns]
     rows = [
-        [f"{1e-3 * k!r}", str(k), *(repr(float(f(k))) for f in columns.values())] for k in ticks
+        [f"{1e-3 * k!r}", str(k), *(repr(float(f(k))) for f in columns.values())]
+        for k in ticks
     ]
     path.write_text("\n".join(",".join(row) for row in [names, *rows]) + "\n")
     return path
@@ -37,7 +38,9 @@ def read(path, **how):
 OWN = {SPEED: lambda tick: tick, GYRO: held(10), NAV: held(50)}
 
 
-@pytest.mark.parametrize(("first", "step"), [(0, 1), (7, 1), (0, 10), (0, 20), (7, 20), (13, 33)])
+@pytest.mark.parametrize(
+    ("first", "step"), [(0, 1), (7, 1), (0, 10), (0, 20), (7, 20), (13, 33)]
+)
 def test_a_sample_stands_once_and_at_its_own_tick(tmp_path, first, step):
     log = read(write_frames(tmp_path / "run.csv", OWN, first, step))
     for name in (SPEED, GYRO, NAV):
@@ -52,7 +55,10 @@ def test_a_sample_stands_once_and_at_its_own_tick(tmp_path, first, step):
 
 
 def test_empty_between_samples_is_read_as_held(tmp_path):
-    empty = {NAV: lambda tick: tick if tick % 50 == 0 else np.nan, SPEED: lambda tick: tick}
+    empty = {
+        NAV: lambda tick: tick if tick % 50 == 0 else np.nan,
+        SPEED: lambda tick: tick,
+    }
     log = read(write_frames(tmp_path / "run.csv", empty))
     assert log[NAV].values.tolist() == list(range(0, 2000, 50))
 
@@ -94,7 +100,9 @@ def test_a_real_robot_at_rest_is_still_measured(tmp_path):
     assert np.diff(log[SPEED].t_s).max() == pytest.approx(0.02)
 
 
-@pytest.mark.parametrize(("mode", "there", "absent"), [(0, SETPOINT, TWIST), (1, TWIST, SETPOINT)])
+@pytest.mark.parametrize(
+    ("mode", "there", "absent"), [(0, SETPOINT, TWIST), (1, TWIST, SETPOINT)]
+)
 def test_set_points_of_the_other_mode_are_none(tmp_path, mode, there, absent):
     columns = {
         SETPOINT: lambda tick: tick,
@@ -108,13 +116,19 @@ def test_set_points_of_the_other_mode_are_none(tmp_path, mode, there, absent):
 
 
 def test_a_pose_that_is_set_begins_a_segment(tmp_path):
-    columns = {SPEED: lambda tick: tick, "internal.pose_request": lambda tick: tick // 800}
+    columns = {
+        SPEED: lambda tick: tick,
+        "internal.pose_request": lambda tick: tick // 800,
+    }
     log = read(write_frames(tmp_path / "run.csv", columns))
     assert [round(span.start_s, 3) for span in log.spans] == [0.0, 0.8, 1.6]
 
 
 def test_the_safe_ramp_is_an_input(tmp_path):
-    columns = {SETPOINT: lambda _: 5.0, "internal.command": lambda tick: 2.0 * (tick > 900)}
+    columns = {
+        SETPOINT: lambda _: 5.0,
+        "internal.command": lambda tick: 2.0 * (tick > 900),
+    }
     log = read(write_frames(tmp_path / "run.csv", columns))
     assert "internal.command" in log
 
@@ -133,9 +147,13 @@ def test_frames_left_out_in_which_nothing_changes_give_the_same_samples():
     ticks = np.arange(4000)
     arrives = np.concatenate([[0], np.cumsum(rng.integers(18, 23, 180))])
     sample = np.searchsorted(arrives, ticks, side="right")
-    values = np.round(rng.standard_normal(400)[sample], 1)  # some are the same as before
+    values = np.round(
+        rng.standard_normal(400)[sample], 1
+    )  # some are the same as before
     commands = np.repeat(rng.standard_normal(400), 13)[: len(ticks)]
-    changed = (np.diff(values, prepend=np.nan) != 0) | (np.diff(commands, prepend=np.nan) != 0)
+    changed = (np.diff(values, prepend=np.nan) != 0) | (
+        np.diff(commands, prepend=np.nan) != 0
+    )
     kept = changed | np.append(changed[1:], False)
     whole, thin = first_of_each(values, ticks), first_of_each(values[kept], ticks[kept])
     is_new = np.diff(values, prepend=np.nan) != 0
@@ -171,7 +189,9 @@ def test_samples_lie_where_their_source_took_them(tmp_path, late_ticks):
         assert len(log[name]) >= 99
     assert np.allclose(log[NAV].t_s, 0.1 * (log[NAV].values - 1.0), atol=1e-9)
     assert not log.on_ticks
-    assert "control.mode" not in log  # the robot says what it follows; ours is no input of it
+    assert (
+        "control.mode" not in log
+    )  # the robot says what it follows; ours is no input of it
 
 
 @pytest.mark.parametrize(
@@ -202,7 +222,9 @@ def test_a_robot_that_stands_for_a_moment_is_measured_all_along(tmp_path):
     columns = taken(0, n=200)
     which = columns[f"measured.{SETPOINT}"]
     # 4 of 200 samples: the robot stands, and shows exactly what it showed before
-    columns[f"measured.{SPEED}"] = lambda tick: min(which(tick), 60) + max(which(tick) - 64, 0)
+    columns[f"measured.{SPEED}"] = lambda tick: (
+        min(which(tick), 60) + max(which(tick) - 64, 0)
+    )
     log = read(write_frames(tmp_path / "run.csv", columns, n=4040))
     assert (log[SPEED].values == 60.0).sum() == 5
     assert np.diff(log[SPEED].t_s).max() == pytest.approx(0.02)
@@ -240,5 +262,7 @@ def test_set_points_of_some_wheels_alone_are_not_what_the_robot_follows(tmp_path
     columns = taken(0)
     del columns[f"measured.{SETPOINTS[3]}"]
     log = read(write_frames(tmp_path / "run.csv", columns, n=2040))
-    assert set(SETPOINTS) & log.channels.keys() == set()  # ours are not in force: it is a twist
+    assert (
+        set(SETPOINTS) & log.channels.keys() == set()
+    )  # ours are not in force: it is a twist
     assert "control.mode" in log

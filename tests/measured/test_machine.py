@@ -20,7 +20,9 @@ OWN = RobotParameters(rotation_gain="carpet_hard", icr_offset_m=0.03)
 
 
 def log_with(**plant):
-    mapping = LogMapping.model_validate({"plant": plant, "channels": {"nav.x_m": {"column": "x"}}})
+    mapping = LogMapping.model_validate(
+        {"plant": plant, "channels": {"nav.x_m": {"column": "x"}}}
+    )
     return MeasuredLog((Source("log.csv", ""),), {}, (), plant=mapping.plant_keys)
 
 
@@ -48,7 +50,9 @@ def test_two_wheels_turn_at_one_by_track_about_their_axle(plant):
 )
 def test_what_the_mapping_does_not_say_is_configured(plant, expected):
     robot = machine(log_with(**plant), OWN)
-    assert (robot.wheelbase_m, robot.icr_offset_m, robot.k_om) == pytest.approx(expected)
+    assert (robot.wheelbase_m, robot.icr_offset_m, robot.k_om) == pytest.approx(
+        expected
+    )
 
 
 @pytest.mark.parametrize(
@@ -62,7 +66,10 @@ def test_what_the_mapping_does_not_say_is_configured(plant, expected):
     ],
 )
 def test_the_replay_drives_the_machine_that_the_diagnosis_judges(plant):
-    given = {"kinematics": {"rotation_gain": 1.12}, "plant": {"process": {"t1_s": 0.05}}}
+    given = {
+        "kinematics": {"rotation_gain": 1.12},
+        "plant": {"process": {"t1_s": 0.05}},
+    }
     config, log = Config.model_validate(given), log_with(**plant)
     judged = machine(log, assemble_config(config).robot)
     assert assemble_config(machine_config(log, config)).robot == judged

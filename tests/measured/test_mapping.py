@@ -15,7 +15,12 @@ def test_units_there_and_back_give_the_same(signal):
 
 @pytest.mark.parametrize(
     ("unit", "wanted", "factor"),
-    [("rad/s", "rpm", 9.5493), ("deg", "rad", 0.017453), ("km/h", "m/s", 0.27778), ("1", "%", 100)],
+    [
+        ("rad/s", "rpm", 9.5493),
+        ("deg", "rad", 0.017453),
+        ("km/h", "m/s", 0.27778),
+        ("1", "%", 100),
+    ],
 )
 def test_units_have_the_factors_of_the_books(unit, wanted, factor):
     assert conversion(unit, wanted) == pytest.approx(factor, rel=1e-4)

@@ -45,15 +45,21 @@ def read(path, text):
 def test_the_wheels_turn_as_the_driver_had_them(table):
     path, v, w = table
     log = read(path, MAPPING)
-    left, right = (log[name].values * np.pi / 30.0 * RADIUS_M for name in (SPEEDS[0], SPEEDS[3]))
+    left, right = (
+        log[name].values * np.pi / 30.0 * RADIUS_M for name in (SPEEDS[0], SPEEDS[3])
+    )
     assert (left - right) / 2.0 == pytest.approx(v, abs=1e-6)
     assert -(left + right) / TRACK_M == pytest.approx(w, abs=1e-6)
     assert log.notices == ("the wheel speeds were computed from the odometry",)
-    assert "the motion by position, heading" in foretold(log, machine(log, RobotParameters()))
+    assert "the motion by position, heading" in foretold(
+        log, machine(log, RobotParameters())
+    )
 
 
 def test_what_of_the_driver_is_unknown_is_said(table):
-    log = read(table[0], MAPPING.replace("odom: {wheel_radius_m: 0.1, track_m: 0.4}", ""))
+    log = read(
+        table[0], MAPPING.replace("odom: {wheel_radius_m: 0.1, track_m: 0.4}", "")
+    )
     assert "wheel_radius_m and track_m of its driver is unknown" in log.notices[0]
     rims = log[SPEEDS[0]].values + log[SPEEDS[3]].values
     assert -rims * np.pi / 30.0 * 0.1 / 0.5 == pytest.approx(table[2], abs=1e-6)

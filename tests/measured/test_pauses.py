@@ -26,7 +26,9 @@ def rows(*edges, period_s=0.02):
 
 
 @pytest.mark.parametrize(
-    "t_s", [rows((0, 30)), rows((0, 10), (12.5, 30)), rows((0, 600), period_s=6.0)], ids=str
+    "t_s",
+    [rows((0, 30)), rows((0, 10), (12.5, 30)), rows((0, 600), period_s=6.0)],
+    ids=str,
 )
 def test_a_log_without_a_pause_stays_as_it_is(t_s):
     log = log_of(t_s, [(0.0, 5.0)])
@@ -34,7 +36,9 @@ def test_a_log_without_a_pause_stays_as_it_is(t_s):
 
 
 def test_a_pause_ends_a_segment_and_what_was_sent_holds_on():
-    log = cut_at_pauses(log_of(rows((0, 10), (30, 40)), [(1.0, 5.0), (20.0, 7.0), (32.0, 9.0)]))
+    log = cut_at_pauses(
+        log_of(rows((0, 10), (30, 40)), [(1.0, 5.0), (20.0, 7.0), (32.0, 9.0)])
+    )
     assert [(s.number, s.start_s, s.end_s) for s in log.spans] == [
         (0, 0.0, pytest.approx(9.98)), (1, 30.0, pytest.approx(39.98)),
     ]  # fmt: skip

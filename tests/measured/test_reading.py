@@ -35,7 +35,9 @@ def test_columns_are_signals_and_empty_fields_no_samples(tmp_path):
     assert log["nav.x_m"].t_s.tolist() == [0.02 * i for i in range(0, 100, 2)]
     assert log.has_stamps
     assert not log.plant
-    assert [(s.number, s.block, s.start_s, s.end_s) for s in log.spans] == [(0, None, 0, 1.98)]
+    assert [(s.number, s.block, s.start_s, s.end_s) for s in log.spans] == [
+        (0, None, 0, 1.98)
+    ]
     assert log.sources[0].file == "log.csv"
     assert len(log.sources[0].sha256) == 64
 
@@ -78,7 +80,9 @@ def write_recording(path, measured):
     return path
 
 
-def test_what_the_wheels_were_asked_to_do_stands_for_commands_that_nobody_recorded(tmp_path):
+def test_what_the_wheels_were_asked_to_do_stands_for_commands_that_nobody_recorded(
+    tmp_path,
+):
     path = tmp_path / "log.csv"
     asked = [f"wheel.{w}.demand_rpm" for w in ("fl", "rl", "fr", "rr")]
     rows = "".join(f"{0.02 * i},{i},1,2,-3,{-i}\n" for i in range(100))
@@ -89,18 +93,24 @@ def test_what_the_wheels_were_asked_to_do_stands_for_commands_that_nobody_record
     assert not any(name in log for name in asked), "nobody measured it"
 
     rows = "".join(f"{0.02 * i},{i},1,2,-3,{-i},0.1,0.2\n" for i in range(100))
-    path.write_text(f"t_s,{SPEED},{','.join(asked)},twist.linear_m_s,twist.angular_rad_s\n{rows}")
+    path.write_text(
+        f"t_s,{SPEED},{','.join(asked)},twist.linear_m_s,twist.angular_rad_s\n{rows}"
+    )
     assert set(read_measured([path]).channels) == {
         SPEED, "twist.linear_m_s", "twist.angular_rad_s",
     }  # fmt: skip
 
 
-@pytest.mark.parametrize(("measured", "value", "n"), [(True, 3.0, 1490), (False, 2.0, 1500)])
+@pytest.mark.parametrize(
+    ("measured", "value", "n"), [(True, 3.0, 1490), (False, 2.0, 1500)]
+)
 def test_in_a_recording_of_ours_the_measured_values_count(tmp_path, measured, value, n):
     log = read_measured([write_recording(tmp_path / "run.mcap", measured)])
     assert set(log.channels) == {"wheel.fl.setpoint_rpm", "wheel.fl.speed_rpm"}
     assert set(log["wheel.fl.speed_rpm"].values) == {value}
-    assert len(log["wheel.fl.speed_rpm"]) == n  # what comes from outside may be too uncertain
+    assert (
+        len(log["wheel.fl.speed_rpm"]) == n
+    )  # what comes from outside may be too uncertain
     assert len(log["wheel.fl.setpoint_rpm"]) == 1500
 
 
@@ -163,7 +173,9 @@ def test_without_stamps_the_rate_makes_them_and_delays_are_not_judged(tmp_path):
     path.write_text("run,x\n" + "".join(f"{i // 100},{i}\n" for i in range(200)))
     log = read_measured([path], mapping)
     assert not log.has_stamps
-    assert log["nav.x_m"].of(1)[0].tolist() == pytest.approx([0.02 * i for i in range(100)])
+    assert log["nav.x_m"].of(1)[0].tolist() == pytest.approx(
+        [0.02 * i for i in range(100)]
+    )
 
 
 @pytest.mark.parametrize("storage", [SQLITE, MCAP])
@@ -194,7 +206,9 @@ def test_stamps_of_headers_are_taken_when_asked_for(tmp_path):
 
 def test_the_thesis_took_speeds_from_the_target_topic(tmp_path):
     log = read_measured([write_bag(tmp_path / "bag")], "iotbot_5_6")
-    assert np.array_equal(log["wheel.fl.setpoint_rpm"].values, log["wheel.fl.speed_rpm"].values)
+    assert np.array_equal(
+        log["wheel.fl.setpoint_rpm"].values, log["wheel.fl.speed_rpm"].values
+    )
 
 
 def test_an_mcap_bag_that_was_cut_off_is_read_as_far_as_it_goes(tmp_path):
@@ -244,22 +258,33 @@ numbers = st.one_of(
     st.just(""),
     st.floats(allow_nan=False, allow_infinity=False).map(repr),
     st.integers(-(10**9), 10**9).map(str),
-    st.sampled_from(["nan", "NaN", "1e5", "-0.0", " 1", "1_0", "x", "inf", "0x1", "1.5.2"]),
+    st.sampled_from(
+        ["nan", "NaN", "1e5", "-0.0", " 1", "1_0", "x", "inf", "0x1", "1.5.2"]
+    ),
 )
 
 
-@given(st.lists(st.lists(numbers, min_size=3, max_size=3), min_size=1, max_size=6), st.booleans())
+@given(
+    st.lists(st.lists(numbers, min_size=3, max_size=3), min_size=1, max_size=6),
+    st.booleans(),
+)
 @settings(max_examples=300, deadline=None)
-def test_the_fast_parser_is_the_strict_one_or_says_nothing(tmp_path_factory, rows, crlf):
+def test_the_fast_parser_is_the_strict_one_or_says_nothing(
+    tmp_path_factory, rows, crlf
+):
     end = "\r\n" if crlf else "\n"
     text = end.join(["a,b,c", *(",".join(row) for row in rows)]) + end
     found = parse_clean(text.encode())
-    plain = all(re.fullmatch(r"-?\d+(\.\d*)?(e[+-]?\d+)?", cell) for row in rows for cell in row)
+    plain = all(
+        re.fullmatch(r"-?\d+(\.\d*)?(e[+-]?\d+)?", cell) for row in rows for cell in row
+    )
     assert found is not None or not plain, "plain numbers need no second parser"
     if found is None:
         return
     path = tmp_path_factory.mktemp("fast") / "log.csv"
-    path.write_bytes(b'"' + text.encode().replace(b"a,", b'a",', 1))  # quotes: only the strict one
+    path.write_bytes(
+        b'"' + text.encode().replace(b"a,", b'a",', 1)
+    )  # quotes: only the strict one
     table = read_table(path, time=None)
     assert found[0] == table.header
     expected = np.stack([table.column(name) for name in table.header], axis=1)

@@ -27,7 +27,10 @@ def test_a_step_is_found_whatever_the_readings_count_from(step, origin, decimals
     if decimals is None and step > 0.05:
         assert found == pytest.approx(step, rel=1e-3)
     if found > 0.0:
-        assert np.abs((values - one) / found - np.rint((values - one) / found)).max() < 0.03
+        assert (
+            np.abs((values - one) / found - np.rint((values - one) / found)).max()
+            < 0.03
+        )
 
 
 def test_what_is_not_rounded_has_no_step():

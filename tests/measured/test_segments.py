@@ -29,7 +29,9 @@ def test_segments_cover_their_spans_and_are_no_longer_than_asked(lengths, longes
     log = log_of(lengths)
     segments = cut(log, PERIOD_S, longest_s)
     usable = [s for s in log.spans if s.end_s - s.start_s >= SHORTEST_SEGMENT_S]
-    assert sorted(set(segments.span)) == [i for i, s in enumerate(log.spans) if s in usable]
+    assert sorted(set(segments.span)) == [
+        i for i, s in enumerate(log.spans) if s in usable
+    ]
     for i in set(segments.span):
         mine = np.flatnonzero(segments.span == i)
         assert segments.start_s[mine[0]] == log.spans[i].start_s
@@ -66,7 +68,9 @@ def test_every_sample_is_in_one_block_of_its_segment(lengths, longest_s, block_s
         assert np.all(np.diff(rows) == 1), "a block is one stretch of time"
     assert stack.block_sums(np.ones(len(stack))).sum() == len(stack)
     where = stack.at - segments.first[stack.segment]
-    assert where * PERIOD_S + segments.start_s[stack.segment] == pytest.approx(stack.t_s)
+    assert where * PERIOD_S + segments.start_s[stack.segment] == pytest.approx(
+        stack.t_s
+    )
     assert np.all((stack.low <= stack.at + 1e-6) & (stack.at <= stack.high + 1e-6))
 
 

@@ -80,7 +80,10 @@ class FakeDaemon:
             Source(scheduler.METRICS, self.pace),
             Source(core.STATE_METRICS, lambda: self.state),
             Source(core.PARAMETER_METRICS, lambda: self.differing),
-            Source(core.INPUT_METRICS, lambda: core.Inputs(self.input_ages_s, self.rejected)),
+            Source(
+                core.INPUT_METRICS,
+                lambda: core.Inputs(self.input_ages_s, self.rejected),
+            ),
             Source(peer_metrics.METRICS, lambda: self.peers),
             Source(shield_metrics.METRICS, lambda: self.shields),
             Source(ros2_metrics.METRICS, lambda: self.domains),
@@ -112,7 +115,8 @@ class FakeDaemon:
         self.shields, self.domains, self.observed, self.recalibration = [], [], [], None
         window = Window(1000, 30e3, 9e3, 5e3, 80e3)
         self.slices = {
-            name: slice_figures(name, window=window, margin_min_ns=900_000) for name in SLICES
+            name: slice_figures(name, window=window, margin_min_ns=900_000)
+            for name in SLICES
         }
         self.state = State.RUNNING
         self.realtime_factor = 1.0

@@ -29,11 +29,15 @@ SPOILED = [
     ({"sys/devices/system/cpu/cpu1/cpufreq/scaling_governor": "powersave"}, "governor"),
     ({"sys/devices/system/cpu/isolated": ""}, "isolated_cores"),
     (
-        {"proc/self/limits": "Max realtime priority 0 0\nMax locked memory unlimited\n"},
+        {
+            "proc/self/limits": "Max realtime priority 0 0\nMax locked memory unlimited\n"
+        },
         "rtprio_limit",
     ),
     (
-        {"proc/self/limits": "Max realtime priority 9 9\nMax locked memory 8388608 8388608\n"},
+        {
+            "proc/self/limits": "Max realtime priority 9 9\nMax locked memory 8388608 8388608\n"
+        },
         "memlock_limit",
     ),
     (
@@ -100,14 +104,18 @@ def test_capabilities_replace_limits(tmp_path):
     both = f"{1 << 14 | 1 << 23:016x}"
     limits = "Max realtime priority 0 0\nMax locked memory 65536 65536\n"
     files = {"proc/self/limits": limits, "proc/self/status": f"CapEff:\t{both}\n"}
-    items = {item.name: item for item in au.audit(Paced(), tree(tmp_path, TUNED | files))}
+    items = {
+        item.name: item for item in au.audit(Paced(), tree(tmp_path, TUNED | files))
+    }
     assert items["rtprio_limit"].found == "CAP_SYS_NICE"
     assert items["memlock_limit"].ok
 
 
 def test_what_the_thread_knows_of_its_slack_replaces_the_file(tmp_path):
     granted = Grant("timer_slack", ok=True, wanted="1 ns", found="1 ns")
-    items = au.audit(Paced([granted]), tree(tmp_path, TUNED | {"proc/42/timerslack_ns": ""}))
+    items = au.audit(
+        Paced([granted]), tree(tmp_path, TUNED | {"proc/42/timerslack_ns": ""})
+    )
     assert [item.found for item in items if item.name == "timer_slack"] == ["1 ns"]
 
 
@@ -120,7 +128,9 @@ def test_an_empty_tree_is_no_error(tmp_path):
 
 
 def test_grants_of_the_scheduler_are_part_of_it(tmp_path):
-    refused = Grant("thread_priority", False, "not permitted", "SCHED_FIFO 80", "LimitRTPRIO=80")
+    refused = Grant(
+        "thread_priority", False, "not permitted", "SCHED_FIFO 80", "LimitRTPRIO=80"
+    )
     items = au.audit(Paced([refused]), tree(tmp_path, TUNED))
     assert items[-1] == au.Grant(
         "thread_priority", False, "not permitted", "SCHED_FIFO 80", "LimitRTPRIO=80"

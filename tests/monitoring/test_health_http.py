@@ -94,11 +94,16 @@ async def test_scrape_in_both_formats(endpoint: Endpoint) -> None:
     assert headers["Content-Type"].startswith("text/plain; version=0.0.4")
     assert int(headers["Content-Length"]) == len(body)
     assert headers["Connection"] == "close"
-    assert series_of_text(body.decode())["hil_state", frozenset({("state", "running")})] == 1
+    assert (
+        series_of_text(body.decode())["hil_state", frozenset({("state", "running")})]
+        == 1
+    )
 
     accept = "Accept: application/openmetrics-text;version=1.0.0;q=0.5,text/plain;q=0.3"
     _, headers, body = await endpoint.get("/metrics", accept)
-    assert headers["Content-Type"].startswith("application/openmetrics-text; version=1.0.0")
+    assert headers["Content-Type"].startswith(
+        "application/openmetrics-text; version=1.0.0"
+    )
     assert body.endswith(b"# EOF\n")
 
 
@@ -114,7 +119,9 @@ async def test_a_scrape_over_http_shows_what_moved(endpoint: Endpoint) -> None:
     assert diff["hil_end_to_end_seconds_bucket", {"le": "0.02"}] == 0
 
 
-async def test_a_flood_of_scrapes_is_rendered_once_per_interval(endpoint: Endpoint) -> None:
+async def test_a_flood_of_scrapes_is_rendered_once_per_interval(
+    endpoint: Endpoint,
+) -> None:
     await endpoint.get("/metrics")
     endpoint.daemon.state = State.PAUSED
     endpoint.now_ns += 49_000_000
@@ -169,17 +176,23 @@ async def test_malformed_requests_and_methods(endpoint: Endpoint) -> None:
     assert (status, headers["Allow"]) == (405, "GET, HEAD")
 
 
-async def test_oversized_request_is_refused_and_the_server_goes_on(endpoint: Endpoint) -> None:
+async def test_oversized_request_is_refused_and_the_server_goes_on(
+    endpoint: Endpoint,
+) -> None:
     head = b"GET /metrics HTTP/1.1\r\nHost: localhost\r\nX: "
     assert (await endpoint.send(head + b"a" * REQUEST_BYTES_MAX))[0] == 431
     assert (await endpoint.get("/healthz"))[0] == 200
 
 
-async def test_a_client_that_never_finishes_is_told_and_closed(endpoint: Endpoint) -> None:
+async def test_a_client_that_never_finishes_is_told_and_closed(
+    endpoint: Endpoint,
+) -> None:
     assert (await endpoint.send(b"GET /metrics HTTP/1.1\r\n"))[0] == 408
 
 
-async def test_a_client_that_goes_away_leaves_nothing_behind(endpoint: Endpoint) -> None:
+async def test_a_client_that_goes_away_leaves_nothing_behind(
+    endpoint: Endpoint,
+) -> None:
     for request in (b"", b"GET /met", b"GET /metrics HTTP/1.0\r\n\r\n"):
         _, writer = await asyncio.open_connection("127.0.0.1", endpoint.server.port)
         writer.write(request)
@@ -192,7 +205,10 @@ async def test_a_client_that_does_not_read_is_dropped() -> None:
     endpoint = Endpoint()
     server = HttpServer(
         port=0,
-        render=lambda _: (b"x" * 20_000_000, "text/plain"),  # more than any socket buffers
+        render=lambda _: (
+            b"x" * 20_000_000,
+            "text/plain",
+        ),  # more than any socket buffers
         health=endpoint.server._health,
         timeout_s=TIMEOUT_S,
     )
@@ -224,7 +240,10 @@ async def test_dripping_clients_do_not_keep_a_probe_out(endpoint: Endpoint) -> N
     """All places are taken by requests that never end: the oldest makes room."""
     endpoint.server._timeout_s = 30
     async with asyncio.TaskGroup() as group:
-        drips = [group.create_task(drip(endpoint.server.port)) for _ in range(CONNECTIONS_MAX + 8)]
+        drips = [
+            group.create_task(drip(endpoint.server.port))
+            for _ in range(CONNECTIONS_MAX + 8)
+        ]
         await until(lambda: len(endpoint.server._open) == CONNECTIONS_MAX)
         statuses = [(await endpoint.get("/healthz"))[0] for _ in range(10)]
         for task in drips:
@@ -265,7 +284,9 @@ async def test_port_in_use_is_one_sentence_with_its_mend(endpoint: Endpoint) -> 
 async def test_foreign_address_is_one_sentence() -> None:
     server = Endpoint().server
     server.host = "192.0.2.1"
-    with pytest.raises(FailedError, match=r"^metrics: .* use an address of this computer"):
+    with pytest.raises(
+        FailedError, match=r"^metrics: .* use an address of this computer"
+    ):
         await server.start()
 
 

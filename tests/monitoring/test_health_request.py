@@ -6,14 +6,24 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from hilserver.monitoring.health_request import RefusedRequestError, Request, parse_request
+from hilserver.monitoring.health_request import (
+    RefusedRequestError,
+    Request,
+    parse_request,
+)
 
 HOST = b"Host: localhost\r\n"
 
 
 def test_a_scrape() -> None:
-    head = b"GET /metrics?name=x HTTP/1.1\r\n" + HOST + b"accept: text/plain\r\nX: \t\r\n\r\n"
-    assert parse_request(head) == Request("/metrics", is_head=False, accept="text/plain")
+    head = (
+        b"GET /metrics?name=x HTTP/1.1\r\n"
+        + HOST
+        + b"accept: text/plain\r\nX: \t\r\n\r\n"
+    )
+    assert parse_request(head) == Request(
+        "/metrics", is_head=False, accept="text/plain"
+    )
 
 
 def test_http_1_0_needs_no_host() -> None:

@@ -43,7 +43,9 @@ class Terminal(io.StringIO):
 def logging_as_before() -> Iterator[None]:
     root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
-    library = logging.getLogger("asyncua.server")  # silenced by whoever ran a server before
+    library = logging.getLogger(
+        "asyncua.server"
+    )  # silenced by whoever ran a server before
     library_level = library.level
     library.setLevel(logging.NOTSET)
     yield
@@ -59,7 +61,9 @@ def json_lines(stream: io.StringIO) -> list[dict]:
 def test_json_where_there_is_no_terminal() -> None:
     stream = io.StringIO()
     setup_logging(stream=stream)
-    structlog.get_logger("hilserver.test").warning("too hot", wheel="fl", speed_rpm=91.5)
+    structlog.get_logger("hilserver.test").warning(
+        "too hot", wheel="fl", speed_rpm=91.5
+    )
     (line,) = json_lines(stream)
     assert line.pop("timestamp").endswith("Z")
     assert line == {
@@ -84,7 +88,9 @@ def test_readable_on_a_terminal_unless_json_is_asked_for() -> None:
     assert json_lines(stream)[0]["event"] == "hello"
 
 
-def test_a_terminal_shows_local_time_and_no_logger_name(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_terminal_shows_local_time_and_no_logger_name(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setenv("TZ", "XYZ-5")  # five hours ahead of UTC
     time.tzset()
     stream = Terminal()
@@ -139,7 +145,9 @@ def test_a_traceback_of_the_opcua_library_is_one_line() -> None:
     assert "exception" not in told
 
 
-@pytest.mark.parametrize("error", [ConnectionRefusedError("no peer"), FailedError("port in use")])
+@pytest.mark.parametrize(
+    "error", [ConnectionRefusedError("no peer"), FailedError("port in use")]
+)
 @pytest.mark.parametrize("line_format", ["json", "console"])
 def test_an_expected_error_is_one_line(error: Exception, line_format: str) -> None:
     stream = io.StringIO()
@@ -220,7 +228,10 @@ def passed(limiter: RepeatLimiter, event: str, **fields: object) -> dict | None:
 def test_repetitions_are_left_out_and_counted() -> None:
     clock = Clock()
     limiter = RepeatLimiter(10.0, clock)
-    assert passed(limiter, "overrun", slice="plant") == {"event": "overrun", "slice": "plant"}
+    assert passed(limiter, "overrun", slice="plant") == {
+        "event": "overrun",
+        "slice": "plant",
+    }
     for _ in range(3):
         assert passed(limiter, "overrun", slice="plant") is None
     clock.now_s = 10.0
@@ -232,7 +243,10 @@ def test_repetitions_are_left_out_and_counted() -> None:
 def test_another_slice_or_cause_is_another_line_and_another_number_is_not() -> None:
     limiter = RepeatLimiter(10.0, Clock())
     assert passed(limiter, "late by 3.5 us", slice="plant", cause="preempted", tick=1)
-    assert passed(limiter, "late by 9 us", slice="plant", cause="preempted", tick=2) is None
+    assert (
+        passed(limiter, "late by 9 us", slice="plant", cause="preempted", tick=2)
+        is None
+    )
     assert passed(limiter, "late by 9 us", slice="plant", cause="page fault")
     assert passed(limiter, "late by 9 us", slice="publish", cause="preempted")
     assert passed(limiter, "degraded", item="governor")
@@ -246,14 +260,20 @@ def test_a_defect_that_repeats_tells_its_traceback_once() -> None:
         try:
             _ = 1 / 0
         except ZeroDivisionError:
-            logging.getLogger("library").exception("broken in <Task at %#x>", id(object()))
+            logging.getLogger("library").exception(
+                "broken in <Task at %#x>", id(object())
+            )
     assert len(json_lines(stream)) == 1
 
 
 def test_changes_of_state_are_shown_more_often() -> None:
     limiter = RepeatLimiter(10.0, Clock())
-    lines = [passed(limiter, "paused", kind="state") for _ in range(ALLOWED_AT_ONCE + 2)]
-    assert [line is not None for line in lines] == [True] * ALLOWED_AT_ONCE + [False] * 2
+    lines = [
+        passed(limiter, "paused", kind="state") for _ in range(ALLOWED_AT_ONCE + 2)
+    ]
+    assert [line is not None for line in lines] == [True] * ALLOWED_AT_ONCE + [
+        False
+    ] * 2
 
 
 def test_window_0_lets_everything_pass() -> None:
@@ -303,12 +323,16 @@ def test_the_end_of_a_burst_is_reported() -> None:
     report_repeats(limiter)
     report_repeats(limiter)
     last = json_lines(stream)[1:]
-    assert [(line["reason"], line["suppressed"]) for line in last] == [("peer sends nonsense #", 4)]
+    assert [(line["reason"], line["suppressed"]) for line in last] == [
+        ("peer sends nonsense #", 4)
+    ]
 
 
 def overrun(consequence: str = "", tick: int = 4711) -> OverrunReport:
     cause = Cause.PREEMPTED
-    return OverrunReport("plant", "late_wake", tick, 1_234_567, 2_000, 1, cause, consequence)
+    return OverrunReport(
+        "plant", "late_wake", tick, 1_234_567, 2_000, 1, cause, consequence
+    )
 
 
 def test_an_overrun_line_names_slice_kind_and_cause() -> None:
@@ -316,7 +340,11 @@ def test_an_overrun_line_names_slice_kind_and_cause() -> None:
     setup_logging(stream=stream)
     log_overrun(overrun())
     (line,) = json_lines(stream)
-    assert (line["slice"], line["kind"], line["cause"]) == ("plant", "late_wake", "preempted")
+    assert (line["slice"], line["kind"], line["cause"]) == (
+        "plant",
+        "late_wake",
+        "preempted",
+    )
     assert (line["tick"], line["level"]) == (4711, "warning")
     assert "1.235 ms late" in line["event"]
 
@@ -330,13 +358,19 @@ def test_repeated_overruns_are_one_line_until_something_follows() -> None:
     assert [line["level"] for line in json_lines(stream)] == ["warning", "error"]
 
 
-@pytest.mark.parametrize(("severity", "level"), [(100, "info"), (300, "warning"), (900, "error")])
+@pytest.mark.parametrize(
+    ("severity", "level"), [(100, "info"), (300, "warning"), (900, "error")]
+)
 def test_events_are_logged_by_severity(severity: int, level: str) -> None:
     stream = io.StringIO()
     setup_logging(stream=stream)
     log_event(Event(EventKind.PEER_LOST, severity, "iot2050", "no answer for 500 ms"))
     (line,) = json_lines(stream)
-    assert (line["level"], line["kind"], line["source"]) == (level, "peer_lost", "iot2050")
+    assert (line["level"], line["kind"], line["source"]) == (
+        level,
+        "peer_lost",
+        "iot2050",
+    )
 
 
 def test_an_overrun_event_is_not_told_twice() -> None:
@@ -351,5 +385,7 @@ def test_toggling_states_are_all_told() -> None:
     setup_logging(stream=stream)
     for _ in range(3):
         for state in ("paused", "running"):
-            log_event(Event(EventKind.STATE, 100, "control", f"the state is now {state}"))
+            log_event(
+                Event(EventKind.STATE, 100, "control", f"the state is now {state}")
+            )
     assert len(json_lines(stream)) == 6

@@ -65,7 +65,9 @@ def counts_of(*latencies_ns: int) -> np.ndarray:
 
 def test_names_and_labels_are_those_of_the_specification() -> None:
     table = {metric.name: set(metric.labels) for metric in METRICS}
-    assert {name: table.get(name) for name in LABELS_OF_SPECIFICATION} == LABELS_OF_SPECIFICATION
+    assert {
+        name: table.get(name) for name in LABELS_OF_SPECIFICATION
+    } == LABELS_OF_SPECIFICATION
     assert "hil_build_info" in table
 
 
@@ -81,9 +83,15 @@ def late_response(daemon: FakeDaemon, late_ns: int) -> None:
 
 EDGE = {"name": "edge", "lasting": True, "why_down": ""}
 STIMULI = {
-    "hil_wake_latency_seconds_bucket": lambda d: figures(d, latency_counts=counts_of(30_000)),
-    "hil_execution_seconds_bucket": lambda d: figures(d, execution_counts=counts_of(2_000)),
-    "hil_wake_jitter_seconds": lambda d: figures(d, window=Window(9, 1.0, 5e3, 1.0, 1.0)),
+    "hil_wake_latency_seconds_bucket": lambda d: figures(
+        d, latency_counts=counts_of(30_000)
+    ),
+    "hil_execution_seconds_bucket": lambda d: figures(
+        d, execution_counts=counts_of(2_000)
+    ),
+    "hil_wake_jitter_seconds": lambda d: figures(
+        d, window=Window(9, 1.0, 5e3, 1.0, 1.0)
+    ),
     "hil_margin_min_seconds": lambda d: figures(d, margin_min_ns=-7_000),
     "hil_overruns_total": lambda d: figures(d, late_wakes=1),
     "hil_missed_ticks_total": lambda d: figures(d, missed_ticks=4),
@@ -91,15 +99,25 @@ STIMULI = {
     "hil_state": lambda d: setattr(d, "state", State.RUNNING),
     "hil_peer_connected": lambda d: setattr(d.peers[0], "connected", True),
     "hil_peer_reconnects_total": lambda d: setattr(d.peers[0], "reconnects", 2),
-    "hil_peer_round_trip_seconds_bucket": lambda d: d.peers[0].round_trip.observe(700_000),
-    "hil_peer_one_way_latency_seconds_bucket": lambda d: d.peers[0].one_way.observe(700_000),
-    "hil_peer_interval_seconds_bucket": lambda d: d.peers[0].interval.observe(20_000_000),
-    "hil_peer_faults_total": lambda d: d.peers[0].fault_counts.update(["nan_with_good"]),
+    "hil_peer_round_trip_seconds_bucket": lambda d: d.peers[0].round_trip.observe(
+        700_000
+    ),
+    "hil_peer_one_way_latency_seconds_bucket": lambda d: d.peers[0].one_way.observe(
+        700_000
+    ),
+    "hil_peer_interval_seconds_bucket": lambda d: d.peers[0].interval.observe(
+        20_000_000
+    ),
+    "hil_peer_faults_total": lambda d: d.peers[0].fault_counts.update(
+        ["nan_with_good"]
+    ),
     "hil_shield_requests_total": lambda d: d.shields[0].requests.update(["set_rpm"]),
     "hil_shield_lateness_seconds_bucket": lambda d: late_response(d, 30_000),
     "hil_ros2_participants": lambda d: setattr(d.domains[0], "participants", 2),
     "hil_ros2_endpoints_apart": lambda d: setattr(d.domains[0], "apart", 1),
-    "hil_ros2_command_held": lambda d: setattr(d.domains[0], "command", CommandState.HELD),
+    "hil_ros2_command_held": lambda d: setattr(
+        d.domains[0], "command", CommandState.HELD
+    ),
     "hil_ros2_command_age_seconds": lambda d: setattr(d.domains[0], "command_ns", 0),
     "hil_input_age_seconds": lambda d: d.input_ages_s.update(opcua=0.3),
     "hil_parameters_changed": lambda d: setattr(d, "differing", 3),
@@ -114,12 +132,22 @@ STIMULI = {
     "hil_observer_samples_total": lambda d: setattr(d.observed[0], "rejected", 3),
     "hil_observer_readmitted_total": lambda d: setattr(d.observed[0], "readmitted", 1),
     "hil_recalibration_looks_total": lambda d: d.recalibration.looks.update(named=1),
-    "hil_recalibration_decisions_total": lambda d: d.recalibration.decisions.update(accepted=1),
-    "hil_recalibration_failures_total": lambda d: setattr(d.recalibration, "failures", 1),
-    "hil_recalibration_proposal_open": lambda d: setattr(d.recalibration, "waits", True),
-    "hil_recalibration_gap_changed": lambda d: setattr(d.recalibration, "changed", True),
+    "hil_recalibration_decisions_total": lambda d: d.recalibration.decisions.update(
+        accepted=1
+    ),
+    "hil_recalibration_failures_total": lambda d: setattr(
+        d.recalibration, "failures", 1
+    ),
+    "hil_recalibration_proposal_open": lambda d: setattr(
+        d.recalibration, "waits", True
+    ),
+    "hil_recalibration_gap_changed": lambda d: setattr(
+        d.recalibration, "changed", True
+    ),
     "hil_recalibration_looking": lambda d: setattr(d.recalibration, "is_looking", True),
-    "hil_recalibration_effect_ratio": lambda d: d.recalibration.effect.update({"pose.x_m": 3.0}),
+    "hil_recalibration_effect_ratio": lambda d: d.recalibration.effect.update(
+        {"pose.x_m": 3.0}
+    ),
     "hil_asyncio_tasks": lambda d: setattr(d, "tasks", 9),
     "hil_task_up": lambda d: setattr(d.kept, "jobs", [SimpleNamespace(**EDGE)]),
     "hil_task_restarts_total": lambda d: d.kept.restarts.update(edge=1),
@@ -159,9 +187,17 @@ def test_exactly_one_state_is_set(daemon: FakeDaemon, metrics: Metrics) -> None:
     daemon.state = State.PAUSED
     series = series_of_text(metrics.render()[0].decode())
     states = {
-        dict(labels)["state"]: v for (name, labels), v in series.items() if name == "hil_state"
+        dict(labels)["state"]: v
+        for (name, labels), v in series.items()
+        if name == "hil_state"
     }
-    assert states == {"starting": 0, "running": 0, "paused": 1, "safe": 0, "stopping": 0}
+    assert states == {
+        "starting": 0,
+        "running": 0,
+        "paused": 1,
+        "safe": 0,
+        "stopping": 0,
+    }
 
 
 def test_histogram_cumulates_and_keeps_what_lies_outside_its_range(
@@ -171,14 +207,20 @@ def test_histogram_cumulates_and_keeps_what_lies_outside_its_range(
     figures(daemon, latency_counts=counts_of(*latencies), latency_sum_ns=sum(latencies))
     series = series_of_text(metrics.render()[0].decode())
     name, plant = "hil_wake_latency_seconds", ("slice", "plant")
-    bucket = {le: series[f"{name}_bucket", frozenset({plant, ("le", le)})] for le in LE_WAKE}
-    assert bucket["5e-06"] == 2  # the bound belongs to its bucket; below the range as well
+    bucket = {
+        le: series[f"{name}_bucket", frozenset({plant, ("le", le)})] for le in LE_WAKE
+    }
+    assert (
+        bucket["5e-06"] == 2
+    )  # the bound belongs to its bucket; below the range as well
     assert bucket["1e-05"] == 4
     assert bucket["0.05"] == 4
     assert bucket["0.1"] == 5
     assert bucket["+Inf"] == 7
     assert series[f"{name}_count", frozenset({plant})] == 7
-    assert series[f"{name}_sum", frozenset({plant})] == pytest.approx(sum(latencies) / 1e9)
+    assert series[f"{name}_sum", frozenset({plant})] == pytest.approx(
+        sum(latencies) / 1e9
+    )
 
 
 LE_WAKE = ["5e-06", "1e-05", "0.05", "0.1", "+Inf"]
@@ -194,7 +236,11 @@ def test_exported_bounds_are_1_2_5_bounds(metric) -> None:
 def test_unknown_figures_are_left_out_instead_of_invented(metrics: Metrics) -> None:
     names = {name for name, _ in series_of_text(metrics.render()[0].decode())}
     assert names.isdisjoint(
-        {"hil_wake_jitter_seconds", "hil_margin_min_seconds", "hil_clock_offset_seconds"}
+        {
+            "hil_wake_jitter_seconds",
+            "hil_margin_min_seconds",
+            "hil_clock_offset_seconds",
+        }
         | {"hil_input_age_seconds", "hil_model_gap", "hil_model_gap_alarm"}
     )
 
@@ -207,10 +253,14 @@ def test_default_configuration_stays_within_300_series() -> None:
         text = metrics.render(is_openmetrics)[0].decode()
         lines = [line for line in text.splitlines() if not line.startswith("#")]
         assert len(lines) <= 300
-        assert any(line.startswith("process_") for line in lines)  # the library's own are counted
+        assert any(
+            line.startswith("process_") for line in lines
+        )  # the library's own are counted
 
 
-def test_openmetrics_and_text_agree_and_parse(daemon: FakeDaemon, metrics: Metrics) -> None:
+def test_openmetrics_and_text_agree_and_parse(
+    daemon: FakeDaemon, metrics: Metrics
+) -> None:
     daemon.fill()
     daemon.gc_pause.observe(10**6)
     text, text_type = metrics.render()
@@ -247,12 +297,22 @@ def test_a_reset_of_the_statistics_moves_no_total_back(
     plant = {"slice": "plant"}
     late = {**plant, "cause": "late_wake"}
     with PromDiff(metrics.registry) as diff:
-        figures(daemon, late_wakes=5, latency_counts=counts_of(1, 1), latency_sum_ns=2 * 10**9)
+        figures(
+            daemon,
+            late_wakes=5,
+            latency_counts=counts_of(1, 1),
+            latency_sum_ns=2 * 10**9,
+        )
         daemon.end_to_end.observe(10**9)
         with metrics.statistics_reset():
             daemon.slices["plant"] = slice_figures("plant")
             daemon.end_to_end.clear()
-        figures(daemon, late_wakes=7, latency_counts=counts_of(1, 1, 1), latency_sum_ns=10**9)
+        figures(
+            daemon,
+            late_wakes=7,
+            latency_counts=counts_of(1, 1, 1),
+            latency_sum_ns=10**9,
+        )
     assert diff["hil_overruns_total", late] == 12
     assert diff["hil_wake_latency_seconds_count", plant] == 5
     assert diff["hil_wake_latency_seconds_sum", plant] == pytest.approx(3)

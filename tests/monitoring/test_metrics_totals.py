@@ -18,7 +18,9 @@ def test_announced_resets_lose_nothing(run: list[tuple[list[int], bool]]) -> Non
     for increment, is_reset in run:
         shown = shown + increment
         counted += increment
-        assert (totals.advance("k", Reading(shown, int(shown.sum()))).counts == counted).all()
+        assert (
+            totals.advance("k", Reading(shown, int(shown.sum()))).counts == counted
+        ).all()
         if is_reset:
             shown = np.zeros(3, np.int64)
             totals.rebase("k", Reading(shown))

@@ -13,7 +13,11 @@ from hilserver.monitoring.watchdog import Watchdog, notify, watchdog_period_s
 @pytest.fixture(params=["path", "abstract"])
 def manager(request, tmp_path: Path, monkeypatch):
     """A service manager's socket, in the file system or abstract."""
-    name = str(tmp_path / "notify") if request.param == "path" else f"@hilserver-{os.getpid()}"
+    name = (
+        str(tmp_path / "notify")
+        if request.param == "path"
+        else f"@hilserver-{os.getpid()}"
+    )
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind("\0" + name[1:] if name.startswith("@") else name)
         listener.settimeout(2)
@@ -110,7 +114,9 @@ def test_a_reload_is_announced_only_by_a_service_that_is_ready() -> None:
     assert robot.heard[-1] == "READY=1"
 
 
-async def test_it_looks_more_often_than_the_period_and_says_goodbye(monkeypatch) -> None:
+async def test_it_looks_more_often_than_the_period_and_says_goodbye(
+    monkeypatch,
+) -> None:
     monkeypatch.setenv("WATCHDOG_USEC", "40000")
     monkeypatch.delenv("WATCHDOG_PID", raising=False)
     robot = Robot()

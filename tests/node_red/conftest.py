@@ -17,7 +17,9 @@ async def node_red(tmp_path: Path) -> AsyncIterator[Callable[..., NodeRed]]:
     made: list[NodeRed] = []
 
     def make(flow: list[dict], **settings: object) -> NodeRed:
-        instance = NodeRed(tmp_path / f"node-red-{len(made)}", free_port(), flow, **settings)
+        instance = NodeRed(
+            tmp_path / f"node-red-{len(made)}", free_port(), flow, **settings
+        )
         made.append(instance)
         return instance
 

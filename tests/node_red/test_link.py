@@ -80,7 +80,9 @@ async def test_plain_flow_is_polled(node_red):
     try:
         await wait_until(lambda: status.mode == "poll" and not status.stale)
         assert status.granted_sampling_ms == 500
-        assert harness.heard("the peer samples every 500 ms: polling every 10 ms instead")
+        assert harness.heard(
+            "the peer samples every 500 ms: polling every 10 ms instead"
+        )
         received, missed = await sequence_of(status, 200)
         # Of what changes every 20 ms a subscription sampled every 500 ms misses 96 %; a busy
         # computer makes a poll late now and then.
@@ -95,12 +97,16 @@ async def test_lying_flow_is_named(node_red):
     await harness.link.start()
     status = harness.status
     try:
-        await wait_until(lambda: status.mode == "poll" and status.sequence_received > 200)
+        await wait_until(
+            lambda: status.mode == "poll" and status.sequence_received > 200
+        )
         kinds = {key.split(":")[0] for key in status.faults}
         assert {"frozen_stamp", "not_finite"} <= kinds
         assert status.one_way.count == 0
         assert harness.gate.all_finite
         assert harness.heard("AGV.rpm_set_RR: nan with status Good")
-        assert harness.heard("the SourceTimestamp of ns=1;s=AGV.rpm_set_FL stands still")
+        assert harness.heard(
+            "the SourceTimestamp of ns=1;s=AGV.rpm_set_FL stands still"
+        )
     finally:
         await harness.link.stop()

@@ -36,7 +36,9 @@ async def running_daemon(peer: PeerConfig) -> AsyncIterator[Daemon]:
             "image": {"name": "auto"},
             "opcua": {"enabled": False},
             "metrics": {"enabled": False},
-            "scheduler": {"limits": {"single_overrun_ms": None, "consecutive_overruns": None}},
+            "scheduler": {
+                "limits": {"single_overrun_ms": None, "consecutive_overruns": None}
+            },
             "peers": [peer.model_dump(mode="json")],
         }
     )

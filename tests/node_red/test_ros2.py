@@ -51,7 +51,11 @@ async def bridge(domain, port, interface):
     """The shipped bridge, as it runs on the robot."""
     own = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     process = await asyncio.create_subprocess_exec(
-        PYTHON, DEPLOY / "ros2_bridge.py", "--port", str(port), env=os.environ | interface | own
+        PYTHON,
+        DEPLOY / "ros2_bridge.py",
+        "--port",
+        str(port),
+        env=os.environ | interface | own,
     )
     try:
         yield process
@@ -60,18 +64,24 @@ async def bridge(domain, port, interface):
         assert await asyncio.wait_for(process.wait(), 60) == 0
 
 
-async def test_a_motion_node_drives_over_node_red_and_reads_the_sensors(node_red, interface):
+async def test_a_motion_node_drives_over_node_red_and_reads_the_sensors(
+    node_red, interface
+):
     with claimed_domain() as domain:
         port = free_port()
         environment = {"ROS2_PORT": str(port), "IOTBOT_DEMO": "0"}
         controller = node_red(shipped_flow(), environment=environment)
         name = "iotbot_motion_control"
-        motion = RosNode(domain, {"/iotbot/rpm": RPM}, SENSORS, name=name, more=interface)
+        motion = RosNode(
+            domain, {"/iotbot/rpm": RPM}, SENSORS, name=name, more=interface
+        )
         async with bridge(domain, port, interface), motion:
             await controller.start()
             reader, writer = await asyncio.open_connection("127.0.0.1", port)
             writer.write(b"no JSON\n")
-            assert await reader.read() == b"", "what is no line of ours closes its connection"
+            assert await reader.read() == b"", (
+                "what is no line of ours closes its connection"
+            )
             writer.close()
             peer = demo_peer(controller.endpoint, name="iot2050")
             async with Daemon(assemble_config(configuration(peers=[peer]))) as daemon:
@@ -79,17 +89,23 @@ async def test_a_motion_node_drives_over_node_red_and_reads_the_sensors(node_red
                 motion.publish("/iotbot/rpm", times=1500, **AHEAD)
 
                 def is_fast(speeds):
-                    return speeds["front_left_rpm"] > 25 and speeds["rear_right_rpm"] < -25
+                    return (
+                        speeds["front_left_rpm"] > 25 and speeds["rear_right_rpm"] < -25
+                    )
 
                 await motion.sees("/iotbot/rpm/return", is_fast)
                 assert daemon.control.state is State.RUNNING
                 assert newest(daemon, "wheel.fl.setpoint_rpm") == 30.0
-                tof = await motion.sees("/iotbot/tof", lambda message: len(message["data"]) == 4)
+                tof = await motion.sees(
+                    "/iotbot/tof", lambda message: len(message["data"]) == 4
+                )
                 assert all(0.0 <= distance <= 5.0 for distance in tof["data"])
                 imu = await motion.sees("/iotbot/imu")
                 assert imu["header"]["frame_id"] == "imu_link"
                 assert imu["header"]["stamp"]["sec"] > 0
                 # a motion node that dies sends nothing: the flow stops the wheels
                 motion.process.kill()
-                await wait_until(lambda: abs(newest(daemon, "wheel.fl.speed_rpm")) < 0.5)
+                await wait_until(
+                    lambda: abs(newest(daemon, "wheel.fl.speed_rpm")) < 0.5
+                )
                 assert newest(daemon, "drive.enable") == 0.0

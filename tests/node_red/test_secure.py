@@ -38,7 +38,9 @@ async def test_the_shipped_flow_over_basic256sha256(node_red, tmp_path, monkeypa
         mode="poll",
         security={"policy": "Basic256Sha256", "peer_host": socket.gethostname()},
     )
-    harness = make_harness(config, security=LinkSecurity(config, OpcUaConfig(), tmp_path))
+    harness = make_harness(
+        config, security=LinkSecurity(config, OpcUaConfig(), tmp_path)
+    )
     await harness.link.start()
     try:
         await wait_until(lambda: harness.heard("is not trusted"))

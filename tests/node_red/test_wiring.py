@@ -54,7 +54,9 @@ def with_commands(flow: list[dict], source: Path) -> list[dict]:
 class Operator:
     """Turns the wheel that `hilserver wiring` asks for, with the drive's mirrored right side."""
 
-    def __init__(self, path: Path, wheel_of: Callable[[str], str] = lambda wheel: wheel) -> None:
+    def __init__(
+        self, path: Path, wheel_of: Callable[[str], str] = lambda wheel: wheel
+    ) -> None:
         self._path = path
         self._wheel_of = wheel_of
         self._task: asyncio.Task[None] | None = None
@@ -70,7 +72,9 @@ class Operator:
 
     def told(self, text: str) -> None:
         (wheel,) = (
-            name.replace(" ", "_") for name in WHEEL_WORDS.values() if f"the {name} " in text
+            name.replace(" ", "_")
+            for name in WHEEL_WORDS.values()
+            if f"the {name} " in text
         )
         self._task = asyncio.create_task(self._obey(self._wheel_of(wheel)))
 
@@ -88,7 +92,9 @@ async def wired(node_red, operator: Operator, source: Path) -> list:
             "image": {"name": "auto"},
             "opcua": {"enabled": False},
             "metrics": {"enabled": False},
-            "scheduler": {"limits": {"single_overrun_ms": None, "consecutive_overruns": None}},
+            "scheduler": {
+                "limits": {"single_overrun_ms": None, "consecutive_overruns": None}
+            },
             "peers": [peer.model_dump(mode="json") | {"stale_after_ms": 400.0}],
         }
     )

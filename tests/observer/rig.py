@@ -80,7 +80,9 @@ class Observed:
         row = (int(self.head.newest) - age) % MOMENTS
         return Moment.of(self.f[N_HEAD + row * N_MOMENT :][:N_MOMENT])
 
-    def step(self, time, left, right, *, apart=(0.0, 0.0), gyro=None, position=None, yaw=None):
+    def step(
+        self, time, left, right, *, apart=(0.0, 0.0), gyro=None, position=None, yaw=None
+    ):
         """Go on to a time [s]; a sample is (time, values...)."""
         observer.open_moment(self.c, self.f, time, (left, right, 0.0, *apart))
         if gyro is not None:
@@ -128,8 +130,15 @@ def drive(p, figures, n, seed=0, exact=None):
     exact = wheels(n, seed) if exact is None else exact
     before, now = Moment.zeros(), Moment.zeros()
     before.estimate[:3] = *rng.uniform(-2.0, 2.0, 2), rng.uniform(-math.pi, math.pi)
-    truth, gyro, position, yaw = np.empty((n, 5)), np.empty(n), np.empty((n, 2)), np.empty(n)
-    slow = [correlated(rng, n, figures.position_ou, figures.position_tau) for _ in range(2)]
+    truth, gyro, position, yaw = (
+        np.empty((n, 5)),
+        np.empty(n),
+        np.empty((n, 2)),
+        np.empty(n),
+    )
+    slow = [
+        correlated(rng, n, figures.position_ou, figures.position_tau) for _ in range(2)
+    ]
     slow_yaw = correlated(rng, n, figures.yaw_ou, figures.yaw_tau)
     for k in range(n):
         x = before.estimate
@@ -141,8 +150,12 @@ def drive(p, figures, n, seed=0, exact=None):
         truth[k] = x[[X, Y, YAW, V, OM]]
         gyro[k] = show_gyro(p, x, 0.0, 0.0) + figures.gyro_sd * rng.standard_normal()
         white = figures.position_sd * rng.standard_normal(2)
-        position[k] = np.array(show_position(p, x, 0.0, 0.0)) + white + [s[k] for s in slow]
-        yaw[k] = show_yaw(p, x, 0.0) + slow_yaw[k] + figures.yaw_sd * rng.standard_normal()
+        position[k] = (
+            np.array(show_position(p, x, 0.0, 0.0)) + white + [s[k] for s in slow]
+        )
+        yaw[k] = (
+            show_yaw(p, x, 0.0) + slow_yaw[k] + figures.yaw_sd * rng.standard_normal()
+        )
     read = exact + figures.wheel_sd * rng.standard_normal((n, 2))
     return Drive(DT_S * np.arange(n), read, truth, gyro, position, yaw)
 
@@ -154,5 +167,7 @@ def numerical(function, x, step=1e-6):
         up, down = x.copy(), x.copy()
         up[j] += step
         down[j] -= step
-        columns.append((np.array(function(up)) - np.array(function(down))) / (2.0 * step))
+        columns.append(
+            (np.array(function(up)) - np.array(function(down))) / (2.0 * step)
+        )
     return np.array(columns).T

@@ -81,8 +81,12 @@ def test_the_gain_is_schmidts():
     assert np.linalg.eigvalsh(root).min() > -1e-9
     h = np.zeros(N_ESTIMATED + n)
     h[4], h[5] = observed.p.gyro_gain, 1.0
-    h[N_ESTIMATED:] = [(m.gyro_gain - observed.p.gyro_gain) * before.estimate[4] for m in moved]
-    assert np.abs(h[N_ESTIMATED:]).max() == 0.0  # gyro_scale is not among the uncertain ones
+    h[N_ESTIMATED:] = [
+        (m.gyro_gain - observed.p.gyro_gain) * before.estimate[4] for m in moved
+    ]
+    assert (
+        np.abs(h[N_ESTIMATED:]).max() == 0.0
+    )  # gyro_scale is not among the uncertain ones
     r = observed.figures.gyro_sd**2
     s = h @ root @ h + r
     gain = root @ h / s
@@ -95,14 +99,25 @@ def test_the_gain_is_schmidts():
     after = before.copy()
     after.gyro = d.gyro[58]
     take_gyro(observed.p, observed.c, Head.zeros(), after, 0.02)
-    np.testing.assert_allclose(after.covariance, expected[:N_ESTIMATED, :N_ESTIMATED], atol=1e-9)
-    np.testing.assert_allclose(after.cross[:, :n], expected[:N_ESTIMATED, N_ESTIMATED:], atol=1e-9)
+    np.testing.assert_allclose(
+        after.covariance, expected[:N_ESTIMATED, :N_ESTIMATED], atol=1e-9
+    )
+    np.testing.assert_allclose(
+        after.cross[:, :n], expected[:N_ESTIMATED, N_ESTIMATED:], atol=1e-9
+    )
 
 
 def test_errors_of_wrong_parameters_are_within_what_is_said():
     """Drives of robots whose parameters are drawn from the covariance, seen with the mean ones."""
-    rng, machine, squares = np.random.default_rng(3), robot(rotation_gain=0.03, side_slip=0.1), []
-    names, sd = ["rotation_gain", "side_slip", "nav_scale"], np.array([0.02, 0.05, 0.02])
+    rng, machine, squares = (
+        np.random.default_rng(3),
+        robot(rotation_gain=0.03, side_slip=0.1),
+        [],
+    )
+    names, sd = (
+        ["rotation_gain", "side_slip", "nav_scale"],
+        np.array([0.02, 0.05, 0.02]),
+    )
     moved = directions(machine, names, np.diag(sd**2))
     for seed in range(60):
         terms = dict(machine.terms)

@@ -32,7 +32,9 @@ def feed(observed, d, k, *, position=None, yaw=None):
         at,
         *d.read[k],
         gyro=(at, d.gyro[k]),
-        position=None if position is None else (d.times[position], *d.position[position]),
+        position=None
+        if position is None
+        else (d.times[position], *d.position[position]),
         yaw=None if yaw is None else (d.times[yaw], d.yaw[yaw]),
     )
 
@@ -69,7 +71,11 @@ class Textbook(ExtendedKalmanFilter):
             (OU_YAW, f.yaw_ou, f.yaw_tau),
         ):
             self.Q[place, place] += sd**2 * (1.0 - np.exp(-2.0 * dt / tau))
-        for place, walk in ((BIAS, f.bias_walk), (SLIP, f.slip_walk), (GAIN, f.gain_walk)):
+        for place, walk in (
+            (BIAS, f.bias_walk),
+            (SLIP, f.slip_walk),
+            (GAIN, f.gain_walk),
+        ):
             self.Q[place, place] += walk * dt
         self.P = self.F @ self.P @ self.F.T + self.Q
         self.x = moved(x)[:, None]
@@ -87,7 +93,9 @@ class Textbook(ExtendedKalmanFilter):
 def test_algebra_is_that_of_filterpy():
     observed = Observed(robot(), unknown={"rotation_gain": 0.01, "wheel_radius": 0.01})
     observed.figures.wheel_drift = 0.0
-    steady = np.full((N, 2), [5.0, -3.0])  # what readings leave out between them is zero
+    steady = np.full(
+        (N, 2), [5.0, -3.0]
+    )  # what readings leave out between them is zero
     d = drive(observed.p, observed.figures, N, exact=steady)
     d.read[:] = steady
     first = feed(observed, d, 0, position=0, yaw=0)
@@ -101,11 +109,15 @@ def test_algebra_is_that_of_filterpy():
         b.left, b.right = d.read[k]
         book.go(a, b)
         book.take(
-            lambda x: [show_gyro(observed.p, x, 0.0, 0.0)], [d.gyro[k]], observed.figures.gyro_sd
+            lambda x: [show_gyro(observed.p, x, 0.0, 0.0)],
+            [d.gyro[k]],
+            observed.figures.gyro_sd,
         )
         if due:
             yaw = book.x[YAW, 0] + np.angle(np.exp(1j * (d.yaw[k] - book.x[YAW, 0])))
-            book.take(lambda x: [show_yaw(observed.p, x, 0.0)], [yaw], observed.figures.yaw_sd)
+            book.take(
+                lambda x: [show_yaw(observed.p, x, 0.0)], [yaw], observed.figures.yaw_sd
+            )
             book.take(
                 lambda x: show_position(observed.p, x, 0.0, 0.0),
                 d.position[k],

@@ -29,7 +29,9 @@ def moved(observed, before, now, state):
 
 
 @pytest.mark.parametrize("terms", [{}, MANY, MANY | {"body_lag": 0.0}])
-@pytest.mark.parametrize("right", [(-3.0, -3.4), (-5.0, -5.2)], ids=["turning", "straight"])
+@pytest.mark.parametrize(
+    "right", [(-3.0, -3.4), (-5.0, -5.2)], ids=["turning", "straight"]
+)
 def test_transition_is_the_derivative_of_the_motion(terms, right):
     observed, (before, now) = Observed(robot(**terms), unknown={}), two(right=right)
     observed.figures.wheel_sd = observed.figures.wheel_drift = 0.0
@@ -54,7 +56,10 @@ def test_noise_of_the_wheels_is_what_it_does_to_the_motion():
     f.wheel_drift = 0.0
     c = observed.c.copy()
     c[: f.n_words] = f.numbers
-    nothing, expected = moved(observed, before, now, STATE), np.zeros((N_ESTIMATED, N_ESTIMATED))
+    nothing, expected = (
+        moved(observed, before, now, STATE),
+        np.zeros((N_ESTIMATED, N_ESTIMATED)),
+    )
     for side in ("left", "right"):
         exact = now[side]
         now[side] = exact + f.wheel_sd
@@ -68,7 +73,12 @@ def test_noise_of_the_wheels_is_what_it_does_to_the_motion():
     assert got[BIAS, BIAS] == 0.0
 
 
-ROLLERS = {"wheel_radius": 0.02, "roller_slip": 0.1, "encoder_scale.a": 0.03, "rotation_gain": 0.03}
+ROLLERS = {
+    "wheel_radius": 0.02,
+    "roller_slip": 0.1,
+    "encoder_scale.a": 0.03,
+    "rotation_gain": 0.03,
+}
 
 
 @pytest.mark.parametrize(

@@ -44,7 +44,12 @@ def test_the_tag_is_where_the_plant_shows_it():
     from hilserver.plant.nav import nav_step  # noqa: PLC0415
 
     quiet = pack(robot(**MANY))
-    quiet.nav_enabled, quiet.nav_every, quiet.nav_delay, quiet.nav_yaw_delay = 1.0, 1.0, 0.0, 0.0
+    quiet.nav_enabled, quiet.nav_every, quiet.nav_delay, quiet.nav_yaw_delay = (
+        1.0,
+        1.0,
+        0.0,
+        0.0,
+    )
     quiet.nav_white = quiet.nav_ou = quiet.nav_yaw_ou = 0.0
     y, x = Outputs.zeros(), State.zeros()
     y.pose[:] = STATE[:3]
@@ -52,4 +57,6 @@ def test_the_tag_is_where_the_plant_shows_it():
     still = np.zeros(N_ESTIMATED)
     still[:3] = STATE[:3]
     assert show_position(quiet, still, 0.0, 0.0) == pytest.approx(y.nav[:2], abs=1e-12)
-    assert np.exp(1j * show_yaw(quiet, still, 0.0)) == pytest.approx(np.exp(1j * y.nav[2]))
+    assert np.exp(1j * show_yaw(quiet, still, 0.0)) == pytest.approx(
+        np.exp(1j * y.nav[2])
+    )

@@ -43,7 +43,8 @@ def test_a_series_gives_what_its_samples_give_one_by_one():
 def test_smoother_is_that_of_filterpy():
     """With F and Q of every step by numerical derivatives and by what the filter added."""
     observed = Observed(
-        robot(), unknown=dict.fromkeys(("rotation_gain", "wheel_radius", "gyro_bias"), 0.01)
+        robot(),
+        unknown=dict.fromkeys(("rotation_gain", "wheel_radius", "gyro_bias"), 0.01),
     )
     steady = np.full((60, 2), [5.0, -3.0])
     d = drive(observed.p, observed.figures, 60, exact=steady)

@@ -94,9 +94,15 @@ for name, item in {
     "range_text": value_of(ARRAY, IndexRange="abc"),
     "range_of_scalar": value_of(NUMBER, IndexRange="0"),
     "range_two_dimensions": value_of(ARRAY, IndexRange="0,0"),
-    "encoding_of_scalar": value_of(NUMBER, DataEncoding=ua.QualifiedName("Default XML")),
-    "encoding_unknown": value_of(STRUCTURE, DataEncoding=ua.QualifiedName("Default Nonsense")),
-    "encoding_binary": value_of(STRUCTURE, DataEncoding=ua.QualifiedName("Default Binary")),
+    "encoding_of_scalar": value_of(
+        NUMBER, DataEncoding=ua.QualifiedName("Default XML")
+    ),
+    "encoding_unknown": value_of(
+        STRUCTURE, DataEncoding=ua.QualifiedName("Default Nonsense")
+    ),
+    "encoding_binary": value_of(
+        STRUCTURE, DataEncoding=ua.QualifiedName("Default Binary")
+    ),
 }.items():
 
     async def _read(wire: Wire, item: ua.ReadValueId = item) -> str:
@@ -122,7 +128,9 @@ async def raw_fault(wire: Wire, empty: Any, parameters: bytes) -> str:
 # --- views ----------------------------------------------------------------------------------------
 
 
-async def browse(wire: Wire, *items: ua.BrowseDescription, view: ua.NodeId | None = None) -> str:
+async def browse(
+    wire: Wire, *items: ua.BrowseDescription, view: ua.NodeId | None = None
+) -> str:
     request = ua.BrowseRequest()
     request.Parameters.NodesToBrowse = list(items)
     if view is not None:
@@ -146,7 +154,10 @@ async def browse_directions(wire: Wire, *directions: int) -> list[str]:
         place = start + len(node) - 4 - 4 - 1 - 2 - 4
         data[place : place + 4] = struct.pack("<i", direction)
     request.RequestHeader.AuthenticationToken = wire.authentication
-    whole, tail = bytes(struct_to_binary(request)), bytes(struct_to_binary(request.Parameters))
+    whole, tail = (
+        bytes(struct_to_binary(request)),
+        bytes(struct_to_binary(request.Parameters)),
+    )
     await wire.send(wire.message(whole[: len(whole) - len(tail)] + bytes(data)))
     _, body = await wire.receive()
     response = struct_from_binary(ua.BrowseResponse, Buffer(body[16:]))
@@ -165,13 +176,17 @@ async def _beside(wire: Wire) -> str:
 
 CASES |= {
     ("Browse", "no_nodes"): browse,
-    ("Browse", "unknown_node"): lambda wire: browse(wire, ua.BrowseDescription(NodeId=NOWHERE)),
+    ("Browse", "unknown_node"): lambda wire: browse(
+        wire, ua.BrowseDescription(NodeId=NOWHERE)
+    ),
     ("Browse", "reference_type_unknown"): lambda wire: browse(
         wire, ua.BrowseDescription(NodeId=NUMBER, ReferenceTypeId=NOWHERE)
     ),
     ("Browse", "reference_type_object"): lambda wire: browse(
         wire,
-        ua.BrowseDescription(NodeId=NUMBER, ReferenceTypeId=ua.NodeId(ua.ObjectIds.ObjectsFolder)),
+        ua.BrowseDescription(
+            NodeId=NUMBER, ReferenceTypeId=ua.NodeId(ua.ObjectIds.ObjectsFolder)
+        ),
     ),
     ("Browse", "view"): lambda wire: browse(
         wire, ua.BrowseDescription(NodeId=NUMBER), view=NOWHERE
@@ -202,9 +217,15 @@ CASES |= {
     ("UnregisterNodes", "no_nodes"): lambda wire: fault(
         wire, ua.UnregisterNodesRequest(), ua.UnregisterNodesResponse
     ),
-    ("TranslateBrowsePathsToNodeIds", "unknown_start"): lambda wire: translate(wire, NOWHERE, "a"),
-    ("TranslateBrowsePathsToNodeIds", "no_elements"): lambda wire: translate(wire, NUMBER),
-    ("TranslateBrowsePathsToNodeIds", "no_match"): lambda wire: translate(wire, NUMBER, "a"),
+    ("TranslateBrowsePathsToNodeIds", "unknown_start"): lambda wire: translate(
+        wire, NOWHERE, "a"
+    ),
+    ("TranslateBrowsePathsToNodeIds", "no_elements"): lambda wire: translate(
+        wire, NUMBER
+    ),
+    ("TranslateBrowsePathsToNodeIds", "no_match"): lambda wire: translate(
+        wire, NUMBER, "a"
+    ),
 }
 
 
@@ -257,7 +278,10 @@ async def _item_mode(wire: Wire) -> str:
     data = data[:place] + struct.pack("<i", 9) + data[place + 4 :]
     empty = ua.CreateMonitoredItemsRequest()
     empty.RequestHeader.AuthenticationToken = wire.authentication
-    whole, tail = bytes(struct_to_binary(empty)), bytes(struct_to_binary(empty.Parameters))
+    whole, tail = (
+        bytes(struct_to_binary(empty)),
+        bytes(struct_to_binary(empty.Parameters)),
+    )
     await wire.send(wire.message(whole[: len(whole) - len(tail)] + data))
     _, body = await wire.receive()
     response = struct_from_binary(ua.CreateMonitoredItemsResponse, Buffer(body[16:]))
@@ -276,7 +300,10 @@ async def _item_trigger(wire: Wire) -> str:
     data = data[:place] + struct.pack("<i", 9) + data[place + 4 :]
     empty = ua.CreateMonitoredItemsRequest()
     empty.RequestHeader.AuthenticationToken = wire.authentication
-    whole, tail = bytes(struct_to_binary(empty)), bytes(struct_to_binary(empty.Parameters))
+    whole, tail = (
+        bytes(struct_to_binary(empty)),
+        bytes(struct_to_binary(empty.Parameters)),
+    )
     await wire.send(wire.message(whole[: len(whole) - len(tail)] + data))
     _, body = await wire.receive()
     response = struct_from_binary(ua.CreateMonitoredItemsResponse, Buffer(body[16:]))
@@ -375,7 +402,9 @@ async def _republish(wire: Wire) -> str:
     return await fault(wire, request, ua.RepublishResponse)
 
 
-async def call(wire: Wire, method: ua.NodeId, *arguments: ua.Variant) -> ua.CallMethodResult:
+async def call(
+    wire: Wire, method: ua.NodeId, *arguments: ua.Variant
+) -> ua.CallMethodResult:
     request = ua.CallRequest()
     request.Parameters.MethodsToCall = [
         ua.CallMethodRequest(ua.NodeId(ua.ObjectIds.Server), method, list(arguments))
@@ -397,7 +426,9 @@ async def _get(wire: Wire) -> str:
 
 @case("Call", "get_monitored_items_of_others")
 async def _get_others(wire: Wire) -> str:
-    return (await call(wire, _GET, ua.Variant(4711, ua.VariantType.UInt32))).StatusCode.name
+    return (
+        await call(wire, _GET, ua.Variant(4711, ua.VariantType.UInt32))
+    ).StatusCode.name
 
 
 @case("Call", "unknown_method")
@@ -429,10 +460,16 @@ async def error_after(wire: Wire, data: bytes) -> str:
     while True:
         kind, body = await wire.receive()
         if kind != b"MSG":
-            return ua.StatusCode(*struct.unpack_from("<I", body)).name if kind == b"ERR" else "none"
+            return (
+                ua.StatusCode(*struct.unpack_from("<I", body)).name
+                if kind == b"ERR"
+                else "none"
+            )
 
 
-def renumbered(data: bytes, channel: int = 0, token: int = 0, sequence: int = 0) -> bytes:
+def renumbered(
+    data: bytes, channel: int = 0, token: int = 0, sequence: int = 0
+) -> bytes:
     numbers = struct.unpack_from("<III", data, 8)
     moved = [n + by for n, by in zip(numbers, (channel, token, sequence), strict=True)]
     return data[:8] + struct.pack("<III", *moved) + data[20:]
@@ -451,21 +488,29 @@ for name, moved in {
 }.items():
 
     async def _moved(wire: Wire, moved: dict[str, int] = moved) -> str:
-        return await error_after(wire, renumbered(wire.message(reading(value_of(NUMBER))), **moved))
+        return await error_after(
+            wire, renumbered(wire.message(reading(value_of(NUMBER))), **moved)
+        )
 
     CASES["SecureChannel", name] = _moved
 
 
-async def opened_again(wire: Wire, channel: int, kind: ua.SecurityTokenRequestType) -> str:
+async def opened_again(
+    wire: Wire, channel: int, kind: ua.SecurityTokenRequestType
+) -> str:
     data = open_channel(wire._sequence + 1)[8:]
     body = data[:4] + data[4:]
     request = ua.OpenSecureChannelRequest()
     request.Parameters.RequestType = kind
     request.Parameters.SecurityMode = ua.MessageSecurityMode.None_
     request.Parameters.ClientNonce = b""
-    head = body[: 4 + 4 + len("http://opcfoundation.org/UA/SecurityPolicy#None") + 8 + 8]
+    head = body[
+        : 4 + 4 + len("http://opcfoundation.org/UA/SecurityPolicy#None") + 8 + 8
+    ]
     head = struct.pack("<I", channel) + head[4:]
-    return await error_after(wire, frame(b"OPN", head + bytes(struct_to_binary(request))))
+    return await error_after(
+        wire, frame(b"OPN", head + bytes(struct_to_binary(request)))
+    )
 
 
 CASES |= {
@@ -513,7 +558,9 @@ async def test_a_part_of_an_array_is_that_part(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("stamps", list(ua.TimestampsToReturn)[:4])
-async def test_only_the_stamps_that_are_asked_for(rig: Rig, stamps: ua.TimestampsToReturn) -> None:
+async def test_only_the_stamps_that_are_asked_for(
+    rig: Rig, stamps: ua.TimestampsToReturn
+) -> None:
     rig.tick()
     async with Wire(rig.server.url) as wire:
         await wire.log_in()
@@ -533,7 +580,9 @@ async def test_result_mask_leaves_out_what_is_not_asked_for(rig: Rig) -> None:
         await wire.log_in()
         request = ua.BrowseRequest()
         mask = int(ua.BrowseResultMask.BrowseName)
-        request.Parameters.NodesToBrowse = [ua.BrowseDescription(NodeId=NUMBER, ResultMask=mask)]
+        request.Parameters.NodesToBrowse = [
+            ua.BrowseDescription(NodeId=NUMBER, ResultMask=mask)
+        ]
         (result,) = (await wire.ask(request, ua.BrowseResponse)).Results
         for reference in result.References:
             assert reference.BrowseName.Name

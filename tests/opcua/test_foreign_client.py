@@ -22,7 +22,9 @@ async def tick_for_ever(rig: Rig) -> None:
         await asyncio.sleep(0.02)
 
 
-async def test_node_opcua_reads_takes_control_writes_subscribes_and_calls(rig: Rig) -> None:
+async def test_node_opcua_reads_takes_control_writes_subscribes_and_calls(
+    rig: Rig,
+) -> None:
     node = shutil.which("node")
     assert node, "Node.js 20 is needed (make test installs its packages)"
     assert (FOLDER / "node_modules" / "node-opcua-client").is_dir(), (

@@ -19,7 +19,9 @@ pytestmark = pytest.mark.asyncio(loop_scope="module")
 
 
 class Ignore:
-    def datachange_notification(self, node: object, value: object, data: object) -> None:
+    def datachange_notification(
+        self, node: object, value: object, data: object
+    ) -> None:
         pass
 
 
@@ -28,7 +30,9 @@ def own_tasks() -> set[str]:
 
 
 @pytest.mark.parametrize("asked_ms", [0.0, -1.0, 0.01, math.nan])
-async def test_publishing_interval_has_a_lower_bound(client: RobotClient, asked_ms: float) -> None:
+async def test_publishing_interval_has_a_lower_bound(
+    client: RobotClient, asked_ms: float
+) -> None:
     params = ua.CreateSubscriptionParameters()
     params.RequestedPublishingInterval = asked_ms
     params.RequestedLifetimeCount, params.RequestedMaxKeepAliveCount = 1000, 100
@@ -55,7 +59,9 @@ async def test_a_lifetime_is_bounded_in_seconds_whatever_the_interval(
     assert cycle_s * granted.RevisedLifetimeCount <= 600.0
     assert granted.RevisedLifetimeCount >= 3 * granted.RevisedMaxKeepAliveCount
     if count == 2**31:
-        assert cycle_s * granted.RevisedLifetimeCount > 599.0, "the client gets what there is"
+        assert cycle_s * granted.RevisedLifetimeCount > 599.0, (
+            "the client gets what there is"
+        )
     await client.uaclient.delete_subscriptions([granted.SubscriptionId])
 
 
@@ -139,7 +145,9 @@ async def test_client_that_does_not_read_is_closed(
     await deaf.disconnect()
 
 
-async def test_sessions_are_limited_and_abandoned_ones_forgotten(tmp_path: Path) -> None:
+async def test_sessions_are_limited_and_abandoned_ones_forgotten(
+    tmp_path: Path,
+) -> None:
     rig = Rig(tmp_path, max_sessions=2)
     await rig.server.start()
     try:
@@ -260,18 +268,22 @@ async def test_port_in_use_is_one_sentence(
 async def test_other_addresses_than_loopback_are_refused(endpoint: str) -> None:
     with pytest.raises(ValidationError, match="nobody may log in"):
         OpcUaConfig(endpoint=endpoint)
-    assert OpcUaConfig(endpoint=endpoint, allow_insecure_network=True).is_open_to_network
+    assert OpcUaConfig(
+        endpoint=endpoint, allow_insecure_network=True
+    ).is_open_to_network
 
 
 @pytest.mark.parametrize(
-    "endpoint", ["opc.tcp://127.0.0.1:1/x", "opc.tcp://localhost:1", "opc.tcp://[::1]:1"]
+    "endpoint",
+    ["opc.tcp://127.0.0.1:1/x", "opc.tcp://localhost:1", "opc.tcp://[::1]:1"],
 )
 async def test_loopback_is_allowed(endpoint: str) -> None:
     assert not OpcUaConfig(endpoint=endpoint).is_open_to_network
 
 
 @pytest.mark.parametrize(
-    "endpoint", ["http://127.0.0.1:1", "opc.tcp://127.0.0.1", "opc.tcp://127.0.0.1:x", "4840"]
+    "endpoint",
+    ["http://127.0.0.1:1", "opc.tcp://127.0.0.1", "opc.tcp://127.0.0.1:x", "4840"],
 )
 async def test_wrong_endpoint_is_one_sentence(endpoint: str) -> None:
     with pytest.raises(ValidationError, match=r"is not an endpoint: write opc\.tcp://"):
@@ -279,7 +291,9 @@ async def test_wrong_endpoint_is_one_sentence(endpoint: str) -> None:
 
 
 async def test_open_server_says_so(tmp_path: Path) -> None:
-    rig = Rig(tmp_path, endpoint="opc.tcp://0.0.0.0:0/hilserver", allow_insecure_network=True)
+    rig = Rig(
+        tmp_path, endpoint="opc.tcp://0.0.0.0:0/hilserver", allow_insecure_network=True
+    )
     with structlog.testing.capture_logs() as logs:
         await rig.server.start()
     assert any(

@@ -22,7 +22,8 @@ LISTED_6 = (
 
 
 @pytest.mark.parametrize(
-    ("host", "port", "owner"), [("127.0.0.1", 40000, 1001), ("::1", 40000, 1002), ("::1", 1, None)]
+    ("host", "port", "owner"),
+    [("127.0.0.1", 40000, 1001), ("::1", 40000, 1002), ("::1", 1, None)],
 )
 def test_the_owner_of_a_socket_is_in_the_kernels_table(host, port, owner):
     assert owner_of((host, port), (host, 4840), ["header", LISTED, LISTED_6]) == owner
@@ -61,7 +62,9 @@ def test_a_stranger_has_the_short_deadline(stage, deadline_s):
 
 @pytest.mark.parametrize(("stage", "deadline_s"), STAGES)
 @pytest.mark.parametrize("why", [{"is_own": True}, {"waits": ("a frame",)}])
-def test_programs_of_our_user_and_whoever_waits_for_us_have_longer(stage, deadline_s, why):
+def test_programs_of_our_user_and_whoever_waits_for_us_have_longer(
+    stage, deadline_s, why
+):
     assert not stays_too_long(stage, deadline_s + 0.5, **why)
     assert not stays_too_long(stage, BUSY_DEADLINE_S - 1.0, **why)
     assert stays_too_long(stage, BUSY_DEADLINE_S + 1.0, **why)

@@ -28,7 +28,9 @@ class Notes:
     def __init__(self) -> None:
         self.at_s: list[float] = []
 
-    def datachange_notification(self, node: object, value: object, data: object) -> None:
+    def datachange_notification(
+        self, node: object, value: object, data: object
+    ) -> None:
         self.at_s.append(time.monotonic())
 
     def event_notification(self, event: object) -> None:
@@ -45,15 +47,25 @@ async def watch_with_asyncua(rig: Rig) -> dict[str, list[float]]:
             own = notes[f"{kind} {period_ms} {queue}"] = Notes()
             subscription = await client.create_subscription(period_ms, own)
             if kind == "data":
-                await subscription.subscribe_data_change(client.path("pose.x_m"), queuesize=queue)
+                await subscription.subscribe_data_change(
+                    client.path("pose.x_m"), queuesize=queue
+                )
             else:
-                await subscription.subscribe_events(ua.ObjectIds.Server, queuesize=queue)
+                await subscription.subscribe_events(
+                    ua.ObjectIds.Server, queuesize=queue
+                )
         await asyncio.sleep(WATCHED_S)
     return {key: own.at_s for key, own in notes.items()}
 
 
 async def watch_with(rig: Rig, program: str, file: str) -> dict[str, list[float]]:
-    command = [program, str(FOLDER / file), rig.server.url, str(WATCHED_S), json.dumps(ROWS)]
+    command = [
+        program,
+        str(FOLDER / file),
+        rig.server.url,
+        str(WATCHED_S),
+        json.dumps(ROWS),
+    ]
     done = await asyncio.to_thread(
         subprocess.run,
         command,
@@ -101,7 +113,9 @@ async def watch(folder: Path) -> dict[str, dict[str, list[float]]]:
 
 
 @pytest.mark.node_red
-def test_every_period_is_served_to_every_client_whatever_its_queue(tmp_path: Path) -> None:
+def test_every_period_is_served_to_every_client_whatever_its_queue(
+    tmp_path: Path,
+) -> None:
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         found = runner.run(watch(tmp_path))
     shares = {
@@ -110,5 +124,7 @@ def test_every_period_is_served_to_every_client_whatever_its_queue(tmp_path: Pat
         for key, at_s in rows.items()
     }
     assert len(shares) == 3 * 2 * len(ROWS)
-    poor = {key: round(share, 2) for key, share in shares.items() if share < LEAST_SHARE}
+    poor = {
+        key: round(share, 2) for key, share in shares.items() if share < LEAST_SHARE
+    }
     assert not poor

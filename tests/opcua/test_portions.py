@@ -18,7 +18,9 @@ async def continuation_point(wire: Wire) -> bytes:
     request.Parameters.NodesToBrowse = [
         ua.BrowseDescription(NodeId=ua.NodeId("robot", 2), ResultMask=63)
     ]
-    return bytes((await wire.ask(request, ua.BrowseResponse)).Results[0].ContinuationPoint)
+    return bytes(
+        (await wire.ask(request, ua.BrowseResponse)).Results[0].ContinuationPoint
+    )
 
 
 async def browse_next(wire: Wire, point: bytes) -> Any:

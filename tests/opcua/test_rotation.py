@@ -21,8 +21,16 @@ class Clock:
 class Work:
     """A job of some turns, each of which takes a while."""
 
-    def __init__(self, clock: Clock, done: list[str], name: str, turns: int, took_s: float) -> None:
-        self.clock, self.done, self.name, self.left, self.took_s = clock, done, name, turns, took_s
+    def __init__(
+        self, clock: Clock, done: list[str], name: str, turns: int, took_s: float
+    ) -> None:
+        self.clock, self.done, self.name, self.left, self.took_s = (
+            clock,
+            done,
+            name,
+            turns,
+            took_s,
+        )
 
     def turn(self) -> bool:
         self.clock.now_s += self.took_s
@@ -52,7 +60,9 @@ async def test_everybody_has_a_turn_before_anybody_has_two(clock: Clock) -> None
     assert done == list("abc" * 3)
 
 
-async def test_a_flood_leaves_the_loop_to_others_after_each_budget(clock: Clock) -> None:
+async def test_a_flood_leaves_the_loop_to_others_after_each_budget(
+    clock: Clock,
+) -> None:
     """What drives the robot has its callback between any two portions of the flood."""
     rotation, done = Rotation(), []
     for number in range(100):

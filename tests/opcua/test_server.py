@@ -26,7 +26,9 @@ class Tank:
 
     async def start(self, **settings: Any) -> None:
         endpoint = "opc.tcp://127.0.0.1:0/tank"
-        self.server = server = HardenedServer(OpcUaSettings(endpoint=endpoint, **settings))
+        self.server = server = HardenedServer(
+            OpcUaSettings(endpoint=endpoint, **settings)
+        )
         await server.init()
         self.index = await server.register_namespace("urn:test:tank")
         tank = await server.nodes.objects.add_object(self.id("tank"), "Tank")
@@ -45,7 +47,9 @@ class Tank:
 
         for name in ("half", "other"):
             await tank.add_method(self.id(name), name, half, [T.Double], [T.Double])
-        self.events = await server.get_event_generator(emitting_node=ua.ObjectIds.Server)
+        self.events = await server.get_event_generator(
+            emitting_node=ua.ObjectIds.Server
+        )
         await server.start()
 
     def id(self, name: str) -> ua.NodeId:
@@ -66,9 +70,13 @@ async def client(tank: Tank) -> AsyncIterator[Client]:
         yield client
 
 
-async def write(client: Client, node_id: ua.NodeId, value: ua.Variant, **item: Any) -> str:
+async def write(
+    client: Client, node_id: ua.NodeId, value: ua.Variant, **item: Any
+) -> str:
     params = ua.WriteParameters()
-    params.NodesToWrite = [ua.WriteValue(node_id, ua.AttributeIds.Value, None, ua.DataValue(value))]
+    params.NodesToWrite = [
+        ua.WriteValue(node_id, ua.AttributeIds.Value, None, ua.DataValue(value))
+    ]
     for name, given in item.items():
         setattr(params.NodesToWrite[0], name, given)
     return (await client.uaclient.write(params))[0].name
@@ -81,13 +89,22 @@ async def test_inputs_are_written_and_nothing_else(tank: Tank, client: Client) -
     assert await write(client, tank.id("rates"), array) == "Good"
     assert await write(client, tank.id("level_m"), double) == "BadNotWritable"
     assert await write(client, tank.id("none"), double) == "BadNodeIdUnknown"
-    assert await write(client, tank.id("valve"), ua.Variant(1, T.Int64)) == "BadTypeMismatch"
+    assert (
+        await write(client, tank.id("valve"), ua.Variant(1, T.Int64))
+        == "BadTypeMismatch"
+    )
     assert await write(client, tank.id("valve"), array) == "BadTypeMismatch"
     assert await write(client, tank.id("rates"), double) == "BadTypeMismatch"
     assert await write(client, tank.id("valve"), ua.Variant(None)) == "BadTypeMismatch"
-    assert await write(client, tank.id("rates"), array, IndexRange="0") == "BadWriteNotSupported"
+    assert (
+        await write(client, tank.id("rates"), array, IndexRange="0")
+        == "BadWriteNotSupported"
+    )
     name = ua.AttributeIds.DisplayName
-    assert await write(client, tank.id("valve"), double, AttributeId=name) == "BadNotWritable"
+    assert (
+        await write(client, tank.id("valve"), double, AttributeId=name)
+        == "BadNotWritable"
+    )
     assert await tank.valve.read_value() == 0.5
 
 
@@ -98,7 +115,9 @@ async def call(
     return (await client.uaclient.call([request]))[0]
 
 
-async def test_arguments_are_checked_before_the_function_runs(tank: Tank, client: Client) -> None:
+async def test_arguments_are_checked_before_the_function_runs(
+    tank: Tank, client: Client
+) -> None:
     two = ua.Variant(2.0, T.Double)
     done = await call(client, tank, "half", two)
     assert (done.StatusCode.name, done.OutputArguments[0].Value) == ("Good", 1.0)
@@ -111,7 +130,9 @@ async def test_arguments_are_checked_before_the_function_runs(tank: Tank, client
         ((ua.Variant(-1.0, T.Double),), "BadUnexpectedError"),
     ):
         assert (await call(client, tank, "half", *arguments)).StatusCode.name == code
-    assert (await call(client, tank, "half", two, on="valve")).StatusCode.name == "BadMethodInvalid"
+    assert (
+        await call(client, tank, "half", two, on="valve")
+    ).StatusCode.name == "BadMethodInvalid"
     assert (await call(client, tank, "none", two)).StatusCode.name == "BadMethodInvalid"
 
 
@@ -119,7 +140,9 @@ class Notes:
     def __init__(self) -> None:
         self.values: list[Any] = []
 
-    def datachange_notification(self, node: object, value: object, data: object) -> None:
+    def datachange_notification(
+        self, node: object, value: object, data: object
+    ) -> None:
         self.values.append(value)
 
     def event_notification(self, event: Any) -> None:
@@ -132,7 +155,9 @@ class Notes:
         return self.values
 
 
-async def test_a_queue_holds_every_value_that_was_sampled(tank: Tank, client: Client) -> None:
+async def test_a_queue_holds_every_value_that_was_sampled(
+    tank: Tank, client: Client
+) -> None:
     notes = Notes()
     subscription = await client.create_subscription(200, notes)
     await subscription.subscribe_data_change(
@@ -146,7 +171,9 @@ async def test_a_queue_holds_every_value_that_was_sampled(tank: Tank, client: Cl
     assert (await notes.until(lambda values: 5.0 in values))[1:] == [3.0, 4.0, 5.0]
 
 
-async def test_events_of_asyncua_s_generators_arrive(tank: Tank, client: Client) -> None:
+async def test_events_of_asyncua_s_generators_arrive(
+    tank: Tank, client: Client
+) -> None:
     notes = Notes()
     subscription = await client.create_subscription(20, notes)
     await subscription.subscribe_events()
@@ -164,12 +191,17 @@ async def test_time_is_live_and_no_limit_is_missing(client: Client) -> None:
 async def test_roles_go_by_the_names_of_nodes() -> None:
     tank = Tank()
     write_by = {"*": "engineer", "valve": "observer", "numbered": "observer"}
-    await tank.start(anonymous="observer", permissions={"write": write_by, "call": CALL})
+    await tank.start(
+        anonymous="observer", permissions={"write": write_by, "call": CALL}
+    )
     try:
         async with Client(tank.server.url, timeout=60) as client:
             double = ua.Variant(0.5, T.Double)
             assert await write(client, tank.id("valve"), double) == "Good"
-            assert await write(client, ua.NodeId(7, tank.index), ua.Variant(1, T.Int64)) == "Good"
+            assert (
+                await write(client, ua.NodeId(7, tank.index), ua.Variant(1, T.Int64))
+                == "Good"
+            )
             array = ua.Variant([math.nan], T.Double)
             assert await write(client, tank.id("rates"), array) == "BadUserAccessDenied"
             assert (await call(client, tank, "half", double)).StatusCode.name == "Good"
@@ -182,7 +214,9 @@ async def test_roles_go_by_the_names_of_nodes() -> None:
         await tank.server.stop()
 
 
-async def test_beyond_loopback_nobody_comes_in_without_password_and_key(tmp_path: Path) -> None:
+async def test_beyond_loopback_nobody_comes_in_without_password_and_key(
+    tmp_path: Path,
+) -> None:
     endpoint = "opc.tcp://192.0.2.7:4841/tank"
     with pytest.raises(ValueError, match="nobody may log in"):
         OpcUaSettings(endpoint=endpoint)

@@ -59,7 +59,11 @@ async def test_equal_attributes_take_memory_once_and_values_of_variables_are_the
     places = [item for node in nodes for item in node.attributes.items()]
     kept = {id(place.value) for _, place in places}
     assert len(kept) < len(places) / 3
-    values = [id(place.value) for attribute, place in places if attribute == ua.AttributeIds.Value]
+    values = [
+        id(place.value)
+        for attribute, place in places
+        if attribute == ua.AttributeIds.Value
+    ]
     assert len(set(values)) == len(values) > 1000
 
 
@@ -69,7 +73,9 @@ async def test_a_damaged_file_is_written_anew(built):
     assert nodes_file().read_bytes() == built[1]
 
 
-async def test_a_folder_that_cannot_be_written_costs_only_time(built, tmp_path, monkeypatch):
+async def test_a_folder_that_cannot_be_written_costs_only_time(
+    built, tmp_path, monkeypatch
+):
     nodes_file().unlink()
     monkeypatch.setattr(standard_nodes, "cache_folder", lambda _: tmp_path / "missing")
     assert described(await loaded()) == built[0]

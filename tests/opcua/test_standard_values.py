@@ -20,7 +20,8 @@ async def test_every_standard_variable_below_objects_has_a_value(
         some = node_ids[first : first + 500]
         values = await client.uaclient.read_attributes(some, ua.AttributeIds.Value)
         found |= {
-            node_id: value.StatusCode.name for node_id, value in zip(some, values, strict=True)
+            node_id: value.StatusCode.name
+            for node_id, value in zip(some, values, strict=True)
         }
     assert {node_id: code for node_id, code in found.items() if code != "Good"} == {}
 
@@ -39,6 +40,8 @@ async def test_every_standard_variable_below_objects_has_a_value(
         ("ServerRedundancy_RedundancySupport", 0),
     ],
 )
-async def test_what_clients_look_at_first(client: RobotClient, name: str, value: object) -> None:
+async def test_what_clients_look_at_first(
+    client: RobotClient, name: str, value: object
+) -> None:
     node_id = ua.NodeId(getattr(ua.ObjectIds, f"Server_{name}"))
     assert await client.get_node(node_id).read_value() == value

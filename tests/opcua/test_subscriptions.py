@@ -44,7 +44,9 @@ class Notes:
         return self.values
 
 
-def item(client: RobotClient, path: str = NODE, **parameters: Any) -> ua.MonitoredItemCreateRequest:
+def item(
+    client: RobotClient, path: str = NODE, **parameters: Any
+) -> ua.MonitoredItemCreateRequest:
     request = ua.MonitoredItemCreateRequest(MonitoringMode=ua.MonitoringMode.Reporting)
     request.ItemToMonitor.NodeId = ua.NodeId(path, client.index)
     request.ItemToMonitor.AttributeId = ua.AttributeIds.Value
@@ -87,17 +89,28 @@ async def test_absolute_dead_band_counts_from_the_last_report(
 ) -> None:
     """A drift in steps below the band is reported once it has gone far enough."""
     rig.set(NODE, 1.0)
-    subscription, notes, _ = await monitor(client, Filter=band(1, 0.25), SamplingInterval=0.0)
+    subscription, notes, _ = await monitor(
+        client, Filter=band(1, 0.25), SamplingInterval=0.0
+    )
     for i in range(1, 13):
         rig.set(NODE, 1.0 + i * 0.125)
     assert await notes.wait(5) == [1.0, 1.375, 1.75, 2.125, 2.5]
     await subscription.delete()
 
 
-async def test_percent_dead_band_is_a_part_of_the_range(rig: Rig, client: RobotClient) -> None:
+async def test_percent_dead_band_is_a_part_of_the_range(
+    rig: Rig, client: RobotClient
+) -> None:
     rig.set(NODE, 1.0)
-    subscription, notes, _ = await monitor(client, Filter=band(2, 10.0), SamplingInterval=0.0)
-    for value in (1.25, 1.5, 1.75, 3.0):  # 10 % of 5 m is 0.5 m, which does not exceed it
+    subscription, notes, _ = await monitor(
+        client, Filter=band(2, 10.0), SamplingInterval=0.0
+    )
+    for value in (
+        1.25,
+        1.5,
+        1.75,
+        3.0,
+    ):  # 10 % of 5 m is 0.5 m, which does not exceed it
         rig.set(NODE, value)
     assert await notes.wait(3) == [1.0, 1.75, 3.0]
     await subscription.delete()
@@ -124,7 +137,10 @@ async def test_filters_that_make_no_sense(
 
 
 async def test_overflow_is_marked_beside_the_gap(rig: Rig, client: RobotClient) -> None:
-    for discard_oldest, values, marked in ((True, [3.0, 4.0], 0), (False, [0.0, 4.0], 1)):
+    for discard_oldest, values, marked in (
+        (True, [3.0, 4.0], 0),
+        (False, [0.0, 4.0], 1),
+    ):
         rig.set(NODE, 0.0)
         subscription, notes, _ = await monitor(
             client, 300, QueueSize=2, DiscardOldest=discard_oldest, SamplingInterval=0.0
@@ -140,7 +156,9 @@ async def test_overflow_is_marked_beside_the_gap(rig: Rig, client: RobotClient) 
 
 async def test_queue_of_one_has_no_overflow_bit(rig: Rig, client: RobotClient) -> None:
     rig.set(NODE, 0.0)
-    subscription, notes, _ = await monitor(client, 300, QueueSize=1, SamplingInterval=0.0)
+    subscription, notes, _ = await monitor(
+        client, 300, QueueSize=1, SamplingInterval=0.0
+    )
     rig.set(NODE, 1.0)
     assert await notes.wait(1) == [1.0]
     assert notes.codes == [0]
@@ -148,7 +166,8 @@ async def test_queue_of_one_has_no_overflow_bit(rig: Rig, client: RobotClient) -
 
 
 @pytest.mark.parametrize(
-    ("asked_ms", "granted_ms"), [(0.0, 0.0), (250.0, 250.0), (-1.0, 1000.0), (1e12, 3_600_000.0)]
+    ("asked_ms", "granted_ms"),
+    [(0.0, 0.0), (250.0, 250.0), (-1.0, 1000.0), (1e12, 3_600_000.0)],
 )
 async def test_sampling_interval_is_revised_honestly(
     client: RobotClient, asked_ms: float, granted_ms: float
@@ -160,7 +179,9 @@ async def test_sampling_interval_is_revised_honestly(
 async def test_modified_interval_holds_at_once(rig: Rig, client: RobotClient) -> None:
     rig.set(NODE, 0.0)
     subscription, notes, _ = await monitor(client, 3_000_000, SamplingInterval=0.0)
-    params = ua.ModifySubscriptionParameters(SubscriptionId=subscription.subscription_id)
+    params = ua.ModifySubscriptionParameters(
+        SubscriptionId=subscription.subscription_id
+    )
     params.RequestedPublishingInterval, params.RequestedMaxKeepAliveCount = 25.0, 10
     params.RequestedLifetimeCount = 5
     granted = await client.uaclient.modify_subscription(params)
@@ -171,7 +192,9 @@ async def test_modified_interval_holds_at_once(rig: Rig, client: RobotClient) ->
     await subscription.delete()
 
 
-async def test_no_more_notifications_than_asked_for(rig: Rig, client: RobotClient) -> None:
+async def test_no_more_notifications_than_asked_for(
+    rig: Rig, client: RobotClient
+) -> None:
     params = ua.CreateSubscriptionParameters(
         RequestedPublishingInterval=200.0, RequestedLifetimeCount=1000,
         RequestedMaxKeepAliveCount=100, MaxNotificationsPerPublish=3, PublishingEnabled=False,
@@ -179,7 +202,9 @@ async def test_no_more_notifications_than_asked_for(rig: Rig, client: RobotClien
     sizes: list[tuple[int, bool]] = []
 
     class Spy(Notes):
-        def datachange_notification(self, node: object, value: object, data: Any) -> None:
+        def datachange_notification(
+            self, node: object, value: object, data: Any
+        ) -> None:
             pass
 
     subscription = await client.create_subscription(params, Spy())
@@ -187,7 +212,9 @@ async def test_no_more_notifications_than_asked_for(rig: Rig, client: RobotClien
 
     async def spy(result: ua.PublishResult) -> None:
         parts = result.NotificationMessage.NotificationData
-        sizes.append((sum(len(part.MonitoredItems) for part in parts), result.MoreNotifications))
+        sizes.append(
+            (sum(len(part.MonitoredItems) for part in parts), result.MoreNotifications)
+        )
         await publish(result)
 
     client.uaclient._subscription_callbacks[subscription.subscription_id] = spy
@@ -205,7 +232,9 @@ async def test_no_more_notifications_than_asked_for(rig: Rig, client: RobotClien
     await subscription.delete()
 
 
-async def test_sampling_mode_queues_and_does_not_send(rig: Rig, client: RobotClient) -> None:
+async def test_sampling_mode_queues_and_does_not_send(
+    rig: Rig, client: RobotClient
+) -> None:
     rig.set(NODE, 0.0)
     subscription, notes, mid = await monitor(client, SamplingInterval=0.0)
     await notes.wait(1)
@@ -230,13 +259,18 @@ async def test_a_sampled_item_is_sent_when_the_one_that_triggers_it_is(
     notes = Notes()
     subscription = await client.create_subscription(20, notes)
     trigger = item(client, QueueSize=size, SamplingInterval=0.0)
-    linked = item(client, "tof.fr_m", QueueSize=size, SamplingInterval=0.0, ClientHandle=2)
+    linked = item(
+        client, "tof.fr_m", QueueSize=size, SamplingInterval=0.0, ClientHandle=2
+    )
     linked.MonitoringMode = ua.MonitoringMode.Sampling
     mids = await subscription.create_monitored_items([trigger, linked])
     assert await notes.wait(1) == [0.0]
     request = ua.SetTriggeringRequest()
     request.Parameters.SubscriptionId = subscription.subscription_id
-    request.Parameters.TriggeringItemId, request.Parameters.LinksToAdd = mids[0], [mids[1]]
+    request.Parameters.TriggeringItemId, request.Parameters.LinksToAdd = (
+        mids[0],
+        [mids[1]],
+    )
     data = await client.uaclient.protocol.send_request(request)
     answer = struct_from_binary(ua.SetTriggeringResponse, data)
     assert [code.name for code in answer.Parameters.AddResults] == ["Good"]
@@ -244,7 +278,10 @@ async def test_a_sampled_item_is_sent_when_the_one_that_triggers_it_is(
     await asyncio.sleep(0.1)
     assert notes.values == [0.0]
     rig.set(NODE, 0.5)
-    assert sorted((await notes.wait(3 if size == 1 else 4))[1:]) in ([0.5, 2.0], [0.5, 1.0, 2.0])
+    assert sorted((await notes.wait(3 if size == 1 else 4))[1:]) in (
+        [0.5, 2.0],
+        [0.5, 1.0, 2.0],
+    )
     await subscription.delete()
 
 
@@ -271,7 +308,9 @@ async def test_what_changes_during_a_look_in_portions_hides_no_item(
 
 
 async def test_browse_in_pages(client: RobotClient) -> None:
-    description = ua.BrowseDescription(NodeId=ua.NodeId("robot", client.index), ResultMask=63)
+    description = ua.BrowseDescription(
+        NodeId=ua.NodeId("robot", client.index), ResultMask=63
+    )
     description.BrowseDirection = ua.BrowseDirection.Forward
     params = ua.BrowseParameters(NodesToBrowse=[description])
     (whole,) = await client.uaclient.browse(params)
@@ -281,10 +320,14 @@ async def test_browse_in_pages(client: RobotClient) -> None:
     found = list(page.References)
     while page.ContinuationPoint:
         point = page.ContinuationPoint
-        (page,) = await client.uaclient.browse_next(ua.BrowseNextParameters(False, [point]))
+        (page,) = await client.uaclient.browse_next(
+            ua.BrowseNextParameters(False, [point])
+        )
         assert 0 < len(page.References) <= 4
         found += page.References
-        (used,) = await client.uaclient.browse_next(ua.BrowseNextParameters(False, [point]))
+        (used,) = await client.uaclient.browse_next(
+            ua.BrowseNextParameters(False, [point])
+        )
         assert used.StatusCode.name == "BadContinuationPointInvalid"
     assert found == whole.References
 
@@ -324,7 +367,9 @@ def watching(place: Any, interval_ms: float, size: int = 1) -> ValueItem:
     st.lists(st.integers(-100, 100).map(float), min_size=1, max_size=60),
     st.integers(0, 20).map(float),
 )
-async def test_client_is_never_further_off_than_the_band(numbers: list[float], size: float) -> None:
+async def test_client_is_never_further_off_than_the_band(
+    numbers: list[float], size: float
+) -> None:
     change, reported = ChangeFilter(band=size), None
     for number in numbers:
         new = value_of(number)

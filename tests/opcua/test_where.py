@@ -42,7 +42,9 @@ class Space(dict):
     """Types 1 > 2 > 3 > 1: a tree of types that goes round."""
 
     def __init__(self) -> None:
-        super().__init__({ua.NodeId(1): Node(2), ua.NodeId(2): Node(3), ua.NodeId(3): Node(1)})
+        super().__init__(
+            {ua.NodeId(1): Node(2), ua.NodeId(2): Node(3), ua.NodeId(3): Node(1)}
+        )
         self._nodes = self
 
 
@@ -58,7 +60,9 @@ def literal(value: Any) -> ua.LiteralOperand:
 
 
 def clause(*elements: tuple[Any, list[Any]]) -> ua.ContentFilter:
-    return ua.ContentFilter([ua.ContentFilterElement(op, operands) for op, operands in elements])
+    return ua.ContentFilter(
+        [ua.ContentFilterElement(op, operands) for op, operands in elements]
+    )
 
 
 def refusal(where: ua.ContentFilter) -> str:
@@ -69,7 +73,10 @@ def refusal(where: ua.ContentFilter) -> str:
 
 def ors(count: int) -> ua.ContentFilter:
     """Each names the next one twice: 2^count evaluations."""
-    rows = [(Op.Or, [ua.ElementOperand(i + 1), ua.ElementOperand(i + 1)]) for i in range(count)]
+    rows = [
+        (Op.Or, [ua.ElementOperand(i + 1), ua.ElementOperand(i + 1)])
+        for i in range(count)
+    ]
     return clause(*rows, (Op.Equals, [literal(1), literal(2)]))
 
 
@@ -119,8 +126,14 @@ def test_what_passes(where: ua.ContentFilter, passes: bool) -> None:
     assert compile_where(where, TYPES)(EVENT) is passes
 
 
-@given(st.lists(st.lists(st.integers(0, 12), min_size=2, max_size=2), min_size=1, max_size=10))
-def test_whatever_is_accepted_costs_no_more_than_its_elements(rows: list[list[int]]) -> None:
+@given(
+    st.lists(
+        st.lists(st.integers(0, 12), min_size=2, max_size=2), min_size=1, max_size=10
+    )
+)
+def test_whatever_is_accepted_costs_no_more_than_its_elements(
+    rows: list[list[int]],
+) -> None:
     looks = []
 
     class Counted(FixedEvent):
@@ -156,8 +169,13 @@ async def test_the_subtypes_of_a_type_pass_and_a_filter_of_the_attack_does_not_e
         TypeDefinitionId=ua.NodeId(ua.ObjectIds.BaseEventType),
         BrowsePath=[ua.QualifiedName("Message")], AttributeId=ua.AttributeIds.Value,
     )]  # fmt: skip
-    params = ua.CreateMonitoredItemsParameters(SubscriptionId=subscription.subscription_id)
-    for where, code in ((clause((Op.OfType, [base])), "Good"), (ors(39), "BadEventFilterInvalid")):
+    params = ua.CreateMonitoredItemsParameters(
+        SubscriptionId=subscription.subscription_id
+    )
+    for where, code in (
+        (clause((Op.OfType, [base])), "Good"),
+        (ors(39), "BadEventFilterInvalid"),
+    ):
         item.RequestedParameters.Filter = ua.EventFilter(selected, where)
         params.ItemsToCreate = [item]
         (result,) = await client.uaclient.create_monitored_items(params)

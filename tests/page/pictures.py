@@ -38,7 +38,11 @@ scheduler:
   limits: {single_overrun_ms: null, consecutive_overruns: null}
   communication_timeout_ms: 0
 """
-SIZES = {"": (1280, 800, "light"), "-phone": (390, 844, "light"), "-dark": (1280, 800, "dark")}
+SIZES = {
+    "": (1280, 800, "light"),
+    "-phone": (390, 844, "light"),
+    "-dark": (1280, 800, "dark"),
+}
 VIEWS = ("Drive", "Watch", "Signals", "Time", "Diagnosis", "Tune")
 SAFE = 3
 SWEEP = "sweeps/friction"
@@ -61,11 +65,17 @@ async def shadow(url, plant):
     client = RobotClient(url)
     await client.connect()
     while True:
-        if plant.value("sim.state") == SAFE:  # where a busy computer holds the controller up
+        if (
+            plant.value("sim.state") == SAFE
+        ):  # where a busy computer holds the controller up
             for method in ("Reset", "Start"):
                 await client.call(method)
         x, y, yaw = (plant.value(f"pose.{name}") for name in ("x_m", "y_m", "yaw_rad"))
-        real = {"x_m": x + OFF_M, "y_m": y, "yaw_rad": math.remainder(yaw - OFF_RAD, math.tau)}
+        real = {
+            "x_m": x + OFF_M,
+            "y_m": y,
+            "yaw_rad": math.remainder(yaw - OFF_RAD, math.tau),
+        }
         await client.write_doubles(**{f"measured.pose.{k}": v for k, v in real.items()})
         await asyncio.sleep(0.1)
 
@@ -161,7 +171,10 @@ async def take(out):
         ) as daemon,
         contextlib.closing(Browser(webgl=True)) as browser,
     ):
-        url, beside = page_url(daemon), asyncio.create_task(shadow(daemon.url, Plant(daemon.image)))
+        url, beside = (
+            page_url(daemon),
+            asyncio.create_task(shadow(daemon.url, Plant(daemon.image))),
+        )
         browser.do("fresh")
         await asyncio.to_thread(browser.do, "open", url=url)
         await asyncio.to_thread(diagnose, browser, daemon)

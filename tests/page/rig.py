@@ -37,7 +37,9 @@ class Plant:
 
     def __init__(self, image):
         self.reader = ImageReader.attach(image)
-        self.slots = {s["name"]: s["slots"][0] for s in self.reader.description["signals"]}
+        self.slots = {
+            s["name"]: s["slots"][0] for s in self.reader.description["signals"]
+        }
         read_frames(self.reader, 0, 1)  # compiles it
 
     def value(self, name):
@@ -52,7 +54,9 @@ class Plant:
         """Wait until `condition()`."""
         start_s = time.monotonic()
         while not condition():
-            assert time.monotonic() - start_s < timeout_s, f"it did not come: {self.seen()}"
+            assert time.monotonic() - start_s < timeout_s, (
+                f"it did not come: {self.seen()}"
+            )
             time.sleep(0.02)
 
     def seen(self):
@@ -67,7 +71,10 @@ class Plant:
         """
         frames = read_frames(self.reader, max(0, self.reader.head - KEPT), KEPT)
         names = ("twist.linear_m_s", "twist.angular_rad_s", *SETPOINTS)
-        held = np.abs(frames.values[:, [self.slots[name] for name in names]]).max(axis=1) > 0
+        held = (
+            np.abs(frames.values[:, [self.slots[name] for name in names]]).max(axis=1)
+            > 0
+        )
         end = int(np.flatnonzero(held)[-1]) + 1
         latched = frames.words[:end, 2]
         last = int(np.flatnonzero(np.diff(latched))[-1]) + 1
@@ -77,14 +84,22 @@ class Plant:
 def page_url(daemon):
     """The address that `hilserver run` prints."""
     lines = (daemon.folder / "daemon.log").read_text(encoding="utf-8").splitlines()
-    return next(said["url"] for said in map(json.loads, lines) if said["event"] == "operator page")
+    return next(
+        said["url"]
+        for said in map(json.loads, lines)
+        if said["event"] == "operator page"
+    )
 
 
 def page_process(daemon):
     """The page of a daemon, which starts a new one some time after the old one died."""
     words = ["pgrep", "-P", str(daemon.process.pid), "-f", "hilserver page"]
     end_s = time.monotonic() + 60
-    while not (found := subprocess.run(words, capture_output=True, text=True, check=False).stdout):
+    while not (
+        found := subprocess.run(
+            words, capture_output=True, text=True, check=False
+        ).stdout
+    ):
         assert time.monotonic() < end_s, "the daemon has no page"
         time.sleep(0.1)
     return int(found.split()[0])
@@ -147,7 +162,9 @@ class Browser:
         try:
             line = self._lines.get(timeout=ANSWER_S)
         except queue.Empty:
-            raise AssertionError(f"the browser has not answered for {ANSWER_S:g} s") from None
+            raise AssertionError(
+                f"the browser has not answered for {ANSWER_S:g} s"
+            ) from None
         assert line, "the browser has ended"
         return json.loads(line)
 

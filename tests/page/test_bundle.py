@@ -27,7 +27,9 @@ def source_hash():
     digest = hashlib.sha256()
     for part in PARTS:
         path = SOURCE / part
-        files = [path] if path.is_file() else [p for p in path.rglob("*") if p.is_file()]
+        files = (
+            [path] if path.is_file() else [p for p in path.rglob("*") if p.is_file()]
+        )
         for file in sorted(files, key=lambda p: p.relative_to(SOURCE).parts):
             name = file.relative_to(SOURCE).as_posix()
             digest.update(f"{name}\n".encode() + file.read_bytes() + b"\n")
@@ -49,7 +51,9 @@ def test_the_bundle_is_whole_and_says_its_licences():
 
 
 def test_the_lock_names_no_host():
-    assert '"resolved"' not in (SOURCE / "package-lock.json").read_text(encoding="utf-8")
+    assert '"resolved"' not in (SOURCE / "package-lock.json").read_text(
+        encoding="utf-8"
+    )
 
 
 @pytest.mark.page
@@ -65,7 +69,10 @@ def test_a_rebuild_gives_the_same_bundle(tmp_path):
         capture_output=True,
         env=os.environ | {"NO_UPDATE_NOTIFIER": "1"},
     )
-    built = {p.relative_to(tmp_path / "static"): p.read_bytes() for p in files(tmp_path / "static")}
+    built = {
+        p.relative_to(tmp_path / "static"): p.read_bytes()
+        for p in files(tmp_path / "static")
+    }
     shipped = {p.relative_to(FOLDER): p.read_bytes() for p in files(FOLDER)}
     assert built.keys() == shipped.keys()
     assert all(built[name] == shipped[name] for name in built)

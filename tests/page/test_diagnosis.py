@@ -38,7 +38,9 @@ async def write(url, *values):
 @pytest.fixture
 def turning(browser, url, daemon):
     """The simulation is asked to turn, and the real robot turns 15 % more."""
-    browser.do("open", url=url)  # a page that drove before outranks OPC UA until it gives back
+    browser.do(
+        "open", url=url
+    )  # a page that drove before outranks OPC UA until it gives back
     browser.do("click", role="button", name="Take control")
     browser.do("click", role="button", name="Give back")
     double = ua.VariantType.Double
@@ -113,7 +115,9 @@ def test_with_the_patch_the_live_gap_falls(browser, url, plant, daemon, turning)
     plant.wait(lambda: LARGE_RAD_S < gap(browser) < TURN_RAD_S)
     browser.do("click", role="button", name="Load turn.yaml")
     browser.do("wait", selector="[aria-label='Patch']", text="turn.yaml is loaded.")
-    browser.do("wait", selector=".misfit", text="turn.yaml was fitted to another configuration")
+    browser.do(
+        "wait", selector=".misfit", text="turn.yaml was fitted to another configuration"
+    )
     plant.wait(lambda: abs(gap(browser)) < SMALL_RAD_S)
     browser.do("click", role="button", name="Remove the patch")
     browser.do("wait", selector="[aria-label='Patch']", text="No patch is loaded.")

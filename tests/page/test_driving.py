@@ -63,7 +63,9 @@ def ends_in_time(drive, plant, fall_silent, awake=lambda: None):
 def test_a_held_key_drives_and_letting_go_stops(driving, plant):
     ahead = plant.value("twist.linear_m_s")
     driving.do("down", key="ArrowLeft")
-    plant.wait(lambda: plant.value("twist.angular_rad_s") > 0.1)  # left is counter-clockwise
+    plant.wait(
+        lambda: plant.value("twist.angular_rad_s") > 0.1
+    )  # left is counter-clockwise
     assert plant.value("twist.linear_m_s") == pytest.approx(ahead)
     driving.do("up", key="ArrowLeft")
     driving.do("up", key="ArrowUp")
@@ -107,7 +109,9 @@ def test_a_browser_that_is_stopped_is_stopped(drive, plant, chromium):
 
 
 @pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
-def test_a_page_that_fails_is_stopped_and_the_daemon_runs_on(drive, plant, daemon, number):
+def test_a_page_that_fails_is_stopped_and_the_daemon_runs_on(
+    drive, plant, daemon, number
+):
     page = page_process(daemon)
 
     def awake():
@@ -165,7 +169,9 @@ def hold(browser, axes, *buttons):
         ("joy_extended", [0, -0.8, -0.5, 0], [-0.5, 0, 0, -0.8], CIRCLE, TRIANGLE),
     ],
 )
-def test_a_gamepad_is_read_as_on_the_robot(browser, url, plant, mapping, axes, idle, lamp, stop):
+def test_a_gamepad_is_read_as_on_the_robot(
+    browser, url, plant, mapping, axes, idle, lamp, stop
+):
     browser.do("open", url=url)
     browser.do("take")
     assert browser.do("run", script=CHOICE % mapping) == mapping
@@ -189,7 +195,9 @@ def test_a_gamepad_is_read_as_on_the_robot(browser, url, plant, mapping, axes, i
     assert browser.do("run", script=CHOICE % "page") == "page"
 
 
-def test_keys_drive_in_every_view_and_a_held_one_does_not_go_on_after_s(browser, url, plant):
+def test_keys_drive_in_every_view_and_a_held_one_does_not_go_on_after_s(
+    browser, url, plant
+):
     browser.do("open", url=url)
     browser.do("take")
     for view in ("Watch", "Signals", "Time", "Diagnosis"):
@@ -269,7 +277,9 @@ def test_a_second_browser_asks_before_it_takes_control(driving, url, plant):
     plant.wait(lambda: plant.command() == 0.0)
 
 
-def test_a_page_that_was_started_again_is_there_again_by_itself(browser, url, plant, daemon):
+def test_a_page_that_was_started_again_is_there_again_by_itself(
+    browser, url, plant, daemon
+):
     """Before, the open page asked with its old token, and got 401, for ever."""
     browser.do("open", url=url)
     browser.do("run", script="window.same = true")
@@ -295,7 +305,9 @@ def test_single_wheels_spring_back(browser, url, plant):
     plant.wait(lambda: plant.command() == 0.0)
 
 
-def test_what_a_twist_asks_of_the_wheels_is_marked_beside_what_they_do(browser, url, plant):
+def test_what_a_twist_asks_of_the_wheels_is_marked_beside_what_they_do(
+    browser, url, plant
+):
     mark = "document.querySelector('.bars .wanted')"
     shown = f"!{mark}.hidden && parseFloat({mark}.style.transform.slice(11)) > 1"
     browser.do("open", url=url)

@@ -5,7 +5,9 @@ import pytest
 from tests.page.rig import diagnoses, lift
 from tests.page.test_security import visitor  # noqa: F401 - a fixture
 
-FOREIGN = "stamp,left_rpm,right_rpm\n" + "".join(f"{i * 0.02},50,-50\n" for i in range(200))
+FOREIGN = "stamp,left_rpm,right_rpm\n" + "".join(
+    f"{i * 0.02},50,-50\n" for i in range(200)
+)
 
 
 async def upload(visitor, name, data, **headers):  # noqa: F811
@@ -26,7 +28,9 @@ async def test_a_log_goes_up_and_comes_down_again(visitor, daemon):  # noqa: F81
         assert "default-src 'none'" in response.headers["Content-Security-Policy"]
     assert (await upload(visitor, "sent.mcap", b"other"))[0] == 409
     assert (await upload(visitor, "..%2f..%2fx.csv", b"x"))[0] in (404, 409)
-    assert (await upload(visitor, "x.csv", b"x", **{"X-Hilserver-Token": "x"}))[0] == 403
+    assert (await upload(visitor, "x.csv", b"x", **{"X-Hilserver-Token": "x"}))[
+        0
+    ] == 403
     async with visitor.session.get(f"{visitor.url}api/logs/absent.csv") as response:
         assert response.status == 404
 
@@ -48,7 +52,9 @@ async def test_a_plot_begins_with_what_the_ring_holds(visitor):  # noqa: F811
 def sweep(daemon, name, title):
     folder = daemon.folder / "sweeps" / name
     folder.mkdir(parents=True)
-    (folder / "report.html").write_text(f"<title>{title}</title><h1>{title}</h1>", encoding="utf-8")
+    (folder / "report.html").write_text(
+        f"<title>{title}</title><h1>{title}</h1>", encoding="utf-8"
+    )
     (folder / "summary.json").write_text("{}", encoding="utf-8")
 
 
@@ -56,7 +62,9 @@ async def test_sweeps_are_listed_and_only_their_reports_can_be_read(visitor, dae
     sweep(daemon, "friction", "144 of 300 machines pass")
     async with visitor.session.get(f"{visitor.url}api/logs") as response:
         rows = (await response.json())["sweeps"]
-    assert ("friction", "144 of 300 machines pass") in [(row["name"], row["title"]) for row in rows]
+    assert ("friction", "144 of 300 machines pass") in [
+        (row["name"], row["title"]) for row in rows
+    ]
     url = f"{visitor.url}api/reports/sweeps"
     async with visitor.session.get(f"{url}/friction/report.html") as response:
         assert "144 of 300" in await response.text()
@@ -75,7 +83,9 @@ def test_the_report_of_a_sweep_opens_on_the_page(browser, url, daemon):
     sweep(daemon, "scatter", "9 of 10 machines pass")
     browser.do("open", url=url)
     browser.do("view", name="Diagnosis")
-    browser.do("wait", selector="[aria-label='Sweeps'] li", text="9 of 10 machines pass")
+    browser.do(
+        "wait", selector="[aria-label='Sweeps'] li", text="9 of 10 machines pass"
+    )
     browser.do("click", role="button", name="Read the report of scatter")
     assert browser.do("framed", selector="h1") == "9 of 10 machines pass"
     assert browser.do("errors") == []

@@ -36,7 +36,9 @@ def driver(browser, url, plant):
 
 
 @pytest.mark.page
-def test_a_frozen_daemon_is_shown_as_such_and_confirms_no_stop(driver, plant, daemon, tmp_path):
+def test_a_frozen_daemon_is_shown_as_such_and_confirms_no_stop(
+    driver, plant, daemon, tmp_path
+):
     """Before, the page showed "running", "You drive" and full numbers, and confirmed a Stop."""
     with frozen(daemon.process.pid):
         driver.do("wait", selector="body.stale .banner", text="No answer for")

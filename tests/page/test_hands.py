@@ -58,7 +58,9 @@ def stays(browser, plant, ms=400):
     ],
     ids=["unplugged", "disconnected", "frozen", "hidden", "unfocused"],
 )
-def test_a_gamepad_that_is_gone_holds_nothing_until_its_stick_was_let_go(driver, plant, gone, back):
+def test_a_gamepad_that_is_gone_holds_nothing_until_its_stick_was_let_go(
+    driver, plant, gone, back
+):
     """Before, the robot went on for ever with the command that was held last."""
     ahead(driver, plant)
     driver.do("run", script=gone)
@@ -70,7 +72,9 @@ def test_a_gamepad_that_is_gone_holds_nothing_until_its_stick_was_let_go(driver,
     plant.wait(lambda: plant.command() == 0.0)
 
 
-def test_a_stick_that_is_held_while_control_is_taken_has_to_be_let_go_first(browser, url, plant):
+def test_a_stick_that_is_held_while_control_is_taken_has_to_be_let_go_first(
+    browser, url, plant
+):
     browser.do("open", url=url)
     browser.do("run", script=AHEAD)
     browser.do("rest", ms=200)
@@ -105,7 +109,13 @@ def test_esc_stops_with_the_focus_on_any_field_of_any_view(driver, plant):
             plant.wait(lambda: plant.value("sim.state") == SAFE)
             reset(driver, plant)
             seen.add(kind)
-    assert {"SELECTselect-one", "INPUTrange", "INPUTsearch", "INPUTnumber", "INPUTtext"} <= seen
+    assert {
+        "SELECTselect-one",
+        "INPUTrange",
+        "INPUTsearch",
+        "INPUTnumber",
+        "INPUTtext",
+    } <= seen
 
 
 @pytest.mark.parametrize(
@@ -154,11 +164,15 @@ def test_arrows_drive_with_the_focus_on_the_speed_limit(driver, plant):
     driver.do("run", script="document.querySelector('.limit input').focus()")
     driver.do("down", key="ArrowUp")
     plant.wait(lambda: plant.value("twist.linear_m_s") > 0.1)
-    assert driver.do("run", script="document.querySelector('.limit input').value") == "50"
+    assert (
+        driver.do("run", script="document.querySelector('.limit input').value") == "50"
+    )
     driver.do("up", key="ArrowUp")
     plant.wait(lambda: plant.command() == 0.0)
     driver.do("press", key="PageUp")
-    assert driver.do("run", script="document.querySelector('.limit input').value") != "50"
+    assert (
+        driver.do("run", script="document.querySelector('.limit input').value") != "50"
+    )
 
 
 def test_arrows_that_drive_go_on_to_drive_in_a_list(driver, plant):

@@ -34,7 +34,9 @@ def test_of_a_starved_computer_nothing_is_saved(tmp_path, monkeypatch):
         pictures.shot(page, out / "drive.webp")
 
     monkeypatch.setattr(pictures, "take", take)
-    with pytest.raises(SystemExit, match=r"no picture is saved.*drive\.webp: late wakes"):
+    with pytest.raises(
+        SystemExit, match=r"no picture is saved.*drive\.webp: late wakes"
+    ):
         pictures.main(tmp_path / "docs")
     assert page.saved == []
     assert not (tmp_path / "docs").exists()

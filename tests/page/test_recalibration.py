@@ -32,7 +32,11 @@ def test_a_proposal_is_read_and_accepted(browser, waiting):
     browser.do("wait", selector=f"{card} [data-gain='gain']", text="0.060 → 0.010 (6.0")
     browser.do("click", role="button", name="Accept")
     browser.do("wait", selector=f"{card} .chip", text="accepted, being measured")
-    browser.do("wait", selector="[aria-label='Patch']", text="recalibrated-0001.yaml is loaded.")
+    browser.do(
+        "wait",
+        selector="[aria-label='Patch']",
+        text="recalibrated-0001.yaml is loaded.",
+    )
     assert browser.do("errors") == []
     last = (waiting.folder / "recalibration" / FILE).read_text().splitlines()[-1]
     assert json.loads(last)["proposal"]["stage"] == "accepted"

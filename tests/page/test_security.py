@@ -23,7 +23,9 @@ class Visitor:
     async def load(self):
         async with self.session.get(self.url) as response:
             assert response.status == 200
-            self.token = re.search(r'name="token" content="([^"]+)"', await response.text())[1]
+            self.token = re.search(
+                r'name="token" content="([^"]+)"', await response.text()
+            )[1]
             return response
 
     async def call(self, method, *arguments, **headers):
@@ -36,7 +38,9 @@ class Visitor:
 
     def socket(self, **headers):
         own = {"Origin": self.origin} | headers
-        return self.session.ws_connect(f"{self.url}api/live", headers=own, max_msg_size=0)
+        return self.session.ws_connect(
+            f"{self.url}api/live", headers=own, max_msg_size=0
+        )
 
     async def live(self):
         """A socket that is let in."""
@@ -84,7 +88,9 @@ async def test_headers_let_nothing_in_from_elsewhere(visitor):
         assert answer.status == 404
 
 
-@pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1"])
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "http://127.0.0.1:1"]
+)
 async def test_another_origin_is_refused(visitor, origin):
     status, _ = await visitor.call("Pause", Origin=origin)
     assert status == 403
@@ -100,7 +106,9 @@ async def test_another_origin_is_refused(visitor, origin):
 async def test_a_page_of_others_embeds_nothing_that_is_read(visitor, site, code):
     headers = {"Sec-Fetch-Site": site}  # an image names no origin
     for path in ("api/history", "api/logs"):
-        async with visitor.session.get(f"{visitor.url}{path}", headers=headers) as response:
+        async with visitor.session.get(
+            f"{visitor.url}{path}", headers=headers
+        ) as response:
             assert response.status == code
     async with visitor.session.get(visitor.url, headers=headers) as response:
         assert response.status == 200, "a link to the page itself is no harm"
@@ -115,14 +123,20 @@ async def test_a_foreign_name_for_this_host_is_refused(visitor):
 async def test_a_call_needs_cookie_and_token_of_one_browser(visitor):
     assert (await visitor.call("session"))[0] == 200
     assert (await visitor.call("session", **{"X-Hilserver-Token": "x" * 43}))[0] == 403
-    async with aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as other:
+    async with aiohttp.ClientSession(
+        cookie_jar=aiohttp.CookieJar(unsafe=True)
+    ) as other:
         stranger = Visitor(other, visitor.url)
         stranger.token = visitor.token
         assert (await stranger.call("session"))[0] == 401
         async with other.get(f"{visitor.url}api/signals") as response:
-            assert response.status == 200  # where nobody logs in, programs read without a cookie
+            assert (
+                response.status == 200
+            )  # where nobody logs in, programs read without a cookie
         await stranger.load()
-        assert (await stranger.call("session", **{"X-Hilserver-Token": visitor.token}))[0] == 403
+        assert (await stranger.call("session", **{"X-Hilserver-Token": visitor.token}))[
+            0
+        ] == 403
 
 
 async def test_a_ticket_opens_one_socket(visitor):
@@ -138,14 +152,24 @@ async def test_a_ticket_opens_one_socket(visitor):
 
 @pytest.mark.parametrize(
     "arguments",
-    [("../../etc/passwd",), ("/etc/passwd",), ("..",), ("a/b.csv",), ("no-such.csv",), (1,)],
+    [
+        ("../../etc/passwd",),
+        ("/etc/passwd",),
+        ("..",),
+        ("a/b.csv",),
+        ("no-such.csv",),
+        (1,),
+    ],
 )
 async def test_names_stay_in_their_folder(visitor, arguments):
     for method in ("diagnose", "StartScenario", "StartRecording", "SaveSnapshot"):
         if method == "SaveSnapshot" and arguments in (("..",), ("no-such.csv",), (1,)):
             continue
         status, answer = await visitor.call(method, *arguments)
-        assert status == 409 or (method, arguments) == ("StartRecording", ("no-such.csv",)), answer
+        assert status == 409 or (method, arguments) == (
+            "StartRecording",
+            ("no-such.csv",),
+        ), answer
     await visitor.call("StopRecording")
 
 
@@ -226,7 +250,9 @@ async def test_the_driver_drives_on_a_fresh_picture_only(visitor, plant):
     assert status == 200, answer
     await socket.send_json({"subscribe": ["sim.tick"], "number": 1})
     command = {"mode": "twist", "linear": 0.2, "turn": 0.0}
-    await socket.send_json({"drive": command | {"linear": 0.0}})  # a hand begins at rest
+    await socket.send_json(
+        {"drive": command | {"linear": 0.0}}
+    )  # a hand begins at rest
     await socket.send_json({"drive": command | {"seen": await stamp(socket) - 400}})
     async with asyncio.timeout(120):
         while (await socket.receive()).type is not aiohttp.WSMsgType.TEXT:
@@ -242,7 +268,9 @@ async def test_the_driver_drives_on_a_fresh_picture_only(visitor, plant):
     await visitor.call("give", "opcua")
 
 
-async def test_a_browser_that_goes_on_holding_over_a_reset_moves_nothing(visitor, plant):
+async def test_a_browser_that_goes_on_holding_over_a_reset_moves_nothing(
+    visitor, plant
+):
     """Before, a stick that was still held drove at once, with nobody's new command."""
     socket = await visitor.live()
     status, answer = await visitor.call("take", visitor.number)
@@ -253,7 +281,9 @@ async def test_a_browser_that_goes_on_holding_over_a_reset_moves_nothing(visitor
     async def held(until):
         async with asyncio.timeout(60):
             while not until():
-                await socket.send_json({"drive": command | {"seen": await stamp(socket)}})
+                await socket.send_json(
+                    {"drive": command | {"seen": await stamp(socket)}}
+                )
 
     await socket.send_json({"drive": command | {"linear": 0.0}})
     await held(lambda: plant.command() > 0)
@@ -263,7 +293,11 @@ async def test_a_browser_that_goes_on_holding_over_a_reset_moves_nothing(visitor
     async with asyncio.timeout(60):
         while not (await visitor.call("Reset"))[1]["ok"]:
             await held(lambda: True)
-    await held(lambda: plant.value("sim.state") == 1 and plant.value("sim.tick") > reset_at + 1500)
+    await held(
+        lambda: (
+            plant.value("sim.state") == 1 and plant.value("sim.tick") > reset_at + 1500
+        )
+    )
     assert plant.command() == 0.0
     assert plant.value("velocity.linear_m_s") == pytest.approx(0.0, abs=1e-3)
     await socket.send_json({"drive": command | {"linear": 0.0}})
@@ -295,12 +329,16 @@ async def test_ten_megabytes_are_not_taken(visitor):
     assert (await visitor.call("session"))[0] == 200
 
 
-async def test_a_thousand_connections_are_not_served_and_the_page_is_there_again(visitor):
+async def test_a_thousand_connections_are_not_served_and_the_page_is_there_again(
+    visitor,
+):
     host, port = visitor.origin.removeprefix("http://").split(":")
     writers = []
     for _ in range(1000):
         try:
-            _, writer = await asyncio.wait_for(asyncio.open_connection(host, int(port)), 5)
+            _, writer = await asyncio.wait_for(
+                asyncio.open_connection(host, int(port)), 5
+            )
         except (OSError, TimeoutError):
             break
         writers.append(writer)

@@ -66,7 +66,12 @@ async def stopped(socket):
 
 
 @pytest.mark.parametrize("way", ["socket", "request"])
-async def test_stop_needs_nothing_of_the_daemon_but_its_step(visitor, watch, daemon, way):  # noqa: F811
+async def test_stop_needs_nothing_of_the_daemon_but_its_step(
+    visitor,  # noqa: F811
+    watch,
+    daemon,
+    way,
+):
     """No Python runs in the daemon meanwhile; before, Stop waited for it and failed."""
     socket = await visitor.live()
     daemon.process.stdin.write(b"%g" % HELD_S)
@@ -94,7 +99,11 @@ async def test_256_half_open_requests_do_not_refuse_stop(visitor, watch, crowd):
     await watch.until(stopped=True)
 
 
-async def test_an_open_socket_stops_beside_600_half_open_requests(visitor, watch, crowd):  # noqa: F811
+async def test_an_open_socket_stops_beside_600_half_open_requests(
+    visitor,  # noqa: F811
+    watch,
+    crowd,
+):
     socket = await visitor.live()
     await crowd(600)
     await socket.send_json({"stop": 1})

@@ -57,10 +57,14 @@ def secured(tmp_path_factory):
         for name, password in PASSWORDS.items()
     ]
     opcua = f"policies: [Basic256Sha256], users: [{', '.join(users)}], max_failed_logins: {FAILED}"
-    page = "page: {port: 0, max_clients: 5, tls: {certificate: page.pem, key: page.key}}"
+    page = (
+        "page: {port: 0, max_clients: 5, tls: {certificate: page.pem, key: page.key}}"
+    )
     config = CONFIG.replace("page: {port: 0, max_clients: 5}", page)
     make_tls(folder)
-    with running_daemon(folder, config=config, opcua=opcua, prepare=make_certificate) as daemon:
+    with running_daemon(
+        folder, config=config, opcua=opcua, prepare=make_certificate
+    ) as daemon:
         yield daemon
         daemon.stop()
 
@@ -95,7 +99,9 @@ async def visit(secured):
             except aiohttp.ClientError:
                 await asyncio.sleep(0.3)
         if name is not None:
-            status, answer = await visitor.call("login", name, password or PASSWORDS[name])
+            status, answer = await visitor.call(
+                "login", name, password or PASSWORDS[name]
+            )
             assert status == 200, answer
             visitor.session_view = answer["result"]
         return visitor
@@ -140,7 +146,9 @@ async def test_a_cookie_from_before_the_log_in_is_worth_nothing_after_it(visit):
 
 async def test_guesses_in_parallel_are_counted_before_they_are_judged(visit):
     visitors = [await visit() for _ in range(2 * FAILED)]
-    answers = await asyncio.gather(*(v.call("login", "paul", "guess") for v in visitors))
+    answers = await asyncio.gather(
+        *(v.call("login", "paul", "guess") for v in visitors)
+    )
     texts = [answer["text"] for _, answer in answers]
     assert texts.count("name or password is wrong") <= FAILED
     assert sum("too many failed" in text for text in texts) >= FAILED
@@ -192,7 +200,13 @@ async def test_roles_are_those_of_opcua(visit, secured, name):
     assert answer["ok"] == (name != "olga")
     _, answer = await visitor.call("set", {"plant.max_rpm": 91.0})
     assert answer["ok"] == (name == "emma"), answer
-    for wrong in ([], {}, {"plant.max_rpm": "1"}, {"plant.maxrpm": 1.0}, {"plant.max_rpm": None}):
+    for wrong in (
+        [],
+        {},
+        {"plant.max_rpm": "1"},
+        {"plant.maxrpm": 1.0},
+        {"plant.max_rpm": None},
+    ):
         assert not (await visitor.call("set", wrong))[1]["ok"], wrong
     await socket.close()
     assert plant.command() == 0.0

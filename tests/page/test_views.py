@@ -44,7 +44,10 @@ def test_no_report_has_a_fault_of_accessibility(browser, tmp_path, scheme):
     report.write_text(render(findings(), evidence()), encoding="utf-8")
     browser.do("fresh", width=700, scheme=scheme)
     browser.do("visit", url=report.as_uri(), selector="main")
-    browser.do("run", script="document.querySelectorAll('details').forEach((d) => d.open = true)")
+    browser.do(
+        "run",
+        script="document.querySelectorAll('details').forEach((d) => d.open = true)",
+    )
     assert browser.do("axe") == []
 
 
@@ -53,7 +56,9 @@ def test_every_control_is_reached_and_seen_by_the_tab_key(browser, url, key, vie
     browser.do("open", url=url)
     browser.do("take")
     browser.do("press", key=key)
-    came_later = " input[type='range']" if view == "Tune" else ""  # the table of parameters
+    came_later = (
+        " input[type='range']" if view == "Tune" else ""
+    )  # the table of parameters
     browser.do("wait", selector=f"main[data-view='{view.lower()}']{came_later}")
     count = browser.do("run", script=_CONTROLS)
     assert count >= 8
@@ -122,7 +127,9 @@ def test_the_hall_is_drawn_without_webgl(browser, url):
 def test_every_kind_of_fault_can_be_injected(browser, url):
     browser.do("open", url=url)
     browser.do("view", name="Signals")
-    options = "[...document.querySelectorAll('.form select')[0].options].map((o) => o.value)"
+    options = (
+        "[...document.querySelectorAll('.form select')[0].options].map((o) => o.value)"
+    )
     assert browser.do("run", script=options) == list(FORMS)
 
 
@@ -133,7 +140,9 @@ def test_events_of_a_group_are_hidden_when_it_is_let_go(browser, url):
     browser.do("click", role="button", name="Resume")
     browser.do("wait", selector=".events li", text="running")
     browser.do("click", role="button", name="Commands and states")
-    shown = "[...document.querySelectorAll('.events li')].map((e) => e.innerText).join()"
+    shown = (
+        "[...document.querySelectorAll('.events li')].map((e) => e.innerText).join()"
+    )
     assert "running" not in browser.do("run", script=shown)
     browser.do("click", role="button", name="Commands and states")
     browser.do("wait", selector=".events li", text="running")
@@ -169,7 +178,9 @@ def text_of(path):
     return path.read_text(encoding="utf-8") if path.exists() else ""
 
 
-def test_a_gain_is_tuned_by_keyboard_alone_saved_and_undone(browser, url, plant, daemon):
+def test_a_gain_is_tuned_by_keyboard_alone_saved_and_undone(
+    browser, url, plant, daemon
+):
     """Every answer of the daemon is waited for, so that each key acts on what is shown."""
     browser.do("open", url=url)
     browser.do("press", key="6")
@@ -178,7 +189,9 @@ def test_a_gain_is_tuned_by_keyboard_alone_saved_and_undone(browser, url, plant,
     said = "document.querySelector('[aria-label=Changes] [role=status]').textContent"
 
     def waits_for(text):
-        done = f"new Promise((r) => {{ const look = () => {said} === {text!r} ? r(true) :"
+        done = (
+            f"new Promise((r) => {{ const look = () => {said} === {text!r} ? r(true) :"
+        )
         assert browser.do("run", script=f"{done} setTimeout(look, 50); look(); }})")
 
     waits_for("As configured.")
@@ -186,8 +199,13 @@ def test_a_gain_is_tuned_by_keyboard_alone_saved_and_undone(browser, url, plant,
     browser.do("press", key="ArrowRight")
     waits_for("1 differs from the configuration.")
     browser.do("click", role="button", name="Save as patch")
-    plant.wait(lambda: "controller.k_p" in text_of(daemon.folder / "patches" / "tuned.yaml"))
-    browser.do("run", script="document.querySelector(\"[aria-keyshortcuts='Control+Z']\").focus()")
+    plant.wait(
+        lambda: "controller.k_p" in text_of(daemon.folder / "patches" / "tuned.yaml")
+    )
+    browser.do(
+        "run",
+        script="document.querySelector(\"[aria-keyshortcuts='Control+Z']\").focus()",
+    )
     browser.do("press", key="Enter")
     waits_for("As configured.")
     assert browser.do("errors") == []
@@ -198,9 +216,12 @@ def test_k_om_is_chosen_by_name_and_exclusive_mode_switched(browser, url):
     browser.do("press", key="6")
     group = "document.querySelector(\"[aria-label='Group of parameters']\")"
     gain = "kinematics.rotation_gain"
-    browser.do("wait", selector="main[data-view='tune'] [aria-label='plant.controller.k_p']")
     browser.do(
-        "run", script=f"{group}.value = 'Geometry'; {group}.dispatchEvent(new Event('change'))"
+        "wait", selector="main[data-view='tune'] [aria-label='plant.controller.k_p']"
+    )
+    browser.do(
+        "run",
+        script=f"{group}.value = 'Geometry'; {group}.dispatchEvent(new Event('change'))",
     )
 
     def entered(label, value, kind="input"):
@@ -209,7 +230,9 @@ def test_k_om_is_chosen_by_name_and_exclusive_mode_switched(browser, url):
         browser.do("run", script=f"{field}.value = '{value}'; {event}")
 
     def shown(label, value):
-        field = f"document.querySelector(\"input[aria-label='{label}, exactly']\").value"
+        field = (
+            f"document.querySelector(\"input[aria-label='{label}, exactly']\").value"
+        )
         done = f"new Promise((r) => {{ const look = () => {field} === '{value}' ? r(true) :"
         assert browser.do("run", script=f"{done} setTimeout(look, 50); look(); }})")
 
@@ -224,7 +247,9 @@ def test_k_om_is_chosen_by_name_and_exclusive_mode_switched(browser, url):
     assert browser.do("errors") == []
 
 
-def test_a_view_that_opens_shows_nothing_that_was_read_for_another_one(browser, url, plant):
+def test_a_view_that_opens_shows_nothing_that_was_read_for_another_one(
+    browser, url, plant
+):
     """Drive is left while the wheels turn; when Tune opens, they have stood for long."""
     browser.do("open", url=url)
     browser.do("take")
@@ -234,11 +259,15 @@ def test_a_view_that_opens_shows_nothing_that_was_read_for_another_one(browser, 
     browser.do("up", key="ArrowUp")
     plant.wait(lambda: abs(plant.value("wheel.fl.speed_rpm")) < 0.01)
     tick = plant.value("sim.tick")
-    plant.wait(lambda: plant.value("sim.tick") > tick + 6000)  # longer than Tune looks back
+    plant.wait(
+        lambda: plant.value("sim.tick") > tick + 6000
+    )  # longer than Tune looks back
     browser.do("view", name="Tune")
     path = "document.querySelector('path.speed_rpm').getAttribute('d')"
     once = f"(r) => {{ const look = () => ({path} ?? '').includes('L') ? r({path}) :"
-    drawn = browser.do("run", script=f"new Promise({once} setTimeout(look, 50); look(); }})")
+    drawn = browser.do(
+        "run", script=f"new Promise({once} setTimeout(look, 50); look(); }})"
+    )
     heights = {float(point.split(",")[1]) for point in re.split("[ML]", drawn) if point}
     assert all(abs(height - 100) < 1 for height in heights), heights
 
@@ -267,8 +296,12 @@ def becomes(browser, script, expected):
 def test_a_paused_plot_is_read_at_a_cursor_that_keys_move(browser, url):
     browser.do("open", url=url)
     browser.do("view", name="Watch")
-    assert browser.do("run", script="document.querySelector('[aria-label=Cursor]').hidden")
-    becomes(browser, "/[0-9]/.test(document.querySelector('.legend b').textContent)", "true")
+    assert browser.do(
+        "run", script="document.querySelector('[aria-label=Cursor]').hidden"
+    )
+    becomes(
+        browser, "/[0-9]/.test(document.querySelector('.legend b').textContent)", "true"
+    )
     browser.do("click", role="button", name="Pause")
     browser.do("to", name="Cursor")
     moment = "document.querySelector('.moment').textContent"
@@ -279,7 +312,9 @@ def test_a_paused_plot_is_read_at_a_cursor_that_keys_move(browser, url):
     becomes(browser, "document.querySelector('[aria-label=Cursor]').value", "'0'")
     assert browser.do("run", script=moment) != last
     browser.do("click", role="button", name="Resume")
-    assert browser.do("run", script="document.querySelector('[aria-label=Cursor]').hidden")
+    assert browser.do(
+        "run", script="document.querySelector('[aria-label=Cursor]').hidden"
+    )
     assert browser.do("errors") == []
 
 
@@ -292,7 +327,9 @@ def test_fingers_stop_the_plots_stretch_them_and_draw_them_along(browser, url, p
     plant.wait(lambda: plant.value("sim.tick") > 12_000)  # seconds to look back at
     browser.do("open", url=url)
     browser.do("view", name="Watch")
-    becomes(browser, "/[0-9]/.test(document.querySelector('.legend b').textContent)", "true")
+    becomes(
+        browser, "/[0-9]/.test(document.querySelector('.legend b').textContent)", "true"
+    )
     browser.do("fingers", selector=".plot .u-over", begin=[0.4, 0.6], end=[0.1, 0.9])
     browser.do("wait", selector="button", text="Resume")
     (low, high), other = browser.do("run", script=_STRETCHES)
@@ -309,7 +346,9 @@ def test_fingers_stop_the_plots_stretch_them_and_draw_them_along(browser, url, p
 def test_a_stretch_that_the_mouse_marks_is_shown_in_all_plots_and_stays(browser, url):
     browser.do("open", url=url)
     browser.do("view", name="Watch")
-    becomes(browser, "/[0-9]/.test(document.querySelector('.legend b').textContent)", "true")
+    becomes(
+        browser, "/[0-9]/.test(document.querySelector('.legend b').textContent)", "true"
+    )
     browser.do("mark", selector=".plot .u-over", begin=0.5, end=0.75)
     browser.do("wait", selector="button", text="Resume")
     (low, high), other = browser.do("run", script=_STRETCHES)
@@ -349,7 +388,8 @@ def test_signals_that_are_not_good_are_found_and_copied(browser, url):
     chosen(browser, "Signals shown", "forced")
     becomes(browser, shown, "1")
     browser.do(
-        "run", script="navigator.clipboard.writeText = async (text) => { window.copied = text }"
+        "run",
+        script="navigator.clipboard.writeText = async (text) => { window.copied = text }",
     )
     browser.do("click", role="button", name="Copy the values shown")
     becomes(browser, "window.copied", "'battery.voltage_v\\t21.2512345\\tV\\tForced'")

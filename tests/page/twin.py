@@ -51,7 +51,9 @@ def follow(out: Path) -> dict[str, object]:
             browser.do("shot", path=str(after))
         finally:
             for line in lines_of(history):
-                print(line["kind"], line.get("verdict", ""), said(line), file=sys.stderr)
+                print(
+                    line["kind"], line.get("verdict", ""), said(line), file=sys.stderr
+                )
             browser.close()
             daemon.stop()
         (effect,) = has(history, "effect")
@@ -72,7 +74,11 @@ def has(history: Path, kind: str) -> list[dict]:
 
 def said(line: dict) -> str:
     """Return what a line says."""
-    return line.get("sentence") or line.get("error") or line.get("proposal", {}).get("sentence", "")
+    return (
+        line.get("sentence")
+        or line.get("error")
+        or line.get("proposal", {}).get("sentence", "")
+    )
 
 
 def main() -> int:

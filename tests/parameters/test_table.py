@@ -36,7 +36,9 @@ def test_every_name_is_a_key_of_the_configuration_with_its_default():
 
 
 def test_what_a_robot_has_comes_out_and_makes_the_same_robot():
-    robot = RobotParameters(rotation_gain="tile", terms={"rotation_gain": -0.3, "nav_lever_arm": 1})
+    robot = RobotParameters(
+        rotation_gain="tile", terms={"rotation_gain": -0.3, "nav_lever_arm": 1}
+    )
     values = read(robot)
     assert list(values) == AT_A_TICK
     assert values["kinematics.rotation_gain"] == 1.052
@@ -47,9 +49,16 @@ def test_what_a_robot_has_comes_out_and_makes_the_same_robot():
 
 def test_null_is_the_gain_of_the_geometry_a_robot_with_two_wheels_or_no_limit():
     robot = with_values(
-        RobotParameters(rotation_gain=1.2, icr_offset_m=0.0, terms={"setpoint_rate_limit": 3.0}),
+        RobotParameters(
+            rotation_gain=1.2, icr_offset_m=0.0, terms={"setpoint_rate_limit": 3.0}
+        ),
         dict.fromkeys(
-            ("kinematics.rotation_gain", "terms.setpoint_rate_limit", "plant.wheelbase_m"), math.nan
+            (
+                "kinematics.rotation_gain",
+                "terms.setpoint_rate_limit",
+                "plant.wheelbase_m",
+            ),
+            math.nan,
         ),
     )
     assert (robot.rotation_gain, robot.wheelbase_m) == ("geometric_skid", None)
@@ -74,7 +83,9 @@ def test_an_unknown_name_is_refused_with_the_one_that_was_meant():
 
 
 @pytest.mark.parametrize("name", PLANT)
-@pytest.mark.parametrize("value", [math.inf, -math.inf, 1e308, -1e308, 10**400, True, "1", [1.0]])
+@pytest.mark.parametrize(
+    "value", [math.inf, -math.inf, 1e308, -1e308, 10**400, True, "1", [1.0]]
+)
 def test_what_no_parameter_can_be_is_refused_with_its_name(name, value):
     if value is True and PLANT[name].is_flag:
         return
@@ -108,9 +119,13 @@ def test_a_value_may_have_a_name(name, value, number):
 
 def test_the_name_of_the_geometry_is_null_and_another_is_none():
     assert math.isnan(check(PLANT["kinematics.rotation_gain"], "geometric_skid"))
-    with pytest.raises(PlantError, match=r"'geometric_diff' is none of printed_5_21, .*_skid\.$"):
+    with pytest.raises(
+        PlantError, match=r"'geometric_diff' is none of printed_5_21, .*_skid\.$"
+    ):
         check(PLANT["kinematics.rotation_gain"], "geometric_diff")
-    with pytest.raises(PlantError, match=r"exclusive_twist: must be 0 or 1, not 0\.5\.$"):
+    with pytest.raises(
+        PlantError, match=r"exclusive_twist: must be 0 or 1, not 0\.5\.$"
+    ):
         check(PLANT["plant.exclusive_twist"], 0.5)
 
 

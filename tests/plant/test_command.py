@@ -34,7 +34,12 @@ def test_scaled_twist_keeps_the_radius():
 
 @pytest.mark.parametrize(
     ("v", "om", "driven"),
-    [(0.3, 0.5, (0.3, 0.0)), (0.05, 1.0, (0.0, 1.0)), (-0.3, -0.5, (-0.3, 0.0)), (0.0, 1.0, None)],
+    [
+        (0.3, 0.5, (0.3, 0.0)),
+        (0.05, 1.0, (0.0, 1.0)),
+        (-0.3, -0.5, (-0.3, 0.0)),
+        (0.0, 1.0, None),
+    ],
 )
 def test_exclusive_mode_drives_the_larger_part_and_says_so(v, om, driven):
     rig = Rig(exclusive_twist=True).twist(v, om).step()
@@ -116,7 +121,11 @@ def test_demand_of_a_twist_is_what_its_wheels_follow():
 
 
 def test_demand_keeps_limit_and_rate_and_ramps_down():
-    rig = Rig(terms={"setpoint_rate_limit": 1000.0}, safe_ramp_s=0.1).twist(5.0, 0.0).step()
+    rig = (
+        Rig(terms={"setpoint_rate_limit": 1000.0}, safe_ramp_s=0.1)
+        .twist(5.0, 0.0)
+        .step()
+    )
     assert rig.y.demand.tolist() == [1, 1, -1, -1]
     assert rig.step(1000).y.demand.tolist() == [90, 90, -90, -90]
     ramp(rig, 50)
@@ -154,7 +163,9 @@ def test_speed_loop_takes_over_without_a_jump():
 def test_safe_ramp_and_disabling_end_commanded_duties():
     rig = Rig(safe_ramp_s=0.1).duties(50, 50, -50, -50).step(1000)
     rows = ramp(rig, 150)
-    assert rows[0] == pytest.approx(0.99 * 1.11 * np.array([50, 50, -50, -50]), rel=1e-3)
+    assert rows[0] == pytest.approx(
+        0.99 * 1.11 * np.array([50, 50, -50, -50]), rel=1e-3
+    )
     assert not rows[99:].any()
     rig = Rig().duties(50, 50, -50, -50).step(1000)
     rig.u.enable = 0.0

@@ -16,7 +16,9 @@ def assert_close(name, found, wanted, relative):
     scale = np.maximum(np.max(np.abs(wanted), axis=0), 1e-3)
     error = np.max(np.abs(found - wanted) / scale, axis=0)
     worst = int(np.argmax(error))
-    assert error[worst] <= relative, f"{name}: {vectors.COLUMNS[worst]} off by {error[worst]:.3g}"
+    assert error[worst] <= relative, (
+        f"{name}: {vectors.COLUMNS[worst]} off by {error[worst]:.3g}"
+    )
 
 
 def test_every_term_has_a_vector():
@@ -35,7 +37,9 @@ def test_plant_reproduces(name):
 def c_numbers(c_library, terms, ticks, *, extended):
     robot = vectors.robot_of(terms)
     battery_v = initial_state(robot).battery_v
-    plant = library.ReferencePlant(c_library, robot, battery_v=battery_v, extended=extended)
+    plant = library.ReferencePlant(
+        c_library, robot, battery_v=battery_v, extended=extended
+    )
     rows = []
     for tick in range(vectors.TICKS):
         plant.tick(vectors.setpoints(tick))
@@ -50,12 +54,16 @@ def c_numbers(c_library, terms, ticks, *, extended):
 @pytest.mark.parametrize("name", CASES)
 def test_c_reproduces(c_library, name):
     terms, ticks, wanted = vectors.read(name)
-    assert_close(name, c_numbers(c_library, terms, set(ticks), extended=True), wanted, 1e-9)
+    assert_close(
+        name, c_numbers(c_library, terms, set(ticks), extended=True), wanted, 1e-9
+    )
 
 
 def test_c_base_step_reproduces_the_base(c_library):
     _, ticks, wanted = vectors.read("base")
-    assert_close("base", c_numbers(c_library, {}, set(ticks), extended=False), wanted, 1e-9)
+    assert_close(
+        "base", c_numbers(c_library, {}, set(ticks), extended=False), wanted, 1e-9
+    )
 
 
 def test_vectors_differ_from_the_base():

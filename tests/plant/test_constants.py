@@ -19,7 +19,9 @@ from hilserver.plant.physical import FITS, REASONS, Physical, physical
 ROBOTS = (
     RobotParameters(),
     RobotParameters(drive="mecanum", icr_offset_m=0.0, terms={"control_period": 0.004}),
-    RobotParameters(discretization="euler", wheelbase_m=None, terms={"setpoint_rate_limit": 100.0}),
+    RobotParameters(
+        discretization="euler", wheelbase_m=None, terms={"setpoint_rate_limit": 100.0}
+    ),
 )
 
 

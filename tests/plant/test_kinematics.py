@@ -99,7 +99,9 @@ def test_straight_line_meets_closed_form():
     )
 
 
-@pytest.mark.parametrize(("left", "right"), [(60.0, -40.0), (30.0, 30.0), (-20.0, -45.0)])
+@pytest.mark.parametrize(
+    ("left", "right"), [(60.0, -40.0), (30.0, 30.0), (-20.0, -45.0)]
+)
 def test_circle_meets_closed_form(left, right):
     rig = Rig().rolling(left, right)
     seconds = 20.0
@@ -111,12 +113,17 @@ def test_circle_meets_closed_form(left, right):
     x = (v * math.sin(turned) - vy * (1 - math.cos(turned))) / om
     y = (v * (1 - math.cos(turned)) + vy * math.sin(turned)) / om
     assert rig.pose[:2].tolist() == pytest.approx([x, y], abs=1e-9)
-    assert math.remainder(rig.pose[2] - turned, 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
+    assert math.remainder(rig.pose[2] - turned, 2 * math.pi) == pytest.approx(
+        0.0, abs=1e-9
+    )
 
 
 def test_large_turn_per_tick_leaves_the_series():
     """4 rad per tick: sin(h)/h is evaluated as it stands."""
-    fast = {"controller": Controller(k_p=0.13513, k_i=1.9584), "process": Process(gain=111.0)}
+    fast = {
+        "controller": Controller(k_p=0.13513, k_i=1.9584),
+        "process": Process(gain=111.0),
+    }
     rig = Rig(period_s=0.014, max_rpm=1e4, **fast).rolling(9000.0, 9000.0).step()
     om = -0.085 * rig.robot.k_om * 18000 * RAD
     vy = -0.02 * om

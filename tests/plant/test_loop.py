@@ -19,9 +19,13 @@ GAIN, T1, T2 = 1.11, 0.069, 0.0023
 TT = np.sqrt(1.0 / KI)
 
 
-def sampled_loop(setpoint, ticks, *, dt=0.001, t1=T1, t2=T2, viscous=0.0, solver="expm"):
+def sampled_loop(
+    setpoint, ticks, *, dt=0.001, t1=T1, t2=T2, viscous=0.0, solver="expm"
+):
     """Speeds and duties of one wheel: own controller code, process solved between the ticks."""
-    a = np.array([[-1 / t1, -GAIN * viscous / t1, GAIN / t1], [1 / t2, -1 / t2, 0], [0, 0, 0]])
+    a = np.array(
+        [[-1 / t1, -GAIN * viscous / t1, GAIN / t1], [1 / t2, -1 / t2, 0], [0, 0, 0]]
+    )
     over_tick = expm(a * dt)
     state, integral, speeds, duties = np.zeros(2), 0.0, [], []
     for k in range(ticks):
@@ -81,7 +85,9 @@ def test_sampled_loop_equals_a_runge_kutta_solution():
     assert np.max(np.abs(speeds)) > 20
 
 
-@pytest.mark.parametrize(("t1", "t2"), [(0.01, 0.01), (0.01, 0.01 + 1e-9), (0.0023, 0.069)])
+@pytest.mark.parametrize(
+    ("t1", "t2"), [(0.01, 0.01), (0.01, 0.01 + 1e-9), (0.0023, 0.069)]
+)
 def test_equal_and_swapped_time_constants(t1, t2):
     process = Process(t1_s=t1, t2_s=t2)
     speeds, _ = plant_loop(steps, 400, process=process, period_s=0.0002)
@@ -108,7 +114,14 @@ def continuous_loop(setpoint_rpm, t):
         return [(GAIN * u - x) / T1, (x - n) / T2, KI * e + (u - w) / TT]
 
     answer = solve_ivp(
-        rates, (0, t[-1]), [0, 0, 0], method="RK45", t_eval=t, rtol=1e-10, atol=1e-10, max_step=5e-5
+        rates,
+        (0, t[-1]),
+        [0, 0, 0],
+        method="RK45",
+        t_eval=t,
+        rtol=1e-10,
+        atol=1e-10,
+        max_step=5e-5,
     )
     return answer.y[1]
 
@@ -176,15 +189,24 @@ def test_derivative_part_of_the_controller():
 def spectral_radius(loop, dt_s):
     """By eigenvalues with 50 digits, over (motor, speed, integral, derivative, last error)."""
     with mpmath.workdps(50):
-        t1, t2, dt, k_p, k_d = map(mpmath.mpf, (loop.t1_s, loop.t2_s, dt_s, loop.k_p, loop.k_d))
-        rates = mpmath.matrix([[-1 / t1, 0, loop.gain / t1], [1 / t2, -1 / t2, 0], [0, 0, 0]]) * dt
+        t1, t2, dt, k_p, k_d = map(
+            mpmath.mpf, (loop.t1_s, loop.t2_s, dt_s, loop.k_p, loop.k_d)
+        )
+        rates = (
+            mpmath.matrix(
+                [[-1 / t1, 0, loop.gain / t1], [1 / t2, -1 / t2, 0], [0, 0, 0]]
+            )
+            * dt
+        )
         process = mpmath.eye(3) + rates if loop.euler else mpmath.expm(rates)
         tau = k_d / (loop.derivative_n * k_p)
         keep, change = tau / (tau + dt), k_d / (tau + dt)
         motor, speed, integral, derivative, last = mpmath.eye(5).tolist()
 
         def total(*terms):
-            return [mpmath.fsum(factor * row[i] for factor, row in terms) for i in range(5)]
+            return [
+                mpmath.fsum(factor * row[i] for factor, row in terms) for i in range(5)
+            ]
 
         error = total((-1, speed))
         derivative_next = total((keep, derivative), (change, error), (-change, last))
@@ -197,7 +219,9 @@ def spectral_radius(loop, dt_s):
             derivative_next,
             error,
         ]
-        keeps = [0, 1, 3, 4] if loop.k_i == 0.0 else range(5)  # the integral then stands still
+        keeps = (
+            [0, 1, 3, 4] if loop.k_i == 0.0 else range(5)
+        )  # the integral then stands still
         square = mpmath.matrix([[rows[i][j] for j in keeps] for i in keeps])
         return max(map(abs, mpmath.eig(square, left=False, right=False)))
 
@@ -226,7 +250,11 @@ def test_it_is_stable_where_all_eigenvalues_are_inside_the_circle(loop, dt_s):
     assert loop.is_stable(dt_s) == (radius < 1)
 
 
-@given(loop=LOOPS, dt_s=decades(1e-5, 0.05), apart=st.sampled_from([0.0, 1e-15, 1e-9, 1e-4]))
+@given(
+    loop=LOOPS,
+    dt_s=decades(1e-5, 0.05),
+    apart=st.sampled_from([0.0, 1e-15, 1e-9, 1e-4]),
+)
 def test_and_so_it_is_where_both_lags_are_nearly_equal(loop, dt_s, apart):
     loop = dataclasses.replace(loop, t2_s=loop.t1_s * (1.0 + apart))
     radius = spectral_radius(loop, dt_s)

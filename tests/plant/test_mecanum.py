@@ -66,7 +66,13 @@ def test_a_twist_turns_the_wheels_as_the_contract_says(twist, signs):
 
 @pytest.mark.parametrize(
     "twist",
-    [(0.0, 0.3, 0.0), (0.2, 0.2, 0.0), (0.0, 0.0, 1.0), (0.25, -0.1, 0.7), (-0.1, 0.15, -0.8)],
+    [
+        (0.0, 0.3, 0.0),
+        (0.2, 0.2, 0.0),
+        (0.0, 0.0, 1.0),
+        (0.25, -0.1, 0.7),
+        (-0.1, 0.15, -0.8),
+    ],
 )
 def test_a_steady_drive_ends_where_the_closed_form_says(twist):
     v, vy, om = twist
@@ -76,7 +82,9 @@ def test_a_steady_drive_ends_where_the_closed_form_says(twist):
     chord = seconds * (math.sin(turned / 2) / (turned / 2) if om else 1.0)
     x = chord * (v * math.cos(turned / 2) - vy * math.sin(turned / 2))
     y = chord * (v * math.sin(turned / 2) + vy * math.cos(turned / 2))
-    assert robot.pose == pytest.approx((x, y, math.remainder(turned, 2 * math.pi)), abs=1e-9)
+    assert robot.pose == pytest.approx(
+        (x, y, math.remainder(turned, 2 * math.pi)), abs=1e-9
+    )
 
 
 def test_rollers_that_slip_take_a_share_of_the_speed_to_the_side_alone():
@@ -124,7 +132,10 @@ def test_a_skid_steer_robot_ignores_the_lateral_twist():
 @pytest.mark.parametrize(
     ("changes", "key"),
     [
-        ({"terms": {"friction_anisotropy": 2.0}}, "plant.terms.friction_anisotropy.ratio"),
+        (
+            {"terms": {"friction_anisotropy": 2.0}},
+            "plant.terms.friction_anisotropy.ratio",
+        ),
         ({"terms": {"side_slip": 0.1}}, "plant.terms.side_slip"),
         (SKID | {"terms": {"roller_slip": 0.1}}, "plant.terms.roller_slip"),
         ({"icr_offset_m": 0.02}, "plant.icr_offset_m"),

@@ -10,12 +10,23 @@ from pydantic import ValidationError
 from scipy.optimize import minimize
 
 from hilserver.config.hall import load_hall
-from hilserver.config.plant import KinematicsConfig, PlantConfig, SensorsConfig, to_parameters
+from hilserver.config.plant import (
+    KinematicsConfig,
+    PlantConfig,
+    SensorsConfig,
+    to_parameters,
+)
 from hilserver.errors import ConfigError
 from hilserver.plant.errors import PlantError
 from hilserver.plant.friction import balance
 from hilserver.plant.packing import pack
-from hilserver.plant.parameters import Battery, Controller, Navigation, Process, RobotParameters
+from hilserver.plant.parameters import (
+    Battery,
+    Controller,
+    Navigation,
+    Process,
+    RobotParameters,
+)
 from tests.plant.rig import Rig
 
 PERIODS = {"plant": 0.001, "sensors": 0.01}
@@ -70,17 +81,28 @@ def test_every_stable_slice_settles(period_s):
 
 
 def test_two_wheels_have_no_wheelbase():
-    robot = RobotParameters(wheelbase_m=None, track_m=0.55, wheel_radius_m=0.165, icr_offset_m=0.0)
+    robot = RobotParameters(
+        wheelbase_m=None, track_m=0.55, wheel_radius_m=0.165, icr_offset_m=0.0
+    )
     assert robot.k_om == pytest.approx(1 / 0.55)
-    rig = Rig(wheelbase_m=None, track_m=0.55, icr_offset_m=0.0).twist(0.2, 0.5).step(2000)
+    rig = (
+        Rig(wheelbase_m=None, track_m=0.55, icr_offset_m=0.0).twist(0.2, 0.5).step(2000)
+    )
     assert rig.velocity.tolist() == pytest.approx([0.2, 0.0, 0.5], abs=1e-7)
     with pytest.raises(PlantError, match=r"needs plant\.wheelbase_m"):
-        pack(RobotParameters(wheelbase_m=None, terms={"friction_anisotropy.ratio": 2.0}))
+        pack(
+            RobotParameters(wheelbase_m=None, terms={"friction_anisotropy.ratio": 2.0})
+        )
 
 
 def test_ranges_follow_max_rpm():
     robot = RobotParameters(max_rpm=90)
-    assert robot.ranges == (90, pytest.approx(0.8011, abs=1e-4), pytest.approx(3.1316, abs=1e-3), 0)
+    assert robot.ranges == (
+        90,
+        pytest.approx(0.8011, abs=1e-4),
+        pytest.approx(3.1316, abs=1e-3),
+        0,
+    )
     rig = Rig().twist(0.0, robot.max_angular_rad_s * (1 - 1e-12)).step()
     assert rig.x.scaled == 0.0
     assert max(abs(rig.x.setpoint)) == pytest.approx(90.0)
@@ -104,7 +126,9 @@ def test_friction_anisotropy_at_known_points(ratio, offset_m, k_om, icr_m):
         assert found_icr == pytest.approx(icr_m, abs=5e-4)
 
 
-@pytest.mark.parametrize(("ratio", "offset_m"), [(1.0, 0.02), (2.24, 0.05), (3.0, -0.06)])
+@pytest.mark.parametrize(
+    ("ratio", "offset_m"), [(1.0, 0.02), (2.24, 0.05), (3.0, -0.06)]
+)
 def test_friction_balance_leaves_no_force_and_no_moment(ratio, offset_m):
     k_om, icr_m = balance(0.25, 0.31, ratio, offset_m)
     om, vy = 2 * k_om, -icr_m * 2 * k_om
@@ -128,7 +152,9 @@ def test_friction_balance_is_the_least_dissipation(ratio, offset_m):
         om, vy = turn
         return sum(
             (0.5 + front * offset_m / 0.25)
-            * math.hypot(left - om * left * 0.155, ratio * (vy + om * (front * 0.125 - offset_m)))
+            * math.hypot(
+                left - om * left * 0.155, ratio * (vy + om * (front * 0.125 - offset_m))
+            )
             for front in (1, -1)
             for left in (1, -1)
         )
@@ -149,7 +175,9 @@ def test_sections_default_to_the_default_robot():
 
 
 def test_sections_reach_the_robot():
-    plant = PlantConfig(max_rpm=80, terms={"rotation_gain": -0.4}, controller={"k_p": 10.0})
+    plant = PlantConfig(
+        max_rpm=80, terms={"rotation_gain": -0.4}, controller={"k_p": 10.0}
+    )
     kinematics = KinematicsConfig(rotation_gain="tile", yaw_sign=1)
     sensors = SensorsConfig(nav={"enabled": True, "slice": "plant"})
     robot = to_parameters(plant, kinematics, sensors, PERIODS)
@@ -188,18 +216,29 @@ def test_every_key_is_described():
 
 def test_unknown_slice():
     with pytest.raises(PlantError, match="no slice 'sensors'; the slices are plant"):
-        to_parameters(PlantConfig(), KinematicsConfig(), SensorsConfig(), {"plant": 0.001})
+        to_parameters(
+            PlantConfig(), KinematicsConfig(), SensorsConfig(), {"plant": 0.001}
+        )
 
 
 def test_hall_from_a_file(tmp_path: Path):
-    (tmp_path / "hall.yaml").write_text("walls:\n  - [1, 2, 3, 4.5]\n  - [0, 0, 1, 0]\n")
+    (tmp_path / "hall.yaml").write_text(
+        "walls:\n  - [1, 2, 3, 4.5]\n  - [0, 0, 1, 0]\n"
+    )
     assert load_hall("hall.yaml", tmp_path).walls.tolist() == [1, 2, 3, 4.5, 0, 0, 1, 0]
     assert load_hall("default", tmp_path).walls.size % 4 == 0
 
 
 @pytest.mark.parametrize(
     "content",
-    ["walls: [[1, 2, 3]]", "walls: [[1, 2, 3, .nan]]", "walls: 5", "[]", "a: [", yaml.dump({})],
+    [
+        "walls: [[1, 2, 3]]",
+        "walls: [[1, 2, 3, .nan]]",
+        "walls: 5",
+        "[]",
+        "a: [",
+        yaml.dump({}),
+    ],
 )
 def test_hall_refused_in_one_sentence(tmp_path: Path, content: str):
     (tmp_path / "hall.yaml").write_text(content)

@@ -14,7 +14,9 @@ from hilserver.plant.tof import tof_step
 from hilserver.status import BAD_OUT_OF_SERVICE, GOOD, UNCERTAIN
 from tests.plant.rig import Rig
 
-QUIET = Navigation(enabled=True, white_noise_m=0.0, correlated_noise_m=0.0, yaw_noise_rad=0.0)
+QUIET = Navigation(
+    enabled=True, white_noise_m=0.0, correlated_noise_m=0.0, yaw_noise_rad=0.0
+)
 
 
 def test_acceleration_is_the_derivative_of_the_world_velocity():
@@ -39,7 +41,12 @@ def test_centripetal_acceleration_in_a_steady_circle():
 
 
 def test_gyro_terms():
-    rig = Rig(terms={"gyro_bias": 0.01, "gyro_scale": -0.47}).twist(0, 0.6).step(2000).sense()
+    rig = (
+        Rig(terms={"gyro_bias": 0.01, "gyro_scale": -0.47})
+        .twist(0, 0.6)
+        .step(2000)
+        .sense()
+    )
     assert rig.y.gyro == pytest.approx(0.53 * 0.6 + 0.01, abs=1e-8)
 
 
@@ -76,7 +83,10 @@ def test_battery_stays_in_its_range_and_falls():
 
 
 def test_load_lowers_the_voltage():
-    idle, full = Rig().step().sense(), Rig(max_rpm=200).wheels(200, 200, -200, -200).step().sense()
+    idle, full = (
+        Rig().step().sense(),
+        Rig(max_rpm=200).wheels(200, 200, -200, -200).step().sense(),
+    )
     assert idle.y.battery - full.y.battery == pytest.approx(0.15 * 4 * 1.5)
 
 
@@ -84,7 +94,9 @@ def test_open_circuit_voltage():
     assert open_circuit_voltage(0.0) == 17.5
     assert open_circuit_voltage(1.0) == 23.5
     assert open_circuit_voltage(-1.0) == 17.5
-    assert np.all(np.diff([open_circuit_voltage(c) for c in np.linspace(0, 1, 101)]) > 0)
+    assert np.all(
+        np.diff([open_circuit_voltage(c) for c in np.linspace(0, 1, 101)]) > 0
+    )
 
 
 def test_battery_does_not_act_on_the_base_drive():
@@ -147,7 +159,12 @@ def test_cone_sees_what_stands_beside_the_axis():
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
-@given(st.floats(-3.1, 3.1), st.floats(-1, 1), st.floats(0.02, 1.0), st.integers(0, 2**32 - 1))
+@given(
+    st.floats(-3.1, 3.1),
+    st.floats(-1, 1),
+    st.floats(0.02, 1.0),
+    st.integers(0, 2**32 - 1),
+)
 def test_range_is_that_of_the_nearest_point_in_the_cone(yaw, y, view, seed):
     """Against brute force: 20,000 points on every wall, those outside the cone left out."""
     hall = np.random.default_rng(seed).uniform(-4, 4, (6, 4))
@@ -157,7 +174,9 @@ def test_range_is_that_of_the_nearest_point_in_the_cone(yaw, y, view, seed):
     start, end = hall[:, 0] + 1j * hall[:, 1], hall[:, 2] + 1j * hall[:, 3]
     share = np.linspace(0.0, 1.0, 20_000)[:, None]
     points = (start + share * (end - start) - origin) * complex(cos, -sin)
-    assume(np.abs(points).min() > 0.1)  # nearer, points are farther apart than the cone is wide
+    assume(
+        np.abs(points).min() > 0.1
+    )  # nearer, points are farther apart than the cone is wide
     inside = np.abs(np.angle(points)) <= view / 2
     nearest = np.min(np.abs(points[inside]), initial=math.inf)
     assert found[0] == pytest.approx(min(max(nearest, 0.01), 5.0), abs=1e-3)
@@ -197,7 +216,9 @@ def test_lever_arm_and_frame():
 
 
 def test_latencies_of_position_and_yaw_apart():
-    rig = Rig(nav=QUIET, terms={"nav_latency": 0.1, "yaw_latency": 0.15}).twist(0.3, 0.5)
+    rig = Rig(nav=QUIET, terms={"nav_latency": 0.1, "yaw_latency": 0.15}).twist(
+        0.3, 0.5
+    )
     poses = {}
     for tick in range(1001):
         rig.drive(1)
@@ -227,7 +248,9 @@ def test_noise_is_white_plus_correlated():
 
 
 def test_outliers_have_share_and_size():
-    rig = Rig(nav=QUIET, terms={"nav_outliers.share": 0.03, "nav_outliers.size": 1.5}).step()
+    rig = Rig(
+        nav=QUIET, terms={"nav_outliers.share": 0.03, "nav_outliers.size": 1.5}
+    ).step()
     samples = np.array([rig.sense().y.nav[:2].copy() for _ in range(50_000)])[::5]
     far = np.hypot(*samples.T)
     assert np.mean(far > 0.1) == pytest.approx(0.03, abs=0.006)
@@ -239,7 +262,11 @@ def test_outliers_have_share_and_size():
 
 def test_a_copy_of_the_state_is_a_complete_snapshot():
     everything = dict(cases()["everything"].items())
-    options = {"nav": Navigation(enabled=True), "imu": Imu(gyro_noise_rad_s=0.01), "seed": 5}
+    options = {
+        "nav": Navigation(enabled=True),
+        "imu": Imu(gyro_noise_rad_s=0.01),
+        "seed": 5,
+    }
     first = Rig(terms=everything, **options).wheels(50, 50, -20, -20).drive(333)
     second = Rig(terms=everything, **options).wheels(50, 50, -20, -20)
     second.x.numbers[:] = first.x.numbers

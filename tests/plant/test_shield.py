@@ -37,7 +37,9 @@ def test_steady_patterns_keep_the_colour():
 )
 def test_flashing_is_on_for_one_half(pattern, blinking):
     red = lit(Rig(), pattern, round(5 * BLINK_S / 0.01))
-    assert red.mean(axis=0) == pytest.approx([100 * (lamp in blinking) for lamp in range(4)], abs=4)
+    assert red.mean(axis=0) == pytest.approx(
+        [100 * (lamp in blinking) for lamp in range(4)], abs=4
+    )
     assert set(np.unique(red)) <= {0, 200}
 
 

@@ -49,13 +49,23 @@ def test_null_terms_equal_the_separate_base_to_the_bit(terms):
         robot_step(p, x, u, y, q)
         base_step(p, x_base, u, y_base)
         assert y.tobytes() == y_base.tobytes()
-        for name in ("motor", "speed", "integral", "angle", "pose", "accel_x", "accel_y"):
+        for name in (
+            "motor",
+            "speed",
+            "integral",
+            "angle",
+            "pose",
+            "accel_x",
+            "accel_y",
+        ):
             assert x[name].tobytes() == x_base[name].tobytes(), name
 
 
 @pytest.mark.parametrize("drive", [{}, MECANUM], ids=["skid", "mecanum"])
 def test_null_terms_pack_to_the_same_bits(drive):
-    at_null, without = (pack(RobotParameters(terms=terms, **drive)) for terms in (NULLS, {}))
+    at_null, without = (
+        pack(RobotParameters(terms=terms, **drive)) for terms in (NULLS, {})
+    )
     assert at_null.tobytes() == without.tobytes()
 
 
@@ -186,7 +196,9 @@ def test_vocabulary_of_causes():
 )
 def test_exact_twins(a, b):
     """What the specification calls exact twins cannot be told apart from the tag's track."""
-    quiet = Navigation(enabled=True, white_noise_m=0, correlated_noise_m=0, yaw_noise_rad=0)
+    quiet = Navigation(
+        enabled=True, white_noise_m=0, correlated_noise_m=0, yaw_noise_rad=0
+    )
     tracks = []
     for terms in (a, b):
         rig, track = Rig(nav=quiet, icr_offset_m=0.0, terms=terms).twist(0.2, 0.5), []
@@ -200,7 +212,8 @@ def test_exact_twins(a, b):
 
 def test_steady_friction_is_paid_in_duty():
     plain, dragging = (
-        Rig(terms=t).wheels(30, 30, -30, -30).step(4000) for t in ({}, {"coulomb_friction": 10.0})
+        Rig(terms=t).wheels(30, 30, -30, -30).step(4000)
+        for t in ({}, {"coulomb_friction": 10.0})
     )
     assert dragging.y.speed[0] == pytest.approx(30.0, abs=1e-6)
     extra = dragging.y.duty - plain.y.duty
@@ -209,7 +222,9 @@ def test_steady_friction_is_paid_in_duty():
 
 def test_friction_holds_at_rest():
     rig = (
-        Rig(terms={"wheel_load.f": 30.0, "wheel_load.wheel": 2}).wheels(0.05, 0, -0.05, 0).step(20)
+        Rig(terms={"wheel_load.f": 30.0, "wheel_load.wheel": 2})
+        .wheels(0.05, 0, -0.05, 0)
+        .step(20)
     )
     assert rig.y.speed[2] == 0.0
     assert rig.y.speed[0] > 0.0
@@ -230,7 +245,9 @@ def test_the_encoder_rounds_what_it_shows():
 
 
 def test_slip_of_the_traction_leaves_the_turn_as_it_is():
-    firm, loose = (Rig(terms=t).twist(0.2, 0.5).step(2000) for t in ({}, {"traction_slip": 0.3}))
+    firm, loose = (
+        Rig(terms=t).twist(0.2, 0.5).step(2000) for t in ({}, {"traction_slip": 0.3})
+    )
     assert loose.y.linear == pytest.approx(0.7 * firm.y.linear)
     assert loose.pose[2] == firm.pose[2]
 
@@ -249,7 +266,9 @@ def test_a_body_that_lags_answers_in_first_order():
     assert rig.y.pose[2] == pytest.approx(turned)
 
 
-@pytest.mark.parametrize(("tau_s", "ticks"), [(0.003, 3), (0.0025, 3), (0.0021, 3), (0.002, 2)])
+@pytest.mark.parametrize(
+    ("tau_s", "ticks"), [(0.003, 3), (0.0025, 3), (0.0021, 3), (0.002, 2)]
+)
 def test_actuation_delay_takes_the_setpoint_valid_then(tau_s, ticks):
     rig = Rig(terms={"actuation_delay": tau_s}).wheels(10, 10, -10, -10)
     seen = [rig.step().x.setpoint[0] for _ in range(6)]

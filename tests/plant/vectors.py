@@ -41,14 +41,20 @@ _SETPOINTS: Final = (
     (420, (10.0, 12.0, -40.0, -38.0)),
 )
 WHEEL_COLUMNS: Final = [
-    f"wheel.{w}.{what}" for what in ("speed_rpm", "duty_pct", "angle_rad") for w in WHEELS
+    f"wheel.{w}.{what}"
+    for what in ("speed_rpm", "duty_pct", "angle_rad")
+    for w in WHEELS
 ]
 COLUMNS: Final = [
     *WHEEL_COLUMNS,
     *("pose.x_m", "pose.y_m", "pose.yaw_rad"),
     *("velocity.linear_m_s", "velocity.lateral_m_s", "velocity.angular_rad_s"),
     *("accel_x_m_s2", "accel_y_m_s2"),
-    *(f"state.{w}.{what}" for what in ("motor", "speed_rpm", "integral_pct") for w in WHEELS),
+    *(
+        f"state.{w}.{what}"
+        for what in ("motor", "speed_rpm", "integral_pct")
+        for w in WHEELS
+    ),
     *("imu.gyro_z_rad_s", "imu.yaw_rad", "imu.accel_x_m_s2", "imu.accel_y_m_s2"),
     *("nav.x_m", "nav.y_m", "nav.yaw_rad"),
 ]
@@ -59,7 +65,9 @@ def robot_of(terms: dict[str, float]) -> RobotParameters:
 
     Terms of rollers are those of a mecanum robot.
     """
-    nav = Navigation(enabled=True, white_noise_m=0.0, correlated_noise_m=0.0, yaw_noise_rad=0.0)
+    nav = Navigation(
+        enabled=True, white_noise_m=0.0, correlated_noise_m=0.0, yaw_noise_rad=0.0
+    )
     robot = RobotParameters(nav=nav)
     if not FOR_MECANUM_ALONE.isdisjoint(terms):
         robot = replace(robot, drive="mecanum", **MECANUM_GEOMETRY)  # type: ignore[arg-type]
@@ -92,7 +100,9 @@ def drive(robot: RobotParameters) -> Iterator[tuple[int, NDArray[np.float64]]]:
 def to_csv(terms: dict[str, float]) -> str:
     """Return the text of a vector file."""
     text = io.StringIO()
-    text.write("# " + " ".join(f"{name}={value!r}" for name, value in terms.items()) + "\n")
+    text.write(
+        "# " + " ".join(f"{name}={value!r}" for name, value in terms.items()) + "\n"
+    )
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["tick", *COLUMNS])
     for tick, numbers in drive(robot_of(terms)):

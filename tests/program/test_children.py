@@ -25,7 +25,10 @@ async def test_a_child_of_an_event_loop_ends_with_its_context(program, signal):
 
 async def test_a_child_that_ends_early_has_no_line():
     async with started(
-        python("-c", "print('no')"), name="child", stop_limit_s=5.0, stdout=subprocess.PIPE
+        python("-c", "print('no')"),
+        name="child",
+        stop_limit_s=5.0,
+        stdout=subprocess.PIPE,
     ) as process:
         assert await line_of(process, READY, 60.0) is None
 
@@ -45,11 +48,16 @@ def test_a_child_with_pipes_ends_with_its_context(program, signal, capfd):
     with piped(python("-c", program), name="the child", stop_limit_s=0.5) as process:
         assert process.stdout.readline() == "ready\n"
     assert process.returncode == signal
-    assert ("the child did not stop and was killed" in capfd.readouterr().err) == (signal == -9)
+    assert ("the child did not stop and was killed" in capfd.readouterr().err) == (
+        signal == -9
+    )
 
 
 def test_the_error_of_the_parent_ends_the_child_too():
-    with pytest.raises(ZeroDivisionError), piped(python("-c", OBEDIENT), name="child") as process:
+    with (
+        pytest.raises(ZeroDivisionError),
+        piped(python("-c", OBEDIENT), name="child") as process,
+    ):
         1 / 0  # noqa: B018
     assert process.returncode == -15
 

@@ -31,10 +31,16 @@ def compiled(folder, child="works"):
     program.write_text(PROGRAM)
     cold = os.environ | {"HILSERVER_CACHE_DIR": str(folder / "cache")}
     done = subprocess.run(
-        python(str(program), child), capture_output=True, text=True, env=cold, check=True
+        python(str(program), child),
+        capture_output=True,
+        text=True,
+        env=cold,
+        check=True,
     )
     # numba's own parts of it, such as `impl`, are not kept by themselves.
-    return [[name for name in names if name != "impl"] for names in json.loads(done.stdout)]
+    return [
+        [name for name in names if name != "impl"] for names in json.loads(done.stdout)
+    ]
 
 
 def test_two_children_compile_once_what_is_not_in_the_cache(tmp_path):

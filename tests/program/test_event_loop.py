@@ -37,7 +37,9 @@ def test_tasks_have_ended_whatever_they_do_when_they_are_cancelled() -> None:
 async def test_for_who_does_not_read_the_system_holds_little():
     """Otherwise megabytes go out before anybody notices."""
     connected = asyncio.get_running_loop().create_future()
-    server = await asyncio.start_server(lambda *both: connected.set_result(both), "127.0.0.1", 0)
+    server = await asyncio.start_server(
+        lambda *both: connected.set_result(both), "127.0.0.1", 0
+    )
     with socket.create_connection(server.sockets[0].getsockname()):
         _, writer = await connected
         event_loop.hold_little(writer.transport)

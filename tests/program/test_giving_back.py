@@ -11,7 +11,9 @@ OF_COMPILER = re.compile(r"r-xp .*libllvmlite\.so\n(?:.*\n)*?Rss: +(\d+) kB")
 
 
 def kilobytes():
-    return int(OF_COMPILER.search(Path("/proc/self/smaps").read_text(encoding="utf-8"))[1])
+    return int(
+        OF_COMPILER.search(Path("/proc/self/smaps").read_text(encoding="utf-8"))[1]
+    )
 
 
 def test_the_compiler_leaves_and_comes_again():

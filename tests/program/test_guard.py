@@ -55,12 +55,21 @@ def ended(tmp_path, program, *pauses_s):
         said, _ = process.communicate(
             timeout=60
         )  # its children hold the pipe: they have ended, too
-        return process.returncode, time.monotonic() - start_s, said.splitlines(), file.exists()
+        return (
+            process.returncode,
+            time.monotonic() - start_s,
+            said.splitlines(),
+            file.exists(),
+        )
 
 
 def test_what_is_starting_ends_at_once_with_its_children(tmp_path):
     code, took_s, said, is_left = ended(tmp_path, STARTING)
-    assert (code, said, is_left) == (0, ["has stopped while it was starting, exit code 0"], False)
+    assert (code, said, is_left) == (
+        0,
+        ["has stopped while it was starting, exit code 0"],
+        False,
+    )
     assert took_s < 2.0
 
 

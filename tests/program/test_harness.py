@@ -18,12 +18,22 @@ from hilserver.program.ending import hang_ups_wait, on_end
         (FailedError("port 4840 is in use"), 1, "hilserver: port 4840 is in use\n"),
         (LogError("a.csv:3: no number"), 2, "hilserver: a.csv:3: no number\n"),
         (ConfigError("first\nsecond"), 78, "hilserver: first\nhilserver: second\n"),
-        (PermissionError(13, "Permission denied", "/x"), 1, "hilserver: /x: permission denied\n"),
+        (
+            PermissionError(13, "Permission denied", "/x"),
+            1,
+            "hilserver: /x: permission denied\n",
+        ),
         (TimeoutError(), 1, "hilserver: no answer in time\n"),
-        (MemoryError(), 1, "hilserver: there is not enough memory for this; use smaller files\n"),
+        (
+            MemoryError(),
+            1,
+            "hilserver: there is not enough memory for this; use smaller files\n",
+        ),
     ],
 )
-def test_an_error_is_a_sentence_and_an_exit_code(error, code, sentence, capsys, monkeypatch):
+def test_an_error_is_a_sentence_and_an_exit_code(
+    error, code, sentence, capsys, monkeypatch
+):
     monkeypatch.setattr("hilserver.program.harness._drop_output", lambda: None)
 
     def main():
@@ -82,7 +92,10 @@ sys.exit(harness.run(lambda: event_loop.run(serve())))
 
 
 def test_an_event_loop_hears_the_signals():
-    assert subprocess.run(python("-c", EVENT_LOOP), timeout=600, check=False).returncode == 3
+    assert (
+        subprocess.run(python("-c", EVENT_LOOP), timeout=600, check=False).returncode
+        == 3
+    )
 
 
 @pytest.fixture

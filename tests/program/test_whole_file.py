@@ -58,7 +58,9 @@ def test_a_file_keeps_its_mode(tmp_path: Path) -> None:
         path.chmod(mode)
         with whole(path) as partial:
             partial.write_text("new")
-            assert partial.stat().st_mode & 0o777 == 0o600, "others can read it meanwhile"
+            assert partial.stat().st_mode & 0o777 == 0o600, (
+                "others can read it meanwhile"
+            )
         assert (path.read_text(), path.stat().st_mode & 0o777) == ("new", mode)
 
 
@@ -97,7 +99,9 @@ def test_a_full_disk_is_no_reason_to_write_in_place(
     assert path.read_text() == "before"
 
 
-def test_the_output_of_a_program_is_not_replaced_where_it_is_a_file(tmp_path: Path) -> None:
+def test_the_output_of_a_program_is_not_replaced_where_it_is_a_file(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "said"
     write = "from hilserver.program.whole_file import *; write_whole(Path('/dev/stdout'), b'new')"
     with path.open("wb") as output:

@@ -29,7 +29,9 @@ class Rig:
     line: Path
 
     def assembly(self, **realtime: object) -> Assembly:
-        return assembly(self.peer.endpoint, self.port, self.line, blocks=self.blocks, **realtime)
+        return assembly(
+            self.peer.endpoint, self.port, self.line, blocks=self.blocks, **realtime
+        )
 
     @property
     def is_connected(self) -> bool:
@@ -40,7 +42,9 @@ class Rig:
         return self.is_connected and not self.daemon.parts_of("peers")[0].status.stale
 
 
-def assembly(endpoint: str, port: int, line: Path, *, blocks: bool, **realtime: object) -> Assembly:
+def assembly(
+    endpoint: str, port: int, line: Path, *, blocks: bool, **realtime: object
+) -> Assembly:
     burn = {
         "name": "burn",
         "function": "burn.py:burn",
@@ -64,7 +68,10 @@ def assembly(endpoint: str, port: int, line: Path, *, blocks: bool, **realtime: 
                 "link": str(line),
             },  # a line without a host counts as lost
             "control": {"source": "peer"},
-            "recalibration": {"enabled": blocks, "folder": str(line.parent / "recalibration")},
+            "recalibration": {
+                "enabled": blocks,
+                "folder": str(line.parent / "recalibration"),
+            },
             "sensors": {"nav": {"enabled": blocks}},
             "observer": {"enabled": blocks},
             "shadow": {"limits": {"wheel.fl.speed_rpm": 120.0}, "after_s": 0.0},
@@ -74,7 +81,9 @@ def assembly(endpoint: str, port: int, line: Path, *, blocks: bool, **realtime: 
 
 
 @contextlib.asynccontextmanager
-async def running_rig(peer: NodeRed, folder: Path, *, blocks: bool = False) -> AsyncIterator[Rig]:
+async def running_rig(
+    peer: NodeRed, folder: Path, *, blocks: bool = False
+) -> AsyncIterator[Rig]:
     port = free_port()
     await peer.start()
     line = folder / "shield"

@@ -60,7 +60,9 @@ class Prometheus:
 
     def range(self, expression: str, start_s: float, end_s: float) -> Series:
         """Return the finite values of every series between two times."""
-        data = self.get("query_range", query=expression, start=start_s, end=end_s, step=SCRAPE_S)
+        data = self.get(
+            "query_range", query=expression, start=start_s, end=end_s, step=SCRAPE_S
+        )
         found: Series = {}
         for series in data["result"]:
             values = [float(value) for _, value in series["values"]]
@@ -71,7 +73,9 @@ class Prometheus:
 
     def alerts(self) -> dict[str, str]:
         """Return the state (pending, firing) of every active alert."""
-        return {a["labels"]["alertname"]: a["state"] for a in self.get("alerts")["alerts"]}
+        return {
+            a["labels"]["alertname"]: a["state"] for a in self.get("alerts")["alerts"]
+        }
 
     def target_is_up(self) -> bool:
         return [t["health"] for t in self.get("targets")["activeTargets"]] == ["up"]
@@ -88,7 +92,9 @@ def running_prometheus(folder: Path, target: str) -> Iterator[Prometheus]:
         "--log.level=warn",
     ]
     with (folder / "prometheus.log").open("wb") as log:
-        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=log, stderr=log
+        )
         try:
             yield server
         finally:

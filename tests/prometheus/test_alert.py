@@ -21,20 +21,31 @@ async def test_a_lost_peer_fires_and_clears(node_red, tmp_path) -> None:
         def is_safe() -> bool:
             return alerts().get("HilserverSafeState") == "firing"
 
-        watched = {"HilserverPeerLost", "HilserverSafeState"}  # a busy computer raises others
-        await until(lambda: not watched & alerts().keys(), 120, "the alerts of the start clear")
+        watched = {
+            "HilserverPeerLost",
+            "HilserverSafeState",
+        }  # a busy computer raises others
+        await until(
+            lambda: not watched & alerts().keys(), 120, "the alerts of the start clear"
+        )
         await rig.peer.kill()
         fired_s = await until(
-            lambda: alerts().get("HilserverPeerLost") == "firing", 120, "the alert fires"
+            lambda: alerts().get("HilserverPeerLost") == "firing",
+            120,
+            "the alert fires",
         )
         assert fired_s >= FOR_S
         await until(is_safe, 120, "so does that of the safe state")
         await rig.peer.start()
-        await until(lambda: "HilserverPeerLost" not in alerts(), 120, "the alert clears")
+        await until(
+            lambda: "HilserverPeerLost" not in alerts(), 120, "the alert clears"
+        )
         # The safe state is acknowledged by a person, and its alert stays until then.
         await until(is_safe, 120, "the alert of the safe state stays")
         await until(lambda: rig.is_fresh, 120, "the peer delivers again")
         rig.daemon.control.reset()
         await until(
-            lambda: "HilserverSafeState" not in alerts(), 120, "the safe state's alert clears"
+            lambda: "HilserverSafeState" not in alerts(),
+            120,
+            "the safe state's alert clears",
         )

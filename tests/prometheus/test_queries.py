@@ -27,7 +27,9 @@ from tests.prometheus.server import RATE_S, SCRAPE_S, Series, missing, until
 
 pytestmark = [pytest.mark.prometheus, pytest.mark.node_red]
 
-DASHBOARD = Path(__file__).parents[2] / "deploy" / "grafana" / "dashboards" / "hilserver.json"
+DASHBOARD = (
+    Path(__file__).parents[2] / "deploy" / "grafana" / "dashboards" / "hilserver.json"
+)
 HOLD_S = 2.5
 """How long a stimulus lasts: more than the range of the rates."""
 
@@ -69,7 +71,9 @@ async def measure(rig: Rig) -> None:
 
 async def inject_a_fault(rig: Rig) -> None:
     """Falsify the battery's voltage for a while."""
-    rig.daemon.faults.inject({"fault": "bias", "signal": "battery.voltage_v", "offset": 0.1})
+    rig.daemon.faults.inject(
+        {"fault": "bias", "signal": "battery.voltage_v", "offset": 0.1}
+    )
     await asyncio.sleep(HOLD_S)
     rig.daemon.faults.clear()
 
@@ -77,7 +81,9 @@ async def inject_a_fault(rig: Rig) -> None:
 async def tune(rig: Rig) -> None:
     """Change a gain for a while."""
     parameters = rig.daemon.core.parameters
-    await parameters.taken(parameters.apply(parameters.checked({"plant.controller.k_p": 12.0})))
+    await parameters.taken(
+        parameters.apply(parameters.checked({"plant.controller.k_p": 12.0}))
+    )
     await asyncio.sleep(HOLD_S)
     await parameters.taken(parameters.reset())
 
@@ -169,7 +175,9 @@ async def return_as_a_liar(rig: Rig) -> None:
     rig.peer.flow = test_flow("lying")
     await rig.peer.start()
     status = rig.daemon.parts_of("peers")[0].status
-    await until(lambda: sum(status.fault_counts.values()) > 0, 120, "the lie is noticed")
+    await until(
+        lambda: sum(status.fault_counts.values()) > 0, 120, "the lie is noticed"
+    )
     await asyncio.sleep(HOLD_S)
     await rig.peer.kill()
     rig.peer.flow = shipped_flow()
@@ -178,7 +186,9 @@ async def return_as_a_liar(rig: Rig) -> None:
 async def restart_the_peer_with_another_clock(rig: Rig) -> None:
     """The controller comes back, three seconds in the past."""
     shift = rig.peer.home / "shift.cjs"
-    shift.write_text("const now = Date.now; Date.now = () => now() - 3000;\n" + SHIFTED_DATE)
+    shift.write_text(
+        "const now = Date.now; Date.now = () => now() - 3000;\n" + SHIFTED_DATE
+    )
     rig.peer.environment["NODE_OPTIONS"] = f"--require {shift}"
     await rig.peer.start()
     await until(lambda: rig.is_fresh, 120, "the peer delivers again")
@@ -244,8 +254,12 @@ STIMULI = (
     Stimulus(inject_a_fault, up=("Active faults",)),
     Stimulus(tune, up=("Parameters changed",)),
     Stimulus(put_far_away, up=("Pose", "Samples of the navigation", "Found elsewhere")),
-    Stimulus(slow_motion, up=("End to end",), down=("Real-time factor",), repeatable=True),
-    Stimulus(let_the_peer_stutter, up=("Interval", "Round trip", "One way"), repeatable=True),
+    Stimulus(
+        slow_motion, up=("End to end",), down=("Real-time factor",), repeatable=True
+    ),
+    Stimulus(
+        let_the_peer_stutter, up=("Interval", "Round trip", "One way"), repeatable=True
+    ),
     Stimulus(make_garbage, up=("Garbage collector",), repeatable=True),
     Stimulus(
         ask_the_shield,
@@ -255,7 +269,9 @@ STIMULI = (
     Stimulus(recalibrate, up=("Proposals", "Looks", "Effect of a proposal")),
     Stimulus(fill_memory, up=("Memory",)),
     Stimulus(
-        kill_the_peer, up=("Input ages",), down=("Peers connected", "Connected", "Wheel speeds")
+        kill_the_peer,
+        up=("Input ages",),
+        down=("Peers connected", "Connected", "Wheel speeds"),
     ),
     Stimulus(return_as_a_liar, up=("Reconnects and faults",)),
     Stimulus(restart_the_peer_with_another_clock, down=("Clock offset",)),
@@ -315,13 +331,17 @@ async def queries_that_stand_still(
         titles = getattr(stimulus, how)
         for title, expressions in panels():
             for expression in expressions if title in titles else ():
-                ask = functools.partial(asyncio.to_thread, rig.prometheus.range, expression)
+                ask = functools.partial(
+                    asyncio.to_thread, rig.prometheus.range, expression
+                )
                 # A scrape that began before the stimulus may have read after it.
                 before = await ask(begin_s - BEFORE_S - SCRAPE_S, begin_s - SCRAPE_S)
                 during = await ask(begin_s + SCRAPE_S, end_s)
                 if not moved(how, before, during):
                     name = stimulus.act.__name__
-                    still.append(f"{name}: {title} not {how}: {expression}: {before} {during}")
+                    still.append(
+                        f"{name}: {title} not {how}: {expression}: {before} {during}"
+                    )
     return still
 
 
@@ -335,7 +355,9 @@ async def test_every_query_moves_under_its_stimulus(node_red, tmp_path) -> None:
             for _ in range(TRIES if stimulus.repeatable else 1):
                 begin_s = time.time()
                 await stimulus.act(rig)
-                standing = await queries_that_stand_still(rig, stimulus, begin_s, time.time())
+                standing = await queries_that_stand_still(
+                    rig, stimulus, begin_s, time.time()
+                )
                 rig.daemon.control.reset_statistics()  # what stood out hides what comes after it
                 await asyncio.sleep(RATE_S + BEFORE_S + SCRAPE_S)
                 if not standing:

@@ -22,7 +22,12 @@ def load(path: Path) -> dict:
 
 def rules() -> list[dict]:
     files = load(DEPLOY / "prometheus.yml")["rule_files"]
-    return [r for name in files for group in load(DEPLOY / name)["groups"] for r in group["rules"]]
+    return [
+        r
+        for name in files
+        for group in load(DEPLOY / name)["groups"]
+        for r in group["rules"]
+    ]
 
 
 ALERTS = {rule["alert"]: rule for rule in rules() if "alert" in rule}
@@ -32,7 +37,12 @@ def promtool(*words: str) -> str:
     if sentence := missing():
         pytest.fail(sentence, pytrace=False)
     done = subprocess.run(
-        ["promtool", *words], capture_output=True, text=True, timeout=120, cwd=ROOT, check=False
+        ["promtool", *words],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        cwd=ROOT,
+        check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
@@ -75,7 +85,9 @@ def test_every_alert_has_its_page_and_every_page_its_alert() -> None:
 def test_rules_use_metrics_that_exist(rule: dict) -> None:
     recorded = {r["record"] for r in rules() if "record" in r}
     names = {metric.name for metric in METRICS}
-    used = set(re.findall(r"(?<![\w:])(?:[a-z_]+:)?hil_[a-z0-9_]+(?::\w+)?", rule["expr"]))
+    used = set(
+        re.findall(r"(?<![\w:])(?:[a-z_]+:)?hil_[a-z0-9_]+(?::\w+)?", rule["expr"])
+    )
     known = names | {f"{name}_bucket" for name in names} | recorded
     assert used <= known
     assert used or "up{" in rule["expr"]

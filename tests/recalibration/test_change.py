@@ -29,7 +29,9 @@ def course(rng, n, r=0.0):
 
 
 def alarms(values, detector):
-    return [k for k, value in enumerate(values) if detector.take({"a": value}) is not None]
+    return [
+        k for k, value in enumerate(values) if detector.take({"a": value}) is not None
+    ]
 
 
 def test_a_larger_gap_is_found_within_a_few_blocks():
@@ -73,7 +75,11 @@ def drive(residuals, seconds, gap, *, moves=True, from_s=0.0):
     for k in range(round(seconds * 10)):
         t_s = from_s + k * 0.1
         x = 0.5 * t_s
-        measured = {"wheel.fl.speed_rpm": 40.0 + gap, "pose.x_m": x * (1 + gap), "pose.y_m": 0.0}
+        measured = {
+            "wheel.fl.speed_rpm": 40.0 + gap,
+            "pose.x_m": x * (1 + gap),
+            "pose.y_m": 0.0,
+        }
         simulated = {"wheel.fl.speed_rpm": 40.0, "pose.x_m": x, "pose.y_m": 3.0}
         blocks.append(residuals.take(t_s, measured, simulated, moves=moves))
     return [block for block in blocks if block]

@@ -11,7 +11,11 @@ from hilserver.recalibration.gap import DRIVEN_RPM, ChangeWatch
 from hilserver.status import UNCERTAIN_LAST_USABLE_VALUE
 from tests.fakes import make_gate, make_image, make_table
 
-SPEED, SETPOINT, GYRO = "wheel.fl.speed_rpm", "wheel.fl.setpoint_rpm", "imu.gyro_z_rad_s"
+SPEED, SETPOINT, GYRO = (
+    "wheel.fl.speed_rpm",
+    "wheel.fl.setpoint_rpm",
+    "imu.gyro_z_rad_s",
+)
 GROWS_S, END_S = 300, 500
 TABLE = make_table()
 
@@ -38,7 +42,9 @@ def found(watch, grows, *, bad=(), speed_rpm=40.0, seconds=range(END_S)):
         values[TABLE.slot("sim.time_s")] = t_s
         values[TABLE.slot(SPEED)] = speed_rpm
         for name in (SPEED, SETPOINT, GYRO):
-            gap = rng.standard_normal() + (10.0 if name == grows and t_s >= GROWS_S else 0.0)
+            gap = rng.standard_normal() + (
+                10.0 if name == grows and t_s >= GROWS_S else 0.0
+            )
             values[TABLE.slot(f"measured.{name}")] = values[TABLE.slot(name)] + gap
         channel = watch.take(Frame(t_s, t_s, 0, 0, values, status))
         if channel is not None:

@@ -75,7 +75,9 @@ def test_a_full_disk_is_named_and_leaves_nothing(tmp_path, monkeypatch):
     history = filled(tmp_path)
     before = (tmp_path / FILE).read_bytes()
     monkeypatch.setattr("os.write", lambda fd, data: 0)
-    with pytest.raises(FailedError, match=r"recalibration\.jsonl: cannot be written: no space"):
+    with pytest.raises(
+        FailedError, match=r"recalibration\.jsonl: cannot be written: no space"
+    ):
         history.append("look", window=4)
     monkeypatch.undo()
     assert (tmp_path / FILE).read_bytes() == before
@@ -85,7 +87,9 @@ def test_a_full_disk_is_named_and_leaves_nothing(tmp_path, monkeypatch):
 
 def test_every_verdict_stands_in_the_reference_and_has_words_on_the_page():
     root = Path(__file__).parents[2]
-    reference = (root / "docs" / "reference" / "recalibration.md").read_text(encoding="utf-8")
+    reference = (root / "docs" / "reference" / "recalibration.md").read_text(
+        encoding="utf-8"
+    )
     page = (root / "page" / "src" / "views" / "proposal.ts").read_text(encoding="utf-8")
     rooms = (loop.__file__, judging.__file__)
     source = "".join(Path(file).read_text(encoding="utf-8") for file in rooms)

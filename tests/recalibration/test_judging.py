@@ -36,7 +36,9 @@ def test_the_right_model_gains_where_it_should(window):
 
 @pytest.mark.parametrize("wrong", [{"rotation_gain": -0.06}, {"nav_latency": 0.2}])
 def test_a_wrong_model_does_not_gain(window, wrong):
-    assert not judged(window, Todo(2, {}, confirm=wrong, level=0.01)).confirm.holds(0.01)
+    assert not judged(window, Todo(2, {}, confirm=wrong, level=0.01)).confirm.holds(
+        0.01
+    )
 
 
 def test_a_model_is_no_better_than_itself(window):
@@ -48,14 +50,18 @@ def test_a_model_is_no_better_than_itself(window):
 def test_a_robot_that_stands_says_nothing_of_what_turns(tmp_path, after_s):
     """Its sensors' noise is no evidence for or against a model."""
     path = stopped(tmp_path / "window.csv", HIDDEN, 5, after_s)
-    result = judged(path, Todo(2, HIDDEN, measure={}, confirm={"wheel_radius": 0.03}, level=0.001))
+    result = judged(
+        path, Todo(2, HIDDEN, measure={}, confirm={"wheel_radius": 0.03}, level=0.001)
+    )
     assert result.error == ""
     assert not result.measure.resolves(0.05)
     assert not result.confirm.resolves(0.001)
 
 
 def test_a_repaired_robot_takes_the_patch_back(window):
-    result = judged(window, Todo(2, {**HIDDEN, "nav_scale": 0.1}, confirm=HIDDEN, level=0.001))
+    result = judged(
+        window, Todo(2, {**HIDDEN, "nav_scale": 0.1}, confirm=HIDDEN, level=0.001)
+    )
     assert result.confirm.holds(0.001)
 
 
@@ -75,7 +81,9 @@ def duty_beyond_the_model(path):
     """Root mean square of what the model leaves of the duties [%]."""
     judge = Judge(order(path))
     stage = DriveStage(judge.log, judge.robot, block_s=1.0)
-    rows = np.concatenate([np.arange(len(stage.stack))[stage.stack.edges[n]] for n in DUTIES])
+    rows = np.concatenate(
+        [np.arange(len(stage.stack))[stage.stack.edges[n]] for n in DUTIES]
+    )
     return float((stage.stack.values - stage.predict({}))[rows].std())
 
 
@@ -84,7 +92,9 @@ def test_set_points_that_reach_the_robot_late_are_taken_when_it_followed_them(
     tmp_path, late_ticks, lost
 ):
     """Its duties have a noise of 0.15 %; nothing else is left where all of it is stamped."""
-    path = record(tmp_path / "window.csv", {}, 3, late_ticks=late_ticks, lost=lost, length_s=30.0)
+    path = record(
+        tmp_path / "window.csv", {}, 3, late_ticks=late_ticks, lost=lost, length_s=30.0
+    )
     assert duty_beyond_the_model(path) < (0.25 if lost else 0.16)
 
 
@@ -96,7 +106,9 @@ def test_set_points_that_nobody_has_stamped_leave_more_than_noise(tmp_path):
 @pytest.mark.long
 @pytest.mark.parametrize("floor", [{}, HIDDEN])
 def test_set_points_that_reach_the_robot_late_are_no_change(tmp_path, floor):
-    look = judged(record(tmp_path / "window.csv", floor, 4), Todo(2, floor, look=True)).look
+    look = judged(
+        record(tmp_path / "window.csv", floor, 4), Todo(2, floor, look=True)
+    ).look
     assert (look.verdict, look.sentence) == ("as_running" if floor else "nothing", "")
 
 
@@ -141,7 +153,10 @@ def test_a_sensor_that_is_stuck_is_a_fault_and_no_patch(tmp_path):
 def fitted(**values):
     """Terms with values and half the widths of their intervals."""
     return [
-        FittedTerm(name.replace("__", "."), Parameter(value=v, ci95=(v - half, v + half), unit="1"))
+        FittedTerm(
+            name.replace("__", "."),
+            Parameter(value=v, ci95=(v - half, v + half), unit="1"),
+        )
         for name, (v, half) in values.items()
     ]
 
@@ -150,17 +165,32 @@ def fitted(**values):
     ("found", "loaded", "terms"),
     [
         ({"rotation_gain": (0.002, 0.0003)}, {}, {}),
-        ({"rotation_gain": (0.0035, 0.001)}, {}, {}),  # it may be less than the least change
+        (
+            {"rotation_gain": (0.0035, 0.001)},
+            {},
+            {},
+        ),  # it may be less than the least change
         ({"rotation_gain": (0.0035, 0.0003)}, {}, {"rotation_gain": 0.0035}),
-        ({"rotation_gain": (0.032, 0.0003)}, {"rotation_gain": 0.03}, {"rotation_gain": 0.03}),
-        ({"rotation_gain": (0.035, 0.0003)}, {"rotation_gain": 0.03}, {"rotation_gain": 0.035}),
+        (
+            {"rotation_gain": (0.032, 0.0003)},
+            {"rotation_gain": 0.03},
+            {"rotation_gain": 0.03},
+        ),
+        (
+            {"rotation_gain": (0.035, 0.0003)},
+            {"rotation_gain": 0.03},
+            {"rotation_gain": 0.035},
+        ),
         (
             {"nav_lever_arm__x": (-0.08, 0.01), "nav_lever_arm__y": (-0.0002, 0.01)},
             {},
             {"nav_lever_arm.x": -0.08},
         ),
         (
-            {"stribeck_friction__f_s": (4.1, 0.05), "stribeck_friction__n_s": (3.0, 0.1)},
+            {
+                "stribeck_friction__f_s": (4.1, 0.05),
+                "stribeck_friction__n_s": (3.0, 0.1),
+            },
             {"stribeck_friction.f_s": 4.0},
             {"stribeck_friction.f_s": 4.0},  # a shape alone is no change
         ),
@@ -169,7 +199,9 @@ def fitted(**values):
         ({"setpoint_rate_limit": (400.0, 1.0)}, {}, {"setpoint_rate_limit": 400.0}),
     ],
 )
-def test_a_change_counts_once_its_interval_is_beyond_the_least_change(found, loaded, terms):
+def test_a_change_counts_once_its_interval_is_beyond_the_least_change(
+    found, loaded, terms
+):
     assert values_of(proposed(fitted(**found), loaded, 0.1)) == terms
 
 
@@ -269,7 +301,12 @@ def test_what_only_acts_like_a_cause_is_not_proposed():
     """It needs an engineer's tick; a drift has no single value."""
     value = Parameter(value=0.1, ci95=(0.05, 0.15), unit="1")
     found = [
-        Finding(verdict=verdict, causes=(name,), block="kinematics", parameters={name: value})
+        Finding(
+            verdict=verdict,
+            causes=(name,),
+            block="kinematics",
+            parameters={name: value},
+        )
         for name, verdict in (
             ("rotation_gain", Verdict.NAMED),
             ("wheel_radius", Verdict.NAMED_GROUP),

@@ -25,7 +25,10 @@ BETTER = Compared(1e-5, 1e-5, 72, GAIN)
 NO_BETTER = Compared(0.4, 1e-5, 72, {"yaw_rad": Quantity(0.01, 0.01, 1.0)})
 TERM = Term(0.03, "1", (0.028, 0.032))
 NAMED = Looked(
-    "named", "The robot turns 3 % too little.", ("rotation_gain",), {"rotation_gain": TERM}
+    "named",
+    "The robot turns 3 % too little.",
+    ("rotation_gain",),
+    {"rotation_gain": TERM},
 )
 NOTHING = Looked("nothing")
 
@@ -149,7 +152,10 @@ def test_a_decision_that_did_not_help_offers_the_former_model():
     robot.next(confirm=BETTER)
     robot.decide(Step.ACCEPT)
     robot.next()
-    assert robot.next(measure=NO_BETTER).measure == {"rotation_gain": 0.01, "nav_latency": 0.1}
+    assert robot.next(measure=NO_BETTER).measure == {
+        "rotation_gain": 0.01,
+        "nav_latency": 0.1,
+    }
     offered = robot.loop.proposal
     assert offered.stage is Stage.OPEN
     assert {n: t.value for n, t in offered.terms.items()} == {
@@ -168,7 +174,11 @@ def test_a_window_that_cannot_say_leaves_the_effect_to_the_next():
     robot.next()
     robot.next(measure=Compared(1.0, 1.0, 0))
     assert robot.notes[-2].fields["verdict"] == "too_short"
-    assert robot.notes[-2].fields["sentence"].startswith("In 0 stretches of window 4 the robot")
+    assert (
+        robot.notes[-2]
+        .fields["sentence"]
+        .startswith("In 0 stretches of window 4 the robot")
+    )
     assert robot.loop.proposal.stage is Stage.ACCEPTED
     robot.next(measure=BETTER)
     assert robot.loop.proposal.stage is Stage.BETTER
@@ -200,7 +210,10 @@ def test_two_models_of_which_none_is_better_do_not_take_turns():
     robot.decide(Step.ACCEPT)
     robot.next()
     robot.next()
-    assert (robot.loop.proposal.number, robot.loop.proposal.stage) == (2, Stage.NOT_BETTER)
+    assert (robot.loop.proposal.number, robot.loop.proposal.stage) == (
+        2,
+        Stage.NOT_BETTER,
+    )
 
 
 def test_what_was_rejected_is_not_proposed_again():
@@ -239,7 +252,9 @@ def test_faults_of_the_data_are_said_and_never_proposed():
     robot = Robot()
     robot.next(Looked("data_fault", faults=("nav.x_m has stood still.",)))
     assert robot.next(confirm=BETTER).confirm is None
-    assert ("data_fault", "nav.x_m has stood still.") in [(n.kind, n.sentence) for n in robot.notes]
+    assert ("data_fault", "nav.x_m has stood still.") in [
+        (n.kind, n.sentence) for n in robot.notes
+    ]
 
 
 def test_a_look_that_failed_is_said_and_forgotten():
@@ -271,7 +286,9 @@ def test_a_restart_restores_what_waits_and_what_was_rejected():
 def test_only_the_newest_can_be_decided_on_and_once(step):
     robot = Robot()
     number = robot.proposed().number
-    with pytest.raises(ControlRefused, match=r"7 is not the latest proposal: that is 1"):
+    with pytest.raises(
+        ControlRefused, match=r"7 is not the latest proposal: that is 1"
+    ):
         robot.loop.decided(step, 7)
     robot.decide(step)
     with pytest.raises(ControlRefused, match=r"proposal 1 is"):
@@ -298,12 +315,20 @@ def test_nothing_follows_a_rejection_and_nothing_is_accepted_that_is_not_open(st
 
 TERMS = st.dictionaries(
     st.sampled_from(["rotation_gain", "wheel_radius", "nav_latency"]),
-    st.builds(Term, st.floats(-1, 1), st.just("1"), st.none(), st.none() | st.floats(-1.0, 1.0)),
+    st.builds(
+        Term,
+        st.floats(-1, 1),
+        st.just("1"),
+        st.none(),
+        st.none() | st.floats(-1.0, 1.0),
+    ),
     max_size=3,
 )
 
 
-@hypothesis.given(terms=TERMS, gone=st.dictionaries(st.just("gyro_bias"), st.floats(-1, 1)))
+@hypothesis.given(
+    terms=TERMS, gone=st.dictionaries(st.just("gyro_bias"), st.floats(-1, 1))
+)
 def test_a_proposal_survives_its_file(terms, gone):
     proposal = Proposal(3, ("a", "b"), "text", terms, gone, GAIN, windows=(1, 2))
     assert Proposal.from_json(proposal.as_json()) == proposal
@@ -312,7 +337,13 @@ def test_a_proposal_survives_its_file(terms, gone):
 def test_orders_and_results_survive_the_pipe():
     todo = Todo(3, {"rotation_gain": 0.1}, {}, None, 0.001, look=True)
     order = Order(
-        todo, "/w", {"plant": {}}, "/", {"plant.track_m": 0.3}, "/r", Share(15, (1,), 2**30, 7)
+        todo,
+        "/w",
+        {"plant": {}},
+        "/",
+        {"plant.track_m": 0.3},
+        "/r",
+        Share(15, (1,), 2**30, 7),
     )
     assert Order.of(order.text()) == order
     result = Result(BETTER, None, NAMED)
@@ -321,7 +352,11 @@ def test_orders_and_results_survive_the_pipe():
 
 @pytest.mark.parametrize(
     ("ranges", "is_within"),
-    [({"a": (0.0, 0.1)}, False), ({"a": (0.0, 0.1), "gone": (0, 0)}, True), ({}, False)],
+    [
+        ({"a": (0.0, 0.1)}, False),
+        ({"a": (0.0, 0.1), "gone": (0, 0)}, True),
+        ({}, False),
+    ],
 )
 def test_what_acts_by_itself_lies_within_ranges(ranges, is_within):
     terms = {"a": Term(0.03, "1"), "kept": Term(0.5, "1", None, 0.5)}

@@ -10,11 +10,17 @@ from hilserver.recalibration.proposals import Proposal, Quantity, Stage, Term
 
 TERM = Term(0.03, "1", (0.02, 0.04))
 GAIN = {"yaw_rad": Quantity(0.06, 0.01, 6.0, (4.0, 8.0))}
-ORDER = Order(Todo(7, {"x": 1.0}, level=0.01), "w", {"a": [1]}, "/", {}, "", Share(4, (0, 1)))
-RESULT = Result(
-    Compared(0.4, 1e-6, 72), Compared(1e-6, 1e-6, 72, GAIN), Looked("named", terms={"x": TERM})
+ORDER = Order(
+    Todo(7, {"x": 1.0}, level=0.01), "w", {"a": [1]}, "/", {}, "", Share(4, (0, 1))
 )
-PROPOSAL = Proposal(1, ("x",), "", {"x": TERM}, gain=GAIN, windows=(1, 2), stage=Stage.REJECTED)
+RESULT = Result(
+    Compared(0.4, 1e-6, 72),
+    Compared(1e-6, 1e-6, 72, GAIN),
+    Looked("named", terms={"x": TERM}),
+)
+PROPOSAL = Proposal(
+    1, ("x",), "", {"x": TERM}, gain=GAIN, windows=(1, 2), stage=Stage.REJECTED
+)
 
 
 def proposal_of(text):

@@ -50,7 +50,10 @@ def answers(monkeypatch):
 @asynccontextmanager
 async def daemon_in(folder, opcua=None, patch=None, **recalibration):
     """A daemon in real time whose recalibration is driven by the test."""
-    sections = {"recalibration": {"enabled": True, "every_s": 60, "window_s": 60} | recalibration}
+    sections = {
+        "recalibration": {"enabled": True, "every_s": 60, "window_s": 60}
+        | recalibration
+    }
     if opcua is not None:
         sections["opcua"] = {"endpoint": "opc.tcp://127.0.0.1:0/hilserver"} | opcua
     laid_over = None if patch is None else load_patch(patch)
@@ -100,7 +103,9 @@ async def test_a_proposal_is_shown_accepted_and_measured(tmp_path, answers):
             assert await client.read("recalibration.proposal.causes") == "rotation_gain"
             assert await client.read("recalibration.look.verdict") == ""
             await exported(daemon, "proposal_open 1.0")
-            assert (await client.call("AcceptProposal", number(1))).StatusCode.name == "Good"
+            assert (
+                await client.call("AcceptProposal", number(1))
+            ).StatusCode.name == "Good"
             again = await client.call("AcceptProposal", number(1))
             assert again.StatusCode.name == "BadInvalidState"
         assert daemon.core.parameters.differing == {"terms.rotation_gain": 0.03}
@@ -144,13 +149,17 @@ async def test_one_that_does_not_help_is_taken_back(tmp_path, answers):
         await proposed(part, answers)
         await part.accept(1, "eve")
         nothing = Looked("as_running")
-        await windows(part, answers, Result(look=nothing), Result(measure=NO_BETTER, look=nothing))
+        await windows(
+            part, answers, Result(look=nothing), Result(measure=NO_BETTER, look=nothing)
+        )
         assert part.loop.proposal.number == 2
         await part.accept(2, "eve")
         assert daemon.core.parameters.differing == {}
 
 
-async def test_one_that_was_reset_before_its_effect_is_measured_is_closed(tmp_path, answers):
+async def test_one_that_was_reset_before_its_effect_is_measured_is_closed(
+    tmp_path, answers
+):
     async with daemon_in(tmp_path) as (daemon, part):
         await proposed(part, answers)
         await part.accept(1, "eve")
@@ -187,7 +196,9 @@ async def test_only_an_engineer_decides(tmp_path, answers, role):
 async def test_a_flood_of_refusals_drives_no_other_event_out(tmp_path, answers):
     async with daemon_in(tmp_path) as (daemon, part):
         for k in range(1000):
-            part.refused(f"AcceptProposal by eve was refused: {k} is not the latest proposal")
+            part.refused(
+                f"AcceptProposal by eve was refused: {k} is not the latest proposal"
+            )
         said = [e for e in daemon.events.recent if e.kind == "recalibration"]
         assert 0 < len(said) < 50
         await exported(daemon, 'decisions_total{outcome="refused"} 1000.0')
@@ -205,15 +216,21 @@ async def test_what_cannot_be_written_down_is_not_done(tmp_path, answers, monkey
     async with daemon_in(tmp_path) as (daemon, part):
         await proposed(part, answers)
         monkeypatch.setattr("hilserver.recalibration.history.os.write", lambda *_: 0)
-        with pytest.raises(FailedError, match=r"recalibration\.jsonl: cannot be written"):
+        with pytest.raises(
+            FailedError, match=r"recalibration\.jsonl: cannot be written"
+        ):
             await part.accept(1, "eve")
         monkeypatch.undo()
         assert daemon.core.parameters.differing == {}
         assert part.loop.proposal.stage is Stage.OPEN
 
 
-@pytest.mark.parametrize("damage", [lambda file: file.unlink(), lambda file: file.write_text("{")])
-async def test_what_was_shown_acts_whatever_became_of_its_file(tmp_path, answers, damage):
+@pytest.mark.parametrize(
+    "damage", [lambda file: file.unlink(), lambda file: file.write_text("{")]
+)
+async def test_what_was_shown_acts_whatever_became_of_its_file(
+    tmp_path, answers, damage
+):
     async with daemon_in(tmp_path) as (daemon, part):
         await proposed(part, answers)
         damage(tmp_path / "patches" / "recalibrated-0001.yaml")
@@ -231,7 +248,9 @@ async def test_what_was_tuned_since_stays(tmp_path, answers):
         assert daemon.core.parameters.differing == wanted
 
 
-async def test_a_plant_that_takes_nothing_leaves_the_proposal_open(tmp_path, answers, monkeypatch):
+async def test_a_plant_that_takes_nothing_leaves_the_proposal_open(
+    tmp_path, answers, monkeypatch
+):
     async with daemon_in(tmp_path) as (daemon, part):
         await proposed(part, answers)
         monkeypatch.setattr(type(daemon.core.parameters), "apply", refused)
@@ -274,7 +293,9 @@ async def test_of_two_at_once_one_accepts(tmp_path, answers):
         first, second = await asyncio.gather(*both, return_exceptions=True)
         assert first is None
         assert "proposal 1 is accepted, not open" in str(second)
-        decisions = [line["who"] for line in lines(tmp_path) if line["kind"] == "decision"]
+        decisions = [
+            line["who"] for line in lines(tmp_path) if line["kind"] == "decision"
+        ]
         assert decisions == ["ada"]
         assert daemon.core.parameters.differing == {"terms.rotation_gain": 0.03}
 
@@ -309,7 +330,9 @@ async def test_what_an_engineer_has_postponed_does_not_act_by_itself(tmp_path, a
         assert daemon.core.parameters.differing == {}
 
 
-async def test_a_kill_between_decision_and_patch_leaves_the_proposal_open(tmp_path, answers):
+async def test_a_kill_between_decision_and_patch_leaves_the_proposal_open(
+    tmp_path, answers
+):
     """The line of the decision is on disk, and nothing of the patch has acted."""
     async with daemon_in(tmp_path) as (_, part):
         await proposed(part, answers)
@@ -359,7 +382,9 @@ async def test_a_disk_that_takes_no_patch_leaves_nothing_to_accept(tmp_path, ans
         await proposed(part, answers)
         said = [e.message for e in daemon.events.recent if e.kind == "recalibration"]
         assert any("recalibrated-0001.yaml: cannot be written" in text for text in said)
-        with pytest.raises(FailedError, match=r"recalibrated-0001\.yaml: cannot be written"):
+        with pytest.raises(
+            FailedError, match=r"recalibrated-0001\.yaml: cannot be written"
+        ):
             await part.accept(1, "eve")
         assert daemon.core.parameters.differing == {}
         assert part.loop.proposal.stage is Stage.OPEN
@@ -399,7 +424,9 @@ async def test_a_proposal_does_not_wait_for_the_disk_on_the_event_loop(
         assert daemon.core.parameters.differing == {"terms.rotation_gain": 0.03}
 
 
-async def test_what_is_tuned_while_the_patch_is_written_stays(tmp_path, answers, monkeypatch):
+async def test_what_is_tuned_while_the_patch_is_written_stays(
+    tmp_path, answers, monkeypatch
+):
     async with daemon_in(tmp_path) as (daemon, part):
         daemon.core.parameters.apply({"plant.controller.k_p": 12.0})
         await proposed(part, answers)
@@ -407,7 +434,9 @@ async def test_what_is_tuned_while_the_patch_is_written_stays(tmp_path, answers,
             accepting = asyncio.create_task(part.accept(1, "eve"))
             await waits.wait()
             daemon.core.parameters.apply({"plant.controller.k_p": 14.0})
-        with pytest.raises(ControlRefused, match="changed while the patch of proposal 1"):
+        with pytest.raises(
+            ControlRefused, match="changed while the patch of proposal 1"
+        ):
             await accepting
         assert daemon.core.parameters.differing == {"plant.controller.k_p": 14.0}
         await part.accept(1, "eve")
@@ -450,7 +479,9 @@ async def test_a_number_that_is_none_is_an_event(tmp_path, answers):
     async with daemon_in(tmp_path) as (daemon, part):
         await windows(part, answers, Result(look=NAMED), Result(confirm=endless))
         said = [e.message for e in daemon.events.recent if e.kind == "recalibration"]
-        assert any("a proposal contains a number that is not finite" in text for text in said)
+        assert any(
+            "a proposal contains a number that is not finite" in text for text in said
+        )
         with pytest.raises(FailedError, match="not finite"):
             await part.accept(1, "eve")
         assert daemon.core.parameters.differing == {}
@@ -473,7 +504,9 @@ async def test_a_history_that_somebody_changed_is_an_event(tmp_path, answers):
     file.write_text(file.read_text().replace('"value": 0.03', '"value": 0.3'))
     async with daemon_in(tmp_path) as (daemon, part):
         said = [e.message for e in daemon.events.recent if e.kind == "recalibration"]
-        assert any("line 3 does not follow from those before it" in text for text in said)
+        assert any(
+            "line 3 does not follow from those before it" in text for text in said
+        )
         assert part.loop.proposal is None  # nobody can accept what was not proposed
 
 

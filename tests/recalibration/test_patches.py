@@ -19,7 +19,14 @@ FITTED = {"speed_m_s": [-0.5, 0.7]}
 
 def proposal(terms, gone=None):
     return Proposal(
-        1, (), "", terms, gone or {}, fitted=FITTED, patch=file_of(1), former=file_of(1, "-former")
+        1,
+        (),
+        "",
+        terms,
+        gone or {},
+        fitted=FITTED,
+        patch=file_of(1),
+        former=file_of(1, "-former"),
     )
 
 
@@ -39,7 +46,11 @@ def test_terms_say_where_they_were_fitted(tmp_path):
 CASES = [
     ({}, {"rotation_gain": Term(0.03, "1")}, {}),
     ({"rotation_gain": 0.01}, {"rotation_gain": Term(0.03, "1", None, 0.01)}, {}),
-    ({"nav_latency": 0.1, "rotation_gain": 0.02}, {}, {"nav_latency": 0.1, "rotation_gain": 0.02}),
+    (
+        {"nav_latency": 0.1, "rotation_gain": 0.02},
+        {},
+        {"nav_latency": 0.1, "rotation_gain": 0.02},
+    ),
     ({"nav_latency": 0.1}, {"wheel_radius": Term(0.01, "1")}, {"nav_latency": 0.1}),
     ({"saturation_limit": 55.0}, {}, {"saturation_limit": 55.0}),
 ]
@@ -47,7 +58,9 @@ CASES = [
 
 @pytest.mark.parametrize("tuned", [{}, {"plant.controller.k_p": 12.0}])
 @pytest.mark.parametrize(("before", "terms", "gone"), CASES)
-async def test_forth_and_back_leave_all_else_as_it_was(tmp_path, before, terms, gone, tuned):
+async def test_forth_and_back_leave_all_else_as_it_was(
+    tmp_path, before, terms, gone, tuned
+):
     made = proposal(terms, gone)
     async with build(assemble_config(Config(), tmp_path)) as core:
         core.scheduler.step(1)
@@ -78,5 +91,7 @@ async def lay(own, core, name):
 
 def test_a_folder_that_takes_nothing_is_named(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(FailedError, match=r"recalibrated-0001\.yaml: cannot be written"):
+    with pytest.raises(
+        FailedError, match=r"recalibrated-0001\.yaml: cannot be written"
+    ):
         written(tmp_path / "file", proposal({"rotation_gain": Term(0.03, "1")}))

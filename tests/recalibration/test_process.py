@@ -35,7 +35,10 @@ def worker(monkeypatch):
     ("script", "error"),
     [
         ("kill -9 $$", "its process was ended by SIGKILL"),
-        ("echo first >&2; echo boom >&2; exit 3", "its process ended with exit code 3: boom"),
+        (
+            "echo first >&2; echo boom >&2; exit 3",
+            "its process ended with exit code 3: boom",
+        ),
         ("echo nonsense", "its process ended with exit code 0: no error message"),
         (
             'echo "{\\"measure\\": 3}"',
@@ -177,7 +180,9 @@ def test_its_session_is_lowered_with_it():
         for script in (write, own)
     )
     # this computer has none, or lets nobody write
-    assert wanted.returncode != 0 or found.stdout.endswith(wanted.stdout.split()[-1] + "\n\n")
+    assert wanted.returncode != 0 or found.stdout.endswith(
+        wanted.stdout.split()[-1] + "\n\n"
+    )
 
 
 def test_it_stays_off_the_core_of_the_pacing_thread(monkeypatch):
@@ -186,7 +191,9 @@ def test_it_stays_off_the_core_of_the_pacing_thread(monkeypatch):
     mine = min(before)
     try:
         os.sched_setaffinity(0, {mine})
-        monkeypatch.setattr(process.os, "sched_getaffinity", lambda _: {mine, 1000, 1001})
+        monkeypatch.setattr(
+            process.os, "sched_getaffinity", lambda _: {mine, 1000, 1001}
+        )
         assert process.other_cores(me, None) == (1000, 1001)
         assert process.other_cores(me, 1000) == (1000,)
         assert process.other_cores(0, None) == ()  # in virtual time nobody paces

@@ -18,16 +18,25 @@ def test_one_drive_goes_on_where_the_one_before_has_ended(monkeypatch):
     assert (np.diff(t_s) > 0.0).all()
     assert np.diff(t_s).max() < 0.1
     places = [
-        (t, v["nav.x_m"], v["nav.y_m"]) for t, v in taken if {"nav.x_m", "nav.y_m"} <= v.keys()
+        (t, v["nav.x_m"], v["nav.y_m"])
+        for t, v in taken
+        if {"nav.x_m", "nav.y_m"} <= v.keys()
     ]
     steps = np.diff(np.array(places), axis=0)
-    assert np.hypot(steps[:, 1], steps[:, 2]).max() < 0.6  # noise of ranging, and 0.1 m of way
+    assert (
+        np.hypot(steps[:, 1], steps[:, 2]).max() < 0.6
+    )  # noise of ranging, and 0.1 m of way
 
 
 async def test_a_robot_that_was_late_does_not_catch_up(monkeypatch):
     """It is held up for 0.3 s after its fifth row; the position of a row left out is not lost."""
-    made = [{"wheel.fl.speed_rpm": k} | ({"nav.x_m": k} if k == 10 else {}) for k in range(30)]
-    monkeypatch.setattr(robot, "rows", lambda _: ((0.02 * k, v) for k, v in enumerate(made)))
+    made = [
+        {"wheel.fl.speed_rpm": k} | ({"nav.x_m": k} if k == 10 else {})
+        for k in range(30)
+    ]
+    monkeypatch.setattr(
+        robot, "rows", lambda _: ((0.02 * k, v) for k, v in enumerate(made))
+    )
     served = []
 
     class Server:

@@ -6,11 +6,18 @@ import pytest
 from hypothesis import strategies as st
 
 from hilserver.recalibration.flips import Answer, fewest_blocks, gains, seen
-from hilserver.recalibration.spending import LONGEST_S, NAMED_LEVEL, WEAKEST, YEAR_S, Spending
+from hilserver.recalibration.spending import (
+    LONGEST_S,
+    NAMED_LEVEL,
+    WEAKEST,
+    YEAR_S,
+    Spending,
+)
 
 
 @hypothesis.given(
-    pauses=st.lists(st.floats(60.0, 1e6), min_size=1, max_size=50), rate=st.floats(0.1, 10.0)
+    pauses=st.lists(st.floats(60.0, 1e6), min_size=1, max_size=50),
+    rate=st.floats(0.1, 10.0),
 )
 def test_looks_spend_no_more_than_the_time_brings_in(pauses, rate):
     spending = Spending(rate)
@@ -52,7 +59,9 @@ def test_nothing_to_compare_is_no_gain():
         (np.zeros(0), 0),
     ],
 )
-def test_blocks_count_in_which_two_models_differ_by_what_noise_lets_be_seen(shown, counted):
+def test_blocks_count_in_which_two_models_differ_by_what_noise_lets_be_seen(
+    shown, counted
+):
     differences = np.random.default_rng(0).standard_normal(len(shown))
     assert gains(seen(differences, shown), np.random.default_rng(0)).blocks == counted
 
@@ -67,6 +76,8 @@ def test_many_blocks_state_the_resolution_of_the_flips():
 def test_a_model_that_is_no_better_gains_as_seldom_as_the_level_says(tails):
     rng = np.random.default_rng(7)
     draw = rng.standard_normal if tails == "normal" else lambda n: rng.standard_t(2, n)
-    differences = [2.0 * draw(14) * rng.uniform(0.2, 3.0, 14) - 0.05 for _ in range(400)]
+    differences = [
+        2.0 * draw(14) * rng.uniform(0.2, 3.0, 14) - 0.05 for _ in range(400)
+    ]
     found = sum(gains(d, rng).holds(0.05) for d in differences)
     assert found <= 32  # 20 are expected, 32 are beyond 99.5 %

@@ -28,4 +28,6 @@ def lay_ready(folder):
         "terms": {"rotation_gain": {"value": 0.03, "unit": "1"}},
     }
     (folder / "patches").mkdir()
-    (folder / "patches" / file_of(1)).write_text(yaml.safe_dump(patch), encoding="utf-8")
+    (folder / "patches" / file_of(1)).write_text(
+        yaml.safe_dump(patch), encoding="utf-8"
+    )

@@ -12,7 +12,9 @@ from reference import FOLDER, PAGES, control, states
 
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_is_up_to_date(name):
-    assert (FOLDER / name).read_text(encoding="utf-8") == PAGES[name](), "run 'make reference'"
+    assert (FOLDER / name).read_text(encoding="utf-8") == PAGES[name](), (
+        "run 'make reference'"
+    )
 
 
 def test_every_key_of_the_configuration_is_described():
@@ -29,7 +31,9 @@ def test_every_metric_has_a_row():
 
 def test_every_function_on_a_set_points_way_stands_in_the_file_that_is_named():
     found = 0
-    for names, path in re.findall(r"((?:`[\w.]+`(?:, )?)+) in `([\w/]+)\.py`", PAGES["step.md"]()):
+    for names, path in re.findall(
+        r"((?:`[\w.]+`(?:, )?)+) in `([\w/]+)\.py`", PAGES["step.md"]()
+    ):
         module = importlib.import_module(f"hilserver.{path.replace('/', '.')}")
         for name in re.findall(r"`(\w+)", names):
             assert hasattr(module, name), f"{name} in {path}.py"

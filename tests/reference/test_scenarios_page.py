@@ -21,13 +21,20 @@ LARGEST_BYTES, MOST_POINTS = 60_000, 601
 
 def findings(*told, verdict="findings"):
     return Findings(
-        verdict=verdict, logs=(), seed=0, version="", config_sha256="", findings=tuple(told)
+        verdict=verdict,
+        logs=(),
+        seed=0,
+        version="",
+        config_sha256="",
+        findings=tuple(told),
     )
 
 
 def named(cause, value, ci95, verdict="named"):
     parameter = Parameter(value=value, ci95=ci95, unit="1")
-    return Finding(verdict=verdict, causes=(cause,), block="drive", parameters={cause: parameter})
+    return Finding(
+        verdict=verdict, causes=(cause,), block="drive", parameters={cause: parameter}
+    )
 
 
 def test_words_and_views_are_those_of_the_list():
@@ -62,12 +69,16 @@ def test_plot_is_legible(name):
     assert len(labels) >= 2
     assert all(label.endswith("]") or label == "run" for label in labels)
     assert "prefers-color-scheme: dark" in picture.find(f"{SVG}style").text
-    lines = [p.get("d") for p in picture.iter(f"{SVG}path") if "line " in p.get("class")]
+    lines = [
+        p.get("d") for p in picture.iter(f"{SVG}path") if "line " in p.get("class")
+    ]
     assert max(len(re.findall("[ML]", d)) for d in lines) <= MOST_POINTS
 
 
 def test_one_section_is_made_and_the_others_stay(tmp_path, capsys):
-    (tmp_path / PAGE).write_text("# Old\n\n## `radio`\n\nkept\n\n## `fast_input`\n\nold\n")
+    (tmp_path / PAGE).write_text(
+        "# Old\n\n## `radio`\n\nkept\n\n## `fast_input`\n\nold\n"
+    )
     assert main(["scenarios", "page", "fast_input", "-o", str(tmp_path)]) == 0
     found = sections((tmp_path / PAGE).read_text(encoding="utf-8"))
     assert list(found) == ["fast_input", "radio"], "in the order of the list"
@@ -107,13 +118,18 @@ def test_truth_of_a_comparison_is_that_of_both_sides():
     drive = SCENARIOS["on_a_frame"].draw(0)
     told = named("viscous_load", 0.08, (0.07, 0.09), "differs")
     values = [
-        hidden_value(n, told, drive) for n in ("viscous_load.a", "viscous_load.b", "viscous_load")
+        hidden_value(n, told, drive)
+        for n in ("viscous_load.a", "viscous_load.b", "viscous_load")
     ]
     assert values == [0.0, 0.08, 0.08]
     assert hidden_value("dead_zone.b", told, drive) is None
 
 
-def test_what_is_installed_says_where_the_page_is_written(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(hilserver, "__file__", str(tmp_path / "hilserver" / "__init__.py"))
+def test_what_is_installed_says_where_the_page_is_written(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(
+        hilserver, "__file__", str(tmp_path / "hilserver" / "__init__.py")
+    )
     assert main(["scenarios", "page", "-o", str(tmp_path)]) == 1
     assert "run it in a checkout" in capsys.readouterr().err

@@ -55,7 +55,10 @@ def recorded(tmp_path_factory):
         asyncio.run(drive(daemon))
         assert daemon.stop() == 0
     return Recorded(
-        folder, folder / "full.mcap", folder / "middle.csv", folder / "snapshots" / "middle.npz"
+        folder,
+        folder / "full.mcap",
+        folder / "middle.csv",
+        folder / "snapshots" / "middle.npz",
     )
 
 
@@ -66,7 +69,9 @@ async def drive(daemon: RunningDaemon) -> None:
     try:
         await wander(client, 0.6)
         await client.call("SetPose", *(ua.Variant(v) for v in (1.0, -2.0, 0.5)))
-        middle = await asyncio.to_thread(start_recorder, daemon, daemon.folder / "middle.csv")
+        middle = await asyncio.to_thread(
+            start_recorder, daemon, daemon.folder / "middle.csv"
+        )
         await asyncio.to_thread(wait_for_start, middle)
         await wander(client, 1.0)
         for command in ("Pause", "Start"):
@@ -85,7 +90,9 @@ async def drive(daemon: RunningDaemon) -> None:
         await wander(client, 0.2)
         assert (await client.call("Stop")).StatusCode.is_good()
         await asyncio.sleep(0.8)
-        assert (await client.call("Reset")).StatusCode.is_good()  # acknowledges the safe state
+        assert (
+            await client.call("Reset")
+        ).StatusCode.is_good()  # acknowledges the safe state
         await wander(client, 0.2)  # it waits for Start
         assert (await client.call("Start")).StatusCode.is_good()
         await wander(client, 0.4)

@@ -16,7 +16,10 @@ from hilserver.replay import assembly_of
         ({}, "contains no configuration"),
         ({"configuration": None}, "contains no configuration"),
         ({"configuration": "plant: !!float ''\n"}, "does not match this version"),
-        ({"configuration": "plant: {max_rpm: !!bool maybe}\n"}, "does not match this version"),
+        (
+            {"configuration": "plant: {max_rpm: !!bool maybe}\n"},
+            "does not match this version",
+        ),
         ({"configuration": "- 1\n"}, "does not match this version"),
         ({"configuration": "[" * 3000}, "does not match this version"),
     ],

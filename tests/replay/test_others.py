@@ -31,7 +31,8 @@ def test_set_points_at_50_hz_hold_until_the_next_row(replay_here, tmp_path):
 
 def test_a_row_between_two_ticks_is_latched_by_the_next_one(replay_here, tmp_path):
     log = write_steps(
-        tmp_path / "log.csv", [(0, 0, 0, 0, 0), (0.0102, 50, 50, -50, -50), (0.02, *"0000")]
+        tmp_path / "log.csv",
+        [(0, 0, 0, 0, 0), (0.0102, 50, 50, -50, -50), (0.02, *"0000")],
     )
     replay_here(log, "-o", "out.csv")
     values = read_log(tmp_path / "out.csv").columns["wheel.fl.setpoint_rpm"]
@@ -51,7 +52,9 @@ def test_missing_samples_hold_and_segments_start_anew(replay_here, tmp_path):
     assert "bit for bit" in replay_here("out.csv", "-o", "again.mcap", "--check")
     out = read_log(tmp_path / "out.csv")
     assert sorted(set(out.segment.tolist())) == [5, 6]
-    first, second = ({n: c[out.segment == s] for n, c in out.columns.items()} for s in (5, 6))
+    first, second = (
+        {n: c[out.segment == s] for n, c in out.columns.items()} for s in (5, 6)
+    )
     for name in ("pose.x_m", "wheel.rr.speed_rpm", "imu.accel_x_m_s2"):
         assert np.array_equal(first[name], second[name])
     assert first["wheel.fl.setpoint_rpm"].tolist() == [40.0] * 501
@@ -78,13 +81,21 @@ def test_a_twist_alone_switches_to_twist_mode_and_what_is_too_fast_is_limited(
     ("text", "complaint"),
     [
         ("t_s,pose.x_m\n0,1\n", "has no column with set-points"),
-        ("t_s,pose.x\n0,1\n", "row 1, column 2 'pose.x': there is no such signal; did you mean"),
+        (
+            "t_s,pose.x\n0,1\n",
+            "row 1, column 2 'pose.x': there is no such signal; did you mean",
+        ),
         ("t_s,twist.linear_m_s\n0,1\n1e9,1\n", "lasts more than 1000000000 ticks"),
         ("t_s,twist.linear_m_s\n", "contains no rows"),
-        ("t_s,twist.linear_m_s\n0,0.1\nx,0.1\n", "row 3, column 1 't_s': 'x' is not a number"),
+        (
+            "t_s,twist.linear_m_s\n0,0.1\nx,0.1\n",
+            "row 3, column 1 't_s': 'x' is not a number",
+        ),
     ],
 )
-def test_what_cannot_be_replayed_is_one_sentence(replay_here, tmp_path, text, complaint):
+def test_what_cannot_be_replayed_is_one_sentence(
+    replay_here, tmp_path, text, complaint
+):
     (tmp_path / "log.csv").write_text(text)
     said = replay_here("log.csv", "-o", "out.csv", code=2)
     assert complaint in said
@@ -113,18 +124,36 @@ def test_duties_of_a_foreign_table_drive_through_a_mapping(replay_here, tmp_path
 @pytest.mark.parametrize(
     ("header", "row", "complaint"),
     [
-        (f"{DUTY},wheel.fl.setpoint_rpm", "1,1,1,1,5", "rr.duty_command_pct without effect"),
-        (f"{DUTY},control.mode", "1,1,1,1,0", "none of its columns moves the robot: no set-point"),
-        (f"{DUTY},drive.enable", "1,1,1,1,0", "moves the robot: drive.enable is 0 throughout"),
+        (
+            f"{DUTY},wheel.fl.setpoint_rpm",
+            "1,1,1,1,5",
+            "rr.duty_command_pct without effect",
+        ),
+        (
+            f"{DUTY},control.mode",
+            "1,1,1,1,0",
+            "none of its columns moves the robot: no set-point",
+        ),
+        (
+            f"{DUTY},drive.enable",
+            "1,1,1,1,0",
+            "moves the robot: drive.enable is 0 throughout",
+        ),
         (
             "t_s,twist.linear_m_s,control.mode",
             "1,0",
             "without effect: control.mode is 0 throughout",
         ),
-        ("t_s,twist.linear_m_s", "", "none of its columns moves the robot: no set-point"),
+        (
+            "t_s,twist.linear_m_s",
+            "",
+            "none of its columns moves the robot: no set-point",
+        ),
     ],
 )
-def test_set_points_that_take_no_effect_are_said(replay_here, tmp_path, header, row, complaint):
+def test_set_points_that_take_no_effect_are_said(
+    replay_here, tmp_path, header, row, complaint
+):
     text = "".join(f"{0.02 * i},{row}\n" for i in range(20))
     (tmp_path / "log.csv").write_text(f"{header}\n{text}")
     assert complaint in replay_here("log.csv", "-o", "out.csv")
@@ -148,8 +177,12 @@ def test_a_foreign_table_through_a_mapping_drives_the_machine_that_it_describes(
     replay_here, tmp_path
 ):
     (tmp_path / "map.yaml").write_text(MAPPED)
-    log = write_steps(tmp_path / "log.csv", [(7, 0.5, 0), (8, 0.5, 0), (9, 0, 90)], "t_s,v,w")
-    assert "replayed 2001 ticks" in replay_here(log, "--mapping", "map.yaml", "-o", "out.csv")
+    log = write_steps(
+        tmp_path / "log.csv", [(7, 0.5, 0), (8, 0.5, 0), (9, 0, 90)], "t_s,v,w"
+    )
+    assert "replayed 2001 ticks" in replay_here(
+        log, "--mapping", "map.yaml", "-o", "out.csv"
+    )
     out = read_log(tmp_path / "out.csv")
     assert out.columns["twist.angular_rad_s"][-1] == pytest.approx(np.pi / 2)
     speed = out.columns["wheel.fl.speed_rpm"][1900]
@@ -159,7 +192,10 @@ def test_a_foreign_table_through_a_mapping_drives_the_machine_that_it_describes(
 def test_a_bag_is_replayed_through_a_mapping(replay_here, tmp_path):
     topic = "{topic: /iotbot/rpm, field: %s}"
     fields = ("front_left_rpm", "rear_left_rpm", "front_right_rpm", "rear_right_rpm")
-    lines = [f"  wheel.{w}.setpoint_rpm: {topic % f}" for w, f in zip(WHEELS, fields, strict=True)]
+    lines = [
+        f"  wheel.{w}.setpoint_rpm: {topic % f}"
+        for w, f in zip(WHEELS, fields, strict=True)
+    ]
     (tmp_path / "map.yaml").write_text("channels:\n" + "\n".join(lines) + "\n")
     bag = write_bag(tmp_path / "bag", n=60)
     replay_here(bag, "--mapping", "map.yaml", "-o", "out.csv")

@@ -24,7 +24,11 @@ CHANGES = 300
 def random_value(name, rng):
     p = PLANT[name]
     low, high = max(p.low, -2.0), min(p.high, 2.0)
-    near = p.default * rng.uniform(0.7, 1.3) if np.isfinite(p.default) and p.default else None
+    near = (
+        p.default * rng.uniform(0.7, 1.3)
+        if np.isfinite(p.default) and p.default
+        else None
+    )
     return p.default if rng.random() < 0.2 else near or rng.uniform(low, high)
 
 
@@ -34,7 +38,9 @@ async def drive_and_change(core, rng):
     for step in range(CHANGES):
         turn = {name: rpm * rng.choice([-1, 0, 1, 1]) for name, rpm in TURN.items()}
         if step % 20 == 0:
-            rows = [Row(core.table.slot(f"{n}.setpoint_rpm"), v) for n, v in turn.items()]
+            rows = [
+                Row(core.table.slot(f"{n}.setpoint_rpm"), v) for n, v in turn.items()
+            ]
             assert core.image.push(rows)
         names = rng.sample(AT_A_TICK, rng.choice([1, 1, 3]))
         values = {name: random_value(name, rng) for name in names}
@@ -55,7 +61,9 @@ async def replayed(path):
         engine.feed_state(in_rows=True)
         for state in log.states:
             engine.check(str(path), log.run["identity"], state.words)
-        plan = plan_exact(log, engine.table, engine.image.layout, engine.assembly.base_period_ns)
+        plan = plan_exact(
+            log, engine.table, engine.image.layout, engine.assembly.base_period_ns
+        )
         compared = Comparison(log, engine.table, engine.assembly.base_period_ns)
         for stretch in plan.stretches:
             async for batch in engine.play(stretch):
@@ -80,10 +88,14 @@ async def test_random_changes_while_driving_come_again_to_the_bit(assembly):
         recorder.close()
     log, compared, plan = await replayed(path)
     assert compared.difference is None
-    assert compared.n_ticks == plan.n_ticks >= len(log) - 2  # what was loaded is shown at once
+    assert (
+        compared.n_ticks == plan.n_ticks >= len(log) - 2
+    )  # what was loaded is shown at once
     assert accepted > CHANGES // 3
     assert len(log.changes) > CHANGES // 3
-    assert set(log.segment) == {0, 1, 2}, "only the snapshot and the reset begin a segment"
+    assert set(log.segment) == {0, 1, 2}, (
+        "only the snapshot and the reset begin a segment"
+    )
     numbers = [change.number for change in log.changes]
     assert numbers == sorted(set(numbers))
     await survives_every_format(log, assembly.folder)
@@ -91,7 +103,9 @@ async def test_random_changes_while_driving_come_again_to_the_bit(assembly):
 
 async def survives_every_format(log, folder):
     for name, bag in (("run.csv", None), ("bag", "mcap"), ("again.mcap", None)):
-        writer = open_writer(folder / name, run_of(log), range(len(log.columns)), bag=bag)
+        writer = open_writer(
+            folder / name, run_of(log), range(len(log.columns)), bag=bag
+        )
         rewrite(log, writer)
         writer.close()
         found, compared, _ = await replayed(folder / name)

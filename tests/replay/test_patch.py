@@ -16,7 +16,11 @@ from tests.replay.test_recordings import outputs_from
 
 PATCH = {
     "schema": "hilserver.model_patch/1",
-    "made_from": {"findings_sha256": "", "config_sha256": Config().sha256, "version": "1"},
+    "made_from": {
+        "findings_sha256": "",
+        "config_sha256": Config().sha256,
+        "version": "1",
+    },
     "terms": {
         "rotation_gain": {
             "value": -0.47,
@@ -31,7 +35,11 @@ ROWS = [(0.0, 0, 0), (0.1, 20, 20), (0.5, 60, 20), (1.0, 0, 0)]
 def replay(*words, cwd, code=0):
     """`hilserver replay` in this process; returns what it says."""
     said = io.StringIO()
-    with contextlib.chdir(cwd), contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+    with (
+        contextlib.chdir(cwd),
+        contextlib.redirect_stdout(said),
+        contextlib.redirect_stderr(said),
+    ):
         assert main(["replay", *words]) == code, said.getvalue()
     return said.getvalue()
 
@@ -57,7 +65,9 @@ def test_without_it_the_old_outputs_are_back_to_the_bit(replayed):
         read_log(replayed / f"{name}.mcap") for name in ("before", "with", "after")
     )
     assert outputs_from(after) == outputs_from(before)
-    gained = abs(patched.columns["pose.yaw_rad"][-1]) / abs(before.columns["pose.yaw_rad"][-1])
+    gained = abs(patched.columns["pose.yaw_rad"][-1]) / abs(
+        before.columns["pose.yaw_rad"][-1]
+    )
     assert gained == pytest.approx(0.53, rel=1e-6)
 
 
@@ -81,7 +91,9 @@ def test_what_is_recorded_with_it_comes_again_without_naming_it(recorded_with_it
 
 def test_another_patch_over_a_recording_is_refused_with_the_mend(recorded_with_it):
     other = PATCH | {"terms": {"rotation_gain": {"value": 0.1, "unit": "1"}}}
-    (recorded_with_it / "other.yaml").write_text(yaml.safe_dump(other), encoding="utf-8")
+    (recorded_with_it / "other.yaml").write_text(
+        yaml.safe_dump(other), encoding="utf-8"
+    )
     words = ("run.mcap", "-o", "other.mcap", "--patch", "other.yaml")
     assert "--as-inputs" in replay(*words, cwd=recorded_with_it, code=78)
     replay(*words, "--as-inputs", cwd=recorded_with_it)

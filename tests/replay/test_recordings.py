@@ -21,7 +21,9 @@ OUTPUTS = {s.name for s in make_table().scalars if s.direction is Direction.OUT}
 
 def replay(*words, cwd, code=0):
     command = [sys.executable, "-m", "hilserver", "replay", *map(str, words)]
-    run = subprocess.run(command, capture_output=True, text=True, cwd=cwd, check=False, timeout=600)
+    run = subprocess.run(
+        command, capture_output=True, text=True, cwd=cwd, check=False, timeout=600
+    )
     assert run.returncode == code, run.stdout + run.stderr
     assert "Traceback" not in run.stderr
     return run.stdout + run.stderr
@@ -68,11 +70,15 @@ def test_without_its_output_columns_it_comes_again_too(recorded, tmp_path):
     strip_outputs(tmp_path / "full.csv", tmp_path / "stripped.csv")
     assert not OUTPUTS & set(read_log(tmp_path / "stripped.csv").columns)
     replay(tmp_path / "stripped.csv", "-o", tmp_path / "again.csv", cwd=tmp_path)
-    assert outputs_from(read_log(tmp_path / "again.csv")) == outputs_from(read_log(recorded.full))
+    assert outputs_from(read_log(tmp_path / "again.csv")) == outputs_from(
+        read_log(recorded.full)
+    )
     assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "full.csv").read_bytes()
 
 
-def test_a_recording_from_the_middle_carries_the_state_to_begin_with(recorded, tmp_path):
+def test_a_recording_from_the_middle_carries_the_state_to_begin_with(
+    recorded, tmp_path
+):
     log = read_log(recorded.middle)
     assert log.states[0].tick > 100
     strip_outputs(recorded.middle, tmp_path / "stripped.csv")
@@ -84,14 +90,18 @@ def test_a_recording_from_the_middle_carries_the_state_to_begin_with(recorded, t
     assert outputs_from(again) == outputs_from(log, tick=first)
     assert outputs_from(again) == {
         name: bits[: len(again)]
-        for name, bits in outputs_from(read_log(recorded.full), tick=first, segment=0).items()
+        for name, bits in outputs_from(
+            read_log(recorded.full), tick=first, segment=0
+        ).items()
     }
 
 
 def test_a_snapshot_in_the_middle_continues_to_the_bit(recorded, tmp_path):
     out = tmp_path / "again.csv"
     strip_outputs(recorded.middle, tmp_path / "stripped.csv")
-    replay(tmp_path / "stripped.csv", "--from", recorded.snapshot, "-o", out, cwd=tmp_path)
+    replay(
+        tmp_path / "stripped.csv", "--from", recorded.snapshot, "-o", out, cwd=tmp_path
+    )
     again = read_log(out)
     first = int(again.ticks(PERIOD_NS)[0])
     assert first > read_log(recorded.middle).states[0].tick
@@ -102,7 +112,9 @@ def test_a_snapshot_says_of_its_run_what_a_recording_says(recorded):
     _, meta = read_snapshot(recorded.snapshot)
     run = read_log(recorded.full).run
     assert meta["audit"]
-    assert {key: meta[key] for key in OF_THE_RUN} == {key: run[key] for key in OF_THE_RUN}
+    assert {key: meta[key] for key in OF_THE_RUN} == {
+        key: run[key] for key in OF_THE_RUN
+    }
 
 
 def test_one_altered_input_sample_is_found_at_its_tick(replay_here, recorded, tmp_path):
@@ -116,14 +128,20 @@ def test_one_altered_input_sample_is_found_at_its_tick(replay_here, recorded, tm
     lines[row + 1] = ",".join(fields)
     (tmp_path / "altered.csv").write_text("".join(lines))
     shutil.copy(meta_path(recorded.middle), meta_path(tmp_path / "altered.csv"))
-    text = replay_here(tmp_path / "altered.csv", "-o", tmp_path / "again.csv", "--check", code=1)
+    text = replay_here(
+        tmp_path / "altered.csv", "-o", tmp_path / "again.csv", "--check", code=1
+    )
     tick = int(re.search(r"outputs differ, first \S+ in tick (\d+)", text).group(1))
     altered_tick = int(log.ticks(PERIOD_NS)[row])
-    assert altered_tick <= tick <= altered_tick + 1024  # differences are sought batch by batch
+    assert (
+        altered_tick <= tick <= altered_tick + 1024
+    )  # differences are sought batch by batch
 
 
 def test_another_configuration_is_named(replay_here, recorded, tmp_path):
-    (tmp_path / "other.yaml").write_text("plant: {seed: 6}\nsensors: {nav: {enabled: true}}\n")
+    (tmp_path / "other.yaml").write_text(
+        "plant: {seed: 6}\nsensors: {nav: {enabled: true}}\n"
+    )
     words = (recorded.full, "-c", "other.yaml", "-o", "again.csv")
     text = replay_here(*words, code=78)
     assert "was made with parameters" in text
@@ -155,8 +173,16 @@ def test_what_cannot_be_replayed_is_one_sentence(replay_here, recorded, tmp_path
     for words, code, complaint in (
         ((recorded.full, "-o", recorded.full), 1, "is the log itself"),
         (("nothing.mcap", "-o", "a.csv"), 2, "no such file"),
-        ((recorded.full, "-o", "a.txt"), 1, "the name of a log must end in .mcap or .csv"),
-        ((recorded.full, "--from", "none.npz", "-o", "a.csv"), 2, "there is no snapshot"),
+        (
+            (recorded.full, "-o", "a.txt"),
+            1,
+            "the name of a log must end in .mcap or .csv",
+        ),
+        (
+            (recorded.full, "--from", "none.npz", "-o", "a.csv"),
+            2,
+            "there is no snapshot",
+        ),
     ):
         text = replay_here(*words, code=code)
         assert complaint in text

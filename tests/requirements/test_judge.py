@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from hilserver.errors import ConfigError
-from hilserver.requirements import CheckError, Drive, Judge, Requirement, load_requirements
+from hilserver.requirements import (
+    CheckError,
+    Drive,
+    Judge,
+    Requirement,
+    load_requirements,
+)
 from hilserver.signals import Ranges, robot_table
 
 TABLE = robot_table(Ranges(90.0, 0.8, 5.0))
@@ -42,7 +48,9 @@ def file(tmp_path):
 def test_a_sweep_is_a_file_of_requirements(file):
     judge = Judge(load_requirements(file), TABLE, file)
     assert judge.signals == ("imu.accel_x_m_s2", "pose.x_m")
-    drive = Drive(0.5, {"imu.accel_x_m_s2": np.array([0.0, 1.0, 2.0]), "pose.x_m": np.arange(3.0)})
+    drive = Drive(
+        0.5, {"imu.accel_x_m_s2": np.array([0.0, 1.0, 2.0]), "pose.x_m": np.arange(3.0)}
+    )
     assert judge.margins(drive) == {"comfortable": 1.0, "arrives": pytest.approx(-2.9)}
 
 
@@ -53,12 +61,15 @@ def judged(file, **keys):
 
 def test_a_function_that_returns_a_number_judges_the_whole_drive(file):
     assert judged(file, python="checks.py:longest") == {"r": 1.0}
-    everything = Judge([Requirement(name="r", python="checks.py:longest", below=1)], TABLE, file)
+    everything = Judge(
+        [Requirement(name="r", python="checks.py:longest", below=1)], TABLE, file
+    )
     assert set(everything.signals) == {s.name for s in TABLE if not s.is_array}
 
 
 @pytest.mark.parametrize(
-    ("function", "says"), [("wrong", r"shape \(3,\)"), ("broken", r"KeyError.*checks.py:14")]
+    ("function", "says"),
+    [("wrong", r"shape \(3,\)"), ("broken", r"KeyError.*checks.py:14")],
 )
 def test_a_function_that_fails_is_one_sentence(file, function, says):
     with pytest.raises(CheckError, match=says):
@@ -93,7 +104,10 @@ def test_two_of_one_name(file):
     [
         ("{}", "'require' is missing"),
         ("require: []", "at least 1"),
-        ("require: [{name: a, signal: s, below: 1, witin_s: 3}]", "did you mean 'within_s'"),
+        (
+            "require: [{name: a, signal: s, below: 1, witin_s: 3}]",
+            "did you mean 'within_s'",
+        ),
     ],
 )
 def test_typos(tmp_path, text, says):

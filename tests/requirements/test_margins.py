@@ -69,7 +69,9 @@ def requirements(draw):
     if within_s is not None:
         after_s, within_s = sorted([after_s, within_s])
     always = for_s is None and draw(st.booleans())
-    return Requirement(**keys, after_s=after_s, within_s=within_s, for_s=for_s, always=always)
+    return Requirement(
+        **keys, after_s=after_s, within_s=within_s, for_s=for_s, always=always
+    )
 
 
 samples = st.lists(st.one_of(st.floats(-6, 6), st.just(math.nan)), max_size=50)
@@ -84,7 +86,9 @@ def test_as_the_definition_says(requirement, values):
 @given(requirements(), samples.filter(bool), st.floats(0.01, 3.0))
 def test_a_looser_bound_raises_the_margin_by_as_much(requirement, values, by):
     looser = {k: getattr(requirement, k) for k in ("below", "above")}
-    looser = {k: v + (by if k == "below" else -by) for k, v in looser.items() if v is not None}
+    looser = {
+        k: v + (by if k == "below" else -by) for k, v in looser.items() if v is not None
+    }
     if requirement.equals is not None:
         looser = {"tolerance": requirement.tolerance + by}
     before = margin(requirement, np.array(values), PERIOD_S)
@@ -118,7 +122,9 @@ def test_times_are_ticks_but_for_rounding():
     values[700] = -1.0
     requirement = Requirement(name="r", signal="x", above=-0.5, after_s=0.7)
     assert margin(requirement, values, 0.001) == -0.5
-    assert margin(requirement.model_copy(update={"after_s": 0.701}), values, 0.001) == 0.5
+    assert (
+        margin(requirement.model_copy(update={"after_s": 0.701}), values, 0.001) == 0.5
+    )
 
 
 @pytest.mark.parametrize(
@@ -126,11 +132,20 @@ def test_times_are_ticks_but_for_rounding():
     [
         ({"below": 1.0}, "either signal or python"),
         ({"signal": "s"}, "below, above or both, or equals"),
-        ({"signal": "s", "below": 1.0, "equals": 1.0}, "below, above or both, or equals"),
+        (
+            {"signal": "s", "below": 1.0, "equals": 1.0},
+            "below, above or both, or equals",
+        ),
         ({"signal": "s", "below": 1.0, "above": 2.0}, "nothing is above 2 and below 1"),
         ({"signal": "s", "below": 1.0, "tolerance": 1.0}, "tolerance goes with equals"),
-        ({"signal": "s", "below": 1.0, "always": True, "for_s": 1.0}, "always or for_s"),
-        ({"signal": "s", "below": 1.0, "after_s": 3.0, "within_s": 1.0}, "must be at least 3"),
+        (
+            {"signal": "s", "below": 1.0, "always": True, "for_s": 1.0},
+            "always or for_s",
+        ),
+        (
+            {"signal": "s", "below": 1.0, "after_s": 3.0, "within_s": 1.0},
+            "must be at least 3",
+        ),
         ({"signal": "s", "below": 1.0, "signals": ["t"]}, "goes with python"),
         ({"signal": "s", "below": math.nan}, "finite"),
     ],

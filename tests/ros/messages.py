@@ -30,7 +30,9 @@ def pose(x, y, yaw, norm=1.0):
 
 
 def tagged(x, y, yaw, frame="map"):
-    return MAKE("geometry_msgs/msg/PoseStamped", header=header(frame), pose=pose(x, y, yaw))
+    return MAKE(
+        "geometry_msgs/msg/PoseStamped", header=header(frame), pose=pose(x, y, yaw)
+    )
 
 
 def floats(*numbers):
@@ -69,14 +71,22 @@ def imu(*, orientation=None, unmeasured=()):
 
 
 def odometry(frame, x=1.0, y=2.0, yaw=0.5):
-    moved = MAKE("geometry_msgs/msg/Twist", linear=vector(0.3, 0.1), angular=vector(z=0.7))
+    moved = MAKE(
+        "geometry_msgs/msg/Twist", linear=vector(0.3, 0.1), angular=vector(z=0.7)
+    )
     place = pose(x, y, yaw)
     return MAKE(
         "nav_msgs/msg/Odometry",
         header=header(frame),
         child_frame_id="base_link",
-        pose=MAKE("geometry_msgs/msg/PoseWithCovariance", pose=place, covariance=np.zeros(36)),
-        twist=MAKE("geometry_msgs/msg/TwistWithCovariance", twist=moved, covariance=np.zeros(36)),
+        pose=MAKE(
+            "geometry_msgs/msg/PoseWithCovariance", pose=place, covariance=np.zeros(36)
+        ),
+        twist=MAKE(
+            "geometry_msgs/msg/TwistWithCovariance",
+            twist=moved,
+            covariance=np.zeros(36),
+        ),
     )
 
 
@@ -88,7 +98,9 @@ def transforms(*links):
             header=header(parent, 7),
             child_frame_id=child,
             transform=MAKE(
-                "geometry_msgs/msg/Transform", translation=vector(x, y), rotation=turned(yaw)
+                "geometry_msgs/msg/Transform",
+                translation=vector(x, y),
+                rotation=turned(yaw),
             ),
         )
         for parent, child, x, y, yaw in links

@@ -9,10 +9,23 @@ from hilserver.ros import measured
 from hilserver.ros.measured import IOTBOT, MEASURED_TYPES, Conventions
 from hilserver.ros.types import known_types
 from hilserver.signals import Ranges, robot_table
-from tests.ros.messages import MAKE, floats, imu, joints, odometry, tagged, transforms, turned
+from tests.ros.messages import (
+    MAKE,
+    floats,
+    imu,
+    joints,
+    odometry,
+    tagged,
+    transforms,
+    turned,
+)
 
 ORDER = ("fl", "rl", "fr", "rr")
-WHEELS = {"wheel.fl.speed_rpm": 1.0, "wheel.rl.speed_rpm": 2.0, "wheel.fr.speed_rpm": 3.0}
+WHEELS = {
+    "wheel.fl.speed_rpm": 1.0,
+    "wheel.rl.speed_rpm": 2.0,
+    "wheel.fr.speed_rpm": 3.0,
+}
 WHEELS |= {"wheel.rr.speed_rpm": 4.0}
 RAD_S = math.tau / 60.0
 
@@ -34,17 +47,31 @@ def test_speeds_of_each_program_have_the_signs_of_the_plant():
     message = MAKE("iotbot_interface/msg/RotationSpeed", **named, rear_right_rpm=4.0)
     assert measured.rotation_speed(how(), message) == WHEELS
     assert measured.array(how("thesis_sil"), floats(1, 2, 3, 4)) == WHEELS
-    assert measured.array(how("eduard"), floats(-4, -3, -2, -1)) == WHEELS, "rr, fr, rl, fl"
+    assert measured.array(how("eduard"), floats(-4, -3, -2, -1)) == WHEELS, (
+        "rr, fr, rl, fl"
+    )
 
 
 def test_joints_turn_forward_with_a_positive_sign_but_in_edu_robot():
-    named = {"front_left_wheel": 1, "wheel_rl": 2, "base_to_wheel_front_right": -3, "x_RR": -4}
+    named = {
+        "front_left_wheel": 1,
+        "wheel_rl": 2,
+        "base_to_wheel_front_right": -3,
+        "x_RR": -4,
+    }
     speeds = {name: sign * RAD_S for name, sign in named.items()}
     assert measured.joints(how(), joints(**speeds, camera=9.0)) == pytest.approx(WHEELS)
     edu, gathered = how("eduard"), {}
-    for place, rpm in (("rear_right", 4), ("front_right", 3), ("rear_left", 2), ("front_left", 1)):
+    for place, rpm in (
+        ("rear_right", 4),
+        ("front_right", 3),
+        ("rear_left", 2),
+        ("front_left", 1),
+    ):
         assert not gathered, "a speed of one wheel is kept until all have come"
-        gathered = measured.joints(edu, joints(**{f"base_to_wheel_{place}": -rpm * RAD_S}))
+        gathered = measured.joints(
+            edu, joints(**{f"base_to_wheel_{place}": -rpm * RAD_S})
+        )
     assert gathered == pytest.approx(WHEELS)
 
 
@@ -54,20 +81,33 @@ def test_joints_that_name_no_wheel_are_told_and_can_be_named():
     assert measured.joints(plain, joints(**speeds)) == {}
     (told,) = plain.remarks
     assert "ros2.measured.joints" in told
-    found = measured.joints(how(joints=dict(zip(speeds, ORDER, strict=True))), joints(**speeds))
-    assert found["wheel.fl.speed_rpm"] == -found["wheel.fr.speed_rpm"] == pytest.approx(2.0)
+    found = measured.joints(
+        how(joints=dict(zip(speeds, ORDER, strict=True))), joints(**speeds)
+    )
+    assert (
+        found["wheel.fl.speed_rpm"]
+        == -found["wheel.fr.speed_rpm"]
+        == pytest.approx(2.0)
+    )
 
 
 def test_an_imu_gives_what_it_measures():
     whole = measured.imu(how(), imu())
-    assert whole == pytest.approx(dict(zip(measured.INERTIAL, (0.2, 0.5, 0.3, -0.4), strict=True)))
+    assert whole == pytest.approx(
+        dict(zip(measured.INERTIAL, (0.2, 0.5, 0.3, -0.4), strict=True))
+    )
     for absent, signals in (
         ("rate", {"imu.gyro_z_rad_s"}),
         ("orientation", {"imu.yaw_rad"}),
         ("force", {"imu.accel_x_m_s2", "imu.accel_y_m_s2"}),
     ):
-        assert measured.imu(how(), imu(unmeasured=[absent])).keys() == whole.keys() - signals
-    assert "imu.yaw_rad" not in measured.imu(how(), imu(orientation=turned(0.0, norm=0.0)))
+        assert (
+            measured.imu(how(), imu(unmeasured=[absent])).keys()
+            == whole.keys() - signals
+        )
+    assert "imu.yaw_rad" not in measured.imu(
+        how(), imu(orientation=turned(0.0, norm=0.0))
+    )
 
 
 def test_poses_count_in_one_frame():
@@ -75,7 +115,9 @@ def test_poses_count_in_one_frame():
     assert list(measured.tag(how(), message).values()) == pytest.approx([1.0, 2.0, 0.5])
     other = how(frame="hall")
     assert measured.tag(other, message) == {}
-    assert list(other.remarks) == ["gives poses in 'map', which is not ros2.measured.frame 'hall'"]
+    assert list(other.remarks) == [
+        "gives poses in 'map', which is not ros2.measured.frame 'hall'"
+    ]
     wheels = measured.odometry(how(), odometry("odom"))
     assert wheels == dict(zip(measured.TWIST, (0.3, 0.1, 0.7), strict=True))
     located = measured.odometry(how(frame="odom"), odometry("odom"))
@@ -84,8 +126,12 @@ def test_poses_count_in_one_frame():
 
 def test_transforms_lead_along_the_frames_between():
     tree = how()
-    assert measured.transforms(tree, transforms(("base_link", "imu_link", 0, 0, 0))) == {}
-    assert list(tree.remarks) == ["has no frame 'base_link', which is ros2.measured.base_frame"]
+    assert (
+        measured.transforms(tree, transforms(("base_link", "imu_link", 0, 0, 0))) == {}
+    )
+    assert list(tree.remarks) == [
+        "has no frame 'base_link', which is ros2.measured.base_frame"
+    ]
     tree.remarks.clear()
     assert measured.transforms(tree, transforms(("odom", "base_link", 1, 0, 0.5))) == {}
     (told,) = tree.remarks
@@ -93,7 +139,9 @@ def test_transforms_lead_along_the_frames_between():
     message = transforms(("map", "odom", 3, 4, math.pi / 2))
     found = measured.transforms(tree, message)
     assert list(found.values()) == pytest.approx([3.0, 5.0, math.pi / 2 + 0.5])
-    assert measured.transforms(tree, transforms(("base_link", "imu_link", 0, 0, 0))) == {}
+    assert (
+        measured.transforms(tree, transforms(("base_link", "imu_link", 0, 0, 0))) == {}
+    )
     assert measured.stamp_ns(message) == 7
 
 
@@ -106,9 +154,21 @@ def test_frames_in_a_circle_lead_nowhere():
 @pytest.mark.parametrize(
     ("read", "message", "said"),
     [
-        (measured.array, floats(1, 2, 3), "3 numbers instead of one for each of four wheels"),
-        (measured.imu, imu(orientation=turned(0.5, norm=2.0)), "quaternion of norm 2 instead of 1"),
-        (measured.transforms, transforms(("map", "base_link", 0, 0, math.nan)), "norm nan"),
+        (
+            measured.array,
+            floats(1, 2, 3),
+            "3 numbers instead of one for each of four wheels",
+        ),
+        (
+            measured.imu,
+            imu(orientation=turned(0.5, norm=2.0)),
+            "quaternion of norm 2 instead of 1",
+        ),
+        (
+            measured.transforms,
+            transforms(("map", "base_link", 0, 0, math.nan)),
+            "norm nan",
+        ),
     ],
 )
 def test_what_does_not_fit_is_one_sentence(read, message, said):

@@ -28,7 +28,10 @@ def test_rollers_take_the_odometry_to_the_left():
     for share in (0.0, 0.25, 0.5):
         angles = (-share, share, -share, share)
         robot.odometer.see(
-            {f"wheel.{w}.angle_rad": math.tau * a for w, a in zip(WHEELS, angles, strict=True)}
+            {
+                f"wheel.{w}.angle_rad": math.tau * a
+                for w, a in zip(WHEELS, angles, strict=True)
+            }
         )
     assert (robot.odometer.x_m, robot.odometer.y_m) == pytest.approx((0.0, way))
     assert robot.twist() == pytest.approx((0.0, way, 0.0))
@@ -36,7 +39,8 @@ def test_rollers_take_the_odometry_to_the_left():
 
 
 @pytest.mark.parametrize(
-    ("drive", "kind", "aside"), [("mecanum", 2, (-1, 1, -1, 1)), ("skid", 1, (0, 0, 0, 0))]
+    ("drive", "kind", "aside"),
+    [("mecanum", 2, (-1, 1, -1, 1)), ("skid", 1, (0, 0, 0, 0))],
 )
 def test_the_kinematics_are_those_of_edu_robot(drive, kind, aside):
     """Rows RR FR RL FL, times 1/r: [+-1, aside, s] (the source of edu_robot)."""

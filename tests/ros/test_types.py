@@ -49,7 +49,9 @@ def test_field_types_of_services_can_be_chosen():
     assert wide.decode(wide.encode(message), request) == message
 
 
-@pytest.mark.parametrize("widths", [{"SendLighting.colour": "int8"}, {"SendEnable.enable": "kg"}])
+@pytest.mark.parametrize(
+    "widths", [{"SendLighting.colour": "int8"}, {"SendEnable.enable": "kg"}]
+)
 def test_what_cannot_be_chosen_is_refused(widths):
     with pytest.raises(ValueError, match=r"SendLighting\.colour|SendEnable"):
         Types(widths)

@@ -19,9 +19,16 @@ interpolated signs_units slow_slice""".split()  # noqa: SIM905 (one list)
 
 
 def findings(*said, verdict="findings"):
-    made = [Finding(verdict=kind, causes=causes, block="drive") for kind, causes in said]
+    made = [
+        Finding(verdict=kind, causes=causes, block="drive") for kind, causes in said
+    ]
     return Findings(
-        verdict=verdict, logs=(), seed=0, version="", config_sha256="", findings=tuple(made)
+        verdict=verdict,
+        logs=(),
+        seed=0,
+        version="",
+        config_sha256="",
+        findings=tuple(made),
     )
 
 
@@ -47,11 +54,16 @@ def test_the_seed_draws():
 
 
 def test_make_seals_the_truth(tmp_path, capsys):
-    assert main(["scenarios", "make", "slow_slice", "-o", str(tmp_path), "--seed", "3"]) == 0
+    assert (
+        main(["scenarios", "make", "slow_slice", "-o", str(tmp_path), "--seed", "3"])
+        == 0
+    )
     log = (tmp_path / "logs" / "drive.csv").read_text(encoding="utf-8").splitlines()
     assert log[0].startswith("t_s,wheel.fl.setpoint_rpm")
     assert "duty" not in log[0], "the real robot publishes no duty"
-    assert "control_period" not in (tmp_path / "config.yaml").read_text(encoding="utf-8")
+    assert "control_period" not in (tmp_path / "config.yaml").read_text(
+        encoding="utf-8"
+    )
     truth = json.loads((tmp_path / "sealed" / "truth.json").read_text(encoding="utf-8"))
     assert truth["must_say"] == [["control_period"]]
     assert truth["recipes"]["drive.csv"]["causes"] == {"control_period": 0.01}
@@ -84,7 +96,9 @@ EXPECTED = Expectation(
 
 def test_right():
     assert judge(EXPECTED, findings(("named", ("imu_latency",)))).right
-    assert judge(EXPECTED, findings(("named_group", ("imu_latency", "yaw_latency")))).right
+    assert judge(
+        EXPECTED, findings(("named_group", ("imu_latency", "yaw_latency")))
+    ).right
 
 
 @pytest.mark.parametrize(
@@ -102,13 +116,17 @@ def test_missed_but_not_wrong(said):
 
 
 def test_wrong_name_beside_the_right_one():
-    result = judge(EXPECTED, findings(("named", ("imu_latency",)), ("named", ("gyro_scale",))))
+    result = judge(
+        EXPECTED, findings(("named", ("imu_latency",)), ("named", ("gyro_scale",)))
+    )
     assert not result.right
     assert result.wrong == ("gyro_scale",)
 
 
 def test_forbidden_name_in_a_group_with_the_truth():
-    result = judge(EXPECTED, findings(("named_group", ("imu_latency", "rotation_gain"))))
+    result = judge(
+        EXPECTED, findings(("named_group", ("imu_latency", "rotation_gain")))
+    )
     assert not result.right
     assert not result.wrong
     assert result.missing == ("said rotation_gain",)
@@ -116,7 +134,9 @@ def test_forbidden_name_in_a_group_with_the_truth():
 
 def test_group_must_be_whole():
     expected = Expectation(together=frozenset({"rotation_gain", "gyro_scale"}))
-    assert judge(expected, findings(("named_group", ("gyro_scale", "rotation_gain")))).right
+    assert judge(
+        expected, findings(("named_group", ("gyro_scale", "rotation_gain")))
+    ).right
     assert not judge(expected, findings(("named", ("rotation_gain",)))).right
 
 

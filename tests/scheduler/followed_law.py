@@ -61,7 +61,10 @@ class Law:
         warm_up_ticks: int = 0,
     ) -> None:
         self.state = law_array(
-            base_period_ns, policy or OverrunPolicy(), limits or OverrunLimits(), warm_up_ticks
+            base_period_ns,
+            policy or OverrunPolicy(),
+            limits or OverrunLimits(),
+            warm_up_ticks,
         )
         self._period_ticks = period_ticks
         begin(self.state, first_planned_ns)
@@ -71,7 +74,9 @@ class Law:
         state = self.state
         planned = int(state[PLANNED])
         tick = int(state[TICK])
-        due = tuple(i for i, ticks in enumerate(self._period_ticks) if tick % ticks == 0)
+        due = tuple(
+            i for i, ticks in enumerate(self._period_ticks) if tick % ticks == 0
+        )
         if advance(state, now_ns) == WAIT:
             return Decision(False, tick, planned, due, 0, 0, 0, backlog=False)
         current = int(state[CURRENT])

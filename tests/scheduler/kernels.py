@@ -10,7 +10,9 @@ from hilserver.compiled import kernel
 from hilserver.compiled.libc import clock_gettime
 from hilserver.scheduler.step import FAULT, LATCH, PUBLISH, STEP_SIGNATURE
 
-LATCHES, PUBLISHES, FAULTS, LAST_FAULT, ORDER, BUSY_TICK, BUSY_NS, JUMP_TO, SHOWN = range(10, 19)
+LATCHES, PUBLISHES, FAULTS, LAST_FAULT, ORDER, BUSY_TICK, BUSY_NS, JUMP_TO, SHOWN = (
+    range(10, 19)
+)
 NEXT_ROW, N_ROWS, HASH = 20, 21, 22
 SCHEDULE = 100
 THREAD_CPU_TIME = 3
@@ -66,7 +68,9 @@ def recorded_writes_step(phase, tick, planned_ns, values, words):
     if phase == LATCH:
         row = words[NEXT_ROW]
         while row < words[N_ROWS] and words[SCHEDULE + 2 * row] <= tick:
-            values[words[SCHEDULE + 2 * row + 1] % 4] = words[SCHEDULE + 2 * row + 1] * 1e-3
+            values[words[SCHEDULE + 2 * row + 1] % 4] = (
+                words[SCHEDULE + 2 * row + 1] * 1e-3
+            )
             row += 1
         words[NEXT_ROW] = row
         return tick

@@ -78,7 +78,9 @@ async def test_words_of_a_step_need_no_second_word():
     assert exchange.standing
     exchange.step(2)
     assert exchange.get(COMMAND) == first + 2
-    assert not exchange.standing  # an old acknowledgement does not count for the new command
+    assert (
+        not exchange.standing
+    )  # an old acknowledgement does not count for the new command
     exchange.pause()
     assert exchange.get(COMMAND) >> 32 == (first >> 32) + 1
 
@@ -156,7 +158,9 @@ asyncio.run(main())  # neither stop() nor anything else
 
 def test_a_program_that_forgets_to_stop_still_ends():
     root = Path(__file__).parents[2]
-    done = subprocess.run([sys.executable, "-c", FORGETFUL], cwd=root, timeout=600, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", FORGETFUL], cwd=root, timeout=600, check=False
+    )
     assert done.returncode == 0
 
 
@@ -187,7 +191,9 @@ async def test_communication_slices_run_by_tick_count(backend):
     def prepare(rig):
         rig.scheduler.on_slice("publish", lambda tick, planned_ns: ticks.append(tick))
 
-    async with running(counting_step, backend=backend, paused=True, prepare=prepare) as rig:
+    async with running(
+        counting_step, backend=backend, paused=True, prepare=prepare
+    ) as rig:
         for _ in range(10):
             await rig.scheduler.advance(20)
     assert ticks == list(range(0, 200, 20))

@@ -9,7 +9,11 @@ from hilserver.scheduler import faults
     ("code", "name", "words"),
     [
         (faults.SINGLE_OVERRUN, "single_overrun_limit", "a single overrun"),
-        (faults.CONSECUTIVE_OVERRUNS, "consecutive_overrun_limit", "more consecutive overruns"),
+        (
+            faults.CONSECUTIVE_OVERRUNS,
+            "consecutive_overrun_limit",
+            "more consecutive overruns",
+        ),
         (faults.COMMUNICATION, "communication", "the communication side"),
         (faults.SLICE + 3, "fault 3", "a slice reported fault 3"),
     ],

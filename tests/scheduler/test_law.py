@@ -74,12 +74,16 @@ def test_no_tick_is_lost_or_doubled(policy, history):
     assert [d.tick for d in run.decisions] == list(range(len(run.decisions)))
     assert run.total(EXECUTED) == len(run.decisions)
     for d in run.decisions:
-        assert d.due == tuple(i for i, ticks in enumerate((1, 2, 5)) if d.tick % ticks == 0)
+        assert d.due == tuple(
+            i for i, ticks in enumerate((1, 2, 5)) if d.tick % ticks == 0
+        )
 
 
 @pytest.mark.parametrize("policy", POLICY_NAMES)
 @given(history=histories)
-def test_planned_grid_only_moves_forward_by_whole_periods_plus_the_shift(policy, history):
+def test_planned_grid_only_moves_forward_by_whole_periods_plus_the_shift(
+    policy, history
+):
     run = Run(policy, history)
     stamps = [d.planned_ns for d in run.decisions]
     for i, (before, after) in enumerate(itertools.pairwise(stamps), start=1):
@@ -99,7 +103,9 @@ def test_counts_add_up(policy, history):
 
 @pytest.mark.parametrize("policy", ["catch_up", "skip"])
 @given(history=histories)
-def test_grid_keeps_its_phase_and_every_planned_start_is_used_or_missed(policy, history):
+def test_grid_keeps_its_phase_and_every_planned_start_is_used_or_missed(
+    policy, history
+):
     run = Run(policy, history)
     assert all((d.planned_ns - 5000) % PERIOD == 0 for d in run.decisions)
     last = run.decisions[-1]
@@ -108,7 +114,9 @@ def test_grid_keeps_its_phase_and_every_planned_start_is_used_or_missed(policy, 
 
 @given(history=histories)
 def test_skip_never_starts_a_whole_period_late(history):
-    for start, d in zip(Run("skip", history).grid, Run("skip", history).decisions, strict=True):
+    for start, d in zip(
+        Run("skip", history).grid, Run("skip", history).decisions, strict=True
+    ):
         assert 0 <= start + d.latency_ns - d.planned_ns < PERIOD
 
 
@@ -152,7 +160,10 @@ def test_consecutive_limit_fires_after_exactly_so_many(history, limit):
     for i, kind in enumerate(run.kinds):
         if kind != "none":
             in_a_row += 1
-        elif run.grid[i] + PERIOD >= run.grid[i] + run.decisions[i].latency_ns + history[i][1]:
+        elif (
+            run.grid[i] + PERIOD
+            >= run.grid[i] + run.decisions[i].latency_ns + history[i][1]
+        ):
             in_a_row = 0  # ended in time
         assert (run.verdicts[i] == 2) == (kind != "none" and in_a_row == limit)
         if in_a_row == limit:
@@ -165,7 +176,9 @@ def test_two_kinds_are_told_apart():
     assert Run("skip", [(10, 1500)]).kinds == ["long_run"]
     assert Run("skip", [(600, 500)]).kinds == ["late_wake"]
     assert Run("skip", [(500, 600)]).kinds == ["long_run"]
-    assert Run("skip", [(1000, 0)]).kinds == ["none"]  # the deadline itself is still in time
+    assert Run("skip", [(1000, 0)]).kinds == [
+        "none"
+    ]  # the deadline itself is still in time
 
 
 def test_backlog_of_a_long_run_is_not_blamed_on_the_ticks_behind_it():
@@ -177,7 +190,9 @@ def test_backlog_of_a_long_run_is_not_blamed_on_the_ticks_behind_it():
 
 def test_timelines_of_the_policies():
     long_run = [(0, 3500), (0, 10), (0, 10), (0, 10)]
-    starts = {p: [d.planned_ns for d in Run(p, long_run, 1).decisions] for p in POLICY_NAMES}
+    starts = {
+        p: [d.planned_ns for d in Run(p, long_run, 1).decisions] for p in POLICY_NAMES
+    }
     assert starts["catch_up"] == [5000, 7000, 8000, 9000]
     assert starts["skip"] == [5000, 8000, 9000, 10000]
     assert starts["stretch"] == [5000, 8500, 9500, 10500]
@@ -217,7 +232,11 @@ def test_warm_up_is_neither_counted_nor_judged():
         now = int(law.state[PLANNED]) + delay
         law.advance(now)
         assert law.conclude(now + execution) == ("none", OK)
-    assert (law.state[MISSED_TOTAL], law.state[LATE_WAKES], law.state[LONG_RUNS]) == (0, 0, 0)
+    assert (law.state[MISSED_TOTAL], law.state[LATE_WAKES], law.state[LONG_RUNS]) == (
+        0,
+        0,
+        0,
+    )
     now = int(law.state[PLANNED]) + 9000
     law.advance(now)
     assert law.conclude(now) == ("late_wake", STOP)

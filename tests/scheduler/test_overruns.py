@@ -12,7 +12,12 @@ import pytest
 
 from hilserver.scheduler import OverrunLimits, OverrunPolicy, Slice, StopReason
 from hilserver.scheduler.causes import Cause, CauseFinder, Evidence, judge
-from hilserver.scheduler.exchange import RECORDS_LOST, Exchange, OverrunRecord, next_record
+from hilserver.scheduler.exchange import (
+    RECORDS_LOST,
+    Exchange,
+    OverrunRecord,
+    next_record,
+)
 from hilserver.scheduler.gc_pauses import GcPauses
 from hilserver.scheduler.law import LATE_WAKE, LONG_RUN
 from hilserver.scheduler.overruns import OverrunReport
@@ -20,7 +25,11 @@ from tests.scheduler.kernels import BUSY_NS, BUSY_TICK, FAULTS, LAST_FAULT, busy
 from tests.scheduler.rig import running, until
 
 LONG_NS = 60_000_000
-SLICES = (Slice("plant", 1, True), Slice("sensors", 10, True), Slice("publish", 20, False))
+SLICES = (
+    Slice("plant", 1, True),
+    Slice("sensors", 10, True),
+    Slice("publish", 20, False),
+)
 
 
 def long_sensors(rig):
@@ -32,7 +41,9 @@ async def run_long(backend="thread", **options):
     async with running(
         busy_step, backend=backend, slices=SLICES, prepare=long_sensors, **options
     ) as rig:
-        await until(lambda: any(r.tick == 150 for r in rig.reports) and rig.scheduler.tick > 200)
+        await until(
+            lambda: any(r.tick == 150 for r in rig.reports) and rig.scheduler.tick > 200
+        )
     (report,) = (r for r in rig.reports if r.tick == 150)
     return rig, report
 
@@ -40,7 +51,11 @@ async def run_long(backend="thread", **options):
 @pytest.mark.parametrize("backend", ["thread", "timerfd"])
 async def test_a_slice_that_runs_long_is_named(backend):
     rig, report = await run_long(backend)
-    assert (report.slice, report.kind, report.cause) == ("sensors", "long_run", Cause.SLICE)
+    assert (report.slice, report.kind, report.cause) == (
+        "sensors",
+        "long_run",
+        Cause.SLICE,
+    )
     assert report.execution_ns >= LONG_NS
     figures = rig.scheduler.statistics.slice("sensors")
     assert figures.long_runs >= 1
@@ -105,7 +120,8 @@ async def test_policy_fail_ends_the_run(backend):
         slices=SLICES,
         prepare=long_sensors,
         policy=OverrunPolicy("fail"),
-        warm_up_ticks=150,  # a busy machine may be late before; the long run is the first judged
+        # A busy machine may be late before; the long run is the first judged.
+        warm_up_ticks=150,
     ) as rig:
         async with asyncio.timeout(120):
             assert await rig.scheduler.finished is StopReason.OVERRUN
@@ -144,7 +160,9 @@ async def test_a_process_that_was_stopped_woke_late(backend):
             process.send_signal(signal.SIGSTOP)
             await asyncio.sleep(0.05)
             process.send_signal(signal.SIGCONT)
-            slice_name, kind, cause, latency_ns = (await process.stdout.readline()).split()
+            slice_name, kind, cause, latency_ns = (
+                await process.stdout.readline()
+            ).split()
             late_wakes = int(await process.stdout.readline())
             assert await process.wait() == 0
     finally:
@@ -186,7 +204,10 @@ def evidence(**known):
         ({"cpu_ns": 10_000_000}, Cause.UNKNOWN),  # a late wake is not the slice's doing
         ({"late": False, "cpu_ns": 9_000_000, "preempted": 3}, Cause.SLICE),
         ({"late": False, "cpu_ns": 1_500_000, "run_delay_ns": 8_000_000}, Cause.SLICE),
-        ({"late": False, "cpu_ns": 900_000, "run_delay_ns": 8_000_000}, Cause.PREEMPTED),
+        (
+            {"late": False, "cpu_ns": 900_000, "run_delay_ns": 8_000_000},
+            Cause.PREEMPTED,
+        ),
         ({"late": False, "preempted": 3}, Cause.PREEMPTED),
         ({"late": False, "minor_faults": 3}, Cause.FAULT),
     ],
@@ -202,7 +223,12 @@ def test_finder_reads_proc(tmp_path):
     stat.write_text("cpu  1 0 0 0 0 0 0 50 0 0\ncpu0 1\n")
     now = [10**9]
     finder = CauseFinder(
-        7, GcPauses(), period_ns=10**6, gc_stops_ticks=True, clock_ns=lambda: now[0], proc=tmp_path
+        7,
+        GcPauses(),
+        period_ns=10**6,
+        gc_stops_ticks=True,
+        clock_ns=lambda: now[0],
+        proc=tmp_path,
     )
     late = OverrunRecord(5, LATE_WAKE, 0, 10**9, 8_000_000, 1000, 1000, 0, 0, 0, 8, 0)
     assert finder.explain(late, finder.look()) is Cause.UNKNOWN
@@ -218,7 +244,9 @@ def test_finder_reads_proc(tmp_path):
     assert finder.explain(late, finder.look()) is Cause.STOPPED
     schedstat.unlink()
     stat.unlink()
-    blind = CauseFinder(7, GcPauses(), period_ns=10**6, gc_stops_ticks=True, proc=tmp_path)
+    blind = CauseFinder(
+        7, GcPauses(), period_ns=10**6, gc_stops_ticks=True, proc=tmp_path
+    )
     long = OverrunRecord(5, LONG_RUN, 0, 0, 0, 2_000_000, 2_000_000, 0, 0, 0, 0, 0)
     assert blind.explain(long, blind.look()) is Cause.SLICE
 
@@ -278,5 +306,10 @@ def test_young_records_wait():
 
 
 def test_one_line_for_the_log():
-    report = OverrunReport("plant", "late_wake", 7, 2_500_000, 1000, 2, Cause.STOLEN, "stopped")
-    assert str(report) == "plant started 2.500 ms late in tick 7: stolen, 2 ticks missed, stopped"
+    report = OverrunReport(
+        "plant", "late_wake", 7, 2_500_000, 1000, 2, Cause.STOLEN, "stopped"
+    )
+    assert (
+        str(report)
+        == "plant started 2.500 ms late in tick 7: stolen, 2 ticks missed, stopped"
+    )

@@ -7,7 +7,11 @@ import threading
 import pytest
 
 from hilserver.scheduler import realtime
-from hilserver.scheduler.realtime import ProcessGrants, RealtimeSettings, request_for_this_thread
+from hilserver.scheduler.realtime import (
+    ProcessGrants,
+    RealtimeSettings,
+    request_for_this_thread,
+)
 
 
 def in_thread(settings):
@@ -28,10 +32,15 @@ def test_core_and_slack_concern_the_thread_alone():
     grants, affinity = in_thread(RealtimeSettings(priority=0, cpu=cpu))
     assert affinity == {cpu}
     assert os.sched_getaffinity(0) == before
-    assert [(g.name, g.ok) for g in grants] == [("timer_slack", True), ("thread_core", True)]
+    assert [(g.name, g.ok) for g in grants] == [
+        ("timer_slack", True),
+        ("thread_core", True),
+    ]
 
 
-@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core: there is no other")
+@pytest.mark.skipif(
+    len(os.sched_getaffinity(0)) < 2, reason="one core: there is no other"
+)
 def test_the_core_of_the_pacing_thread_is_left_by_all_others_until_the_end():
     before = os.sched_getaffinity(0)
     cpu = max(before)
@@ -50,7 +59,9 @@ def test_the_core_of_the_pacing_thread_is_left_by_all_others_until_the_end():
     finally:
         grants.release()
         done.set()
-    assert os.sched_getaffinity(0) == os.sched_getaffinity(bystander.native_id) == before
+    assert (
+        os.sched_getaffinity(0) == os.sched_getaffinity(bystander.native_id) == before
+    )
 
 
 def test_the_only_core_is_named(monkeypatch):

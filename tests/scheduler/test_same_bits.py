@@ -11,7 +11,9 @@ N_TICKS, N_WRITES = 10_000, 1_000
 
 def schedule(moved=None):
     rng = np.random.default_rng(20)
-    rows = np.stack([rng.integers(1, N_TICKS, N_WRITES), rng.integers(1, 900, N_WRITES)], axis=1)
+    rows = np.stack(
+        [rng.integers(1, N_TICKS, N_WRITES), rng.integers(1, 900, N_WRITES)], axis=1
+    )
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     if moved is not None:
         rows[moved, 0] += 1
@@ -24,7 +26,9 @@ async def run(backend, rows):
         rig.words[N_ROWS] = len(rows)
         rig.words[SCHEDULE : SCHEDULE + rows.size] = rows.ravel()
 
-    async with running(recorded_writes_step, backend=backend, paused=True, prepare=prepare) as rig:
+    async with running(
+        recorded_writes_step, backend=backend, paused=True, prepare=prepare
+    ) as rig:
         rig.scheduler.set_speed(10.0)  # pacing scales, the ticks stay what they are
         await rig.scheduler.advance(N_TICKS)
         assert rig.scheduler.tick == N_TICKS

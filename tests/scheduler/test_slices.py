@@ -20,7 +20,9 @@ def test_others_are_refused(base, ticks, data):
 
 
 def test_the_message_names_the_nearest_two():
-    with pytest.raises(ValueError, match=r"'sensors': 2\.5 ms .* nearest are 2 ms and 3 ms"):
+    with pytest.raises(
+        ValueError, match=r"'sensors': 2\.5 ms .* nearest are 2 ms and 3 ms"
+    ):
         period_in_ticks("sensors", 2_500_000, 1_000_000)
     with pytest.raises(ValueError, match=r"0\.25 ms is shorter .* 1 ms and 2 ms"):
         period_in_ticks("sensors", 250_000, 1_000_000)

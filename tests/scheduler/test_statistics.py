@@ -19,16 +19,28 @@ from tests.scheduler.rig import running, until
 ONE = [Slice("plant", 1, True)]
 
 
-def record(statistics, tick, latency, execution, kind=NO_OVERRUN, missed=0, margin=None):
+def record(
+    statistics, tick, latency, execution, kind=NO_OVERRUN, missed=0, margin=None
+):
     margin = 1_000_000 - latency - execution if margin is None else margin
     start = tick * 1_000_000 + latency
     rows.record_run(
-        statistics.array, row_offset(0), tick, start, latency, execution, margin, kind, missed
+        statistics.array,
+        row_offset(0),
+        tick,
+        start,
+        latency,
+        execution,
+        margin,
+        kind,
+        missed,
     )
 
 
 runs = st.lists(
-    st.tuples(st.integers(0, 80_000_000), st.integers(0, 20_000_000)), min_size=1, max_size=80
+    st.tuples(st.integers(0, 80_000_000), st.integers(0, 20_000_000)),
+    min_size=1,
+    max_size=80,
 )
 
 
@@ -46,7 +58,9 @@ def test_sums_extremes_and_histograms_agree_with_the_samples(history):
     assert figures.execution_sum_ns == execution.sum()
     assert figures.execution_max_tick == execution.argmax()
     assert figures.margin_min_ns == (1_000_000 - latency - execution).min()
-    expected = np.bincount(np.searchsorted(BOUNDS_NS, latency), minlength=len(BOUNDS_NS) + 1)
+    expected = np.bincount(
+        np.searchsorted(BOUNDS_NS, latency), minlength=len(BOUNDS_NS) + 1
+    )
     assert np.array_equal(figures.latency_counts, expected)
     assert figures.execution_counts.sum() == len(history)
 
@@ -91,7 +105,9 @@ def test_overruns_by_kind_missed_ticks_and_the_first_margin():
 def test_real_time_factor_and_linear_bins():
     statistics = Statistics(ONE, 1_000_000, linear_bins=50)
     for i in range(1500):
-        rows.record_tick(statistics.array, 7_999 if i % 2 else 90_000, 2_000_000 if i else 0, 0)
+        rows.record_tick(
+            statistics.array, 7_999 if i % 2 else 90_000, 2_000_000 if i else 0, 0
+        )
     assert statistics.tick.real_time_factor == 0.5
     assert statistics.tick.real_time_factor_total == 0.5
     counts = statistics.linear_counts
@@ -103,7 +119,9 @@ def test_reset_forgets_everything_at_the_next_run():
     record(statistics, 0, 5_000_000, 5, LATE_WAKE, 2)
     rows.record_tick(statistics.array, 7_000, 1_000_000, 2)
     statistics.reset()
-    assert statistics.slice("plant").count == 0  # seen at once, although no run came yet
+    assert (
+        statistics.slice("plant").count == 0
+    )  # seen at once, although no run came yet
     assert statistics.slice("plant").margin_min_ns is None
     assert statistics.linear_counts.sum() == 0
     assert statistics.tick.missed_ticks == 0
@@ -144,11 +162,17 @@ async def test_reset_while_the_loop_runs_tears_nothing():
         statistics = rig.scheduler.statistics
         for _ in range(30):
             figures = statistics.slice("plant")
-            assert figures.latency_counts.sum() == figures.execution_counts.sum() == figures.count
+            assert (
+                figures.latency_counts.sum()
+                == figures.execution_counts.sum()
+                == figures.count
+            )
             tick = rig.scheduler.tick
             rig.scheduler.statistics.reset()
             count = statistics.slice("plant").count
-            assert count <= rig.scheduler.tick - tick + 1, "runs from before are counted"
+            assert count <= rig.scheduler.tick - tick + 1, (
+                "runs from before are counted"
+            )
             await until(lambda: statistics.slice("plant").count >= 3)
             assert statistics.linear_counts.sum() < 2000
 

@@ -26,7 +26,9 @@ async def test_a_million_ticks_run_every_slice_exactly():
     stamps = []
 
     def prepare(rig):
-        rig.scheduler.on_slice("publish", lambda tick, planned: stamps.append((tick, planned)))
+        rig.scheduler.on_slice(
+            "publish", lambda tick, planned: stamps.append((tick, planned))
+        )
 
     async with running(
         counting_step, backend="virtual", slices=slices, paused=True, prepare=prepare
@@ -37,7 +39,9 @@ async def test_a_million_ticks_run_every_slice_exactly():
         for i, period in enumerate(PERIODS):
             runs = MILLION // period
             assert rig.words[i] == runs
-            assert rig.words[50 + i] == period * runs * (runs - 1) // 2  # the right ticks
+            assert (
+                rig.words[50 + i] == period * runs * (runs - 1) // 2
+            )  # the right ticks
             figures = rig.scheduler.statistics.slice(f"s{period}")
             assert (figures.count, figures.missed_ticks) == (runs, 0)
             assert figures.execution_counts.sum() == runs
@@ -98,8 +102,12 @@ async def test_lockstep_names_the_silent_peer():
         return True
 
     async with running(counting_step, backend="virtual", paused=True) as rig:
-        with pytest.raises(PeerSilentError, match=r"plc has been silent for 0\.05 s, tick 40"):
-            await rig.scheduler.lockstep(exchange, n_ticks=20, peer="plc", timeout_s=0.05)
+        with pytest.raises(
+            PeerSilentError, match=r"plc has been silent for 0\.05 s, tick 40"
+        ):
+            await rig.scheduler.lockstep(
+                exchange, n_ticks=20, peer="plc", timeout_s=0.05
+            )
 
 
 async def test_a_slice_reports_a_fault_once_and_the_step_is_told():
@@ -119,16 +127,24 @@ async def test_a_failing_callback_stops_nobody():
         rig.scheduler.on_slice("publish", broken)
         rig.scheduler.on_slice("publish", lambda tick, planned: ticks.append(tick))
 
-    asyncio.get_running_loop().set_exception_handler(lambda loop, c: problems.append(c["message"]))
-    async with running(counting_step, backend="virtual", paused=True, prepare=prepare) as rig:
+    asyncio.get_running_loop().set_exception_handler(
+        lambda loop, c: problems.append(c["message"])
+    )
+    async with running(
+        counting_step, backend="virtual", paused=True, prepare=prepare
+    ) as rig:
         await rig.scheduler.advance(60)
     assert ticks == [0, 20, 40]
-    assert problems == [f"slice 'publish' failed in tick {tick}" for tick in (0, 20, 40)]
+    assert problems == [
+        f"slice 'publish' failed in tick {tick}" for tick in (0, 20, 40)
+    ]
 
 
 async def test_unknown_names_are_refused():
     rig = make(counting_step, backend="virtual")
-    with pytest.raises(KeyError, match="no communication slice 'plant' \\(publish, supervise\\)"):
+    with pytest.raises(
+        KeyError, match="no communication slice 'plant' \\(publish, supervise\\)"
+    ):
         rig.scheduler.on_slice("plant", print)
     with pytest.raises(ValueError, match="one of thread, timerfd, virtual"):
         make(counting_step, backend="timer")

@@ -30,7 +30,9 @@ async def stock(pki: Pki) -> AsyncIterator[Stock]:
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def ours(pki: Pki, tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Rig]:
+async def ours(
+    pki: Pki, tmp_path_factory: pytest.TempPathFactory
+) -> AsyncIterator[Rig]:
     rig = Rig(tmp_path_factory.mktemp("snapshots"), **pki.config())
     await rig.server.start()
     rig.control.started()

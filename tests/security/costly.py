@@ -36,7 +36,9 @@ def _variant(rng: random.Random) -> ua.Variant:
             lambda: ua.Variant(["x"] * few, _Type.String, is_array=True),
             lambda: ua.Variant("y" * size, _Type.String),
             lambda: ua.Variant([ua.Variant()] * few, _Type.Variant, is_array=True),
-            lambda: ua.Variant([ua.LocalizedText("z")] * few, _Type.LocalizedText, is_array=True),
+            lambda: ua.Variant(
+                [ua.LocalizedText("z")] * few, _Type.LocalizedText, is_array=True
+            ),
             lambda: ua.Variant([ua.DataValue()] * few, _Type.DataValue, is_array=True),
             lambda: ua.Variant([ua.NodeId()] * few, _Type.NodeId, is_array=True),
         )
@@ -57,16 +59,24 @@ def _event_filter(rng: random.Random) -> ua.EventFilter:
     elements = []
     for index in range(size):
         element = ua.ContentFilterElement()
-        element.FilterOperator = rng.choice((ua.FilterOperator.Or, ua.FilterOperator.And))
+        element.FilterOperator = rng.choice(
+            (ua.FilterOperator.Or, ua.FilterOperator.And)
+        )
         ahead = ua.ElementOperand(min(index + 1, size - 1))
         other = ua.LiteralOperand(ua.Variant(rng.random() < 0.5))
         element.FilterOperands = [ahead, ahead if rng.random() < 0.3 else other]
         elements.append(element)
     last = elements[-1]
-    last.FilterOperator = rng.choice((ua.FilterOperator.InList, ua.FilterOperator.OfType))
-    last.FilterOperands = [clause()] + [ua.LiteralOperand(ua.Variant(7))] * rng.choice((1, 300))
+    last.FilterOperator = rng.choice(
+        (ua.FilterOperator.InList, ua.FilterOperator.OfType)
+    )
+    last.FilterOperands = [clause()] + [ua.LiteralOperand(ua.Variant(7))] * rng.choice(
+        (1, 300)
+    )
     selected = [clause() for _ in range(rng.choice((1, 20, 499)))]
-    return ua.EventFilter(SelectClauses=selected, WhereClause=ua.ContentFilter(elements))
+    return ua.EventFilter(
+        SelectClauses=selected, WhereClause=ua.ContentFilter(elements)
+    )
 
 
 def _monitored(rng: random.Random, nodes: list[ua.NodeId]) -> ua.MonitoringParameters:
@@ -161,7 +171,9 @@ class Requests:
 
     def do_browse(self, size: int) -> Any:
         request = ua.BrowseRequest()
-        request.Parameters.RequestedMaxReferencesPerNode = self.rng.choice((0, 0, 1, 100))
+        request.Parameters.RequestedMaxReferencesPerNode = self.rng.choice(
+            (0, 0, 1, 100)
+        )
         request.Parameters.NodesToBrowse = self._some(size, lambda: ua.BrowseDescription(
             NodeId=_node(self.rng, self.nodes),
             BrowseDirection=self.rng.choice(list(ua.BrowseDirection)[:3]),
@@ -214,7 +226,9 @@ class Requests:
         return request
 
     def do_register(self, size: int) -> Any:
-        request = self.rng.choice((ua.RegisterNodesRequest, ua.UnregisterNodesRequest))()
+        request = self.rng.choice(
+            (ua.RegisterNodesRequest, ua.UnregisterNodesRequest)
+        )()
         nodes = [_node(self.rng, self.nodes)] * size
         if isinstance(request, ua.RegisterNodesRequest):
             request.Parameters.NodesToRegister = nodes
@@ -233,7 +247,9 @@ class Requests:
     def do_modify_subscription(self, size: int) -> Any:
         request = ua.ModifySubscriptionRequest()
         request.Parameters.SubscriptionId = self._subscription()
-        request.Parameters.RequestedPublishingInterval = self.rng.choice((0.0, 5.0, 1000.0))
+        request.Parameters.RequestedPublishingInterval = self.rng.choice(
+            (0.0, 5.0, 1000.0)
+        )
         return request
 
     def do_subscription_lists(self, size: int) -> Any:
@@ -256,7 +272,9 @@ class Requests:
                 MonitoringMode=self.rng.choice(list(ua.MonitoringMode)),
                 RequestedParameters=_monitored(self.rng, self.nodes),
             )
-            made.ItemToMonitor = ua.ReadValueId(_node(self.rng, self.nodes), _Attributes.Value)
+            made.ItemToMonitor = ua.ReadValueId(
+                _node(self.rng, self.nodes), _Attributes.Value
+            )
             if is_event:
                 made.ItemToMonitor = ua.ReadValueId(
                     ua.NodeId(ua.ObjectIds.Server), _Attributes.EventNotifier
@@ -276,10 +294,14 @@ class Requests:
         return request
 
     def do_item_lists(self, size: int) -> Any:
-        kind = self.rng.choice(("DeleteMonitoredItems", "SetMonitoringMode", "SetMonitoringMode"))
+        kind = self.rng.choice(
+            ("DeleteMonitoredItems", "SetMonitoringMode", "SetMonitoringMode")
+        )
         request = getattr(ua, f"{kind}Request")()
         request.Parameters.SubscriptionId = self._subscription()
-        request.Parameters.MonitoredItemIds = [self.rng.randrange(1, 2000) for _ in range(size)]
+        request.Parameters.MonitoredItemIds = [
+            self.rng.randrange(1, 2000) for _ in range(size)
+        ]
         if kind == "SetMonitoringMode":
             request.Parameters.MonitoringMode = self.rng.choice(list(ua.MonitoringMode))
         return request
@@ -298,7 +320,8 @@ class Requests:
     def do_publish(self, size: int) -> Any:
         request = ua.PublishRequest()
         request.Parameters.SubscriptionAcknowledgements = [
-            ua.SubscriptionAcknowledgement(self._subscription(), number) for number in range(size)
+            ua.SubscriptionAcknowledgement(self._subscription(), number)
+            for number in range(size)
         ]
         return request
 
@@ -343,6 +366,11 @@ def chunks(wire: Any, request: Any) -> Iterator[bytes]:
     for first in range(0, len(data), size):
         is_last = first + size >= len(data)
         wire._sequence += 1
-        head = struct.pack("<IIII", wire.channel, wire.token, wire._sequence, request_id)
+        head = struct.pack(
+            "<IIII", wire.channel, wire.token, wire._sequence, request_id
+        )
         body = head + data[first : first + size]
-        yield struct.pack("<3scI", b"MSG", b"F" if is_last else b"C", 8 + len(body)) + body
+        yield (
+            struct.pack("<3scI", b"MSG", b"F" if is_last else b"C", 8 + len(body))
+            + body
+        )

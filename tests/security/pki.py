@@ -58,12 +58,17 @@ class Pki:
         self.trust.make_folders()
         self._keys = [make_key() for _ in range(2)]
         self.server = self._store(
-            "server/own", default_application_uri(), self._keys[0], ["127.0.0.1", "localhost"]
+            "server/own",
+            default_application_uri(),
+            self._keys[0],
+            ["127.0.0.1", "localhost"],
         )
         self.client = self.identity("client")
         self.trust_it(self.client)
 
-    def _store(self, name: str, uri: str, key: Any, hosts: Any = (), **more: Any) -> Identity:
+    def _store(
+        self, name: str, uri: str, key: Any, hosts: Any = (), **more: Any
+    ) -> Identity:
         folder = self.folder / name
         folder.mkdir(parents=True, exist_ok=True)
         certificate = make_certificate(key, uri, hosts, common_name=name[-20:], **more)
@@ -100,7 +105,9 @@ class Pki:
             .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
             .sign(key, hashes.SHA256())
         )
-        write_private(self.trust.folder / "trusted" / "authority.der", to_der(certificate))
+        write_private(
+            self.trust.folder / "trusted" / "authority.der", to_der(certificate)
+        )
         return certificate, key
 
     def config(self) -> dict[str, Any]:
@@ -133,5 +140,7 @@ class Pki:
         )
         if user is not None:
             client.set_user(user)
-            client.set_password(PASSWORDS.get(user, "x") if password is None else password)
+            client.set_password(
+                PASSWORDS.get(user, "x") if password is None else password
+            )
         return client

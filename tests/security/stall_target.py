@@ -53,7 +53,9 @@ async def main(folder: Path) -> None:
     tasks = [asyncio.create_task(drive(rig)), asyncio.create_task(probe.run())]
     reader = asyncio.StreamReader()
     loop = asyncio.get_running_loop()
-    await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
+    await loop.connect_read_pipe(
+        lambda: asyncio.StreamReaderProtocol(reader), sys.stdin
+    )
     print("@", rig.server.url, flush=True)
     while await reader.readline():
         print(f"@ {probe.longest_ms:.3f}", flush=True)

@@ -13,7 +13,9 @@ class Stock:
     """A stock server that offers SignAndEncrypt only, with one variable and one method."""
 
     async def start(self, pki: Pki) -> None:
-        assert asyncua.__version__.startswith("2.1."), "the holes are those of this version"
+        assert asyncua.__version__.startswith("2.1."), (
+            "the holes are those of this version"
+        )
         self.calls = 0
         server = self.server = Server(iserver=QuickInternalServer())
         await server.init()
@@ -21,7 +23,9 @@ class Stock:
         await server.set_application_uri(pki.server.uri)
         await server.load_certificate(str(pki.server.certificate_path))
         await server.load_private_key(str(pki.server.key_path))
-        server.set_security_policy([ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt])
+        server.set_security_policy(
+            [ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt]
+        )
         self.index = await server.register_namespace("urn:stock")
         self.speed = ua.NodeId("speed", self.index)
         variable = await server.nodes.objects.add_variable(self.speed, "speed", 0.0)

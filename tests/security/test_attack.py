@@ -23,8 +23,19 @@ from tests.io.opcua_server.rig import Rig
 
 def campaign(path: Path, *sizes: str, timeout_s: float) -> dict[str, dict]:
     """Run the bench; a crash of the daemon ends it with an error."""
-    command = [sys.executable, "-m", "hilserver", "bench", "attack", "--json", str(path), *sizes]
-    done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=timeout_s)
+    command = [
+        sys.executable,
+        "-m",
+        "hilserver",
+        "bench",
+        "attack",
+        "--json",
+        str(path),
+        *sizes,
+    ]
+    done = subprocess.run(
+        command, check=False, capture_output=True, text=True, timeout=timeout_s
+    )
     assert done.returncode == 0, done.stderr
     return {row["name"]: row for row in json.loads(path.read_text())["results"]}
 
@@ -39,7 +50,9 @@ def check(found: dict[str, dict], count: int) -> None:
     names = {block["name"] for block in raw["blocks"]}
     assert names == {"idle", "packets", *FLOODS}
     if len(os.sched_getaffinity(0)) > 1:
-        assert found["pacing_priority"]["raw"]["plant_core"] == max(os.sched_getaffinity(0))
+        assert found["pacing_priority"]["raw"]["plant_core"] == max(
+            os.sched_getaffinity(0)
+        )
     # A healthy client was served beside them; the computer may hold it up for a short block.
     served = [block["reads"] > 0 for block in raw["blocks"]]
     assert sum(served) >= 0.8 * len(served)
@@ -72,7 +85,9 @@ def no_more_ticks_missed(found: dict[str, dict], name: str) -> None:
     low, high = (found[f"{name}_rate_ratio_{end}"]["value"] for end in ("low", "high"))
     per_s = found[f"{name}_per_s"]["value"]
     assert low <= 1.0, f"{name}: more, {low:.2f} to {high:.2f} times"
-    assert high < MOST_TIMES or per_s < NONE_PER_S, f"{name}: undecided, {low:.2f} to {high:.2f}"
+    assert high < MOST_TIMES or per_s < NONE_PER_S, (
+        f"{name}: undecided, {low:.2f} to {high:.2f}"
+    )
 
 
 @pytest.mark.long
@@ -90,7 +105,9 @@ def test_the_whole_campaign(tmp_path: Path) -> None:
     no_more_ticks_missed(found, "missed_ticks_to_load")
 
 
-def test_a_campaign_of_this_size_notices_twice_and_two_and_a_half_times_as_much() -> None:
+def test_a_campaign_of_this_size_notices_twice_and_two_and_a_half_times_as_much() -> (
+    None
+):
     def found(missed: tuple[int, ...]) -> dict[str, dict]:
         blocks = [
             block(kind, number, 0.0)
@@ -137,8 +154,12 @@ async def test_the_captures_are_valid(tmp_path: Path) -> None:
         await rig.close()
 
 
-@given(count=st.integers(0, 60), reference=st.integers(0, 60), factor=st.floats(0.2, 5.0))
-def test_interval_is_that_of_clopper_and_pearson(count: int, reference: int, factor: float) -> None:
+@given(
+    count=st.integers(0, 60), reference=st.integers(0, 60), factor=st.floats(0.2, 5.0)
+)
+def test_interval_is_that_of_clopper_and_pearson(
+    count: int, reference: int, factor: float
+) -> None:
     low, high = rate_ratio_interval(count, 10.0 * factor, reference, 10.0)
     total = count + reference
     p_low = stats.beta.ppf(0.025, count, total - count + 1) if count else 0.0
@@ -150,7 +171,9 @@ def test_interval_is_that_of_clopper_and_pearson(count: int, reference: int, fac
         assert math.isinf(high)
 
 
-def test_bursts_widen_the_interval_of_blocks_and_a_real_difference_is_still_found() -> None:
+def test_bursts_widen_the_interval_of_blocks_and_a_real_difference_is_still_found() -> (
+    None
+):
     burst, still = [(40, 5.0), *[(0, 5.0)] * 19], [(1, 5.0)] * 20
     low, high = rate_ratio_interval(40, 100.0, 20, 100.0)
     assert low > 1.0, "taken one by one, the ticks of the burst look like a difference"

@@ -29,7 +29,12 @@ from hilserver.opcua.certificate import (
 )
 from hilserver.opcua.channel import GuardedConnection
 from hilserver.opcua.frames import TransportError
-from hilserver.opcua.passwords import FailedAttempts, hash_password, is_password, keys_of
+from hilserver.opcua.passwords import (
+    FailedAttempts,
+    hash_password,
+    is_password,
+    keys_of,
+)
 from hilserver.opcua.trust_list import (
     KEPT_AT_ONCE,
     KEPT_WITHIN_S,
@@ -48,7 +53,9 @@ pytestmark = pytest.mark.asyncio(loop_scope="module")
 NOW = datetime.now(UTC)
 
 
-async def refusal(rig: Rig, pki: Pki, identity: Identity, policy: str = "Basic256Sha256") -> str:
+async def refusal(
+    rig: Rig, pki: Pki, identity: Identity, policy: str = "Basic256Sha256"
+) -> str:
     """Return the name of the status code with which a connection is refused."""
     client = await pki.secure(RobotClient(rig.server.url), "emma", policy, identity)
     try:
@@ -60,7 +67,9 @@ async def refusal(rig: Rig, pki: Pki, identity: Identity, policy: str = "Basic25
 
 
 @pytest.mark.parametrize("policy", POLICIES)
-async def test_trusted_client_connects_with_every_policy(ours: Rig, pki: Pki, policy: str) -> None:
+async def test_trusted_client_connects_with_every_policy(
+    ours: Rig, pki: Pki, policy: str
+) -> None:
     client = await pki.secure(RobotClient(ours.server.url), "emma", policy)
     async with client:
         ours.set("pose.x_m", 0.25)
@@ -70,7 +79,9 @@ async def test_trusted_client_connects_with_every_policy(ours: Rig, pki: Pki, po
         assert mode is ua.MessageSecurityMode.SignAndEncrypt
 
 
-async def test_untrusted_is_refused_kept_and_let_in_once_trusted(ours: Rig, pki: Pki) -> None:
+async def test_untrusted_is_refused_kept_and_let_in_once_trusted(
+    ours: Rig, pki: Pki
+) -> None:
     stranger = pki.identity("stranger")
     # OPC 10000-4, 6.1.3: who is not trusted learns no more than BadSecurityChecksFailed.
     with capture_logs() as logs:
@@ -123,7 +134,10 @@ async def test_server_under_another_name(pki: Pki, tmp_path: Path) -> None:
     assert judge(der, "192.0.2.1", uri) == "BadCertificateHostNameInvalid"
     assert judge(der, "127.0.0.1", "urn:else") == "BadCertificateUriInvalid"
     assert judge(pki.client.der, "127.0.0.1", uri) == "BadCertificateUntrusted"
-    assert judge(der, "127.0.0.1", uri, NOW + timedelta(days=9999)) == "BadCertificateTimeInvalid"
+    assert (
+        judge(der, "127.0.0.1", uri, NOW + timedelta(days=9999))
+        == "BadCertificateTimeInvalid"
+    )
 
 
 @pytest.mark.parametrize(
@@ -142,7 +156,9 @@ async def test_one_host_in_two_ways_of_writing(
     assert verdict is Verdict.GOOD
 
 
-async def test_a_client_is_no_server_nor_the_other_way_round(pki: Pki, tmp_path: Path) -> None:
+async def test_a_client_is_no_server_nor_the_other_way_round(
+    pki: Pki, tmp_path: Path
+) -> None:
     trust, key = TrustList(tmp_path), pki.client.key
     for use, as_client, as_server in (
         (ExtendedKeyUsageOID.CLIENT_AUTH, "Good", "BadCertificateUseNotAllowed"),
@@ -167,7 +183,9 @@ async def test_a_client_is_no_server_nor_the_other_way_round(pki: Pki, tmp_path:
         assert trust.judge_server(der, "robot", "urn:x", only=certificate) == as_server
 
 
-async def test_issued_by_an_authority_until_its_list_says_otherwise(ours: Rig, pki: Pki) -> None:
+async def test_issued_by_an_authority_until_its_list_says_otherwise(
+    ours: Rig, pki: Pki
+) -> None:
     authority = pki.authority()
     issued = pki.identity("issued", issuer=authority)
     assert await refusal(ours, pki, issued) == "Good"
@@ -225,8 +243,14 @@ def damaged(path: Path, data: bytes, damage: str) -> Iterator[None]:
 
 def long_list(authority: tuple[x509.Certificate, Any], serial_number: int) -> bytes:
     """Return a revocation list of more than a megabyte."""
-    long = x509.UnrecognizedExtension(x509.ObjectIdentifier("1.2.3.4"), bytes(1_200_000))
-    revoked = x509.RevokedCertificateBuilder().serial_number(serial_number).revocation_date(NOW)
+    long = x509.UnrecognizedExtension(
+        x509.ObjectIdentifier("1.2.3.4"), bytes(1_200_000)
+    )
+    revoked = (
+        x509.RevokedCertificateBuilder()
+        .serial_number(serial_number)
+        .revocation_date(NOW)
+    )
     revocations = (
         x509.CertificateRevocationListBuilder()
         .issuer_name(authority[0].subject)
@@ -235,12 +259,16 @@ def long_list(authority: tuple[x509.Certificate, Any], serial_number: int) -> by
         .add_revoked_certificate(revoked.build())
         .add_extension(long, critical=False)
     )
-    return revocations.sign(authority[1], hashes.SHA256()).public_bytes(serialization.Encoding.DER)
+    return revocations.sign(authority[1], hashes.SHA256()).public_bytes(
+        serialization.Encoding.DER
+    )
 
 
 async def test_a_long_revocation_list_counts(pki: Pki, list_path: Path) -> None:
     authority = pki.authority()
-    issued, other = (pki.identity(name, issuer=authority) for name in ("issued", "other"))
+    issued, other = (
+        pki.identity(name, issuer=authority) for name in ("issued", "other")
+    )
     data = long_list(authority, issued.certificate.serial_number)
     assert len(data) > 1_000_000
     write_private(list_path, data)
@@ -286,7 +314,9 @@ async def test_an_error_that_passes_locks_nobody_out_after_it(
     assert trust.judge(pki.client.der) is Verdict.GOOD
 
 
-async def test_a_list_that_is_written_anew_in_its_place_counts(pki: Pki, list_path: Path) -> None:
+async def test_a_list_that_is_written_anew_in_its_place_counts(
+    pki: Pki, list_path: Path
+) -> None:
     authority = pki.authority()
     issued = pki.identity("issued", issuer=authority)
     write(list_path, long_list(authority, 99))
@@ -320,7 +350,9 @@ async def test_no_bytes_are_a_certificate_by_chance(data: bytes) -> None:
     assert TrustList(Path("/nonexistent")).judge(b"0\x82" + data) is Verdict.INVALID
 
 
-async def test_rejected_folder_does_not_grow_without_end(pki: Pki, tmp_path: Path) -> None:
+async def test_rejected_folder_does_not_grow_without_end(
+    pki: Pki, tmp_path: Path
+) -> None:
     trust = TrustList(tmp_path)
     trust.make_folders()
     rejected = tmp_path / "rejected"
@@ -328,7 +360,10 @@ async def test_rejected_folder_does_not_grow_without_end(pki: Pki, tmp_path: Pat
         write_private(rejected / f"{i:04}.der", b"x")
     assert trust.keep_rejected(pki.client.der) is not None
     assert len(list(files_in(rejected))) == MAX_REJECTED
-    assert oct((rejected / file_name(pki.client.certificate)).stat().st_mode & 0o777) == "0o600"
+    assert (
+        oct((rejected / file_name(pki.client.certificate)).stat().st_mode & 0o777)
+        == "0o600"
+    )
 
 
 async def test_strangers_with_ever_new_certificates_keep_no_disk_busy(
@@ -342,13 +377,17 @@ async def test_strangers_with_ever_new_certificates_keep_no_disk_busy(
     kept = [trust.keep_rejected(der, stranger) for der in ders[:-2]]
     assert [path is not None for path in kept] == [True] * KEPT_AT_ONCE + [False] * 2
     assert trust.keep_rejected(ders[0], stranger) == kept[0], "it is there"
-    assert trust.keep_rejected(ders[-1], honest) is not None, "strangers keep nobody else out"
+    assert trust.keep_rejected(ders[-1], honest) is not None, (
+        "strangers keep nobody else out"
+    )
     assert trust.keep_rejected(ders[-2]) is not None, "a server that we connect to"
     now_s += KEPT_WITHIN_S
     assert trust.keep_rejected(ders[-3], stranger) is not None
 
 
-async def test_the_log_says_why_a_certificate_is_not_kept(pki: Pki, tmp_path: Path) -> None:
+async def test_the_log_says_why_a_certificate_is_not_kept(
+    pki: Pki, tmp_path: Path
+) -> None:
     trust = TrustList(tmp_path)
     connection = GuardedConnection([], trust, "192.0.2.66")
     with capture_logs() as lines:
@@ -363,7 +402,9 @@ async def test_the_log_says_why_a_certificate_is_not_kept(pki: Pki, tmp_path: Pa
 async def test_key_that_others_can_read_is_refused(pki: Pki, tmp_path: Path) -> None:
     trust = TrustList(tmp_path)
     trust.make_folders()
-    with pytest.raises(ConfigError, match="is missing: make a certificate with 'hilserver certs"):
+    with pytest.raises(
+        ConfigError, match="is missing: make a certificate with 'hilserver certs"
+    ):
         trust.own()
     own = tmp_path / "own"
     write_private(own / "certificate.der", to_der(pki.server.certificate))
@@ -383,10 +424,16 @@ async def test_key_that_others_can_read_is_refused(pki: Pki, tmp_path: Path) -> 
 # --- users ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("user", "password"), [("emma", "wrong"), ("nobody", "all"), ("", "")])
-async def test_wrong_name_or_password(ours: Rig, pki: Pki, user: str, password: str) -> None:
+@pytest.mark.parametrize(
+    ("user", "password"), [("emma", "wrong"), ("nobody", "all"), ("", "")]
+)
+async def test_wrong_name_or_password(
+    ours: Rig, pki: Pki, user: str, password: str
+) -> None:
     client = await pki.secure(RobotClient(ours.server.url), user, password=password)
-    with pytest.raises((ua.uaerrors.BadUserAccessDenied, ua.uaerrors.BadIdentityTokenRejected)):
+    with pytest.raises(
+        (ua.uaerrors.BadUserAccessDenied, ua.uaerrors.BadIdentityTokenRejected)
+    ):
         await client.connect()
 
 
@@ -404,14 +451,22 @@ async def test_guessing_is_slowed_down_for_that_name(pki: Pki, tmp_path: Path) -
             assert await login(rig, pki, password) == "BadUserAccessDenied"
         # The right one does not help any more: three wrong ones came for this name.
         assert await login(rig, pki, "all") == "BadUserAccessDenied"
-        assert await login(rig, pki, "drive", "otto") == "Good"  # beside her on this computer
+        assert (
+            await login(rig, pki, "drive", "otto") == "Good"
+        )  # beside her on this computer
     finally:
         await rig.close()
 
 
 @pytest.mark.parametrize(
     ("address", "counts"),
-    [("192.0.2.7", True), ("fe80::1", True), ("127.0.0.1", False), ("::1", False), ("", False)],
+    [
+        ("192.0.2.7", True),
+        ("fe80::1", True),
+        ("127.0.0.1", False),
+        ("::1", False),
+        ("", False),
+    ],
 )
 async def test_log_ins_count_for_the_name_and_for_an_address_of_another_computer(
     address: str, counts: bool
@@ -446,7 +501,9 @@ async def test_roles_write(ours: Rig, pki: Pki) -> None:
 async def test_recordings_carry_no_password_hashes() -> None:
     text = hash_password("geheim", log_n=10)
     users = [{"name": "emma", "password": text, "role": "engineer"}]
-    config = Config.model_validate({"opcua": {"users": users, "policies": ["Basic256Sha256"]}})
+    config = Config.model_validate(
+        {"opcua": {"users": users, "policies": ["Basic256Sha256"]}}
+    )
     carried = without_passwords(config)
     assert text not in str(carried)
     assert Config.model_validate(carried).opcua.users[0].name == "emma"

@@ -140,7 +140,9 @@ def browse_all(count: int) -> ua.BrowseRequest:
     return request
 
 
-async def test_a_thousand_browses_of_all_references_hold_nobody_up(target: Target) -> None:
+async def test_a_thousand_browses_of_all_references_hold_nobody_up(
+    target: Target,
+) -> None:
     """Before: no answer in 60 s, and no event loop."""
     async with Asking(target.url) as wire:
         await wire.log_in()
@@ -156,7 +158,8 @@ async def test_a_thousand_long_paths_hold_nobody_up(target: Target) -> None:
     request = ua.TranslateBrowsePathsToNodeIdsRequest()
     names = ("Objects", "Server", "ServerStatus", "BuildInfo", "ProductUri")
     elements = [
-        ua.RelativePathElement(_References, False, True, ua.QualifiedName(name)) for name in names
+        ua.RelativePathElement(_References, False, True, ua.QualifiedName(name))
+        for name in names
     ]
     path = ua.BrowsePath(ua.NodeId(ua.ObjectIds.RootFolder), ua.RelativePath(elements))
     request.Parameters.BrowsePaths = [path] * 1000
@@ -195,7 +198,9 @@ async def test_healthy_reads_are_twice_as_slow_at_most_beside_costly_requests(
     assert found[1] <= 2 * max(found[0], 5.0)
 
 
-async def test_a_daemon_under_attack_stays_out_of_its_safe_state_and_ends(tmp_path: Path) -> None:
+async def test_a_daemon_under_attack_stays_out_of_its_safe_state_and_ends(
+    tmp_path: Path,
+) -> None:
     """Browse, and the event filter that each element names twice: 2^39 evaluations."""
     clauses = [ua.ContentFilterElement(ua.FilterOperator.Or) for _ in range(40)]
     for number, clause in enumerate(clauses):
@@ -207,12 +212,16 @@ async def test_a_daemon_under_attack_stays_out_of_its_safe_state_and_ends(tmp_pa
     item.ItemToMonitor = ua.ReadValueId(
         ua.NodeId(ua.ObjectIds.Server), ua.AttributeIds.EventNotifier
     )
-    item.RequestedParameters.Filter = ua.EventFilter([message], ua.ContentFilter(clauses))
+    item.RequestedParameters.Filter = ua.EventFilter(
+        [message], ua.ContentFilter(clauses)
+    )
     create.Parameters.ItemsToCreate = [item]
     with running_daemon(tmp_path, config=LIMITS) as daemon:
         async with Asking(daemon.url) as wire:
             await wire.log_in()
-            made = await wire.answer(ua.CreateSubscriptionRequest(), ua.CreateSubscriptionResponse)
+            made = await wire.answer(
+                ua.CreateSubscriptionRequest(), ua.CreateSubscriptionResponse
+            )
             create.Parameters.SubscriptionId = made.Parameters.SubscriptionId
             answer = await wire.answer(create, ua.CreateMonitoredItemsResponse)
             assert answer.Results[0].StatusCode.name == "BadEventFilterInvalid"
@@ -263,7 +272,9 @@ async def ask(target: Target, count: int, seed: int) -> list[tuple[float, str, f
         elif name == "browse":
             with contextlib.suppress(Exception):
                 found = struct_from_binary(ua.BrowseResponse, data).Results
-                requests.points += [r.ContinuationPoint for r in found if r.ContinuationPoint]
+                requests.points += [
+                    r.ContinuationPoint for r in found if r.ContinuationPoint
+                ]
     await wire.__aexit__(None, None, None)
     return rows
 

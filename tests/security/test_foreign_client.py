@@ -48,5 +48,9 @@ async def test_node_opcua_connects_securely(
     assert process.returncode == 0, err.decode()
     found = json.loads(out.decode().strip().splitlines()[-1])
     assert found["policy"].endswith(f"#{name}")
-    assert (found["pose"], found["wrote"], found["refused"]) == (0.75, "Good", "BadNotWritable")
+    assert (found["pose"], found["wrote"], found["refused"]) == (
+        0.75,
+        "Good",
+        "BadNotWritable",
+    )
     assert found["browsed"][0] == found["browsed"][1] == found["pages"] > 2

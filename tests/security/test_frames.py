@@ -20,7 +20,8 @@ from tests.security.pki import Pki
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 FRAMES = st.lists(
-    st.binary(min_size=24, max_size=80).map(lambda body: frame(b"MSG", body)), max_size=8
+    st.binary(min_size=24, max_size=80).map(lambda body: frame(b"MSG", body)),
+    max_size=8,
 )
 
 
@@ -58,7 +59,11 @@ async def test_nothing_but_messages_is_kept(data: bytes) -> None:
 
 @pytest.mark.parametrize(
     ("stage", "allowed"),
-    [(Stage.NEW, {b"HEL"}), (Stage.GREETED, {b"OPN"}), (Stage.OPEN, {b"OPN", b"MSG", b"CLO"})],
+    [
+        (Stage.NEW, {b"HEL"}),
+        (Stage.GREETED, {b"OPN"}),
+        (Stage.OPEN, {b"OPN", b"MSG", b"CLO"}),
+    ],
 )
 async def test_order(stage: Stage, allowed: set[bytes]) -> None:
     for kind in (b"HEL", b"OPN", b"MSG", b"CLO", b"ERR"):
@@ -79,10 +84,14 @@ async def silence(rig: Rig, *said: bytes) -> tuple[str, float]:
         began = time.monotonic()
         kind, body = await wire.receive(within_s=10)
         assert kind == b"ERR"
-        return ua.StatusCode(struct.unpack_from("<I", body)[0]).name, time.monotonic() - began
+        return ua.StatusCode(
+            struct.unpack_from("<I", body)[0]
+        ).name, time.monotonic() - began
 
 
-@pytest.mark.parametrize("case", ["nothing", "half a hello", "no channel", "half a channel"])
+@pytest.mark.parametrize(
+    "case", ["nothing", "half a hello", "no channel", "half a channel"]
+)
 async def test_who_does_not_go_on_is_closed(ours: Rig, case: str) -> None:
     greeting = hello(ours.server.url)
     said = {
@@ -138,7 +147,9 @@ async def test_what_one_operation_carries_is_bounded_by_what_it_costs(
     bound_decoder()
 
     def decode(count: int) -> list[object]:
-        body = Buffer(variant_to_binary(ua.Variant([element] * count, kind, is_array=True)))
+        body = Buffer(
+            variant_to_binary(ua.Variant([element] * count, kind, is_array=True))
+        )
         return within_bounds(lambda: variant_from_binary(body)).Value
 
     assert len(decode(most)) == most
@@ -146,5 +157,9 @@ async def test_what_one_operation_carries_is_bounded_by_what_it_costs(
         with pytest.raises(ServiceError) as error:
             decode(most + 1)
         assert error.value.code == ua.StatusCodes.BadEncodingLimitsExceeded
-        peers = Buffer(variant_to_binary(ua.Variant([element] * 5000, kind, is_array=True)))
-        assert len(variant_from_binary(peers).Value) == 5000, "what our own peers send has no bound"
+        peers = Buffer(
+            variant_to_binary(ua.Variant([element] * 5000, kind, is_array=True))
+        )
+        assert len(variant_from_binary(peers).Value) == 5000, (
+            "what our own peers send has no bound"
+        )

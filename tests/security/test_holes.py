@@ -25,7 +25,9 @@ REFUSED = (ua.UaError, ConnectionError, TimeoutError)
 
 
 class Ignore:
-    def datachange_notification(self, node: object, value: object, data: object) -> None:
+    def datachange_notification(
+        self, node: object, value: object, data: object
+    ) -> None:
         pass
 
 
@@ -98,7 +100,9 @@ async def test_no_channel_ours_is_refused(ours: Rig) -> None:
 
 
 @pytest.mark.parametrize("mode", [1, 2])
-async def test_ours_refuses_a_weaker_mode_of_a_policy(ours: Rig, pki: Pki, mode: int) -> None:
+async def test_ours_refuses_a_weaker_mode_of_a_policy(
+    ours: Rig, pki: Pki, mode: int
+) -> None:
     """Mode None or Sign with the policy's own cryptography."""
     client = await pki.secure(RobotClient(ours.server.url))
     await client.connect_socket()
@@ -114,7 +118,9 @@ async def test_ours_refuses_a_weaker_mode_of_a_policy(ours: Rig, pki: Pki, mode:
 
 
 async def add_node(client: Client) -> ua.NodeId:
-    return (await client.nodes.objects.add_folder(ua.NodeId("intruder", 2), "intruder")).nodeid
+    return (
+        await client.nodes.objects.add_folder(ua.NodeId("intruder", 2), "intruder")
+    ).nodeid
 
 
 async def test_admin_stock_changes_the_address_space(stock: Stock, pki: Pki) -> None:
@@ -137,7 +143,9 @@ async def test_admin_ours_is_nobody(ours: Rig, pki: Pki) -> None:
 # --- 3: subscriptions of others ------------------------------------------------------------------
 
 
-async def delete_of_other(victim: Client, attacker: Client, service: object) -> tuple[int, str]:
+async def delete_of_other(
+    victim: Client, attacker: Client, service: object
+) -> tuple[int, str]:
     subscription = await victim.create_subscription(100, Ignore())
     number = subscription.subscription_id
     (code,) = await attacker.uaclient.delete_subscriptions([number])
@@ -178,7 +186,9 @@ async def test_others_subscription_ours_stays(ours: Rig, pki: Pki) -> None:
 # --- 4: tokens ----------------------------------------------------------------------------------
 
 
-async def test_token_stock_is_guessed_and_the_session_taken(stock: Stock, pki: Pki) -> None:
+async def test_token_stock_is_guessed_and_the_session_taken(
+    stock: Stock, pki: Pki
+) -> None:
     victim = await stock_client(stock, pki)
     session = next(reversed(stock.server.iserver._external_sessions.values()))
     async with Wire(stock.url) as wire:
@@ -199,7 +209,9 @@ async def test_token_stock_is_guessed_and_the_session_taken(stock: Stock, pki: P
 
 async def test_token_ours_tells_nothing_about_others(ours: Rig, pki: Pki) -> None:
     clients = [await our_client(ours, pki) for _ in range(3)]
-    tokens = [client.uaclient.protocol.authentication_token.Identifier for client in clients]
+    tokens = [
+        client.uaclient.protocol.authentication_token.Identifier for client in clients
+    ]
     assert all(isinstance(token, bytes) and len(token) == 32 for token in tokens)
     assert len(set(tokens)) == 3
     for client in clients:
@@ -246,7 +258,9 @@ async def endless_queue(client: Client, node_id: ua.NodeId) -> int:
     )
     request = ua.MonitoredItemModifyRequest(MonitoredItemId=handle)
     request.RequestedParameters.QueueSize = 0
-    params = ua.ModifyMonitoredItemsParameters(SubscriptionId=subscription.subscription_id)
+    params = ua.ModifyMonitoredItemsParameters(
+        SubscriptionId=subscription.subscription_id
+    )
     params.ItemsToModify = [request]
     await client.uaclient.modify_monitored_items(params)
     return int(subscription.subscription_id)
@@ -256,7 +270,9 @@ async def test_queue_size_zero_stock_grows(stock: Stock, pki: Pki) -> None:
     client = await stock_client(stock, pki)
     number = await endless_queue(client, stock.speed)
     for i in range(3000):
-        await stock.server.write_attribute_value(stock.speed, ua.DataValue(float(i + 100)))
+        await stock.server.write_attribute_value(
+            stock.speed, ua.DataValue(float(i + 100))
+        )
     subscription = stock.server.iserver.subscription_service.subscriptions[number]
     assert sum(map(len, subscription._triggered_datachanges.values())) >= 3000
     await client.disconnect()
@@ -267,8 +283,12 @@ async def test_queue_size_zero_ours_is_one_value(ours: Rig, pki: Pki) -> None:
     number = await endless_queue(client, ua.NodeId("pose.x_m", 2))
     for i in range(3000):
         ours.set("pose.x_m", i * 1e-3)
-    subscription = ours.server._server.iserver.subscription_service.subscriptions[number]
-    items = [subscription.items.get(number) for number, _ in subscription.items.handles()]
+    subscription = ours.server._server.iserver.subscription_service.subscriptions[
+        number
+    ]
+    items = [
+        subscription.items.get(number) for number, _ in subscription.items.handles()
+    ]
     assert [item.size for item in items] == [1]
     assert all(len(item.queue) <= 1 for item in items)
     await client.disconnect()
@@ -321,7 +341,11 @@ async def announce_two_gigabytes(wire: Wire, mebibytes: int) -> None:
 async def test_two_gigabytes_stock_buffers_whatever_comes(stock: Stock) -> None:
     async with Wire(stock.url) as wire:
         await announce_two_gigabytes(wire, 16)
-        await until(lambda: max(len(c._buffer) for c in stock.server.bserver.clients) >= 12 * 2**20)
+        await until(
+            lambda: (
+                max(len(c._buffer) for c in stock.server.bserver.clients) >= 12 * 2**20
+            )
+        )
 
 
 async def test_two_gigabytes_ours_is_closed_at_the_header(ours: Rig) -> None:
@@ -342,7 +366,9 @@ async def flood_with_chunks(wire: Wire, mebibytes: int) -> None:
     await wire.open()
     request_id = wire._sequence + 1
     for i in range(16 * mebibytes):
-        head = struct.pack("<IIII", wire.channel, wire.token, request_id + i, request_id)
+        head = struct.pack(
+            "<IIII", wire.channel, wire.token, request_id + i, request_id
+        )
         await wire.send(frame(b"MSG", head + b"\0" * 65_000, b"C"))
 
 
@@ -351,7 +377,10 @@ async def test_chunk_flood_stock_collects_them(stock: Stock) -> None:
         await flood_with_chunks(wire, 16)
         await until(
             lambda: (
-                max(c.processor._connection._incoming_size for c in stock.server.bserver.clients)
+                max(
+                    c.processor._connection._incoming_size
+                    for c in stock.server.bserver.clients
+                )
                 >= 15 * 2**20
             )
         )
@@ -395,7 +424,10 @@ print((peak_kb() - before) // 1024)
 async def test_five_bytes_that_decode_to_hundreds_of_megabytes(whose: str) -> None:
     """An array of 20 million Nulls; not in the list of known holes: it was found by reading."""
     done = await asyncio.to_thread(
-        subprocess.run, [sys.executable, "-c", _DECODE, whose], capture_output=True, text=True
+        subprocess.run,
+        [sys.executable, "-c", _DECODE, whose],
+        capture_output=True,
+        text=True,
     )
     grown_mb = int(done.stdout)
     assert grown_mb > 100 if whose == "stock" else grown_mb < 5
@@ -417,11 +449,15 @@ async def test_call_stock_runs_what_nobody_may_execute(stock: Stock, pki: Pki) -
 async def test_call_ours_needs_the_role(ours: Rig, pki: Pki) -> None:
     observer = await our_client(ours, pki, "olga")
     method = observer.path("methods.Pause")
-    assert (await method.read_attribute(ua.AttributeIds.UserExecutable)).Value.Value is False
+    assert (
+        await method.read_attribute(ua.AttributeIds.UserExecutable)
+    ).Value.Value is False
     assert (await observer.call("Pause")).StatusCode.name == "BadUserAccessDenied"
     assert ours.control.state is State.RUNNING
     operator = await our_client(ours, pki, "otto")
-    assert (await operator.call("ResetStatistics")).StatusCode.name == "BadUserAccessDenied"
+    assert (
+        await operator.call("ResetStatistics")
+    ).StatusCode.name == "BadUserAccessDenied"
     assert (await operator.call("Pause")).StatusCode.name == "Good"
     assert ours.control.state is State.PAUSED
     await operator.call("Start")

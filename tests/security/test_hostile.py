@@ -36,7 +36,9 @@ async def rig(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Rig]:
 
 
 @pytest.mark.parametrize("asked_ms", [*NO_NUMBERS, 1e300, -1.0])
-async def test_a_session_ends_whatever_time_out_was_asked_for(rig: Rig, asked_ms: float) -> None:
+async def test_a_session_ends_whatever_time_out_was_asked_for(
+    rig: Rig, asked_ms: float
+) -> None:
     async with Wire(rig.server.url) as wire:
         await wire.greet()
         await wire.open()
@@ -47,7 +49,9 @@ async def test_a_session_ends_whatever_time_out_was_asked_for(rig: Rig, asked_ms
 
 
 @pytest.mark.parametrize("asked", NO_NUMBERS)
-async def test_intervals_that_are_no_numbers_are_revised(rig: Rig, asked: float) -> None:
+async def test_intervals_that_are_no_numbers_are_revised(
+    rig: Rig, asked: float
+) -> None:
     async with Wire(rig.server.url) as wire:
         await wire.log_in()
         create = ua.CreateSubscriptionRequest()
@@ -99,7 +103,9 @@ async def subscribe(wire: Wire, count: int = 1) -> list[int]:
     request.Parameters.RequestedPublishingInterval = 1000.0
     request.Parameters.RequestedLifetimeCount = 1000
     request.Parameters.PublishingEnabled = True
-    made = [await wire.ask(request, ua.CreateSubscriptionResponse) for _ in range(count)]
+    made = [
+        await wire.ask(request, ua.CreateSubscriptionResponse) for _ in range(count)
+    ]
     return [response.Parameters.SubscriptionId for response in made]
 
 
@@ -135,7 +141,9 @@ async def tight(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Rig]:
     await rig.close()
 
 
-async def test_a_session_has_no_more_subscriptions_than_its_role_may(tight: Rig) -> None:
+async def test_a_session_has_no_more_subscriptions_than_its_role_may(
+    tight: Rig,
+) -> None:
     async with Wire(tight.server.url) as wire:
         await wire.log_in()
         await subscribe(wire, 2)

@@ -7,7 +7,14 @@ from hypothesis import strategies as st
 
 from hilserver.signals.numbers import is_finite_number
 
-ANYTHING = st.none() | st.booleans() | st.text() | st.integers() | st.floats() | st.lists(st.none())
+ANYTHING = (
+    st.none()
+    | st.booleans()
+    | st.text()
+    | st.integers()
+    | st.floats()
+    | st.lists(st.none())
+)
 
 
 @given(ANYTHING)

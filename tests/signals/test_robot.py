@@ -41,7 +41,9 @@ BEGIN = {
 @pytest.mark.parametrize(("name", "place"), BEGIN.items())
 def test_a_signal_lies_where_the_plant_computes_it(name, place):
     record, field = place
-    first = Inputs.where(field).start if record == "u" else N_U + Outputs.where(field).start
+    first = (
+        Inputs.where(field).start if record == "u" else N_U + Outputs.where(field).start
+    )
     assert make_table().slot(name) == first
 
 

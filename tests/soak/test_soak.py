@@ -71,7 +71,9 @@ async def poll(daemon, duration_s, pids):
             reads += 1
             if elapsed_s >= len(samples) * SAMPLE_S:
                 frame = reader.latest()
-                times_ns.append((frame.tick * PERIOD_NS, frame.planned_ns, time.monotonic_ns()))
+                times_ns.append(
+                    (frame.tick * PERIOD_NS, frame.planned_ns, time.monotonic_ns())
+                )
                 tasks = await asyncio.to_thread(asyncio_tasks, daemon.metrics_url)
                 samples.append([(*usage(pid), tasks) for pid in pids])
             await asyncio.sleep(POLL_S)
@@ -82,7 +84,9 @@ async def poll(daemon, duration_s, pids):
 
 def soak(tmp_path, duration_s):
     with running_daemon(tmp_path, "--demo", config=CONFIG) as daemon:
-        recording = recorder(daemon, tmp_path / "soak.mcap", "--rotate-mb", "20", "--keep", "2")
+        recording = recorder(
+            daemon, tmp_path / "soak.mcap", "--rotate-mb", "20", "--keep", "2"
+        )
         pids = (daemon.process.pid, recording.pid)
         samples, times_ns, reads = asyncio.run(poll(daemon, duration_s, pids))
         recording.send_signal(signal.SIGTERM)
@@ -132,7 +136,9 @@ def assert_flat(samples, duration_s, noise_mb=NOISE_MB):
     quarter = len(samples) // 4
     early, late = samples[quarter : 2 * quarter], samples[-quarter:]
     growth = np.median(late, axis=0) - np.median(early, axis=0)
-    assert (growth[:, 0] <= noise_mb + GROWTH_MB_PER_H * duration_s / 3600 / 2).all(), growth
+    assert (growth[:, 0] <= noise_mb + GROWTH_MB_PER_H * duration_s / 3600 / 2).all(), (
+        growth
+    )
     # A pool starts its threads one by one, when it needs them.
     assert (growth[:, 1] <= 1).all(), "descriptors grow"
     assert (growth[:, 2] <= 1).all(), "threads grow"
@@ -169,7 +175,9 @@ def test_nothing_grows_and_time_keeps_pace(tmp_path, duration_s, noise_mb, max_w
 def test_what_grows_in_an_hour_is_seen(figure, per_h):
     hours = np.linspace(0.0, 1.0, int(LONG_S / SAMPLE_S))
     samples = np.zeros((len(hours), 2, 4))
-    samples[..., 0] = 200.0 + np.random.default_rng(0).uniform(0.0, NOISE_MB, samples.shape[:2])
+    samples[..., 0] = 200.0 + np.random.default_rng(0).uniform(
+        0.0, NOISE_MB, samples.shape[:2]
+    )
     assert_flat(samples, LONG_S)
     samples[:, 1, figure] += np.floor(per_h * hours) if figure else per_h * hours
     with pytest.raises(AssertionError):

@@ -81,5 +81,7 @@ def limit():
             "inputs": {"x_m": "pose.x_m"},
             "drives": {"speed_m_s": "twist.linear_m_s"},
         },
-        "require": [{"name": "limit", "signal": "limit.margin", "above": 0.0, "after_s": 0.02}],
+        "require": [
+            {"name": "limit", "signal": "limit.margin", "above": 0.0, "after_s": 0.02}
+        ],
     }

@@ -52,7 +52,10 @@ def driven(prepared, workers, on_batch=lambda: None):
 
 def here(prepared):
     rig = Rig(prepared.job)
-    return [rig.drive(machine) for machine in map(prepared.machine, range(prepared.sweep.machines))]
+    return [
+        rig.drive(machine)
+        for machine in map(prepared.machine, range(prepared.sweep.machines))
+    ]
 
 
 def test_a_machine_that_kills_its_worker_fails_alone(sweep, monkeypatch):
@@ -96,7 +99,9 @@ def children(workers):
 
 @pytest.mark.long
 @pytest.mark.parametrize("count", [1, 2, 4])
-def test_the_same_bits_for_any_number_of_workers_and_while_they_are_killed(sweep, count):
+def test_the_same_bits_for_any_number_of_workers_and_while_they_are_killed(
+    sweep, count
+):
     prepared = sweep(machines=400, drive={"scenario": "course.yaml", "duration_s": 4.0})
     expected, now = here(prepared), []
     with Killer(lambda: children(now[-1])) as killer:
@@ -141,10 +146,14 @@ def test_ten_machines_again_have_the_margins_of_the_table(made, tmp_path):
     for index in range(10):
         folder = tmp_path / f"machine-{index}"
         assert drive_again(prepared, index, folder) == table[index]
-        words = "run -c config.yaml --scenario scenario.yaml --record run.mcap --duration 2"
+        words = (
+            "run -c config.yaml --scenario scenario.yaml --record run.mcap --duration 2"
+        )
         command = [sys.executable, "-m", "hilserver", *words.split()]
         subprocess.run(command, cwd=folder, check=True, timeout=600)
-        again, once = (read_log(folder / name) for name in ("run.mcap", "recording.mcap"))
+        again, once = (
+            read_log(folder / name) for name in ("run.mcap", "recording.mcap")
+        )
         ticks = again.ticks(1_000_000)
         ticks = ticks[ticks < len(once)]  # a busy computer may lose some
         assert len(ticks) > len(once) / 2
@@ -159,7 +168,9 @@ def test_a_computer_with_other_bits_is_refused(sweep, monkeypatch):
 
         def submit(self, job, machines):
             done = campaign.Future()
-            done.set_result(("other", [Rig(job).drive(machine) for machine in machines]))
+            done.set_result(
+                ("other", [Rig(job).drive(machine) for machine in machines])
+            )
             return done
 
         def means_death(self, error):
@@ -175,7 +186,9 @@ def test_a_computer_with_other_bits_is_refused(sweep, monkeypatch):
 
 
 @pytest.mark.long
-def test_a_hang_in_compiled_code_ends_with_its_worker(made, limit, monkeypatch, tmp_path):
+def test_a_hang_in_compiled_code_ends_with_its_worker(
+    made, limit, monkeypatch, tmp_path
+):
     (tmp_path / "forever.py").write_text(
         "from hilserver.plant.blocks import Output, block\n\n"
         "@block(inputs=('x_m',), outputs=(Output('margin'), Output('speed_m_s')),"
@@ -211,7 +224,9 @@ class Controller:
 def test_one_that_allocates_without_end_fails_alone(made, tmp_path):
     def prepared(seed=-1):
         (tmp_path / "greedy.py").write_text(GREEDY.replace("SEED", str(seed)))
-        return made(machines=4, controller={"python": "greedy.py:Controller", "every_ms": 20})
+        return made(
+            machines=4, controller={"python": "greedy.py:Controller", "every_ms": 20}
+        )
 
     victim = prepared().machine(2).seed
     expected = [outcome.margins for outcome in here(prepared())]

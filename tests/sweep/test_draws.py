@@ -34,7 +34,9 @@ def test_machines_seeds_and_names_differ():
 
 
 def test_distributions():
-    assert stats.kstest(column(draws(a=UNIFORM), "a"), "uniform", (2.0, 4.0)).pvalue > 1e-3
+    assert (
+        stats.kstest(column(draws(a=UNIFORM), "a"), "uniform", (2.0, 4.0)).pvalue > 1e-3
+    )
     assert stats.kstest(column(draws(a=NORMAL), "a"), "norm", (10.0, 0.5)).pvalue > 1e-3
     of_three = column(draws(a=Distribution(values=(1.0, 2.0, 5.0))), "a")
     assert stats.chisquare(np.unique(of_three, return_counts=True)[1]).pvalue > 1e-3

@@ -13,7 +13,9 @@ from hilserver.sweep.estimates import (
 )
 
 
-@pytest.mark.parametrize(("passed", "n"), [(0, 10), (10, 10), (3, 10), (950, 1000), (1, 1)])
+@pytest.mark.parametrize(
+    ("passed", "n"), [(0, 10), (10, 10), (3, 10), (950, 1000), (1, 1)]
+)
 def test_the_interval_is_that_of_clopper_and_pearson(passed, n):
     low, high = exact_interval(passed, n)
     of_beta = (
@@ -41,7 +43,9 @@ def test_what_decides_comes_first():
     x = drawn()
     found = influences(x, x["a"] - 2.0 * x["b"])
     assert [item.names for item in found] == [("b",), ("a",), ("c",)]
-    assert found[0].interval[0] < found[0].rank_correlation < found[0].interval[1] < -0.8
+    assert (
+        found[0].interval[0] < found[0].rank_correlation < found[0].interval[1] < -0.8
+    )
     assert found[1].interval[0] > 0.3
     assert found[2].interval[0] < 0.0 < found[2].interval[1]
 

@@ -48,7 +48,9 @@ def test_a_machine_is_packed_as_its_robot(made):
 
 
 def test_what_no_robot_can_be_is_counted_not_clipped(made):
-    prepared = made(**{"from": {"population": {"coulomb_friction": {"mean": 0, "sd": 1}}}})
+    prepared = made(
+        **{"from": {"population": {"coulomb_friction": {"mean": 0, "sd": 1}}}}
+    )
     machines = [prepared.machine(index) for index in range(40)]
     refused = [m for m in machines if m.p is None]
     assert {m.index for m in refused} == {
@@ -86,8 +88,20 @@ def test_one_machine_as_its_diagnosis_left_it(made, tmp_path):
     [
         ({"config_sha256": "0" * 64}, "is from another robot"),
         ({"joint": None}, "has no joint"),
-        ({"joint": JOINT | {"covariance": [[1.0, 2, 0], [2, 1.0, 0], [0, 0, 1]]}}, "positive"),
-        ({"joint": {"parameters": ["clock_offset"], "value": [1], "covariance": [[1]]}}, "no par"),
+        (
+            {"joint": JOINT | {"covariance": [[1.0, 2, 0], [2, 1.0, 0], [0, 0, 1]]}},
+            "positive",
+        ),
+        (
+            {
+                "joint": {
+                    "parameters": ["clock_offset"],
+                    "value": [1],
+                    "covariance": [[1]],
+                }
+            },
+            "no par",
+        ),
         ({"verdict": 3}, "is not a findings.json"),
     ],
 )
@@ -116,28 +130,54 @@ POPULATION = BASIC["from"]["population"]
         ({"machines": 10**9}, "machines"),
         ({"machnes": 5}, "did you mean 'machines'"),
         ({"from": {"population": {"a": {"uniform": [4, 0]}}}}, "swap the two numbers"),
-        ({"from": {"population": {"rotation_gian": {"sd": 1}}}}, "no such parameter; did you mean"),
+        (
+            {"from": {"population": {"rotation_gian": {"sd": 1}}}},
+            "no such parameter; did you mean",
+        ),
         ({"from": {"population": {"track_m": {"sd": -1}}}}, "greater than 0"),
-        ({"from": {"population": {"mechatronic.mass_kg": {"sd": 1}}}}, "no such|is fixed"),
+        (
+            {"from": {"population": {"mechatronic.mass_kg": {"sd": 1}}}},
+            "no such|is fixed",
+        ),
         ({"from": {"population": {"setpoint_rate_limit": {"sd": 1}}}}, "write a mean"),
-        ({"from": {"population": POPULATION | {"terms.rotation_gain": {"sd": 1}}}}, "drawn twice"),
+        (
+            {"from": {"population": POPULATION | {"terms.rotation_gain": {"sd": 1}}}},
+            "drawn twice",
+        ),
         ({"from": {}}, "name findings, a population or both"),
         ({"drive": {}}, "duration_s is needed"),
         ({"drive": {"scenario": "none.yaml"}}, "no such file"),
         ({"require": []}, "require"),
-        ({"require": [{"name": "a", "signal": "pose.z", "below": 1}]}, "no scalar signal 'pose.z'"),
         (
-            {"require": [{"name": "a", "signal": "pose.x_m", "below": 1, "after_s": 9}]},
+            {"require": [{"name": "a", "signal": "pose.z", "below": 1}]},
+            "no scalar signal 'pose.z'",
+        ),
+        (
+            {
+                "require": [
+                    {"name": "a", "signal": "pose.x_m", "below": 1, "after_s": 9}
+                ]
+            },
             "this one ends after 1 s",
         ),
         ({"controller": {"python": "my.py:Controller"}}, "python needs every_ms"),
         ({"controller": {"block": "limit.py:limit"}}, "block needs drives"),
-        ({"controller": {"block": "my.py:Controller", "drives": {"a": "b"}}}, "not declared|free"),
+        (
+            {"controller": {"block": "my.py:Controller", "drives": {"a": "b"}}},
+            "not declared|free",
+        ),
         (
             {"controller": {"python": "a:b", "block": "c:d", "every_ms": 5}},
             "write exactly one of block",
         ),
-        ({"faults": [{"share": 2, "fault": {"fault": "stuck", "signal": "pose.x_m"}}]}, "share"),
+        (
+            {
+                "faults": [
+                    {"share": 2, "fault": {"fault": "stuck", "signal": "pose.x_m"}}
+                ]
+            },
+            "share",
+        ),
     ],
 )
 def test_what_a_file_cannot_mean_is_one_sentence(made, sections, says):
@@ -147,7 +187,9 @@ def test_what_a_file_cannot_mean_is_one_sentence(made, sections, says):
 
 
 def test_a_scenario_that_sets_parameters_is_refused(made, tmp_path):
-    (tmp_path / "set.yaml").write_text("steps: [{at_s: 0.5, set: {plant.controller.k_i: 100}}]")
+    (tmp_path / "set.yaml").write_text(
+        "steps: [{at_s: 0.5, set: {plant.controller.k_i: 100}}]"
+    )
     with pytest.raises(ConfigError, match=r"set.yaml:1: steps\[0\].set: a sweep draws"):
         made(drive={"scenario": "set.yaml"})
 

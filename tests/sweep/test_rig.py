@@ -32,7 +32,10 @@ def test_a_block_with_a_known_limit(made, limit):
 def test_a_block_that_raises(made, limit):
     population = {"limit.raises": {"values": [0.0, 1.0]}}
     mode = {"at_s": 0.0, "write": {"control.mode": 1}}
-    sections = limit | {"from": {"population": population}, "drive": {"scenario": "m.yaml"}}
+    sections = limit | {
+        "from": {"population": population},
+        "drive": {"scenario": "m.yaml"},
+    }
     path = made(**limit).job.path.parent / "m.yaml"
     path.write_text(f"steps: [{{at_s: 0.0, write: {mode['write']}}}]".replace("'", ""))
     prepared = made(**sections)
@@ -139,8 +142,14 @@ def test_commands_that_no_robot_takes(outcome, answer, says):
 @pytest.mark.parametrize(
     ("sections", "says"),
     [
-        ({"controller": {"python": "my.py:None", "every_ms": 20}}, "there is no 'None'"),
-        ({"faults": [{"share": 1, "fault": BIAS | {"signal": "pose.z"}}]}, r"faults\[0\].fault"),
+        (
+            {"controller": {"python": "my.py:None", "every_ms": 20}},
+            "there is no 'None'",
+        ),
+        (
+            {"faults": [{"share": 1, "fault": BIAS | {"signal": "pose.z"}}]},
+            r"faults\[0\].fault",
+        ),
     ],
 )
 def test_what_does_not_exist_is_refused_before_any_worker(made, sections, says):

@@ -50,7 +50,9 @@ def driven(made, tmp_path):
     return outcome
 
 
-def test_a_process_steps_the_robot_and_the_daemon_drives_the_same_again(driven, tmp_path):
+def test_a_process_steps_the_robot_and_the_daemon_drives_the_same_again(
+    driven, tmp_path
+):
     shutil.copy(EXAMPLE / "stepping.py", tmp_path)
     faults = [{"share": 1, "fault": FAULT}]
     command = (sys.executable, "stepping.py", "{endpoint}")
@@ -67,7 +69,10 @@ def test_a_client_of_others_gives_the_same_bits(driven, monkeypatch):
     monkeypatch.setenv("NODE_PATH", str(node_red.HERE / "node_modules"))
     found = [
         driven(program, str(EXAMPLE / script), "{endpoint}")[1]
-        for program, script in ((sys.executable, "stepping.py"), ("node", "stepping.js"))
+        for program, script in (
+            (sys.executable, "stepping.py"),
+            ("node", "stepping.js"),
+        )
     ]
     assert found[0] == found[1]
     assert found[0].passed
@@ -91,9 +96,15 @@ def test_one_that_never_connects_fails_its_machine(driven):
         ("return", "ended with exit code 0; the drive reached 0.15 s of 0.4 s"),
         ("sys.exit(3)", "ended with exit code 3"),
         ("import os; os.kill(os.getpid(), 9)", "was ended by SIGKILL"),
-        ("await asyncio.sleep(1e6)", "took longer than 15 s: the drive reached 0.15 s of"),
+        (
+            "await asyncio.sleep(1e6)",
+            "took longer than 15 s: the drive reached 0.15 s of",
+        ),
         ("while True: print('x' * 9999, file=sys.stderr)", "took longer than 15 s"),
-        ("a = [bytearray(10**8) for _ in range(99)]", "ended with exit code 1: MemoryError"),
+        (
+            "a = [bytearray(10**8) for _ in range(99)]",
+            "ended with exit code 1: MemoryError",
+        ),
         (
             "await methods.call_method(f'{ns}:Start'); await asyncio.sleep(1e6)",
             "the controller let the robot run freely (running)",
@@ -121,7 +132,9 @@ def test_what_it_has_started_ends_with_it(driven, tmp_path):
 
 def test_a_program_that_does_not_exist(driven):
     _, found = driven("no-such-program", "{endpoint}")
-    assert "'no-such-program' cannot be started: no such file or directory" in found.error
+    assert (
+        "'no-such-program' cannot be started: no such file or directory" in found.error
+    )
 
 
 @pytest.mark.parametrize(

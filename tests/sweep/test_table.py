@@ -62,7 +62,9 @@ def test_a_journal_is_continued_after_a_torn_line(made, tmp_path):
     whole = swept(prepared, tmp_path / "whole")
     swept(prepared, out, machines=4)
     content = (out / "finished.jsonl").read_bytes()
-    (out / "finished.jsonl").write_bytes(content[:-7])  # killed while it wrote machine 3
+    (out / "finished.jsonl").write_bytes(
+        content[:-7]
+    )  # killed while it wrote machine 3
     same(swept(prepared, out), whole)
     assert len((out / "finished.jsonl").read_bytes().splitlines()) == 1 + 6
 
@@ -92,9 +94,13 @@ def test_the_truth_is_in_the_report(made, limit, tmp_path):
 
 def test_a_fault_that_decides_has_no_axis(made, tmp_path):
     fault = {"fault": "bias", "signal": "pose.y_m", "offset": 0.5}
-    table = swept(made(machines=40, faults=[{"share": 0.5, "fault": fault}]), tmp_path / "out")
+    table = swept(
+        made(machines=40, faults=[{"share": 0.5, "fault": fault}]), tmp_path / "out"
+    )
     page = write_report(tmp_path / "out", table).read_text()
-    assert page.index("<code>bias:pose.y_m</code>") < page.index("<code>terms.rotation_gain</code>")
+    assert page.index("<code>bias:pose.y_m</code>") < page.index(
+        "<code>terms.rotation_gain</code>"
+    )
     assert "Where &#39;straight&#39; fails" in page
 
 

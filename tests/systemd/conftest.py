@@ -13,7 +13,9 @@ def container(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Container]:
     if sentence := missing():
         pytest.fail(sentence, pytrace=False)
     with one_at_a_time():
-        booted = Container(root_file_system(), tmp_path_factory.mktemp("systemd") / "nspawn.log")
+        booted = Container(
+            root_file_system(), tmp_path_factory.mktemp("systemd") / "nspawn.log"
+        )
         yield booted
         booted.stop()
 

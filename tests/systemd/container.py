@@ -29,7 +29,10 @@ def missing() -> str:
     """Return in one sentence what is not there; empty when all is."""
     if os.geteuid() != 0:
         return "the systemd tests boot a container, which needs root"
-    for tool, package in (("debootstrap", "debootstrap"), ("systemd-nspawn", "systemd-container")):
+    for tool, package in (
+        ("debootstrap", "debootstrap"),
+        ("systemd-nspawn", "systemd-container"),
+    ):
         if shutil.which(tool) is None:
             return f"{tool} is not installed: 'apt-get install {package}' (make test does it)"
     return ""
@@ -50,7 +53,13 @@ def root_file_system() -> Path:
     partial = folder.with_suffix(".partial")
     shutil.rmtree(partial, ignore_errors=True)
     subprocess.run(
-        ["debootstrap", "--variant=minbase", f"--include={PACKAGES}", suite, str(partial)],
+        [
+            "debootstrap",
+            "--variant=minbase",
+            f"--include={PACKAGES}",
+            suite,
+            str(partial),
+        ],
         check=True,
         stdout=subprocess.DEVNULL,
         timeout=900,
@@ -76,7 +85,10 @@ class Container:
         self._log = log
         python = Path(sys.base_prefix)
         site_packages = Path(np.__file__).parents[1]
-        binds = {site_packages: "/opt/hilserver/packages", ROOT: "/opt/hilserver/source"}
+        binds = {
+            site_packages: "/opt/hilserver/packages",
+            ROOT: "/opt/hilserver/source",
+        }
         self._python = Path(f"/usr/bin/python3.{sys.version_info.minor}")
         if python != Path("/usr"):
             binds[python] = "/opt/python"
@@ -128,7 +140,10 @@ class Container:
         return int(children.read_text().split()[0])
 
     def _is_up(self) -> bool:
-        return self.run("systemctl", "is-system-running").stdout.strip() in ("running", "degraded")
+        return self.run("systemctl", "is-system-running").stdout.strip() in (
+            "running",
+            "degraded",
+        )
 
     def _make_environment(self) -> None:
         venv = self.path("/opt/hilserver/.venv")
@@ -140,15 +155,30 @@ class Container:
         # A Python built as a shared library finds it by an absolute path that is not there.
         self.path("/etc/ld.so.conf.d/python.conf").write_text("/opt/python/lib\n")
         self.check("ldconfig")
-        (packages / "hilserver.pth").write_text("/opt/hilserver/source\n/opt/hilserver/packages\n")
+        (packages / "hilserver.pth").write_text(
+            "/opt/hilserver/source\n/opt/hilserver/packages\n"
+        )
 
     def path(self, inside: str) -> Path:
         """Return the host's path of a file in the container."""
         return Path(f"/proc/{self._init}/root{inside}")
 
-    def run(self, *words: str, timeout_s: float = 60) -> subprocess.CompletedProcess[str]:
+    def run(
+        self, *words: str, timeout_s: float = 60
+    ) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
-            ["nsenter", "-t", str(self._init), "-m", "-u", "-i", "-n", "-p", "--", *words],
+            [
+                "nsenter",
+                "-t",
+                str(self._init),
+                "-m",
+                "-u",
+                "-i",
+                "-n",
+                "-p",
+                "--",
+                *words,
+            ],
             capture_output=True,
             text=True,
             timeout=timeout_s,
@@ -162,11 +192,15 @@ class Container:
         return done.stdout
 
     def show(self, unit: str, key: str) -> str:
-        return self.check("systemctl", "show", unit, f"--property={key}", "--value").strip()
+        return self.check(
+            "systemctl", "show", unit, f"--property={key}", "--value"
+        ).strip()
 
     def journal(self, unit: str, since: str = "") -> str:
         after = [f"--after-cursor={since}"] if since else []
-        return self.run("journalctl", "-u", unit, "-o", "cat", "--no-pager", *after).stdout
+        return self.run(
+            "journalctl", "-u", unit, "-o", "cat", "--no-pager", *after
+        ).stdout
 
     def cursor(self) -> str:
         """Return where the journal stands now."""
@@ -178,7 +212,9 @@ class Container:
         for status in Path("/proc").glob("[0-9]*/status"):
             with contextlib.suppress(OSError):
                 for line in status.read_text().splitlines():
-                    if line.startswith("NSpid:") and line.split()[2:] == [str(pid_inside)]:
+                    if line.startswith("NSpid:") and line.split()[2:] == [
+                        str(pid_inside)
+                    ]:
                         return int(status.parent.name)
         raise AssertionError(f"process {pid_inside} of the container is not there")
 

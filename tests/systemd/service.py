@@ -103,9 +103,14 @@ class Service:
         found = []
         for task in Path(f"/proc/{pid}/task").iterdir():
             fields = (task / "stat").read_text().rpartition(")")[2].split()
-            status = dict(line.split(":", 1) for line in (task / "status").read_text().splitlines())
+            status = dict(
+                line.split(":", 1)
+                for line in (task / "status").read_text().splitlines()
+            )
             switches = int(status["voluntary_ctxt_switches"])
-            found.append(Thread(int(task.name), int(fields[38]), int(fields[37]), switches))
+            found.append(
+                Thread(int(task.name), int(fields[38]), int(fields[37]), switches)
+            )
         return found
 
     def pacing_thread(self) -> Thread:

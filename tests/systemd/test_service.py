@@ -23,7 +23,9 @@ def watched_start(service: Service) -> list[tuple[str, int]]:
     seen: list[tuple[str, int]] = []
 
     def is_over() -> bool:
-        state = service.show("ActiveState")  # first: it may become ready between the two
+        state = service.show(
+            "ActiveState"
+        )  # first: it may become ready between the two
         seen.append((state, service.get("/readyz")[0]))
         return state in ("active", "failed")
 
@@ -31,7 +33,9 @@ def watched_start(service: Service) -> list[tuple[str, int]]:
     return seen
 
 
-def test_active_means_that_the_first_ticks_met_their_deadlines(installed: Service) -> None:
+def test_active_means_that_the_first_ticks_met_their_deadlines(
+    installed: Service,
+) -> None:
     installed.start()  # compiles the kernels if nobody has done it here before
     seen = watched_start(installed)
     assert seen[-1] == ("active", 200), seen
@@ -51,7 +55,9 @@ def test_killed_and_restarted(service: Service) -> None:
 @pytest.mark.parametrize(
     "victim", ["pacing thread", pytest.param("event loop", marks=pytest.mark.long)]
 )
-def test_one_frozen_thread_is_enough_for_the_watchdog(service: Service, victim: str) -> None:
+def test_one_frozen_thread_is_enough_for_the_watchdog(
+    service: Service, victim: str
+) -> None:
     pid, since = service.main_pid, service.container.cursor()
     is_plant = victim == "pacing thread"
     tid = service.pacing_thread().tid if is_plant else service.container.pid_here(pid)
@@ -62,9 +68,13 @@ def test_one_frozen_thread_is_enough_for_the_watchdog(service: Service, victim: 
         health, why = service.get("/healthz")
         service.wait_restarted(pid)
     assert after[tid] == before[tid]
-    assert any(after[t] > before[t] for t in after if t != tid), "the other threads live on"
+    assert any(after[t] > before[t] for t in after if t != tid), (
+        "the other threads live on"
+    )
     # The event loop still answers, and says what is wrong; without it nobody answers.
-    assert (health, "last woke up" in why) == ((503, True) if is_plant else (0, False)), why
+    assert (health, "last woke up" in why) == (
+        (503, True) if is_plant else (0, False)
+    ), why
     assert "Watchdog timeout" in service.journal(since)
     wait_until(lambda: service.get("/readyz")[0] == 200, 20, "it is ready")
 
@@ -79,7 +89,9 @@ def test_reload_changes_what_can_change_and_names_what_cannot(service: Service) 
             "plant: {max_rpm: 80}\n"
         )
         service.container.check("systemctl", "reload", UNIT)
-        wait_until(lambda: "max_rpm" in service.journal(since), 20, "the reload is logged")
+        wait_until(
+            lambda: "max_rpm" in service.journal(since), 20, "the reload is logged"
+        )
         said = {line.get("key"): line["event"] for line in service.lines(since)}
         assert said["logging.level"] == "reload: changed"
         assert said["scheduler.limits.single_overrun_ms"] == "reload: changed"
@@ -89,7 +101,9 @@ def test_reload_changes_what_can_change_and_names_what_cannot(service: Service) 
         since = service.container.cursor()
         service.configure("plant: {max_rmp: 80}\n")
         service.container.check("systemctl", "reload", UNIT)
-        wait_until(lambda: "refused" in service.journal(since), 20, "the refusal is logged")
+        wait_until(
+            lambda: "refused" in service.journal(since), 20, "the refusal is logged"
+        )
         [line] = [line for line in service.lines(since) if "refused" in line["event"]]
         assert "config.yaml:2: unknown key 'plant.max_rmp'" in line["reason"]
     finally:
@@ -127,12 +141,16 @@ def pacing_has_priority(service: Service) -> bool:
     """Whether it has SCHED_FIFO 80, and alone; if it has not, the audit has to name the reason."""
     pacing = service.pacing_thread()
     is_fifo = (pacing.policy, pacing.priority) == (SCHED_FIFO, 80)
-    assert all(t.policy == SCHED_OTHER for t in service.threads() if t.tid != pacing.tid)
+    assert all(
+        t.policy == SCHED_OTHER for t in service.threads() if t.tid != pacing.tid
+    )
     series = series_of_text(service.get("/metrics")[1])
     audited = series["hil_audit_ok", frozenset({("item", "thread_priority")})]
     assert audited == is_fifo
     if not is_fifo:
-        *_, named = [line["details"] for line in service.lines() if line["event"] == "degraded"]
+        *_, named = [
+            line["details"] for line in service.lines() if line["event"] == "degraded"
+        ]
         assert named["thread_priority"]["found"] == "Operation not permitted"
         assert named["rtprio_limit"]["remedy"] or named["cgroup_cpu"]["remedy"]
     return is_fifo
@@ -145,7 +163,9 @@ def can_raise_limits() -> bool:
     return bool(int(line.split()[1], 16) >> 24 & 1)
 
 
-def test_the_pacing_thread_has_its_priority_or_the_audit_says_why_not(service: Service) -> None:
+def test_the_pacing_thread_has_its_priority_or_the_audit_says_why_not(
+    service: Service,
+) -> None:
     assert pacing_has_priority(service) or not can_raise_limits()
 
 

@@ -13,7 +13,9 @@ EXPOSURE_MAX = 1.5
 
 def exposure(path: Path) -> float:
     if shutil.which("systemd-analyze") is None:
-        pytest.fail("systemd-analyze is missing: 'apt-get install systemd'", pytrace=False)
+        pytest.fail(
+            "systemd-analyze is missing: 'apt-get install systemd'", pytrace=False
+        )
     done = subprocess.run(
         ["systemd-analyze", "security", "--offline=true", "--no-pager", str(path)],
         capture_output=True,

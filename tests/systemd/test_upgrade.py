@@ -16,7 +16,9 @@ from tests.systemd.versions import VERSIONS, git, make_repository
 pytestmark = [pytest.mark.systemd, pytest.mark.long]
 
 PAGE = (ROOT / "docs/how-to/systemd.md").read_text(encoding="utf-8")
-UPGRADE, BACK = re.findall(r"```console\n\$ (.*?)```", PAGE.split("## Upgrade")[1], re.DOTALL)[:2]
+UPGRADE, BACK = re.findall(
+    r"```console\n\$ (.*?)```", PAGE.split("## Upgrade")[1], re.DOTALL
+)[:2]
 CLONE = re.compile(r"sudo git clone --branch (\S+) (\S+) (\S+)")
 PRELUDE = """
 export PIP_NO_INDEX=1 PIP_NO_DEPS=1 PYTHONPATH=/opt/hilserver/packages
@@ -38,7 +40,9 @@ class Computer:
         text = text.replace("<this repository>", str(self.repository))
         container = self.service.container
         if (clone := CLONE.search(text)) is not None:
-            text = text.replace(clone[0], "true" if self._clone(*clone.groups()) else "false")
+            text = text.replace(
+                clone[0], "true" if self._clone(*clone.groups()) else "false"
+            )
         python = container.run("readlink", "-f", PYTHON).stdout.strip()
         script = f"PYTHON={python}\n{PRELUDE}{text}"
         return container.run("/bin/sh", "-c", script, timeout_s=600)
@@ -58,19 +62,25 @@ class Computer:
     @property
     def version(self) -> str:
         """What the running daemon says of itself."""
-        found = re.search(r'hil_build_info{.*version="([^"]+)"', self.service.get("/metrics")[1])
+        found = re.search(
+            r'hil_build_info{.*version="([^"]+)"', self.service.get("/metrics")[1]
+        )
         assert found
         return f"v{found[1].partition('.')[0]}"
 
 
 @pytest.fixture(scope="module")
-def computer(installed: Service, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Computer]:
+def computer(
+    installed: Service, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Computer]:
     container = installed.container
     folder = container.path(f"/etc/systemd/system/{UNIT}.d")
     folder.mkdir()
     drop_in = folder / "packages.conf"
     drop_in.write_text("[Service]\nEnvironment=PYTHONPATH=/opt/hilserver/packages\n")
-    yield Computer(installed, make_repository(tmp_path_factory.mktemp("repository") / "it"))
+    yield Computer(
+        installed, make_repository(tmp_path_factory.mktemp("repository") / "it")
+    )
     drop_in.unlink()
     folder.rmdir()
     Service.install(container)
@@ -89,7 +99,9 @@ def test_two_upgrades_and_two_roll_backs(computer: Computer) -> None:
         assert computer.version == version
 
 
-def test_an_upgrade_that_fails_says_so_and_leaves_the_service_alone(computer: Computer) -> None:
+def test_an_upgrade_that_fails_says_so_and_leaves_the_service_alone(
+    computer: Computer,
+) -> None:
     computer.do(UPGRADE, "v1")  # unless the other test has done it
     assert computer.do(BACK, "v1").returncode == 0
     pid = computer.service.main_pid
@@ -99,7 +111,9 @@ def test_an_upgrade_that_fails_says_so_and_leaves_the_service_alone(computer: Co
     assert computer.do(BACK, "v8").returncode != 0, "it was never installed"
 
     git(computer.repository, "checkout", "--quiet", "-b", "v4", "v2")
-    (computer.repository / "backend.py").write_text("raise SystemExit(1)\n", encoding="utf-8")
+    (computer.repository / "backend.py").write_text(
+        "raise SystemExit(1)\n", encoding="utf-8"
+    )
     git(computer.repository, "commit", "--quiet", "--all", "--message=v4")
     assert computer.do(UPGRADE, "v4").returncode != 0, "pip cannot install it"
     assert (computer.service.main_pid, computer.version) == (pid, "v1")

@@ -22,7 +22,9 @@ def demo(tmp_path_factory):
 
 def lines(program, daemon):
     command = [sys.executable, FOLDER / program, daemon.url]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    ended = subprocess.run(
+        command, capture_output=True, text=True, timeout=600, check=False
+    )
     assert ended.returncode == 0, ended.stderr
     return ended.stdout.splitlines()
 
@@ -42,12 +44,20 @@ def test_drive_takes_control_moves_and_gives_it_back(demo):
 
 @pytest.mark.parametrize(
     "program",
-    [FOLDER / "watch.py", FOLDER / "drive.py", EXAMPLES / "own-controller/drive_square.py"],
+    [
+        FOLDER / "watch.py",
+        FOLDER / "drive.py",
+        EXAMPLES / "own-controller/drive_square.py",
+    ],
 )
 def test_before_the_daemon_listens_it_says_so(program):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         nobody = f"opc.tcp://127.0.0.1:{taken.getsockname()[1]}/hilserver"
     command = [sys.executable, program, nobody]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    ended = subprocess.run(
+        command, capture_output=True, text=True, timeout=600, check=False
+    )
     assert ended.returncode == 1
-    assert re.fullmatch(f"{nobody} does not answer: wait until .* its addresses\n", ended.stderr)
+    assert re.fullmatch(
+        f"{nobody} does not answer: wait until .* its addresses\n", ended.stderr
+    )

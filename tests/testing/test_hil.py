@@ -58,7 +58,9 @@ async def test_wait_for_ends_while_somebody_has_paused_it(hil, monkeypatch):
     monkeypatch.setattr("hilserver.testing.hil.LATE_S", 0.2)
     hil.daemon.control.pause()
     async with asyncio.timeout(60):
-        with pytest.raises(HilError, match=r"0\.1 s did not pass in time; the daemon is paused"):
+        with pytest.raises(
+            HilError, match=r"0\.1 s did not pass in time; the daemon is paused"
+        ):
             await hil.wait_for(SPEED, lambda rpm: rpm > 80.0, timeout_s=0.1)
 
 
@@ -141,7 +143,13 @@ async def test_a_capture_is_judged_by_the_requirements_of_a_sweep(hil):
     hil.write(FL, 30.0)
     async with hil.capture(SPEED) as trace:
         await hil.run_for(0.5)
-    rises = {"name": "rises", "signal": SPEED, "above": 20.0, "within_s": 0.4, "for_s": 0.05}
+    rises = {
+        "name": "rises",
+        "signal": SPEED,
+        "above": 20.0,
+        "within_s": 0.4,
+        "for_s": 0.05,
+    }
     calm = {"name": "calm", "signal": SPEED, "below": 25.0}
     margins = trace.margins(rises, calm)
     assert margins["calm"] == 25.0 - trace[SPEED].values.max() < 0.0 < margins["rises"]

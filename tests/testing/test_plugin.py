@@ -77,7 +77,9 @@ def test_an_assertion_in_a_generator_fails_and_everything_is_kept(project, pytes
         "--hil-keep=kept",
     )
     result.assert_outcomes(passed=1, failed=1)
-    result.stdout.fnmatch_lines(["*recording, scenario and configuration: *kept*test_wrong*"])
+    result.stdout.fnmatch_lines(
+        ["*recording, scenario and configuration: *kept*test_wrong*"]
+    )
     (folder,) = (pytester.path / "kept").iterdir()
     run = json.loads((folder / "run.json").read_text())
     assert run["test"].endswith("::test_wrong")
@@ -92,7 +94,9 @@ def test_an_assertion_in_a_generator_fails_and_everything_is_kept(project, pytes
     assert scenario.steps[0].at_s == 0.001
     assert (scenario.faults[0].from_s, scenario.faults[0].until_s) == (0.101, 0.201)
     tree = ElementTree.parse(pytester.path / "report.xml")
-    found = [p.get("value") for p in tree.iter("property") if p.get("name") == "requirement"]
+    found = [
+        p.get("value") for p in tree.iter("property") if p.get("name") == "requirement"
+    ]
     assert found == ["HIL-12", "HIL-13"]
 
 
@@ -122,7 +126,9 @@ async def test_what_was_kept_plays_again_to_the_bit(tmp_path, request):
             hil.write({"wheel.fl.setpoint_rpm": 9.0 * i, "wheel.rl.setpoint_rpm": -i})
             await hil.step(37)
             if i == 3:
-                hil.inject({"fault": "drop", "signal": "wheels.speeds_rpm", "probability": 0.5})
+                hil.inject(
+                    {"fault": "drop", "signal": "wheels.speeds_rpm", "probability": 0.5}
+                )
             if i == 6:
                 hil.clear_faults()
         first = keep(hil, tmp_path, "first")
@@ -172,11 +178,23 @@ def test_options_reach_the_simulation(project, pytester):
     ("source", "options", "sentence"),
     [
         ("hil(config='no.yaml')", (), "*no.yaml: no such file*"),
-        ("hil(config={'plant': {'mass': 1}})", (), "*configuration of hil: plant.mass: *"),
-        ("hil(mode='fast')", (), "*the mode of hil is virtual or realtime, not 'fast'*"),
+        (
+            "hil(config={'plant': {'mass': 1}})",
+            (),
+            "*configuration of hil: plant.mass: *",
+        ),
+        (
+            "hil(mode='fast')",
+            (),
+            "*the mode of hil is virtual or realtime, not 'fast'*",
+        ),
         ("hil(speed=2)", (), "*the marker hil has no 'speed'*"),
         ("hil()", ("--hil-fault=shield.rust",), "*fault: should be 'stuck'*"),
-        ("hil()", ("--hil-scenario=bad.yaml",), "*bad.yaml:2: *there is no signal 'x'*"),
+        (
+            "hil()",
+            ("--hil-scenario=bad.yaml",),
+            "*bad.yaml:2: *there is no signal 'x'*",
+        ),
     ],
 )
 def test_a_wrong_wish_is_one_sentence(project, pytester, source, options, sentence):

@@ -53,7 +53,9 @@ def test_settle_time_and_overshoot():
         AssertionError, match=r"does not settle at 20 \+- 1 m within 1 s: it ends at 10"
     ):
         step.assert_settles(20, 1, within_s=1)
-    with pytest.raises(AssertionError, match=r"overshoots 10 m by 20\.0%, allowed are 10\.0%"):
+    with pytest.raises(
+        AssertionError, match=r"overshoots 10 m by 20\.0%, allowed are 10\.0%"
+    ):
         step.assert_overshoot(10, at_most=0.1)
     assert series([10, 10]).settle_time_s(10, 0.1) == 0.0
 

@@ -31,21 +31,34 @@ def verdicts(pytester, monkeypatch):
 @pytest.mark.parametrize("mode", ["virtual", "realtime"])
 def test_a_healthy_robot_passes(verdicts, mode):
     found = verdicts(f"--hil-mode={mode}")
-    assert {name: r.outcome for name, r in found.items()} == {TURNS: "passed", STOPS: "passed"}
+    assert {name: r.outcome for name, r in found.items()} == {
+        TURNS: "passed",
+        STOPS: "passed",
+    }
 
 
 @pytest.mark.parametrize("mode", ["virtual", "realtime"])
 def test_it_finds_the_missing_60_2pi(verdicts, mode):
     found = verdicts(f"--hil-mode={mode}", "--hil-fault=shield.yaw_rate_without_60_2pi")
-    assert {name: r.outcome for name, r in found.items()} == {TURNS: "failed", STOPS: "passed"}
-    assert "pose.yaw_rad does not settle at 1.5708 +- 0.0523" in found[TURNS].longreprtext
+    assert {name: r.outcome for name, r in found.items()} == {
+        TURNS: "failed",
+        STOPS: "passed",
+    }
+    assert (
+        "pose.yaw_rad does not settle at 1.5708 +- 0.0523" in found[TURNS].longreprtext
+    )
 
 
 @pytest.mark.parametrize("mode", ["virtual", "realtime"])
 def test_it_finds_the_dead_command_timeout(verdicts, mode):
     found = verdicts(f"--hil-mode={mode}", "--hil-fault=shield.dead_command_timeout")
-    assert {name: r.outcome for name, r in found.items()} == {TURNS: "passed", STOPS: "failed"}
-    assert "velocity.linear_m_s does not settle at 0 +- 0.01" in found[STOPS].longreprtext
+    assert {name: r.outcome for name, r in found.items()} == {
+        TURNS: "passed",
+        STOPS: "failed",
+    }
+    assert (
+        "velocity.linear_m_s does not settle at 0 +- 0.01" in found[STOPS].longreprtext
+    )
     assert "it ends at 0.3 m/s" in found[STOPS].longreprtext
 
 
@@ -58,6 +71,8 @@ def test_a_client_and_a_server_over_opcua_pass(pytester):
 def test_the_tutorial_shows_the_files_as_they_are():
     text = (DOCS / "test-your-controller.md").read_text()
     blocks = re.findall(r"```(?:python|yaml)\n(.*?)```", text, re.DOTALL)
-    files = [PROJECT / name for name in ("controller.py", "test_controller.py", "robot.yaml")]
+    files = [
+        PROJECT / name for name in ("controller.py", "test_controller.py", "robot.yaml")
+    ]
     for file in [*files, *(DOCS / "my-opcua-controller").glob("*.py")]:
         assert file.read_text() in blocks, f"{file.name} differs from the tutorial"

@@ -18,7 +18,10 @@ NEVER_RUN_BY_OTHERS = {
         OWN_FIXTURE,
         "async def test_it(robot): yield 5; assert 0",
     ),
-    "coroutine on a fixture of one's own": (OWN_FIXTURE, "async def test_it(robot): assert 0"),
+    "coroutine on a fixture of one's own": (
+        OWN_FIXTURE,
+        "async def test_it(robot): assert 0",
+    ),
     "generator that names hil by a mark": (
         "import pytest",
         "@pytest.mark.usefixtures('hil')\nasync def test_it(): yield 5; assert 0",
@@ -42,7 +45,9 @@ def outcomes(request, pytester):
         pytester.makeini("[pytest]\nasyncio_default_fixture_loop_scope = function\n")
         pytester.makepyfile(f"{textwrap.dedent(head)}\n{textwrap.dedent(test)}\n")
         mode = "-o", f"asyncio_mode={request.param}"
-        result = pytester.runpytest_inprocess(*LOAD, "-p", "no:cacheprovider", *mode, *options)
+        result = pytester.runpytest_inprocess(
+            *LOAD, "-p", "no:cacheprovider", *mode, *options
+        )
         return result.parseoutcomes(), result.stdout.str(), result.ret
 
     return run
@@ -55,7 +60,9 @@ def test_whatever_brings_hil_its_body_runs(outcomes, kind):
 
 def test_a_right_test_on_a_fixture_of_ones_own_passes(outcomes):
     test = (
-        "async def test_it(robot):\n    now_s = yield 5\n    assert robot.tick == 6 and now_s > 0"
+        "async def test_it(robot):\n"
+        "    now_s = yield 5\n"
+        "    assert robot.tick == 6 and now_s > 0"
     )
     assert outcomes(OWN_FIXTURE, test)[0] == {"passed": 1}
 
@@ -65,7 +72,10 @@ def test_a_right_test_on_a_fixture_of_ones_own_passes(outcomes):
     [
         ("async def test_it(hil): hil.step(5)", "write 'await hil.step(...)'"),
         ("def test_it(hil): hil.run_for(5)", "write 'await hil.run_for(...)'"),
-        ("async def test_it(hil):\n yield 5\n hil.wait_for('sim.tick', bool)", "hil.wait_for was"),
+        (
+            "async def test_it(hil):\n yield 5\n hil.wait_for('sim.tick', bool)",
+            "hil.wait_for was",
+        ),
     ],
 )
 def test_a_forgotten_await_fails(outcomes, test, sentence):
@@ -83,7 +93,12 @@ def test_a_generator_that_is_not_asynchronous_does_not_pass(outcomes):
 @pytest.mark.parametrize(
     ("head", "test", "options", "remedy"),
     [
-        ("", "async def test_it(hil): pass", ("-p", "no:asyncio"), "do not start pytest"),
+        (
+            "",
+            "async def test_it(hil): pass",
+            ("-p", "no:asyncio"),
+            "do not start pytest",
+        ),
         (
             "import pytest, unittest",
             "@pytest.mark.usefixtures('hil')\nclass TestIt(unittest.TestCase):\n"
@@ -112,7 +127,9 @@ def test_what_cannot_run_fails_with_the_remedy(outcomes, head, test, options, re
 )
 def test_what_was_not_captured_is_not_judged(outcomes, judged):
     test = (
-        f"async def test_it(hil):\n async with hil.capture('pose.x_m') as trace: yield 5\n {judged}"
+        "async def test_it(hil):\n"
+        " async with hil.capture('pose.x_m') as trace: yield 5\n"
+        f" {judged}"
     )
     counts, said, _ = outcomes("", test)
     assert counts == {"failed": 1}

@@ -33,4 +33,6 @@ endpoint = sys.argv[1] if len(sys.argv) > 1 else ENDPOINT
 try:
     asyncio.run(main(endpoint))
 except OSError:
-    sys.exit(f"{endpoint} does not answer: wait until 'make run' has printed its addresses")
+    sys.exit(
+        f"{endpoint} does not answer: wait until 'make run' has printed its addresses"
+    )

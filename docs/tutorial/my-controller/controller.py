@@ -17,4 +17,8 @@ class HeadingController:
         """Return what is sent to the robot in this cycle (every 20 ms)."""
         error_rad = math.remainder(self.target_rad - yaw_rad, 2 * math.pi)
         turn_rad_s = max(-MAX_TURN_RAD_S, min(GAIN_PER_S * error_rad, MAX_TURN_RAD_S))
-        return {"control.mode": 1, "twist.linear_m_s": 0.0, "twist.angular_rad_s": turn_rad_s}
+        return {
+            "control.mode": 1,
+            "twist.linear_m_s": 0.0,
+            "twist.angular_rad_s": turn_rad_s,
+        }

@@ -3,7 +3,9 @@
 import pytest
 from asyncua import Client, ua
 
-pytestmark = pytest.mark.hil(config={"opcua": {"enabled": True}, "control": {"source": "opcua"}})
+pytestmark = pytest.mark.hil(
+    config={"opcua": {"enabled": True}, "control": {"source": "opcua"}}
+)
 
 
 async def test_a_client_drives_half_a_metre(hil):
@@ -14,6 +16,8 @@ async def test_a_client_drives_half_a_metre(hil):
         await mode.write_value(1, ua.VariantType.Byte)
         for _ in range(100):
             error_m = 0.5 - await x.read_value()
-            await speed.write_value(max(-0.3, min(2.0 * error_m, 0.3)), ua.VariantType.Double)
+            await speed.write_value(
+                max(-0.3, min(2.0 * error_m, 0.3)), ua.VariantType.Double
+            )
             yield 50
     assert hil.read("pose.x_m") == pytest.approx(0.5, abs=0.02)

@@ -10,13 +10,23 @@ from fmpy.fmi3 import FMU3Slave
 from hilserver.logs import read_log
 
 STEP_S = 0.001
-SHOWN = ("pose.x_m", "pose.yaw_rad", "wheel.fl.speed_rpm", "nav.x_m", "imu.gyro_z_rad_s")
+SHOWN = (
+    "pose.x_m",
+    "pose.yaw_rad",
+    "wheel.fl.speed_rpm",
+    "nav.x_m",
+    "imu.gyro_z_rad_s",
+)
 
 
 def main(fmu, recording):
     """Give every tick's inputs to the FMU and compare its outputs with those of the recording."""
     said, log = read_model_description(fmu), read_log(Path(recording))
-    inputs = [v for v in said.modelVariables if v.causality == "input" and v.name in log.columns]
+    inputs = [
+        v
+        for v in said.modelVariables
+        if v.causality == "input" and v.name in log.columns
+    ]
     number = {v.name: v.valueReference for v in said.modelVariables}
     robot = FMU3Slave(
         guid=said.guid,

@@ -10,7 +10,9 @@ from hilserver.diagnosis.catalogue.traits import traits_of
 Theta = Sequence[float]
 Region = tuple[float, float, float, float]
 StageName = Literal["drive", "pose"]
-STAGES: Final[tuple[StageName, ...]] = get_args(StageName)  # in the order in which they are judged
+STAGES: Final[tuple[StageName, ...]] = get_args(
+    StageName
+)  # in the order in which they are judged
 
 LARGEST_WAVE = 0.5
 
@@ -31,8 +33,12 @@ class Candidate:
     low: tuple[float, ...]
     high: tuple[float, ...]
     least: float  # size (largest parameter) below which it is not worth a name
-    linear: bool = True  # whether the effect is nearly linear, so that the screen may extrapolate
-    hidden: int = 0  # parameters of its shape that were searched, besides the fitted ones
+    linear: bool = (
+        True  # whether the effect is nearly linear, so that the screen may extrapolate
+    )
+    hidden: int = (
+        0  # parameters of its shape that were searched, besides the fitted ones
+    )
     tried: tuple[float, ...] = ()  # more start values, for when much is left to explain
     # from a shift of its shape (an edge [m], the logarithm of a speed) to the candidate with that
     # shape, for a finer search
@@ -80,10 +86,18 @@ def single(
     return several(cause, name, stage, (name,), (step,), least, low=low, high=high)
 
 
-def start_grid(made: Candidate, null: float, values: Sequence[float]) -> list[Candidate]:
+def start_grid(
+    made: Candidate, null: float, values: Sequence[float]
+) -> list[Candidate]:
     """Return one candidate per start value of a parameter whose effect is not linear."""
     return [
-        replace(made, label=f"{made.label}@{value:g}", start=(value,), null=(null,), linear=False)
+        replace(
+            made,
+            label=f"{made.label}@{value:g}",
+            start=(value,),
+            null=(null,),
+            linear=False,
+        )
         for value in values
     ]
 
@@ -108,7 +122,16 @@ def several(
     n = len(names)
     zero = (0.0,) * n
     return Candidate(
-        cause, label, stage, zero, zero, tuple(step), terms, (low,) * n, (high,) * n, least
+        cause,
+        label,
+        stage,
+        zero,
+        zero,
+        tuple(step),
+        terms,
+        (low,) * n,
+        (high,) * n,
+        least,
     )
 
 
@@ -116,9 +139,16 @@ def wave(cause: str, label: str, amplitude: str, phase: str, step: float) -> Can
     """Return the candidate of an amplitude and a phase, fitted as cosine and sine parts."""
 
     def terms(theta: Theta) -> dict[str, float]:
-        size = min(math.hypot(theta[0], theta[1]), LARGEST_WAVE)  # each part may be that large
-        return {amplitude: size, phase: math.atan2(theta[1], theta[0]) if size > 0.0 else 0.0}
+        size = min(
+            math.hypot(theta[0], theta[1]), LARGEST_WAVE
+        )  # each part may be that large
+        return {
+            amplitude: size,
+            phase: math.atan2(theta[1], theta[0]) if size > 0.0 else 0.0,
+        }
 
     zero, far = (0.0, 0.0), (LARGEST_WAVE, LARGEST_WAVE)
     low = (-LARGEST_WAVE, -LARGEST_WAVE)
-    return Candidate(cause, label, "pose", zero, zero, (step, step), terms, low, far, 5 * step)
+    return Candidate(
+        cause, label, "pose", zero, zero, (step, step), terms, low, far, 5 * step
+    )

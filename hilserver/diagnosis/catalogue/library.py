@@ -22,7 +22,18 @@ from hilserver.diagnosis.catalogue.vocabulary import LATENCIES, SPEED_SCALES
 
 LATE_S = (0.15, 0.4)  # far from zero, a latency does not act linearly
 PERIODS_S = (0.002, 0.003, 0.005, 0.007, 0.01, 0.013)
-USUAL_PERIODS_S = (0.0015, 0.0025, 0.004, 0.006, 0.008, 0.009, 0.011, 0.012, 0.0125, 0.014)
+USUAL_PERIODS_S = (
+    0.0015,
+    0.0025,
+    0.004,
+    0.006,
+    0.008,
+    0.009,
+    0.011,
+    0.012,
+    0.0125,
+    0.014,
+)
 MEASURED = 0.05
 """Prior deviation of what somebody measured or counted: radii, distances between anchors,
 encoder increments per turn."""
@@ -75,7 +86,9 @@ def drive_candidates() -> list[Candidate]:
     stage: StageName = "drive"
     found = [single(name, stage, *sizes) for name, *sizes in OF_THE_DRIVE]
     gains, both = "controller_gains", ("controller_gains.p", "controller_gains.i")
-    found.append(several(gains, gains, stage, both, (-0.05, -0.05), 0.05, None, -0.9, 3.0))
+    found.append(
+        several(gains, gains, stage, both, (-0.05, -0.05), 0.05, None, -0.9, 3.0)
+    )
     for wheel, term in enumerate(SPEED_SCALES.values()):
         found.append(_of_wheel("wheel_load", "f", wheel, 1.0, 0.4, 0.0, 60.0))
         found.append(_encoder(wheel))
@@ -101,19 +114,29 @@ def pose_candidates(place: Region | None) -> list[Candidate]:
              for name, own in sizes.items()]  # fmt: skip
     for name in reversed(tuple(LATENCIES.values())):
         found += start_grid(single(name, "pose", *sizes[name]), 0.0, LATE_S)
-    found.append(replace(single("shift.nav", "pose", 0.02, 0.01, -1.5, 1.5), cause="clock_offset"))
+    found.append(
+        replace(
+            single("shift.nav", "pose", 0.02, 0.01, -1.5, 1.5), cause="clock_offset"
+        )
+    )
     for name, step, least, most in (
         ("floor_slope", 0.005, 0.002, 0.5), ("nav_lever_arm", 0.02, 0.006, 2.0)
     ):  # fmt: skip
         parts = (f"{name}.x", f"{name}.y")
-        found.append(several(name, name, "pose", parts, (step, step), least, None, -most, most))
+        found.append(
+            several(name, name, "pose", parts, (step, step), least, None, -most, most)
+        )
     for k in (1, 2):
         cause = "heading_distortion"
-        found.append(wave(cause, f"{cause}.{k}", f"{cause}.a{k}", f"{cause}.phase{k}", 0.005))
+        found.append(
+            wave(cause, f"{cause}.{k}", f"{cause}.a{k}", f"{cause}.phase{k}", 0.005)
+        )
     cause = "wheel_runout"
     found.append(wave(cause, cause, f"{cause}.amplitude", f"{cause}.phase", 0.005))
     if place is not None:
-        found += _surfaces(place) + [_position_bias(length_m) for length_m in (3.0, 5.0, 8.0, 12.0)]
+        found += _surfaces(place) + [
+            _position_bias(length_m) for length_m in (3.0, 5.0, 8.0, 12.0)
+        ]
     return found
 
 
@@ -121,7 +144,9 @@ def _position_bias(length_m: float) -> Candidate:
     cause = "nav_position_bias"
     names, fixed = (f"{cause}.amplitude",), {f"{cause}.wavelength": length_m}
     label = f"{cause}@{length_m:g}"
-    return replace(several(cause, label, "pose", names, (0.02,), 0.02, fixed, -5.0, 5.0), hidden=1)
+    return replace(
+        several(cause, label, "pose", names, (0.02,), 0.02, fixed, -5.0, 5.0), hidden=1
+    )
 
 
 def roller_candidates() -> list[Candidate]:
@@ -151,7 +176,9 @@ def side_encoders(wheels: Collection[int]) -> list[Candidate]:
             _encoder(side[0]),
             stage="pose",
             prior=MEASURED,
-            undecided={"encoder_scale.wheel": (side[0], side[1])} if len(side) > 1 else {},
+            undecided={"encoder_scale.wheel": (side[0], side[1])}
+            if len(side) > 1
+            else {},
         )
         for side in sides
         if side
@@ -163,11 +190,19 @@ def _encoder(wheel: int) -> Candidate:
 
 
 def _of_wheel(
-    cause: str, part: str, wheel: int, step: float, least: float, low: float, high: float
+    cause: str,
+    part: str,
+    wheel: int,
+    step: float,
+    least: float,
+    low: float,
+    high: float,
 ) -> Candidate:
     fixed = {f"{cause}.wheel": float(wheel)}
     names = (f"{cause}.{part}",)
-    return several(cause, f"{cause}@{wheel}", "drive", names, (step,), least, fixed, low, high)
+    return several(
+        cause, f"{cause}@{wheel}", "drive", names, (step,), least, fixed, low, high
+    )
 
 
 def _stribeck(n_s: float) -> Candidate:
@@ -195,7 +230,13 @@ def _surfaces(place: Region) -> list[Candidate]:
 def _surface(axis: str, side: str, edge: float) -> Candidate:
     cause, steps = "surface_change", (0.05, 0.05)
     label, names = f"{cause}@{axis}_{side}={edge:.3f}", (f"{cause}.k_om", f"{cause}.v")
-    ends = {"x_min": -1e3, "x_max": 1e3, "y_min": -1e3, "y_max": 1e3, f"{axis}_{side}": edge}
+    ends = {
+        "x_min": -1e3,
+        "x_max": 1e3,
+        "y_min": -1e3,
+        "y_max": 1e3,
+        f"{axis}_{side}": edge,
+    }
     fixed = {f"{cause}.{key}": value for key, value in ends.items()}
     x_min, x_max, y_min, y_max = ends.values()
 

@@ -35,21 +35,29 @@ class Traits:
     # (``hilserver bench diagnose --class single``)
     abrupt: float = 0.0
     whole_ticks: bool = False  # a time that acts in whole ticks of the plant
-    is_limit: bool = False  # it has no finite null: a smaller parameter has a larger effect
+    is_limit: bool = (
+        False  # it has no finite null: a smaller parameter has a larger effect
+    )
     at_rest: bool = False  # it is visible on a robot that stands still
     # changes along the log may look like it: the robot is at other places early than late
     of_a_place: bool = False
     # it makes a turn late, or its gain depend on the turn, as scrubbing tyres do
     delays_turn: bool = False
     bends_turn: bool = False
-    scrubs_as: str = ""  # parameter of friction across the wheels with the same effect on turns
+    scrubs_as: str = (
+        ""  # parameter of friction across the wheels with the same effect on turns
+    )
     # cause of the same size and opposite sign that one floor cannot tell from it
     mirrored_by: str = ""
-    field: str = ""  # parameter of the place-dependent errors of which it is the simplest
+    field: str = (
+        ""  # parameter of the place-dependent errors of which it is the simplest
+    )
     # causes that it may stand for if both act: swapping single causes does not lead from it to
     # them
     together: tuple[str, ...] = ()
-    hides_inputs: bool = False  # if found in an input, the log does not show when that changed
+    hides_inputs: bool = (
+        False  # if found in an input, the log does not show when that changed
+    )
 
 
 POSITION_FIELD: Final = "nav_position_bias.amplitude"
@@ -132,5 +140,7 @@ def lacking(missing: Iterable[Need], drive: Iterable[str]) -> dict[str, str]:
     for need in sorted(missing, key=list(Need).index):
         if need is Need.SPEED:
             reasons |= dict.fromkeys(drive, need.value)
-        reasons |= {cause: need.value for cause, own in TRAITS.items() if need in own.needs}
+        reasons |= {
+            cause: need.value for cause, own in TRAITS.items() if need in own.needs
+        }
     return reasons

@@ -15,9 +15,13 @@ from hilserver.measured.channels import GYRO, POSITION, YAW
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.terms import TERMS, Term
 
-Block = Literal["controller", "drive", "kinematics", "navigation", "inertial", "data", "timing"]
+Block = Literal[
+    "controller", "drive", "kinematics", "navigation", "inertial", "data", "timing"
+]
 
-CONTROLLER: Final = frozenset({"setpoint_rate_limit", "control_period", "controller_gains"})
+CONTROLLER: Final = frozenset(
+    {"setpoint_rate_limit", "control_period", "controller_gains"}
+)
 """Causes that act in the plant's drive but are corrected in the controller."""
 
 
@@ -92,16 +96,46 @@ def _physical() -> list[Cause]:
 
 _OF_THE_LOG: Final[tuple[tuple[str, Block, str, float | None, str], ...]] = (
     ("clock_offset", "timing", "s", 0.0, "delay of the time stamps of a source"),
-    ("clock_drift", "timing", "1", 0.0, "gain of the time stamps of a source per second"),
+    (
+        "clock_drift",
+        "timing",
+        "1",
+        0.0,
+        "gain of the time stamps of a source per second",
+    ),
     ("sign_flip", "data", "1", 1.0, "a channel has the wrong sign: factor -1"),
     ("swapped_sides", "data", "", None, "left and right sides are swapped"),
     ("unit_error", "data", "1", 1.0, "factor by which a channel is too large"),
     ("held_samples", "data", "Hz", None, "lower rate at which a channel changes"),
-    ("interpolated_setpoint", "data", "Hz", None, "set-points were interpolated between samples"),
-    ("setpoint_as_measurement", "data", "1", 0.0, "a measured channel is a copy of the set-point"),
+    (
+        "interpolated_setpoint",
+        "data",
+        "Hz",
+        None,
+        "set-points were interpolated between samples",
+    ),
+    (
+        "setpoint_as_measurement",
+        "data",
+        "1",
+        0.0,
+        "a measured channel is a copy of the set-point",
+    ),
     ("dropouts", "data", "1", 0.0, "share of samples that are missing or repeated"),
-    ("limited_channel", "data", "1", None, "largest possible reading of a channel, in its unit"),
-    ("missed_ticks", "timing", "1", 0.0, "share of the recorder's ticks that were missed"),
+    (
+        "limited_channel",
+        "data",
+        "1",
+        None,
+        "largest possible reading of a channel, in its unit",
+    ),
+    (
+        "missed_ticks",
+        "timing",
+        "1",
+        0.0,
+        "share of the recorder's ticks that were missed",
+    ),
 )
 """Name, block, unit (empty if it has no size), null and description."""
 
@@ -109,7 +143,9 @@ _OF_THE_LOG: Final[tuple[tuple[str, Block, str, float | None, str], ...]] = (
 def _faults() -> Iterator[Cause]:
     for name, block, unit, null, text in _OF_THE_LOG:
         part = Term(name, block, unit, null, None, -inf, inf, False, "", text)
-        yield Cause(name, block, (part,) if unit else (), physical=False, description=text)
+        yield Cause(
+            name, block, (part,) if unit else (), physical=False, description=text
+        )
 
 
 CAUSES: Final[Mapping[str, Cause]] = MappingProxyType(

@@ -85,7 +85,11 @@ def check(log: MeasuredLog, robot: RobotParameters) -> Checked:
     """
     findings: list[Finding] = []
     far = max((abs(span.end_s) for span in log.spans), default=0.0) > FAR_S
-    start_s = np.array([span.start_s for span in log.spans]) if far else np.zeros(len(log.spans))
+    start_s = (
+        np.array([span.start_s for span in log.spans])
+        if far
+        else np.zeros(len(log.spans))
+    )
     log = _moved(log, -start_s)
     for find in ORDER:
         log, found = find(log, robot)

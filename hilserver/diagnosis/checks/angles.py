@@ -21,14 +21,22 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
 
     Neither is a fault of the log: notices give the places.
     """
-    speed_of = dict(zip((f"wheel.{wheel}.angle_rad" for wheel in WHEELS), SPEEDS, strict=True))
+    speed_of = dict(
+        zip((f"wheel.{wheel}.angle_rad" for wheel in WHEELS), SPEEDS, strict=True)
+    )
     notices: list[str] = []
     for name in (n for n in speed_of if n in log):
         size = _wrap(log[name], robot.max_rpm * RAD_S_PER_RPM)
         if size:
             log = log.with_channels({name: _unwrap(log[name], size)})
-            notices.append(f"{name}: the angle wraps at {size:.4g} rad; it was unwrapped")
-    alone = {a: s for a, s in speed_of.items() if a in log and s not in log and len(log[a]) > 1}
+            notices.append(
+                f"{name}: the angle wraps at {size:.4g} rad; it was unwrapped"
+            )
+    alone = {
+        a: s
+        for a, s in speed_of.items()
+        if a in log and s not in log and len(log[a]) > 1
+    }
     if alone:
         speeds = {speed: _changing(log[angle]) for angle, speed in alone.items()}
         log = replace(log.without(alone).with_channels(speeds), made=frozenset(speeds))
@@ -55,12 +63,16 @@ def _wrap(channel: Channel, fastest_rad_s: float) -> float:
     size = float(np.median(sizes))
     if np.mean(np.abs(sizes - size) < 0.2 * size) < NEARLY_ALL:
         return 0.0
-    usual = np.abs(calm[1:-1] - 0.5 * (calm[:-2] + calm[2:]))  # what a steady turn leaves
+    usual = np.abs(
+        calm[1:-1] - 0.5 * (calm[:-2] + calm[2:])
+    )  # what a steady turn leaves
     unsure = 3.0 * float(np.quantile(usual, 0.9)) / np.sqrt(len(sizes)) + 1e-9
     quantum, _ = step_of(channel.values)
     bits = quantum * np.exp2(np.rint(np.log2(size / quantum))) if quantum else math.tau
     likely = ((math.tau, unsure), (bits, unsure + quantum))
-    return next((whole for whole, beside in likely if abs(size - whole) <= beside), size)
+    return next(
+        (whole for whole, beside in likely if abs(size - whole) <= beside), size
+    )
 
 
 def _unwrap(channel: Channel, size: float) -> Channel:

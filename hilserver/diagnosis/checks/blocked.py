@@ -6,7 +6,13 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from hilserver.arrays import Array, Mask
-from hilserver.diagnosis.checks.motion import Windows, ends_in, mean_in, rolled, windows_of
+from hilserver.diagnosis.checks.motion import (
+    Windows,
+    ends_in,
+    mean_in,
+    rolled,
+    windows_of,
+)
 from hilserver.diagnosis.checks.support import SPAN_S
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import (
@@ -51,7 +57,9 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
         f" {longest.begin_s:.4g} to {longest.end_s:.4g}: it was blocked or lifted; these"
         " measurements were left out"
     )
-    left = cut(log, [_left(i, s.start_s, s.end_s, spells) for i, s in enumerate(log.spans)])
+    left = cut(
+        log, [_left(i, s.start_s, s.end_s, spells) for i, s in enumerate(log.spans)]
+    )
     return replace(left, notices=(*log.notices, note)), []
 
 
@@ -77,18 +85,26 @@ def _spells(is_blocked: Mask, windows: Windows) -> list[Spell]:
     spans, found = np.rint(windows.begin / SPAN_S).astype(np.int64), []
     for span in np.unique(spans).tolist():
         mine = spans == span
-        begin_s, end_s = windows.begin[mine] - SPAN_S * span, windows.end[mine] - SPAN_S * span
+        begin_s, end_s = (
+            windows.begin[mine] - SPAN_S * span,
+            windows.end[mine] - SPAN_S * span,
+        )
         borders = np.flatnonzero(np.diff(is_blocked[mine], prepend=False, append=False))
         for first, after in borders.reshape(-1, 2).tolist():
             if after - first >= BLOCKED_FEWEST:
                 last = min(after, len(end_s) - 1)
-                found.append(Spell(span, float(begin_s[max(first - 1, 0)]), float(end_s[last])))
+                found.append(
+                    Spell(span, float(begin_s[max(first - 1, 0)]), float(end_s[last]))
+                )
     return found
 
 
 def _left(span: int, start_s: float, end_s: float, spells: list[Spell]) -> Pieces:
     """Return what is left of a span."""
     mine = [spell for spell in spells if spell.span == span]
-    begins, ends = [start_s, *(s.end_s for s in mine)], [*(s.begin_s for s in mine), end_s]
+    begins, ends = (
+        [start_s, *(s.end_s for s in mine)],
+        [*(s.begin_s for s in mine), end_s],
+    )
     pieces = zip(begins, ends, strict=True)
     return [(begin, end) for begin, end in pieces if end - begin > WAY_S]

@@ -39,7 +39,9 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
         drifts, lag = judged
         names = [name for name in log.channels if name.startswith(prefix)]
         findings.append(_finding(source, names, lag, drifts=drifts))
-        log = log.with_channels({name: _moved(log[name], lag, drifts=drifts) for name in names})
+        log = log.with_channels(
+            {name: _moved(log[name], lag, drifts=drifts) for name in names}
+        )
     return log, findings
 
 
@@ -51,11 +53,17 @@ def _judge(lags: list[Lag]) -> tuple[bool, Lag] | None:
     if not lags:
         return None
     best = min(lags, key=lambda lag: lag.offset_sd_s)
-    if best.drifts and _agree([(g.drift, g.drift_sd) for g in lags], 1e-4, CLOCK_SURE_SD):
+    if best.drifts and _agree(
+        [(g.drift, g.drift_sd) for g in lags], 1e-4, CLOCK_SURE_SD
+    ):
         return True, best
-    if not _agree([(g.offset_s, g.offset_sd_s) for g in lags], 0.5 * CLOCK_LEAST_S, 2.5):
+    if not _agree(
+        [(g.offset_s, g.offset_sd_s) for g in lags], 0.5 * CLOCK_LEAST_S, 2.5
+    ):
         return None
-    together = len(lags) > 1 and all(abs(g.offset_s) > 3.0 * g.offset_sd_s for g in lags)
+    together = len(lags) > 1 and all(
+        abs(g.offset_s) > 3.0 * g.offset_sd_s for g in lags
+    )
     return (False, best) if best.is_early or (best.is_off and together) else None
 
 
@@ -75,9 +83,12 @@ def _finding(source: str, names: list[str], lag: Lag, *, drifts: bool) -> Findin
     else:
         value, sd, unit = lag.offset_s, lag.offset_sd_s, "s"
         text = (
-            f"The time stamps of the {source} are offset by {value:+.3f} s from those of the wheels"
+            f"The time stamps of the {source} are offset by {value:+.3f} s "
+            "from those of the wheels"
         )
-    explanation = f"{text}: take both from the same clock; the time stamps were corrected."
+    explanation = (
+        f"{text}: take both from the same clock; the time stamps were corrected."
+    )
     interval = (value - 1.96 * sd, value + 1.96 * sd)
     cause = "clock_drift" if drifts else "clock_offset"
     return data_fault(cause, names, value, interval, unit, explanation)

@@ -10,7 +10,13 @@ from typing import Final
 import numpy as np
 
 from hilserver.arrays import Array
-from hilserver.diagnosis.thresholds import COMB_CLEAR, COMB_FEWEST, COMB_TIMES, FEWEST_SAMPLES, HALF
+from hilserver.diagnosis.thresholds import (
+    COMB_CLEAR,
+    COMB_FEWEST,
+    COMB_TIMES,
+    FEWEST_SAMPLES,
+    HALF,
+)
 
 STEPS_RPM: Final = (0.2, 6.0)  # steps that are searched; finer ones are below the noise
 MOST_LINES: Final = 8  # lines of the spectrum that are examined
@@ -66,7 +72,9 @@ def _suspects(channels: Sequence[Array], smooth: Sequence[Array]) -> list[float]
     while len(found) < MOST_LINES and line.max(initial=0.0) > NOTICEABLE:
         peak = int(line.argmax())
         values = [v for v, _ in thinned]
-        found.append(1.0 / _sharpened(values, float(frequency[peak]), float(frequency[1])))
+        found.append(
+            1.0 / _sharpened(values, float(frequency[peak]), float(frequency[1]))
+        )
         line[max(peak - PADDED, 0) : peak + PADDED + 1] = 0.0
     return found
 
@@ -106,17 +114,28 @@ def on_the_way(channels: Sequence[Array], step: float) -> float:
     passing = []
     for values in channels:
         here = values[NEIGHBOURS:-NEIGHBOURS]
-        before, after = here - values[: -2 * NEIGHBOURS], values[2 * NEIGHBOURS :] - here
-        one_way = (np.minimum(before, after) > step) | (np.maximum(before, after) < -step)
+        before, after = (
+            here - values[: -2 * NEIGHBOURS],
+            values[2 * NEIGHBOURS :] - here,
+        )
+        one_way = (np.minimum(before, after) > step) | (
+            np.maximum(before, after) < -step
+        )
         passing.append(here[one_way])
     found = np.concatenate(passing)
-    return float(np.cos(2.0 * np.pi / step * found).mean()) if len(found) > FEWEST_SAMPLES else 0.0
+    return (
+        float(np.cos(2.0 * np.pi / step * found).mean())
+        if len(found) > FEWEST_SAMPLES
+        else 0.0
+    )
 
 
 def _sharpened(values: list[Array], frequency: float, width: float) -> float:
     """Return the frequency of the line near one of the discrete transform."""
     for _ in range(8):
         tries = frequency + width * np.linspace(-1.0, 1.0, 9)
-        size = [sum(abs(np.exp(2j * np.pi * f * v).mean()) for v in values) for f in tries]
+        size = [
+            sum(abs(np.exp(2j * np.pi * f * v).mean()) for v in values) for f in tries
+        ]
         frequency, width = float(tries[int(np.argmax(size))]), 0.3 * width
     return frequency

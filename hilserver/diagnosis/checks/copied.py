@@ -23,11 +23,17 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
     sent = {b: a for a, b in zip(SETPOINTS, SPEEDS, strict=True) if log.has(a, b)}
     # no drive accelerates faster than at full duty from rest
     fastest_rpm_s = robot.process.gain * robot.controller.limit_pct / robot.process.t1_s
-    copies = classified(sent, lambda name: copy_of(log[sent[name]], log[name], fastest_rpm_s))
+    copies = classified(
+        sent, lambda name: copy_of(log[sent[name]], log[name], fastest_rpm_s)
+    )
     if not copies:
         return log, []
     lag_s = float(np.median([copy.figure for copy in copies.values()]))
-    how = "the set-point itself" if lag_s == 0 else f"the set-point {lag_s * 1e3:.0f} ms earlier"
+    how = (
+        "the set-point itself"
+        if lag_s == 0
+        else f"the set-point {lag_s * 1e3:.0f} ms earlier"
+    )
     text = (
         f"The wheel speed in {listed(list(copies))} is not a measurement but {how}: record the"
         " measured speeds; these columns were dropped."
@@ -54,7 +60,9 @@ def copy_of(sent: Channel, speed: Channel, fastest_rpm_s: float) -> Fault | None
     return None
 
 
-def is_copy(now: Array, sent: Array, last: Array, sent_last: Array, wide_rpm: float) -> bool:
+def is_copy(
+    now: Array, sent: Array, last: Array, sent_last: Array, wide_rpm: float
+) -> bool:
     """Return whether the speed jumps with the set-point, from its old value to the new one.
 
     An exact copy agrees to the last digits; a noisy one follows at once where no drive could.
@@ -66,7 +74,8 @@ def is_copy(now: Array, sent: Array, last: Array, sent_last: Array, wide_rpm: fl
     return bool(
         (len(step) >= FEWEST_CHANGES and exact.mean() >= NEARLY_ALL)
         or (
-            wide.sum() >= FEWEST_CHANGES and np.mean(error[wide] <= 0.05 * step[wide]) >= NEARLY_ALL
+            wide.sum() >= FEWEST_CHANGES
+            and np.mean(error[wide] <= 0.05 * step[wide]) >= NEARLY_ALL
         )
     )
 

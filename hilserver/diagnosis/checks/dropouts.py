@@ -24,7 +24,9 @@ from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
 
-def find_missing(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
+def find_missing(
+    log: MeasuredLog, _: RobotParameters
+) -> tuple[MeasuredLog, list[Finding]]:
     """Find samples that are missing from the log."""
     names = measured_channels(log.channels)
     if not log.has_stamps:
@@ -36,17 +38,23 @@ def find_missing(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, lis
     return log, [_finding(gone, "are missing")] if gone else []
 
 
-def find_repeated(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
+def find_repeated(
+    log: MeasuredLog, _: RobotParameters
+) -> tuple[MeasuredLog, list[Finding]]:
     """Find single channels that repeat samples; the repetitions are left out."""
     names = (n for n in measured_channels(log.channels) if not n.endswith("duty_pct"))
-    again = classified(names, lambda name: repeated(log[name], standing(log, log[name])))
+    again = classified(
+        names, lambda name: repeated(log[name], standing(log, log[name]))
+    )
     findings = [_finding(again, "repeat the previous sample")] if again else []
     return corrected(log, again), findings
 
 
 def _rows(log: MeasuredLog) -> Channel:
     """Return the rows of the table: the stamps of all channels."""
-    stamps = np.unique(np.concatenate([along(channel) for channel in log.channels.values()]))
+    stamps = np.unique(
+        np.concatenate([along(channel) for channel in log.channels.values()])
+    )
     span = np.floor(stamps / SPAN_S + 0.5).astype(np.int64)
     return Channel(stamps - SPAN_S * span, stamps, span)
 
@@ -68,7 +76,10 @@ def missing(channel: Channel, fewest: int) -> float:
         return 0.0
     means = np.convolve(steps, np.ones(20) / 20, mode="valid")
     period_s = float(np.quantile(means, 0.3))
-    if not 0 < period_s < MISSING_SLOWEST_S or np.mean(np.abs(steps / period_s - 1.0) < 0.5) < 0.7:
+    if (
+        not 0 < period_s < MISSING_SLOWEST_S
+        or np.mean(np.abs(steps / period_s - 1.0) < 0.5) < 0.7
+    ):
         return 0.0
     lost = np.maximum(np.rint(steps / period_s) - 1, 0)
     lost[lost < fewest] = 0

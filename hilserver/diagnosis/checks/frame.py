@@ -38,7 +38,10 @@ def asked_turn(log: MeasuredLog, robot: RobotParameters) -> Array | None:
     start_s = np.array([span.start_s for span in log.spans])
     at = along(log[GYRO], start_s)
     left, right = (
-        0.5 * sum(np.interp(at, along(log[n], start_s), log[n].values) for n in SPEEDS[part])
+        0.5
+        * sum(
+            np.interp(at, along(log[n], start_s), log[n].values) for n in SPEEDS[part]
+        )
         for part in (slice(0, 2), slice(2, 4))
     )
     p = pack(robot)

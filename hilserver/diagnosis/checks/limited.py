@@ -30,7 +30,10 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
         if name in log and np.isclose(np.abs(log[name].values).max(initial=0.0), most)
     }
     found = []
-    if GYRO in log and (limit := _limit(log[GYRO].values, asked_turn(log, robot))) is not None:
+    if (
+        GYRO in log
+        and (limit := _limit(log[GYRO].values, asked_turn(log, robot))) is not None
+    ):
         limits[GYRO] = limit
         text = (
             f"{GYRO}: no reading exceeds {limit:.4g} rad/s although the robot turned faster: the"
@@ -40,7 +43,9 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
     return log.with_limits(limits), found
 
 
-def limited(channels: Sequence[str], values: Array, limit: float, unit: str, text: str) -> Finding:
+def limited(
+    channels: Sequence[str], values: Array, limit: float, unit: str, text: str
+) -> Finding:
     """Return the finding with the limit that each channel's readings reached."""
     finding = data_fault("limited_channel", channels, limit, None, unit, text)
     reached = {

@@ -7,7 +7,13 @@ import numpy as np
 from hilserver.arrays import Array, Mask
 from hilserver.diagnosis.checks.support import listed, measured_channels, subset
 from hilserver.diagnosis.schema.findings import Finding
-from hilserver.diagnosis.thresholds import FEWEST_CHANGES, FEWEST_EVENTS, HALF, UNITY, ZERO_LEAST_M
+from hilserver.diagnosis.thresholds import (
+    FEWEST_CHANGES,
+    FEWEST_EVENTS,
+    HALF,
+    UNITY,
+    ZERO_LEAST_M,
+)
 from hilserver.measured.channels import POSITION, TAG
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.parameters import RobotParameters
@@ -19,7 +25,9 @@ Stretch = tuple[int, float, float]
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
     """Leave out markers; no fault of what was measured: notices name them."""
-    for name in (n for n in measured_channels(log.channels) if not n.endswith("duty_pct")):
+    for name in (
+        n for n in measured_channels(log.channels) if not n.endswith("duty_pct")
+    ):
         value = far_value(log[name].values)
         if value is not None:
             log = _without(log, {name: log[name].values == value}, f"{value:.10g}")
@@ -38,7 +46,9 @@ def far_value(values: Array) -> float | None:
         return None
     for end, rest in ((0, different[1:]), (-1, different[:-1])):
         gap = float(np.abs(rest - different[end]).min())
-        if gap > UNITY * (rest[-1] - rest[0]) and FEWEST_EVENTS <= counts[end] < HALF * len(values):
+        if gap > UNITY * (rest[-1] - rest[0]) and FEWEST_EVENTS <= counts[
+            end
+        ] < HALF * len(values):
             return float(different[end])
     return None
 
@@ -48,7 +58,9 @@ def _zeros(log: MeasuredLog, fastest_m_s: float) -> list[Stretch]:
     found: list[Stretch] = []
     for index in range(len(log.spans) if log.has(*POSITION) else 0):
         (t_x, x), (t_y, y) = (log[name].of(index) for name in POSITION)
-        t_s, in_x, in_y = np.intersect1d(t_x, t_y, assume_unique=True, return_indices=True)
+        t_s, in_x, in_y = np.intersect1d(
+            t_x, t_y, assume_unique=True, return_indices=True
+        )
         far_m = np.hypot(x[in_x], y[in_y])
         borders = np.flatnonzero(np.diff(far_m == 0.0, prepend=False, append=False))
         for first, end in borders.reshape(-1, 2).tolist():
@@ -64,7 +76,9 @@ def _zero_in(channel: Channel, stretches: list[Stretch]) -> Mask:
     """Return which samples are zero in one of the stretches, shape (n,)."""
     found = np.zeros(len(channel), dtype=np.bool_)
     for index, begin_s, end_s in stretches:
-        found |= (channel.span == index) & (begin_s <= channel.t_s) & (channel.t_s <= end_s)
+        found |= (
+            (channel.span == index) & (begin_s <= channel.t_s) & (channel.t_s <= end_s)
+        )
     return np.asarray(found & (channel.values == 0.0))
 
 

@@ -28,7 +28,12 @@ from hilserver.diagnosis.checks.support import (
     subset,
 )
 from hilserver.diagnosis.schema.findings import Finding
-from hilserver.diagnosis.thresholds import FEWEST_SAMPLES, HELD_SLOWEST_HZ, NEGLIGIBLE, SLOWER_CLOCK
+from hilserver.diagnosis.thresholds import (
+    FEWEST_SAMPLES,
+    HELD_SLOWEST_HZ,
+    NEGLIGIBLE,
+    SLOWER_CLOCK,
+)
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
@@ -58,9 +63,13 @@ def _sources(log: MeasuredLog) -> Iterator[list[str]]:
         group, _, rest = name.partition(".")
         return group, rest.rpartition(".")[2] if group == "wheel" else ""
 
-    for (group, _), of_kind in groupby(sorted(measured_channels(log.channels), key=kind), key=kind):
+    for (group, _), of_kind in groupby(
+        sorted(measured_channels(log.channels), key=kind), key=kind
+    ):
         names = list(of_kind)
-        alike = all(np.array_equal(log[name].t_s, log[names[0]].t_s) for name in names[1:])
+        alike = all(
+            np.array_equal(log[name].t_s, log[names[0]].t_s) for name in names[1:]
+        )
         if alike and (group != "wheel" or _are_noisy(log, names)):
             yield names
 

@@ -41,7 +41,10 @@ def windows_of(log: MeasuredLog, width_s: float = MOTION_WINDOW_S) -> Windows:
 def mean_in(channel: Channel, windows: Windows) -> Array:
     """Return the mean of a channel in each window, NaN where it has no sample."""
     times = along(channel)
-    first, last = np.searchsorted(times, windows.begin), np.searchsorted(times, windows.end)
+    first, last = (
+        np.searchsorted(times, windows.begin),
+        np.searchsorted(times, windows.end),
+    )
     total = np.concatenate(([0.0], np.cumsum(channel.values)))
     count = last - first
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -67,15 +70,21 @@ def rate_in(angle: Channel, windows: Windows, turn: float = 2.0 * np.pi) -> Arra
     """Return the mean rate of an angle that wraps at `turn` in each window."""
     step = np.diff(angle.values)
     step = np.where(np.diff(angle.span) == 0, step - turn * np.rint(step / turn), 0.0)
-    continuous = Channel(angle.t_s, np.concatenate(([0.0], np.cumsum(step))), angle.span)
+    continuous = Channel(
+        angle.t_s, np.concatenate(([0.0], np.cumsum(step))), angle.span
+    )
     first, last, between = ends_in(continuous, windows)
     return (last - first) / between
 
 
-def side_mean(log: MeasuredLog, side: Iterable[str], what: str, windows: Windows) -> Array | None:
+def side_mean(
+    log: MeasuredLog, side: Iterable[str], what: str, windows: Windows
+) -> Array | None:
     """Return the mean of the wheels of one side [rad/s], None if there are none."""
     found = [
-        mean_in(log[name], windows) for wheel in side if (name := f"wheel.{wheel}.{what}") in log
+        mean_in(log[name], windows)
+        for wheel in side
+        if (name := f"wheel.{wheel}.{what}") in log
     ]
     return None if not found else np.mean(found, axis=0) * RAD_S_PER_RPM
 
@@ -89,9 +98,13 @@ def lateral_mean(log: MeasuredLog, what: str, windows: Windows) -> Array | None:
     return np.asarray(0.25 * RAD_S_PER_RPM * (rl - fl + rr - fr))
 
 
-def rolled(log: MeasuredLog, what: str, windows: Windows, robot: RobotParameters) -> Array | None:
+def rolled(
+    log: MeasuredLog, what: str, windows: Windows, robot: RobotParameters
+) -> Array | None:
     """Return how fast the wheels would move the robot ahead, back or sideways [m/s]."""
-    left, right = (side_mean(log, side, what, windows) for side in (LEFT_WHEELS, RIGHT_WHEELS))
+    left, right = (
+        side_mean(log, side, what, windows) for side in (LEFT_WHEELS, RIGHT_WHEELS)
+    )
     lateral = lateral_mean(log, what, windows) if robot.is_mecanum else 0.0
     if left is None or right is None or lateral is None:
         return None
@@ -101,9 +114,13 @@ def rolled(log: MeasuredLog, what: str, windows: Windows, robot: RobotParameters
 def turned(log: MeasuredLog, windows: Windows, robot: RobotParameters) -> Array | None:
     """Return the turn rate by the wheels, or else by their set-points [rad/s]."""
     for what in ("speed_rpm", "setpoint_rpm"):
-        left, right = (side_mean(log, side, what, windows) for side in (LEFT_WHEELS, RIGHT_WHEELS))
+        left, right = (
+            side_mean(log, side, what, windows) for side in (LEFT_WHEELS, RIGHT_WHEELS)
+        )
         if left is not None and right is not None:
-            return np.asarray(robot.yaw_sign * robot.wheel_radius_m * robot.k_om * (left + right))
+            return np.asarray(
+                robot.yaw_sign * robot.wheel_radius_m * robot.k_om * (left + right)
+            )
     return None
 
 

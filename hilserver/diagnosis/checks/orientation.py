@@ -55,20 +55,26 @@ def find(log: MeasuredLog, robot: RobotParameters) -> Found:
 
 def _flipped(log: MeasuredLog, names: Sequence[str], sure: float, text: str) -> Found:
     """Return the log with the signs of channels reversed, and the finding."""
-    log = log.with_channels({name: log[name].with_values(-log[name].values) for name in names})
+    log = log.with_channels(
+        {name: log[name].with_values(-log[name].values) for name in names}
+    )
     explanation = f"{listed(names)}: {text}; the sign was reversed."
     interval = (-1.0 - (1.0 - sure), -1.0 + (1.0 - sure))
     return log, [data_fault("sign_flip", names, -1.0, interval, "1", explanation)]
 
 
-def _swapped(log: MeasuredLog, kinds: Sequence[str], signs: dict[str, float], text: str) -> Found:
+def _swapped(
+    log: MeasuredLog, kinds: Sequence[str], signs: dict[str, float], text: str
+) -> Found:
     """Return the log with the wheels of both sides swapped, times `signs` of each kind."""
     changed: dict[str, Channel] = {}
     for kind in kinds:
         for wheel, other in MIRROR.items():
             if (source := f"wheel.{other}.{kind}") in log:
                 channel = log[source]
-                changed[f"wheel.{wheel}.{kind}"] = channel.with_values(signs[kind] * channel.values)
+                changed[f"wheel.{wheel}.{kind}"] = channel.with_values(
+                    signs[kind] * channel.values
+                )
     finding = data_fault(
         "swapped_sides",
         sorted(changed),
@@ -91,7 +97,9 @@ def _wheels_by_setpoints(log: MeasuredLog, _robot: RobotParameters) -> Found:
             fit = _two_weights(*(mean_in(log[name], windows) for name in names))
             if fit is not None:
                 weights[wheel] = fit
-    crossed = [w for w, (own, other) in weights.items() if abs(other) > 0.5 + 2 * abs(own)]
+    crossed = [
+        w for w, (own, other) in weights.items() if abs(other) > 0.5 + 2 * abs(own)
+    ]
     if len(crossed) >= 2 and len(crossed) == len(weights):
         sign = float(np.sign(np.median([weights[w][1] for w in crossed])))
         kinds = ["speed_rpm"]
@@ -105,7 +113,9 @@ def _wheels_by_setpoints(log: MeasuredLog, _robot: RobotParameters) -> Found:
     if not against:
         return log, []
     names = [f"wheel.{w}.speed_rpm" for w in against]
-    return _flipped(log, names, 0.99, "the speed has the opposite sign of its set-point")
+    return _flipped(
+        log, names, 0.99, "the speed has the opposite sign of its set-point"
+    )
 
 
 def _two_weights(y: Array, own: Array, other: Array) -> tuple[float, float] | None:
@@ -147,7 +157,9 @@ def _course(log: MeasuredLog, robot: RobotParameters) -> _Course | None:
     """Return course over ground, heading and speed in each window where they belong together."""
     moved, windows = _moved(log), windows_of(log)
     lateral = (
-        lateral_mean(log, "speed_rpm", windows) if robot.is_mecanum else np.zeros(len(windows))
+        lateral_mean(log, "speed_rpm", windows)
+        if robot.is_mecanum
+        else np.zeros(len(windows))
     )
     if moved is None or lateral is None:
         return None
@@ -197,8 +209,14 @@ def _frame(log: MeasuredLog, robot: RobotParameters) -> Found:
     if mirrored < SIGN_SURE or mirrored < alike + 0.3:
         return log, []
     rate = rate_in(log[YAW], windows_of(log))
-    others = [line(rate, other, SLOWEST_TURN_RAD_S) for other in _other_rates(log, robot)]
-    votes = [np.sign(o.slope) for o in others if o is not None and abs(o.correlation) > SIGN_SURE]
+    others = [
+        line(rate, other, SLOWEST_TURN_RAD_S) for other in _other_rates(log, robot)
+    ]
+    votes = [
+        np.sign(o.slope)
+        for o in others
+        if o is not None and abs(o.correlation) > SIGN_SURE
+    ]
     if sum(votes) > 0:
         text = "the y axis of the tag points right: its course turns opposite to its heading"
         return _flipped(log, [NAV_Y], mirrored, text)
@@ -260,11 +278,17 @@ def _wheels_by_navigation(log: MeasuredLog, robot: RobotParameters) -> Found:
     On a mecanum robot, which also moves sideways, both wheels of a side are taken together.
     """
     found = _forward(log) if _is_aligned(log, robot) else None
-    kinds = [k for k in ("speed_rpm", "setpoint_rpm", "duty_pct") if f"wheel.fl.{k}" in log]
+    kinds = [
+        k for k in ("speed_rpm", "setpoint_rpm", "duty_pct") if f"wheel.fl.{k}" in log
+    ]
     if found is None or not kinds:
         return log, []
     windows = windows_of(log)
-    own = SIDES if robot.is_mecanum else [(w,) for w in WHEELS if f"wheel.{w}.{kinds[0]}" in log]
+    own = (
+        SIDES
+        if robot.is_mecanum
+        else [(w,) for w in WHEELS if f"wheel.{w}.{kinds[0]}" in log]
+    )
     signs: dict[tuple[str, ...], tuple[float, float]] = {}
     for wheels in own:
         w = side_mean(log, wheels, kinds[0], windows)
@@ -275,7 +299,9 @@ def _wheels_by_navigation(log: MeasuredLog, robot: RobotParameters) -> Found:
         signs[wheels] = forward * np.sign(fit[0]), robot.yaw_sign * np.sign(fit[1])
     both = len({wheels[0] in LEFT_WHEELS for wheels in signs}) == 2
     if both and set(signs.values()) == {(-1.0, 1.0)}:
-        text = "they roll backward where the tag, unless mounted backward, moves forward"
+        text = (
+            "they roll backward where the tag, unless mounted backward, moves forward"
+        )
         return _swapped(log, kinds, dict.fromkeys(kinds, 1.0), text)
     names = [f"wheel.{w}.{kind}" for wheels, sign in signs.items() if sign == (-1.0, -1.0)
              for w in wheels for kind in kinds]  # fmt: skip
@@ -293,7 +319,10 @@ def _is_aligned(log: MeasuredLog, robot: RobotParameters) -> bool:
     if found is None or len(found.course) < FEWEST_PIECES:
         return False
     course, yaw, speed, _ = found
-    return bool(abs(np.angle((speed * np.exp(2j * (course - yaw))).sum())) < 2.0 * LARGEST_SKEW_RAD)
+    return bool(
+        abs(np.angle((speed * np.exp(2j * (course - yaw))).sum()))
+        < 2.0 * LARGEST_SKEW_RAD
+    )
 
 
 def _forward(log: MeasuredLog) -> tuple[Array, Array] | None:
@@ -311,16 +340,22 @@ def _turning(log: MeasuredLog, robot: RobotParameters) -> Found:
     wheels = turned(log, windows, robot)
     gyro = mean_in(log[GYRO], windows) if GYRO in log else None
     yaw = rate_in(log[YAW], windows) if YAW in log else None
-    by_wheels = {name: _against(rate, wheels) for name, rate in ((GYRO, gyro), (YAW, yaw))}
+    by_wheels = {
+        name: _against(rate, wheels) for name, rate in ((GYRO, gyro), (YAW, yaw))
+    }
     between = _against(gyro, yaw)
     if by_wheels[GYRO] and by_wheels[YAW]:
         world = [n for n in (NAV_Y, YAW, GYRO, IMU_YAW) if n in log]
-        return _flipped(log, world, 0.99, "the yaw of the base runs opposite to the measurement")
+        return _flipped(
+            log, world, 0.99, "the yaw of the base runs opposite to the measurement"
+        )
     if by_wheels[GYRO] and (yaw is None or between):
         return _flipped(log, [GYRO], 0.99, "the gyro turns opposite to the wheels")
     if by_wheels[YAW] and (gyro is None or between):
         world = [n for n in (NAV_Y, YAW) if n in log]
-        return _flipped(log, world, 0.99, "the yaw of the base runs opposite to the measurement")
+        return _flipped(
+            log, world, 0.99, "the yaw of the base runs opposite to the measurement"
+        )
     if wheels is None and between:
         return _flipped(log, [GYRO], 0.99, "the gyro turns opposite to the heading")
     return log, []
@@ -329,4 +364,8 @@ def _turning(log: MeasuredLog, robot: RobotParameters) -> Found:
 def _against(rate: Array | None, other: Array | None) -> bool:
     """Return whether two turn rates clearly have opposite signs."""
     found: Line | None = line(rate, other, SLOWEST_TURN_RAD_S)
-    return found is not None and found.n >= FEWEST_PIECES and found.correlation < -SIGN_SURE
+    return (
+        found is not None
+        and found.n >= FEWEST_PIECES
+        and found.correlation < -SIGN_SURE
+    )

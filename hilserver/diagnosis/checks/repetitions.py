@@ -56,7 +56,9 @@ OFF_THE_CLOCK, MOST_OF_A_PERIOD = 0.05, 0.4
 MOST_PERIODS: Final = 6.5  # for longer runs the period is not known well enough
 
 
-def find_stuck(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
+def find_stuck(
+    log: MeasuredLog, _: RobotParameters
+) -> tuple[MeasuredLog, list[Finding]]:
     """Find channels that never change although they should, and leave them out.
 
     In a simulated log without any noise that proves nothing: there a robot that drives along an
@@ -65,14 +67,18 @@ def find_stuck(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[
     names = measured_channels(log.channels)
     if not any(_is_noisy(log[name]) for name in names):
         return log, []
-    stuck = [name for name in names if is_constant(log[name]) and should_change(log, name)]
+    stuck = [
+        name for name in names if is_constant(log[name]) and should_change(log, name)
+    ]
     if not stuck:
         return log, []
     text = (
         f"{listed(stuck)}: the same value in every row although the robot moved, as if the"
         " sensor were stuck or not connected; the column was left out."
     )
-    return log.without(stuck), [data_fault("held_samples", stuck, 0.0, None, "Hz", text)]
+    return log.without(stuck), [
+        data_fault("held_samples", stuck, 0.0, None, "Hz", text)
+    ]
 
 
 def is_constant(channel: Channel) -> bool:
@@ -107,7 +113,9 @@ def _range(log: MeasuredLog, *wheels: str) -> float:
     values = []
     for wheel in wheels:
         wanted = (f"wheel.{wheel}.setpoint_rpm", f"wheel.{wheel}.speed_rpm")
-        channel = next((log[name] for name in wanted if name in log and len(log[name])), None)
+        channel = next(
+            (log[name] for name in wanted if name in log and len(log[name])), None
+        )
         if channel is None:
             return 0.0
         values.append(channel.values)
@@ -116,7 +124,9 @@ def _range(log: MeasuredLog, *wheels: str) -> float:
     return float(np.ptp(np.sum(values, axis=0)))
 
 
-def find_held(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
+def find_held(
+    log: MeasuredLog, _: RobotParameters
+) -> tuple[MeasuredLog, list[Finding]]:
     """Find channels on a slower clock; of each run only the first, real sample is kept."""
     changes = changes_s(log)
     runs = {name: runs_of(log[name]) for name in measured_channels(log.channels)}
@@ -124,7 +134,9 @@ def find_held(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[F
     groups, findings = _alike(slow), []
     for group in groups:
         for name in group:
-            begins = begins_of(log, name, list(group), {n: runs[n].first for n in group})
+            begins = begins_of(
+                log, name, list(group), {n: runs[n].first for n in group}
+            )
             fresh = _fresh(log[name], begins, 1.0 / slow[name].figure)
             group[name] = slow[name]._replace(left=subset(log[name], fresh))
         text = (
@@ -132,10 +144,14 @@ def find_held(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[F
             " rows in between: leave these empty; the repetitions were dropped."
         )
         findings.append(rate_fault("held_samples", group, text))
-    return corrected(log, {n: f for group in groups for n, f in group.items()}), findings
+    return corrected(
+        log, {n: f for group in groups for n, f in group.items()}
+    ), findings
 
 
-def begins_of(log: MeasuredLog, name: str, group: Sequence[str], first: dict[str, Indices]) -> Mask:
+def begins_of(
+    log: MeasuredLog, name: str, group: Sequence[str], first: dict[str, Indices]
+) -> Mask:
     """Return which samples are known to be new: those at which this or another channel changed.
 
     A source usually sends its channels together, and one of them may stay the same by chance.
@@ -178,7 +194,9 @@ def held(channel: Channel, runs: Runs, changes: Array) -> Fault | None:
         return None
     usual = duration[(length > 0.5 * middle) & (length < 1.6 * middle)]
     rate_hz, row_s = 1.0 / float(usual.mean()), row_period_s(channel)
-    if high > HELD_SPREAD * max(low, 1.0) and not _on_a_clock(rate_hz * duration, rate_hz * row_s):
+    if high > HELD_SPREAD * max(low, 1.0) and not _on_a_clock(
+        rate_hz * duration, rate_hz * row_s
+    ):
         return None
     if rate_hz < HELD_SLOWEST_HZ or rate_hz * row_s > 0.67:
         return None
@@ -249,7 +267,9 @@ def repeated(channel: Channel, stands: Mask) -> Fault | None:
     if len(channel) < 200:
         return None
     runs = runs_of(channel)
-    once = len(np.unique(channel.values[runs.first])) > (1.0 - IRREGULAR) * len(runs.first)
+    once = len(np.unique(channel.values[runs.first])) > (1.0 - IRREGULAR) * len(
+        runs.first
+    )
     once = once and float(np.mean(runs.length > 1)) > NEGLIGIBLE
     shortest = 2 if once else SHORTEST_BURST
     short = runs.length < shortest

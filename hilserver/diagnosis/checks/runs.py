@@ -30,14 +30,18 @@ class Fault(NamedTuple):
 Faults = Mapping[str, Fault]  # by channel
 
 
-def classified(names: Iterable[str], classifier: Callable[[str], Fault | None]) -> dict[str, Fault]:
+def classified(
+    names: Iterable[str], classifier: Callable[[str], Fault | None]
+) -> dict[str, Fault]:
     """Return the channels in which a classifier finds a fault."""
     return {name: fault for name in names if (fault := classifier(name)) is not None}
 
 
 def corrected(log: MeasuredLog, faults: Faults) -> MeasuredLog:
     """Return the log with what remains of its channels."""
-    left = {name: fault.left for name, fault in faults.items() if fault.left is not None}
+    left = {
+        name: fault.left for name, fault in faults.items() if fault.left is not None
+    }
     return log.without(faults.keys() - left.keys()).with_channels(left)
 
 
@@ -52,7 +56,9 @@ def rate_fault(cause: str, faults: Faults, text: str) -> Finding:
     rate_hz, sd_hz = (float(np.median([f[k] for f in faults.values()])) for k in (1, 2))
     half = 1.96 * max(sd_hz, 0.01 * rate_hz)
     said = text.format(names=listed(list(faults)), rate_hz=f"{rate_hz:.3g}")
-    return data_fault(cause, faults, rate_hz, (rate_hz - half, rate_hz + half), "Hz", said)
+    return data_fault(
+        cause, faults, rate_hz, (rate_hz - half, rate_hz + half), "Hz", said
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +91,9 @@ def runs_of(channel: Channel) -> Runs:
 
 def alternates(steps: Array) -> bool:
     """Return whether steps go up and down as in a noisy channel."""
-    return len(steps) > 1 and float(np.mean(steps[1:] * steps[:-1] < 0.0)) >= ALTERNATING
+    return (
+        len(steps) > 1 and float(np.mean(steps[1:] * steps[:-1] < 0.0)) >= ALTERNATING
+    )
 
 
 def resolution(values: Array) -> float:

@@ -13,7 +13,13 @@ from typing import Final
 import numpy as np
 
 from hilserver.arrays import Array, Indices, Mask
-from hilserver.diagnosis.checks.runs import Fault, classified, corrected, rate_fault, runs_of
+from hilserver.diagnosis.checks.runs import (
+    Fault,
+    classified,
+    corrected,
+    rate_fault,
+    runs_of,
+)
 from hilserver.diagnosis.checks.support import along, row_period_s, subset
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import (
@@ -31,11 +37,15 @@ from hilserver.measured.channels import SETPOINTS, SPEEDS, TWIST
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
-KNOWN_TO: Final = 0.02 / 1.96  # standard error of the rate of interpolated set-points, as a share
+KNOWN_TO: Final = (
+    0.02 / 1.96
+)  # standard error of the rate of interpolated set-points, as a share
 LONGEST_PERIODS: Final = 12.0  # longer durations say nothing about their period
 
 
-def find_interpolated(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
+def find_interpolated(
+    log: MeasuredLog, _: RobotParameters
+) -> tuple[MeasuredLog, list[Finding]]:
     """Find interpolated set-points; only the samples at their corners are kept, as held values."""
     names = (name for name in (*SETPOINTS, *TWIST) if name in log)
     faults = classified(names, lambda name: interpolated(log[name]))
@@ -54,14 +64,18 @@ def interpolated(channel: Channel) -> Fault | None:
         return None
     rows, corners = found
     rate_hz = 1.0 / (rows * row_period_s(channel))
-    return Fault(subset(channel, _on_clock(channel, rows, corners)), rate_hz, KNOWN_TO * rate_hz)
+    return Fault(
+        subset(channel, _on_clock(channel, rows, corners)), rate_hz, KNOWN_TO * rate_hz
+    )
 
 
 def pieces(channel: Channel) -> tuple[Indices, Array]:
     """Return first sample and slope of every piece of constant slope."""
     dt = np.diff(channel.t_s)
     inside = (np.diff(channel.span) == 0) & (dt > 0)
-    slope = np.where(inside, np.diff(channel.values) / np.where(inside, dt, 1.0), np.nan)
+    slope = np.where(
+        inside, np.diff(channel.values) / np.where(inside, dt, 1.0), np.nan
+    )
     size = np.maximum(np.abs(slope[1:]), np.abs(slope[:-1]))
     moving = np.abs(slope[np.nan_to_num(slope) != 0])
     least = SAME * float(np.median(moving)) if len(moving) else 0.0
@@ -102,7 +116,9 @@ def _on_clock(channel: Channel, rows: int, corners: Indices) -> Mask:
     return np.asarray(keep | begins)
 
 
-def find_sparse(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
+def find_sparse(
+    log: MeasuredLog, _: RobotParameters
+) -> tuple[MeasuredLog, list[Finding]]:
     """Find set-points that are held only in the log; straight lines replace those between."""
     speed_of = {a: b for a, b in zip(SETPOINTS, SPEEDS, strict=True) if log.has(a, b)}
     faults = classified(speed_of, lambda name: sparse(log[name], log[speed_of[name]]))
@@ -121,7 +137,11 @@ def sparse(channel: Channel, speed: Channel) -> Fault | None:
     if known is None:
         return None
     lines = _lines(channel, 1.0 / known[0])
-    return Fault(lines, *known) if _followed(channel, lines, speed, 1.0 / known[0]) else None
+    return (
+        Fault(lines, *known)
+        if _followed(channel, lines, speed, 1.0 / known[0])
+        else None
+    )
 
 
 def sent_rate(channel: Channel) -> tuple[float, float] | None:
@@ -139,7 +159,11 @@ def sent_rate(channel: Channel) -> tuple[float, float] | None:
     some = lasted[lasted < LONGEST_PERIODS * period_s]
     periods = np.rint(some / float(np.median(usual)))
     period_s = float(some.sum() / periods.sum())
-    sd = float((some - periods * period_s).std()) * np.sqrt(len(some)) / float(periods.sum())
+    sd = (
+        float((some - periods * period_s).std())
+        * np.sqrt(len(some))
+        / float(periods.sum())
+    )
     return 1.0 / period_s, sd / period_s**2
 
 
@@ -156,7 +180,9 @@ def _lines(channel: Channel, period_s: float) -> Channel:
     return channel.with_values(np.interp(stamps, at[order], values[order]))
 
 
-def _followed(channel: Channel, lines: Channel, speed: Channel, period_s: float) -> bool:
+def _followed(
+    channel: Channel, lines: Channel, speed: Channel, period_s: float
+) -> bool:
     """Return whether a speed follows the lines, and sooner than held set-points allow."""
     row_s = row_period_s(channel)
     if period_s < (FEWEST_EVENTS - 0.5) * row_s:
@@ -167,11 +193,15 @@ def _followed(channel: Channel, lines: Channel, speed: Channel, period_s: float)
     best = int(np.argmin(by_lines))
     soon = lags[best] + 0.75 * row_s < 0.5 * period_s
     return bool(
-        soon and lags[best] > -0.5 * period_s and by_lines[best] < SPARSE_BETTER * by_stairs.min()
+        soon
+        and lags[best] > -0.5 * period_s
+        and by_lines[best] < SPARSE_BETTER * by_stairs.min()
     )
 
 
-def _misfit(inputs: Channel, speed: Channel, lags: Array, *, held: bool = False) -> Array:
+def _misfit(
+    inputs: Channel, speed: Channel, lags: Array, *, held: bool = False
+) -> Array:
     """Return the mean square of the speed minus the input, for each lag [s] of the input."""
     at, stamps = along(speed), along(inputs)
     out = np.empty(len(lags))

@@ -42,4 +42,6 @@ def at_rest(
     """
     shown = [size for size in sizes if traits_of(size.cause).at_rest]
     causes = [s.cause for s in sizes if s not in shown] + [u.cause for u in unseen]
-    return shown, [NotJudged(cause=cause, reason="the robot stood still") for cause in causes]
+    return shown, [
+        NotJudged(cause=cause, reason="the robot stood still") for cause in causes
+    ]

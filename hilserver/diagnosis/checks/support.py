@@ -49,7 +49,10 @@ def measured_channels(channels: Iterable[str]) -> list[str]:
 def subset(channel: Channel, keep: Mask) -> Channel:
     """Return the channel with some of its samples."""
     return replace(
-        channel, t_s=channel.t_s[keep], values=channel.values[keep], span=channel.span[keep]
+        channel,
+        t_s=channel.t_s[keep],
+        values=channel.values[keep],
+        span=channel.span[keep],
     )
 
 
@@ -104,7 +107,9 @@ def reach(values: Array) -> float:
 def standing(log: MeasuredLog, source: Channel) -> Mask:
     """Return at which samples of a source no wheel is asked to turn, and none turns."""
     at, moves = along(source), np.zeros(len(source), dtype=bool)
-    known = [log[name] for name in (*SETPOINTS, *SPEEDS) if name in log and len(log[name])]
+    known = [
+        log[name] for name in (*SETPOINTS, *SPEEDS) if name in log and len(log[name])
+    ]
     for channel in known:
         last = np.searchsorted(along(channel), at, side="right") - 1
         moves |= np.abs(channel.values[np.maximum(last, 0)]) > STILL_RPM

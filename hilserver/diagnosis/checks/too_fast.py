@@ -14,7 +14,9 @@ from hilserver.plant.parameters import RobotParameters
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
     """Report set-points that the replay scales down; the log is left unchanged."""
     sent = {name: log[name].values for name in SETPOINTS if name in log}
-    fastest = {name: float(np.abs(values).max(initial=0.0)) for name, values in sent.items()}
+    fastest = {
+        name: float(np.abs(values).max(initial=0.0)) for name, values in sent.items()
+    }
     slow = max(fastest.values(), default=0.0) <= (1.0 + NEGLIGIBLE) * robot.max_rpm
     if slow or not log.drive_is_known:
         return log, []

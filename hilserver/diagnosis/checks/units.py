@@ -61,13 +61,26 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
     """Find channels in a wrong unit, and convert them."""
     findings: list[Finding] = []
     log = _without_degrees(log, robot)
-    for judge in (_wheels, _wheels, _wheel, _wheel, _yaw, _gyro, _position, _position, _duty):
+    for judge in (
+        _wheels,
+        _wheels,
+        _wheel,
+        _wheel,
+        _yaw,
+        _gyro,
+        _position,
+        _position,
+        _duty,
+    ):
         channels, fault = judge(log, robot)
         if fault is None:
             continue
         factor, ratio, text = fault
         log = log.with_channels(
-            {name: log[name].with_values(log[name].values / factor) for name in channels}
+            {
+                name: log[name].with_values(log[name].values / factor)
+                for name in channels
+            }
         )
         findings.append(_finding(channels, factor, ratio, text))
     return log, findings
@@ -80,7 +93,11 @@ def _known(
     ratio: Line | None, factors: dict[float, str], close: float = UNIT_CLOSE
 ) -> Fault | None:
     """Return the factor of a unit that is near a ratio, or None."""
-    if ratio is None or abs(ratio.correlation) < UNIT_ALIKE or 1 / UNITY < abs(ratio.slope) < UNITY:
+    if (
+        ratio is None
+        or abs(ratio.correlation) < UNIT_ALIKE
+        or 1 / UNITY < abs(ratio.slope) < UNITY
+    ):
         return None
     size = abs(ratio.slope)
     factor = min(factors, key=lambda f: abs(float(np.log(size / f))))
@@ -96,7 +113,9 @@ def _finding(channels: list[str], factor: float, ratio: Line, text: str) -> Find
         f"{listed(channels)}: {text} (factor {factor:.4g} relative to the other channels):"
         " correct the unit in the mapping; the values were converted."
     )
-    return data_fault("unit_error", channels, factor, (factor - half, factor + half), "1", said)
+    return data_fault(
+        "unit_error", channels, factor, (factor - half, factor + half), "1", said
+    )
 
 
 def _of_wheels(robot: RobotParameters) -> dict[float, str]:
@@ -117,12 +136,22 @@ def _wheels(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault 
     moved = _moved(log)
     travelled = None if moved is None else np.hypot(*moved)
     by_nav = {
-        what: _known(line(rolled(log, what, windows, robot), travelled, 0.02), _of_wheels(robot))
+        what: _known(
+            line(rolled(log, what, windows, robot), travelled, 0.02), _of_wheels(robot)
+        )
         for what in ("speed_rpm", "setpoint_rpm")
     }
-    if speeds and (fault := by_nav["speed_rpm"]) is not None and _near(log, fault, robot, speeds):
+    if (
+        speeds
+        and (fault := by_nav["speed_rpm"]) is not None
+        and _near(log, fault, robot, speeds)
+    ):
         return speeds, fault
-    if sent and (fault := by_nav["setpoint_rpm"]) is not None and _near(log, fault, robot, sent):
+    if (
+        sent
+        and (fault := by_nav["setpoint_rpm"]) is not None
+        and _near(log, fault, robot, sent)
+    ):
         return sent, fault
     pairs = [
         (mean_in(log[f"wheel.{w}.speed_rpm"], windows), mean_in(log[s], windows))
@@ -131,7 +160,9 @@ def _wheels(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault 
     ]
     if not pairs or travelled is not None:
         return [], None
-    speed, wanted = (np.abs(np.concatenate(column)) for column in zip(*pairs, strict=True))
+    speed, wanted = (
+        np.abs(np.concatenate(column)) for column in zip(*pairs, strict=True)
+    )
     fault = _known(line(speed, wanted, 1e-3), WHEEL, 1.15)
     if fault is not None and np.nanquantile(wanted, 0.99) > 2.0 * robot.max_rpm:
         factor, ratio, _ = fault
@@ -153,7 +184,9 @@ def _wheel(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault |
         size[name] = float(np.minimum(values, largest(values)).mean()) + 1e-9
 
     def apart(name: str) -> float:
-        usual = np.median([size[n] for kind in kinds for n in kind if name in kind and n in size])
+        usual = np.median(
+            [size[n] for kind in kinds for n in kind if name in kind and n in size]
+        )
         return abs(float(np.log(size[name] / usual)))
 
     found: dict[str, Fault] = {}
@@ -162,14 +195,18 @@ def _wheel(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault |
         if speed in pair and len(pair) == 2:
             right, wrong = sorted(pair, key=apart)
             fault = _known(
-                line(columns[wrong], columns[right], 1e-3), _of_wheels(robot), UNIT_CLOSE_WHEEL
+                line(columns[wrong], columns[right], 1e-3),
+                _of_wheels(robot),
+                UNIT_CLOSE_WHEEL,
             )
             found |= {} if fault is None else {wrong: fault}
     first = next(iter(found.values()), None)
     return [n for n, fault in found.items() if first and fault[0] == first[0]], first
 
 
-def _near(log: MeasuredLog, fault: Fault, robot: RobotParameters, names: list[str]) -> bool:
+def _near(
+    log: MeasuredLog, fault: Fault, robot: RobotParameters, names: list[str]
+) -> bool:
     """Return whether the robot can drive the converted speeds."""
     fastest = max(float(np.quantile(np.abs(log[name].values), 0.99)) for name in names)
     return fastest / fault[0] < 4.0 * robot.max_rpm
@@ -220,14 +257,22 @@ def _yaw(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | N
 def _way(log: MeasuredLog, robot: RobotParameters) -> Array | None:
     """Return how fast the wheels, or else their set-points, would move the robot [m/s]."""
     speeds = rolled(log, "speed_rpm", windows_of(log), robot)
-    return rolled(log, "setpoint_rpm", windows_of(log), robot) if speeds is None else speeds
+    return (
+        rolled(log, "setpoint_rpm", windows_of(log), robot)
+        if speeds is None
+        else speeds
+    )
 
 
 def _without_degrees(log: MeasuredLog, robot: RobotParameters) -> MeasuredLog:
     """Leave out a position in latitude and longitude: no one factor makes metres of it."""
     moved, way = _moved(log), _way(log, robot)
     fit = None if moved is None else line(np.hypot(*moved), way, 0.02)
-    if fit is None or fit.correlation < UNIT_ALIKE or not 0.3 < fit.slope * M_PER_DEG < 2.0:
+    if (
+        fit is None
+        or fit.correlation < UNIT_ALIKE
+        or not 0.3 < fit.slope * M_PER_DEG < 2.0
+    ):
         return log
     note = (
         f"{listed(POSITION)} are latitude and longitude in degrees and were left out: write"
@@ -236,7 +281,9 @@ def _without_degrees(log: MeasuredLog, robot: RobotParameters) -> MeasuredLog:
     return replace(log.without(POSITION), notices=(*log.notices, note))
 
 
-def _position(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | None]:
+def _position(
+    log: MeasuredLog, robot: RobotParameters
+) -> tuple[list[str], Fault | None]:
     """Judge the axes: of all units that they may have, those count that fit the way best."""
     moved, way = _moved(log), _way(log, robot)
     usual = None if moved is None else line(np.hypot(*moved), way, 0.02)
@@ -251,7 +298,10 @@ def _position(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Faul
         return [], None
     best = min(
         fits,
-        key=lambda u: (1.0 - fits[u].correlation ** 2) * (UNIT_OTHER_AXIS if u[0] == u[1] else 1.0),
+        key=lambda u: (
+            (1.0 - fits[u].correlation ** 2)
+            * (UNIT_OTHER_AXIS if u[0] == u[1] else 1.0)
+        ),
     )
     factor = max(best, key=lambda unit: abs(np.log(unit)))
     wrong = [name for name, unit in zip(POSITION, best, strict=True) if unit == factor]

@@ -13,13 +13,25 @@ import numpy as np
 from hilserver.arrays import Mask
 from hilserver.diagnosis.checks import Checked
 from hilserver.diagnosis.checks.frame import unidentified, without_kinematics
-from hilserver.diagnosis.compare.differences import Difference, differences_of, run_of_spans
-from hilserver.diagnosis.compare.differing import difference_findings, smallest_differences
+from hilserver.diagnosis.compare.differences import (
+    Difference,
+    differences_of,
+    run_of_spans,
+)
+from hilserver.diagnosis.compare.differing import (
+    difference_findings,
+    smallest_differences,
+)
 from hilserver.diagnosis.decide.selection import select
 from hilserver.diagnosis.progress import Tracker
 from hilserver.diagnosis.regression.problem import Point
 from hilserver.diagnosis.regression.stages import prepare_all
-from hilserver.diagnosis.replay.judgeable import UNSEEN, absent, of_kinematics, vocabulary_reasons
+from hilserver.diagnosis.replay.judgeable import (
+    UNSEEN,
+    absent,
+    of_kinematics,
+    vocabulary_reasons,
+)
 from hilserver.diagnosis.schema.findings import Detectable, Finding
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.parameters import RobotParameters
@@ -36,15 +48,25 @@ class Compared:
 
 
 def compared(
-    both: Sequence[Checked], robot: RobotParameters, seed: int, jobs: int, tracker: Tracker
+    both: Sequence[Checked],
+    robot: RobotParameters,
+    seed: int,
+    jobs: int,
+    tracker: Tracker,
 ) -> Compared:
     """Estimate every cause in both sets and name what differs."""
     logs = [checked.log for checked in both]
-    if why := [found for log in logs if (found := unidentified(log, robot)) is not None]:
+    if why := [
+        found for log in logs if (found := unidentified(log, robot)) is not None
+    ]:
         logs = [without_kinematics(log, why[0]) for log in logs]
     whole, second = pooled(*logs)
     prepared, reasons = prepare_all(
-        whole, robot, jobs, tracker, lost_setpoints=any(checked.lost_setpoints for checked in both)
+        whole,
+        robot,
+        jobs,
+        tracker,
+        lost_setpoints=any(checked.lost_setpoints for checked in both),
     )
     reasons |= of_kinematics(why[0] if why else None)
     runs, rng = run_of_spans(logs), np.random.default_rng(seed)

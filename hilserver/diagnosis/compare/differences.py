@@ -83,7 +83,9 @@ def differences_of(
             both = tuple(v * scale + float(offset[k]) for v in values)
             spread = (errors[0] * scale, errors[1] * scale)
             place = int(mine[k])
-            out.append(Difference(c, stage, place, (both[0], both[1]), spread, p, gain, dof))
+            out.append(
+                Difference(c, stage, place, (both[0], both[1]), spread, p, gain, dof)
+            )
     return out
 
 
@@ -91,19 +93,28 @@ def _own_scores(
     library: Library, point: Point, c: Candidate, mine: Indices
 ) -> tuple[Scores, Array] | None:
     """Return scores and values of a shared cause, given the others; None for other causes."""
-    index = next((k for k, f in enumerate(point.model.fitted) if f.candidate.label == c.label), -1)
+    index = next(
+        (k for k, f in enumerate(point.model.fitted) if f.candidate.label == c.label),
+        -1,
+    )
     if index < 0:
         return None
     accepted = library.problem.accepted(point)
     assert accepted is not None
     others = np.delete(accepted, point.model.slices[index], axis=1)
     order = library.blocks.order
-    scores = score(library.columns[:, mine], point.left[order], library.blocks, others[order])
+    scores = score(
+        library.columns[:, mine], point.left[order], library.blocks, others[order]
+    )
     return scores, np.asarray(point.model.fitted[index].theta) - np.asarray(c.null)
 
 
 def _one(
-    score: Array, information: Array, sides: Sequence[Mask], runs: Indices, span_of_block: Indices
+    score: Array,
+    information: Array,
+    sides: Sequence[Mask],
+    runs: Indices,
+    span_of_block: Indices,
 ) -> tuple[tuple[float, float], tuple[float, float], float, float, float] | None:
     """Return estimates, errors, p, gain and degrees of freedom of one direction."""
     values, variances, counts, infos, repeats = [], [], [], [], []
@@ -120,7 +131,10 @@ def _one(
         run = runs[np.maximum(span_of_block[side], 0)]
         names = np.unique(run[used])
         if len(names) >= 2:
-            per = [float(g[run == r].sum()) / max(float(i[run == r].sum()), 1e-12) for r in names]
+            per = [
+                float(g[run == r].sum()) / max(float(i[run == r].sum()), 1e-12)
+                for r in names
+            ]
             between = float(np.var(per, ddof=1)) / len(names)
             if between > variance:
                 variance, count, value = between, len(names) - 1, float(np.mean(per))
@@ -131,7 +145,9 @@ def _one(
         infos.append(total)
     both = variances[0] + variances[1]
     dof = both**2 / sum(v**2 / c for v, c in zip(variances, counts, strict=True))
-    if repeats[0] == repeats[1] > 1:  # with equally many runs, Student's test is valid, too
+    if (
+        repeats[0] == repeats[1] > 1
+    ):  # with equally many runs, Student's test is valid, too
         dof = float(sum(counts))
     t = (values[1] - values[0]) / np.sqrt(both)
     p = float(2.0 * stats.t.sf(abs(t), dof))

@@ -15,11 +15,18 @@ from hilserver.diagnosis.regression.linear import cosine
 from hilserver.diagnosis.regression.problem import Point
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.schema.findings import Detectable, Finding, Parameter, Verdict
-from hilserver.diagnosis.thresholds import COMPARE_LEVEL, DETECTABLE_POWER_SD, GROUP_COSINE, TIE
+from hilserver.diagnosis.thresholds import (
+    COMPARE_LEVEL,
+    DETECTABLE_POWER_SD,
+    GROUP_COSINE,
+    TIE,
+)
 
 
 def difference_findings(
-    differences: Sequence[Difference], prepared: Mapping[str, Prepared], points: Mapping[str, Point]
+    differences: Sequence[Difference],
+    prepared: Mapping[str, Prepared],
+    points: Mapping[str, Point],
 ) -> list[Finding]:
     """Name the cause that best explains the difference in each stage, and its twins.
 
@@ -46,7 +53,9 @@ def difference_findings(
                 continue
             if best.gain - d.gain < TIE and _cosine(p.library, best, d) > GROUP_COSINE:
                 group.append(d)
-        group += _imitators(p.library, points[stage], best, {d.candidate.cause for d in group})
+        group += _imitators(
+            p.library, points[stage], best, {d.candidate.cause for d in group}
+        )
         found.append(_finding(group))
     return found
 
@@ -56,7 +65,11 @@ def _imitators(
 ) -> list[Difference]:
     """Return twins of a cause that both sets share: added to it, they have nothing to explain."""
     index = next(
-        (k for k, f in enumerate(point.model.fitted) if f.candidate.cause == best.candidate.cause),
+        (
+            k
+            for k, f in enumerate(point.model.fitted)
+            if f.candidate.cause == best.candidate.cause
+        ),
         None,
     )
     if index is None or best.candidate.n > 1:
@@ -66,7 +79,9 @@ def _imitators(
     out = []
     for rival in rivals(library, point, index):
         c = rival.candidate
-        alike = rival.close and rival.cosine > GROUP_COSINE  # what remains is the difference itself
+        alike = (
+            rival.close and rival.cosine > GROUP_COSINE
+        )  # what remains is the difference itself
         if not alike or c.n > 1 or c.cause in named:
             continue
         share = (rival.fitted.theta[0] - c.null[0]) / away
@@ -93,9 +108,13 @@ def _finding(group: Sequence[Difference]) -> Finding:
             parameters[f"{name}.{key}"] = Parameter(value=value, ci95=limits, unit=unit)
         change = d.values[1] - d.values[0]
         half = wide * float(np.hypot(*d.errors))
-        parameters[name] = Parameter(value=change, ci95=(change - half, change + half), unit=unit)
+        parameters[name] = Parameter(
+            value=change, ci95=(change - half, change + half), unit=unit
+        )
         text = "" if unit == "1" else f" {unit}"
-        words.append(f"{name}: {d.values[0]:.3g}{text} before, {d.values[1]:.3g}{text} after")
+        words.append(
+            f"{name}: {d.values[0]:.3g}{text} before, {d.values[1]:.3g}{text} after"
+        )
     causes = tuple(d.candidate.cause for d in group)
     return Finding(
         verdict=Verdict.DIFFERS,
@@ -104,11 +123,15 @@ def _finding(group: Sequence[Difference]) -> Finding:
         parameters=parameters,
         p_adjusted=group[0].p,
         explanation=f"The two sets differ: {'; or '.join(words)}.",
-        separating_experiment=separating_experiment(causes) if len(causes) > 1 else None,
+        separating_experiment=separating_experiment(causes)
+        if len(causes) > 1
+        else None,
     )
 
 
-def smallest_differences(differences: Sequence[Difference], count: int) -> tuple[Detectable, ...]:
+def smallest_differences(
+    differences: Sequence[Difference], count: int
+) -> tuple[Detectable, ...]:
     """Return, by cause, the smallest difference that would have been found among `count` judged."""
     sizes: dict[str, Detectable] = {}
     for d in differences:

@@ -151,7 +151,9 @@ class Contest:
 def scale_or_anchor(problem: Problem, point: Point) -> Contest | None:
     """Compare an accepted scale of the navigation with misplaced anchors; None without a scale."""
     accepted = problem.accepted(point)
-    index = next((i for i, c in enumerate(point.model.causes) if traits_of(c).field), None)
+    index = next(
+        (i for i, c in enumerate(point.model.causes) if traits_of(c).field), None
+    )
     if accepted is None or index is None:
         return None
     fields = _fields(problem, point)
@@ -164,7 +166,10 @@ def scale_or_anchor(problem: Problem, point: Point) -> Contest | None:
     squares, along = (white**2).sum(axis=0) + 1e-300, white.T @ target
     best = int(np.argmax(along**2 / squares))
     most = max(float(along[best] ** 2 / squares[best]), joint_gain(white, target))
-    error_m, half_m = float(along[best] / squares[best]), 1.96 / float(np.sqrt(squares[best]))
+    error_m, half_m = (
+        float(along[best] / squares[best]),
+        1.96 / float(np.sqrt(squares[best])),
+    )
     return Contest(index, most - explained, _anchor(moved[best], best, error_m, half_m))
 
 

@@ -17,7 +17,11 @@ Terms = Mapping[str, float]
 
 
 def begun(
-    problem: Problem, library: Library, base: Point, terms: Terms, barred: Collection[str] = ()
+    problem: Problem,
+    library: Library,
+    base: Point,
+    terms: Terms,
+    barred: Collection[str] = (),
 ) -> Point:
     """Return the model of the terms that already run, with values estimated from these data.
 

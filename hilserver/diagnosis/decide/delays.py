@@ -48,7 +48,9 @@ def beginning_for(f: Fitted, c: Candidate) -> tuple[float, ...]:
 
 def _delays(point: Point) -> list[int]:
     """Return the indices of the delays in a model."""
-    return [i for i, cause in enumerate(point.model.causes) if traits_of(cause).whole_ticks]
+    return [
+        i for i, cause in enumerate(point.model.causes) if traits_of(cause).whole_ticks
+    ]
 
 
 def _exchanged(library: Library, point: Point) -> Point | None:
@@ -57,12 +59,16 @@ def _exchanged(library: Library, point: Point) -> Point | None:
     others = [
         c
         for c in library.candidates
-        if c.linear and traits_of(c.cause).whole_ticks and c.cause not in point.model.causes
+        if c.linear
+        and traits_of(c.cause).whole_ticks
+        and c.cause not in point.model.causes
     ]
     for index in _delays(point):
         for c in others:
             theta = beginning_for(point.model.fitted[index], c)
-            trial = fit(problem, point.model.swapped(index, c, theta), point, iterations=5)
+            trial = fit(
+                problem, point.model.swapped(index, c, theta), point, iterations=5
+            )
             if not possible(trial):
                 continue
             saved = point.deviance - trial.deviance

@@ -43,19 +43,28 @@ class Drifting:
 def course(problem: Problem) -> Array:
     """Return the time of every sample, from -1 at the start to 1 at the end, shape (n, 1)."""
     clock = problem.stack.t_s
-    middle, half = 0.5 * (clock.min() + clock.max()), 0.5 * max(float(np.ptp(clock)), 1e-9)
+    middle, half = (
+        0.5 * (clock.min() + clock.max()),
+        0.5 * max(float(np.ptp(clock)), 1e-9),
+    )
     return np.asarray((clock - middle) / half)[:, None]
 
 
 def parts(problem: Problem) -> list[Mask]:
     """Return the blocks of each of `PARTS_OF_LOG` equal parts of the log."""
     stack, time = problem.stack, course(problem)[:, 0]
-    middle = stack.block_sums(time) / np.maximum(np.bincount(stack.block, None, stack.n_blocks), 1)
-    number = np.clip((0.5 * PARTS_OF_LOG * (middle + 1.0)).astype(int), 0, PARTS_OF_LOG - 1)
+    middle = stack.block_sums(time) / np.maximum(
+        np.bincount(stack.block, None, stack.n_blocks), 1
+    )
+    number = np.clip(
+        (0.5 * PARTS_OF_LOG * (middle + 1.0)).astype(int), 0, PARTS_OF_LOG - 1
+    )
     return [number == k for k in range(PARTS_OF_LOG)]
 
 
-def drifting(problem: Problem, point: Point, rng: np.random.Generator) -> dict[str, float]:
+def drifting(
+    problem: Problem, point: Point, rng: np.random.Generator
+) -> dict[str, float]:
     """Return accepted causes whose value changes along the log, with their p.
 
     A change that the inexact form of a cause in the plant could explain does not count.
@@ -65,7 +74,9 @@ def drifting(problem: Problem, point: Point, rng: np.random.Generator) -> dict[s
         return {}
     blocks = Blocks.of(problem.stack.block, problem.stack.n_blocks)
     order = blocks.order
-    s = score((accepted * course(problem))[order], point.left[order], blocks, accepted[order])
+    s = score(
+        (accepted * course(problem))[order], point.left[order], blocks, accepted[order]
+    )
     maxima = null_maxima([s], rng)
     p = adjusted(s.t, maxima)
 
@@ -88,7 +99,9 @@ def with_drift(library: Library, point: Point, rng: np.random.Generator) -> Drif
     see it. Other drifts can look like part of the floor or a weaker battery.
     """
     first = point
-    if library.problem.stack.n_blocks < 2 * PARTS_OF_LOG:  # too few: a change would be noise
+    if (
+        library.problem.stack.n_blocks < 2 * PARTS_OF_LOG
+    ):  # too few: a change would be noise
         return Drifting(point, {}, 0.0)
     point = _taken_up(library, point, rng)
     p = drifting(library.problem, point, rng)
@@ -98,7 +111,9 @@ def with_drift(library: Library, point: Point, rng: np.random.Generator) -> Drif
     other, least = _rearranged(library, first, point if p else first, suspects)
     if not p and suspects & set(other.model.causes):
         return Drifting(point, {}, 0.0)
-    return Drifting(other, drifting(library.problem, other, rng), first.deviance - least)
+    return Drifting(
+        other, drifting(library.problem, other, rng), first.deviance - least
+    )
 
 
 def _singles(library: Library) -> tuple[list[int], Array]:
@@ -131,7 +146,9 @@ def _taken_up(library: Library, point: Point, rng: np.random.Generator) -> Point
         own = own[:, None] / max(float(np.sqrt(own @ own)), SHORTEST)
         change = _beside(own, _beside(base, columns[:, k] * time))
         found.append(score(change[order][:, None], _beside(own, left)[order], blocks))
-    t, gain = (np.array([float(getattr(s, name)[0]) for s in found]) for name in ("t", "gain"))
+    t, gain = (
+        np.array([float(getattr(s, name)[0]) for s in found]) for name in ("t", "gain")
+    )
     p = adjusted(t, null_maxima(found, rng))
     best = int(np.argmax(gain))
     if p[best] >= REST_LEVEL or gain[best] <= REST_LEAST_GAIN:
@@ -191,13 +208,17 @@ def left_by_changes(problem: Problem, model: Model, start: Point) -> float:
     return sum(_left_in(problem, model, start, mask) for mask in parts(problem))
 
 
-def changing_alike(problem: Problem, point: Point, rivals: Sequence[Rival]) -> list[Rival]:
+def changing_alike(
+    problem: Problem, point: Point, rivals: Sequence[Rival]
+) -> list[Rival]:
     """Return the rivals whose change along the log explains as much as that of an accepted cause.
 
     With one size each, the misfit would be far larger than the difference between the causes.
     """
     most = left_by_changes(problem, point.model, point) + INSTEAD_LEAST_GAIN
-    return [r for r in rivals if left_by_changes(problem, r.point.model, r.point) < most]
+    return [
+        r for r in rivals if left_by_changes(problem, r.point.model, r.point) < most
+    ]
 
 
 def _left_in(problem: Problem, model: Model, start: Point, mask: Mask) -> float:
@@ -244,7 +265,11 @@ def _without_stand_ins(
 
 
 def _one_for_all(
-    library: Library, model: Model, first: Point, cost: Callable[[Model], float], least: float
+    library: Library,
+    model: Model,
+    first: Point,
+    cost: Callable[[Model], float],
+    least: float,
 ) -> tuple[Model, float]:
     """Return one cause in place of several if it explains as much as they do together."""
     if len(model.fitted) < 2:
@@ -259,12 +284,19 @@ def _one_for_all(
     return model, least
 
 
-def _by_change(library: Library, target: Array, others: Array | None) -> list[Candidate]:
+def _by_change(
+    library: Library, target: Array, others: Array | None
+) -> list[Candidate]:
     """Return the linear candidates, those whose size and trend explain most of a target first."""
     chosen, columns = _singles(library)
     time = course(library.problem)
     gains = [
-        (saved(orthogonal(np.column_stack([own, own * time]), others), target, DAMPED), i)
+        (
+            saved(
+                orthogonal(np.column_stack([own, own * time]), others), target, DAMPED
+            ),
+            i,
+        )
         for i, own in zip(chosen, columns.T[:, :, None], strict=True)
     ]
     return [library.candidates[i] for _, i in sorted(gains, reverse=True)]

@@ -32,7 +32,11 @@ STRETCHES: Final = 8
 
 
 def with_effective(
-    p: Prepared, named: Point, whole: Point, rng: np.random.Generator, rows: list[Decision]
+    p: Prepared,
+    named: Point,
+    whole: Point,
+    rng: np.random.Generator,
+    rows: list[Decision],
 ) -> tuple[Point, frozenset[str]]:
     """Return the model of named and effective items, and which of them are effective.
 

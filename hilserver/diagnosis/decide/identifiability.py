@@ -35,7 +35,9 @@ class Rival:
     # of the sensitivities, without what the other accepted causes explain; or of the effects at
     # their fitted sizes, if these are more alike, see `likeness`
     cosine: float
-    worse: float  # additional deviance that it leaves, including a penalty per parameter
+    worse: (
+        float  # additional deviance that it leaves, including a penalty per parameter
+    )
     z: float  # significance of the difference over the blocks, see `deviations`
     gross: bool  # the accepted cause leaves far more than noise
 
@@ -56,7 +58,9 @@ class Rival:
         Where only noise is left, less similar causes can be distinguished. Where far more is left,
         something unknown moves the robot as well, and may be what makes one of the two fit.
         """
-        return self.close and self.cosine > (RIVAL_COSINE if self.gross else GROUP_COSINE)
+        return self.close and self.cosine > (
+            RIVAL_COSINE if self.gross else GROUP_COSINE
+        )
 
     @property
     def wins(self) -> bool:
@@ -103,7 +107,9 @@ def explained(problem: Problem, point: Point, index: int) -> float:
     return float(own @ own)
 
 
-def rivals(library: Library, point: Point, index: int, near: Sequence[Trial] = ()) -> list[Rival]:
+def rivals(
+    library: Library, point: Point, index: int, near: Sequence[Trial] = ()
+) -> list[Rival]:
     """Fit every confusable rival in place of an accepted cause, each from its best start.
 
     Parameters
@@ -114,12 +120,18 @@ def rivals(library: Library, point: Point, index: int, near: Sequence[Trial] = (
     """
     problem, taken = library.problem, point.model.causes
     best: dict[str, tuple[Candidate, tuple[float, ...], float]] = {}
-    for c, alike in zip(library.candidates, cosines(library, point, index).tolist(), strict=True):
+    for c, alike in zip(
+        library.candidates, cosines(library, point, index).tolist(), strict=True
+    ):
         if c.cause in taken or alike < RIVAL_COSINE:
             continue
         if c.cause not in best or alike > best[c.cause][2]:
             best[c.cause] = c, c.beginning, alike
-    more = [(t.candidate, t.theta, 0.0) for t in near if t.candidate.cause not in {*best, *taken}]
+    more = [
+        (t.candidate, t.theta, 0.0)
+        for t in near
+        if t.candidate.cause not in {*best, *taken}
+    ]
     saved = explained(problem, point, index) if best or more else 0.0
     starts = (*best.values(), *more)
     tried = (_in_its_place(problem, point, index, saved, *start) for start in starts)
@@ -128,7 +140,9 @@ def rivals(library: Library, point: Point, index: int, near: Sequence[Trial] = (
     without = fit_without(problem, point, index) if unlike else point
     for rival in unlike:  # their effects may be more alike than their slopes
         rival.cosine = max(rival.cosine, likeness(without, point, rival.point))
-    return sorted((r for r in found if r.ties or r.candidate.cause in best), key=lambda r: r.worse)
+    return sorted(
+        (r for r in found if r.ties or r.candidate.cause in best), key=lambda r: r.worse
+    )
 
 
 def _in_its_place(
@@ -147,7 +161,9 @@ def _in_its_place(
     difference = trial.loss - point.loss
     penalty = cost(c, saved) - cost(point.model.fitted[index].candidate, saved)
     worse = float(difference.sum()) + penalty
-    return Rival(c, trial, alike, worse, deviations(difference, penalty), point.is_gross)
+    return Rival(
+        c, trial, alike, worse, deviations(difference, penalty), point.is_gross
+    )
 
 
 def likeness(without: Point, one: Point, other: Point) -> float:
@@ -163,7 +179,8 @@ def deviations(difference: Array, more: float = 0.0) -> float:
     """
     bounded = np.clip(difference, -LEAST_GAIN, LEAST_GAIN)
     return max(
-        float((d.sum() + more) / (np.sqrt((d**2).sum()) + 1e-9)) for d in (difference, bounded)
+        float((d.sum() + more) / (np.sqrt((d**2).sum()) + 1e-9))
+        for d in (difference, bounded)
     )
 
 
@@ -201,7 +218,10 @@ def with_best_rivals(
 def prune(problem: Problem, point: Point) -> Point:
     """Drop causes that the others have made superfluous, the weakest first."""
     while point.model.fitted:
-        less = [fit_without(problem, point, index) for index in range(len(point.model.fitted))]
+        less = [
+            fit_without(problem, point, index)
+            for index in range(len(point.model.fitted))
+        ]
         weakest = min(less, key=lambda other: float((other.loss - point.loss).sum()))
         saved = weakest.loss - point.loss
         if float(saved.sum()) > LEAST_GAIN and deviations(saved) > CLEARLY_SE:

@@ -15,7 +15,12 @@ from hilserver.diagnosis.regression.problem import Problem
 from hilserver.diagnosis.replay.drive_stage import FULL_DUTY_PCT, DriveStage
 from hilserver.diagnosis.replay.stage import NO_POSES
 from hilserver.diagnosis.schema.findings import Finding
-from hilserver.diagnosis.thresholds import BLOCK_S, LEAST_GAIN, NEGLIGIBLE, RIVAL_CLEAR_Z
+from hilserver.diagnosis.thresholds import (
+    BLOCK_S,
+    LEAST_GAIN,
+    NEGLIGIBLE,
+    RIVAL_CLEAR_Z,
+)
 from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
@@ -39,7 +44,11 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
     free = problem.predict({}, NO_POSES)
     found = []
     for end in dict.fromkeys(ends.values()):
-        names = [n for n, e in ends.items() if e == end and _goes_beyond(problem, free, n, end)]
+        names = [
+            n
+            for n, e in ends.items()
+            if e == end and _goes_beyond(problem, free, n, end)
+        ]
         if not names or not _free_to_turn(problem, free, FULL_DUTY_PCT * end / most):
             continue
         text = (
@@ -56,13 +65,18 @@ def _goes_beyond(problem: Problem, free: Array, name: str, end: float) -> bool:
     """Return whether the configured drive asks for more while a channel is at its limit."""
     edge = problem.stack.edges[name]
     at = np.abs(problem.stack.values[edge]) >= end
-    return bool(at.any() and np.median(np.abs(free[edge][at])) > (1.0 + NEGLIGIBLE) * end)
+    return bool(
+        at.any() and np.median(np.abs(free[edge][at])) > (1.0 + NEGLIGIBLE) * end
+    )
 
 
 def _free_to_turn(problem: Problem, free: Array, limit_pct: float) -> bool:
     """Return whether the wheel speeds contradict a limited drive."""
     stack = problem.stack
-    left = [problem.residual(p) for p in (free, problem.predict({LIMIT: limit_pct}, NO_POSES))]
+    left = [
+        problem.residual(p)
+        for p in (free, problem.predict({LIMIT: limit_pct}, NO_POSES))
+    ]
     problem.estimate_noise(left[0])
     of_speeds = np.zeros(len(stack))
     for name in (n for n in SPEEDS if n in stack.edges):

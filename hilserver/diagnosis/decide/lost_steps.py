@@ -29,7 +29,11 @@ def lost_steps(problem: Problem, point: Point) -> tuple[int, int]:
     of all wheels at one instant. If no speed changes then, measuring failed.
     """
     log, stack, stage = problem.stage.log, problem.stack, problem.stage
-    both = [(a, b) for a, b in zip(SETPOINTS, SPEEDS, strict=True) if a in log and b in stack.edges]
+    both = [
+        (a, b)
+        for a, b in zip(SETPOINTS, SPEEDS, strict=True)
+        if a in log and b in stack.edges
+    ]
     if not both:
         return 0, 0
     residual = problem.residual(point.predicted)
@@ -45,19 +49,31 @@ def lost_steps(problem: Problem, point: Point) -> tuple[int, int]:
         # if samples are slower than the rows, their time is known only to one row
         row_s = np.where(stays, samples_s, rows_s if samples_s > 1.5 * rows_s else 0.0)
         at_once, by_a_row, *later = (
-            np.interp(stack.at[edge] - by_s * rate_hz, np.arange(len(shown[speed])), shown[speed])
+            np.interp(
+                stack.at[edge] - by_s * rate_hz,
+                np.arange(len(shown[speed])),
+                shown[speed],
+            )
             for by_s in (0.0, row_s, row_s + 2.0 * LOST_LATE_S, row_s + LONG_S)
         )
         seen = r + at_once
-        r = seen - np.clip(seen, np.minimum(at_once, by_a_row), np.maximum(at_once, by_a_row))
+        r = seen - np.clip(
+            seen, np.minimum(at_once, by_a_row), np.maximum(at_once, by_a_row)
+        )
         noise = problem.noise[speed].white_sd
         spans = stage.segments.span[stack.segment[edge]]
         for span in range(len(log.spans)):
             ts, s = log[setpoint].of(span)
-            first, end = np.searchsorted(spans, [span, span + 1])  # stamps rise within a span only
+            first, end = np.searchsorted(
+                spans, [span, span + 1]
+            )  # stamps rise within a span only
             for a in np.flatnonzero(np.abs(np.diff(s)) > LARGE_STEP_RPM) + 1:
-                low, high = first + np.searchsorted(t[first:end], [ts[a], ts[a] + RESPONSE_S])
-                two = [_share(r[low:high], (g - by_a_row)[low:high], noise) for g in later]
+                low, high = first + np.searchsorted(
+                    t[first:end], [ts[a], ts[a] + RESPONSE_S]
+                )
+                two = [
+                    _share(r[low:high], (g - by_a_row)[low:high], noise) for g in later
+                ]
                 if not np.isnan(two).all():
                     unseen = float(stuck[low:high].mean() > HALF)
                     steps.append([ts[a] + SPAN_S * span, unseen, *two])

@@ -44,7 +44,11 @@ class Leaning(NamedTuple):
         """The reading that is nearer if the other is clearly wrong; None if neither is clear."""
         nearer = 1 if self.value > 0.5 else 0
         is_clear = abs(self.value - (1 - nearer)) > RIVAL_CLEAR_Z * self.sd
-        return nearer if is_clear and ONE_TOPIC_LEAST < self.value < ONE_TOPIC_MOST else None
+        return (
+            nearer
+            if is_clear and ONE_TOPIC_LEAST < self.value < ONE_TOPIC_MOST
+            else None
+        )
 
 
 def checked(log: MeasuredLog, robot: RobotParameters) -> Checked:
@@ -54,15 +58,22 @@ def checked(log: MeasuredLog, robot: RobotParameters) -> Checked:
         return found
     speeds = {b: found.log[a] for a, b in zip(SETPOINTS, SPEEDS, strict=True)}
     shown = found.log.without(SETPOINTS).with_channels(speeds)
-    share = _share(shown, _replayed(found.log, robot), robot) if log.drive_is_known else None
+    share = (
+        _share(shown, _replayed(found.log, robot), robot)
+        if log.drive_is_known
+        else None
+    )
     if share is None:
         return found
     topic = "the wheels were mapped as set-points and as speeds from one topic"
     if share.reading == 0:
         note = (
-            f"{topic}: the robot turned as they did, not later: they were judged as actual speeds"
+            f"{topic}: the robot turned as they did, not later: "
+            "they were judged as actual speeds"
         )
-        findings = [f for f in found.findings if f.causes != ("setpoint_as_measurement",)]
+        findings = [
+            f for f in found.findings if f.causes != ("setpoint_as_measurement",)
+        ]
         return Checked(_with(shown, note), tuple(findings))
     if share.reading == 1:
         note = (
@@ -85,7 +96,8 @@ def _with(log: MeasuredLog, note: str) -> MeasuredLog:
 def _from_one_topic(log: MeasuredLog) -> bool:
     """Return whether set-points and speeds of all wheels are the same samples."""
     return log.has(*SETPOINTS, *SPEEDS) and all(
-        np.array_equal(log[a].t_s, log[b].t_s) and np.array_equal(log[a].values, log[b].values)
+        np.array_equal(log[a].t_s, log[b].t_s)
+        and np.array_equal(log[a].values, log[b].values)
         for a, b in zip(SETPOINTS, SPEEDS, strict=True)
     )
 
@@ -102,7 +114,9 @@ def _replayed(log: MeasuredLog, robot: RobotParameters) -> MeasuredLog:
     )
 
 
-def _share(shown: MeasuredLog, sent: MeasuredLog, robot: RobotParameters) -> Leaning | None:
+def _share(
+    shown: MeasuredLog, sent: MeasuredLog, robot: RobotParameters
+) -> Leaning | None:
     """Return which of both readings the measured turn follows; None if it was not measured."""
     name = GYRO if GYRO in shown else YAW
     if name not in shown or len(shown[name]) < FEWEST_SAMPLES:
@@ -113,9 +127,9 @@ def _share(shown: MeasuredLog, sent: MeasuredLog, robot: RobotParameters) -> Lea
     inside = source.t_s - ONE_TOPIC_TURN_S > start_s[source.span]
 
     def turns(stamps: Array, path: Array) -> Array:
-        return (np.interp(at, stamps, path) - np.interp(at - ONE_TOPIC_TURN_S, stamps, path))[
-            inside
-        ]
+        return (
+            np.interp(at, stamps, path) - np.interp(at - ONE_TOPIC_TURN_S, stamps, path)
+        )[inside]
 
     turn, speeds, setpoints = (
         turns(at, measured),
@@ -125,7 +139,9 @@ def _share(shown: MeasuredLog, sent: MeasuredLog, robot: RobotParameters) -> Lea
     apart, left = slope * (setpoints - speeds), turn - slope * speeds
     # wild samples count no more than the largest others
     left = np.clip(left, -largest(left), largest(left))
-    _, piece = np.unique((at[inside] / ONE_TOPIC_PIECE_S).astype(np.int64), return_inverse=True)
+    _, piece = np.unique(
+        (at[inside] / ONE_TOPIC_PIECE_S).astype(np.int64), return_inverse=True
+    )
     weight, seen = np.bincount(piece, apart**2), np.bincount(piece, apart * left)
     n = len(weight)
     if n < 2 * FEWEST_BLOCKS or not weight.sum():

@@ -20,7 +20,9 @@ from hilserver.diagnosis.schema.decisions import Decision
 from hilserver.diagnosis.thresholds import LEAST_GAIN, SELECTION_MOST_CAUSES
 
 STAYS: Final = "not named, but kept: held-out errors would grow without it"
-COMES: Final = "shown by too few blocks to be named, but kept: held-out blocks confirm it"
+COMES: Final = (
+    "shown by too few blocks to be named, but kept: held-out blocks confirm it"
+)
 
 
 def before_settling(
@@ -56,7 +58,9 @@ def with_nameless(p: Prepared, whole: Point, rows: list[Decision]) -> Point:
         if further is None:
             break
         cause = further.model.causes[-1]
-        rows.append(Decision(cause, "refused", Step(p.problem, whole, further).gain, COMES))
+        rows.append(
+            Decision(cause, "refused", Step(p.problem, whole, further).gain, COMES)
+        )
         whole = further
     return whole
 
@@ -79,7 +83,11 @@ def _further(p: Prepared, whole: Point) -> Point | None:
     problem, library = p.problem, p.library
     starts = best_starts(library.scores(whole), library, frozenset(whole.model.causes))
     fitted = partial(attempt, problem, whole, library, p=1.0, gross=whole.is_gross)
-    trials = [trial for index, _ in starts[:MOST_FITTED] if (trial := fitted(index)) is not None]
+    trials = [
+        trial
+        for index, _ in starts[:MOST_FITTED]
+        if (trial := fitted(index)) is not None
+    ]
     for trial in sorted(trials, key=lambda trial: -trial.gain):
         point = trial.point
         if trial.gain <= LEAST_GAIN or implausible(point.model.fitted[-1]):

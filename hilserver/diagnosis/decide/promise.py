@@ -5,7 +5,13 @@ from typing import Final
 import numpy as np
 from scipy import stats
 
-from hilserver.diagnosis.regression.gain import HORIZON_S, Pair, crossed, errors, held_out
+from hilserver.diagnosis.regression.gain import (
+    HORIZON_S,
+    Pair,
+    crossed,
+    errors,
+    held_out,
+)
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.schema.decisions import Action, Decision
 from hilserver.diagnosis.thresholds import EFFECTIVE_LEVEL, NEGLIGIBLE
@@ -24,7 +30,9 @@ class Step:
     """
 
     def __init__(self, problem: Problem, before: Point, after: Point) -> None:
-        predicted = [held_out(problem, crossed(problem, p, p.model)) for p in (before, after)]
+        predicted = [
+            held_out(problem, crossed(problem, p, p.model)) for p in (before, after)
+        ]
         self._pairs = errors(problem, (predicted[0], predicted[1]), HORIZON_S)
 
     @property
@@ -44,7 +52,9 @@ class Step:
     @property
     def helps(self) -> bool:
         """Whether a reported error falls clearly."""
-        return any(_grows(Pair(p.after, p.before, p.horizon_s)) for p in self._pairs.values())
+        return any(
+            _grows(Pair(p.after, p.before, p.horizon_s)) for p in self._pairs.values()
+        )
 
     @property
     def earns(self) -> bool:

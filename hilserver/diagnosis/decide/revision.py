@@ -11,7 +11,11 @@ from hilserver.diagnosis.decide.anchors import Anchor, anchor_off, scale_or_anch
 from hilserver.diagnosis.decide.drift import changing_alike, with_drift
 from hilserver.diagnosis.decide.effective import with_effective
 from hilserver.diagnosis.decide.identifiability import Rival, prune, with_best_rivals
-from hilserver.diagnosis.decide.predicting import before_settling, halfway, with_nameless
+from hilserver.diagnosis.decide.predicting import (
+    before_settling,
+    halfway,
+    with_nameless,
+)
 from hilserver.diagnosis.decide.promise import Step, left_out
 from hilserver.diagnosis.decide.scrubbing import bent_turn, late_turn, scrubs
 from hilserver.diagnosis.decide.selection import Selected, with_noise_anew
@@ -68,7 +72,9 @@ def revised(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     """Weigh the selected causes against rivals, each other and unknown structure."""
     problem, rows = p.problem, selected.rows
     weighed, ties = _weighed(p, selected)
-    explained = max(p.base.deviance - weighed.deviance, 0.0) if weighed.model.fitted else 0.0
+    explained = (
+        max(p.base.deviance - weighed.deviance, 0.0) if weighed.model.fitted else 0.0
+    )
     point, unknown = _beside_structure(problem, weighed, explained, rng, rows)
     point, unknown, drift = _changing(p, point, unknown, rng, rows)
     fitted, (point, is_missed) = point, _named_only(problem, point, ties, drift, rows)
@@ -79,14 +85,22 @@ def revised(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
         unknown = _remaining(problem, point, rng, 0.0 if bare else explained)
     if not drift and fails(p, point):
         rows += left_out(
-            problem, point, p.base, "dropped", "much more error remains than it explains"
+            problem,
+            point,
+            p.base,
+            "dropped",
+            "much more error remains than it explains",
         )
         point = problem.point(Model(), p.base.poses)
         unknown = _remaining(problem, point, rng, 0.0)
     scrubbed = scrubs(problem, point, unknown)
     if scrubbed:
         point = _without_what_tyres_do(problem, point, explained, rows)
-    anchor = None if drift or scrubbed else anchor_off(p.library, point, unknown, rng, explained)
+    anchor = (
+        None
+        if drift or scrubbed
+        else anchor_off(p.library, point, unknown, rng, explained)
+    )
     if anchor is not None:
         unknown = []
     last = None if drift else scale_or_anchor(problem, point)
@@ -135,7 +149,11 @@ def _beside_structure(
 
     def substitute(point: Point) -> Doubt:
         known = point is weighed
-        index = look.index if known else imitated(problem, point, families_of(problem, point))
+        index = (
+            look.index
+            if known
+            else imitated(problem, point, families_of(problem, point))
+        )
         return None if index is None else (index, BY_STRUCTURE)
 
     point = _without_doubtful(problem, point, rows, substitute)
@@ -155,7 +173,11 @@ def _changing(
     changing = with_drift(p.library, point, rng)
     left = point.deviance - changing.gain
     clear = not p.problem.stage.memoryless or left < GROSS * len(point.left)
-    if changing.p and clear and changing.gain > max((u.gain for u in unknown), default=0.0):
+    if (
+        changing.p
+        and clear
+        and changing.gain > max((u.gain for u in unknown), default=0.0)
+    ):
         why = "another cause changes over the course of the log"
         rows += left_out(p.problem, point, changing.point, "dropped", why)
         return changing.point, [], changing.p
@@ -177,14 +199,21 @@ def _named_only(
 
     def nameless(point: Point) -> Doubt:
         reasons = (no_name(problem, f, ties) for f in point.model.fitted)
-        return next(((i, reason) for i, reason in enumerate(reasons) if reason is not None), None)
+        return next(
+            ((i, reason) for i, reason in enumerate(reasons) if reason is not None),
+            None,
+        )
 
     known = len(rows)
     named = _without_doubtful(problem, point, rows, nameless)
-    return named, any(row.reason != TOO_SMALL or row.cause in drift for row in rows[known:])
+    return named, any(
+        row.reason != TOO_SMALL or row.cause in drift for row in rows[known:]
+    )
 
 
-def no_name(problem: Problem, f: Fitted, ties: Mapping[str, Sequence[Rival]]) -> str | None:
+def no_name(
+    problem: Problem, f: Fitted, ties: Mapping[str, Sequence[Rival]]
+) -> str | None:
     """Return why a fitted cause is no finding; None if it is one.
 
     A cause larger than any machine has may be in a group behind a plausible one.
@@ -219,7 +248,10 @@ def _dropped(
 
 
 def _without_doubtful(
-    problem: Problem, point: Point, rows: list[Decision], doubt: Callable[[Point], Doubt]
+    problem: Problem,
+    point: Point,
+    rows: list[Decision],
+    doubt: Callable[[Point], Doubt],
 ) -> Point:
     """Return a model without causes that should go, dropped one at a time."""
     while (found := doubt(point)) is not None:
@@ -233,18 +265,30 @@ def _weighed(p: Prepared, selected: Selected) -> tuple[Point, dict[str, list[Riv
     if not point.model.fitted:
         return point, {}
     exchanged, ties = with_best_rivals(p.library, point, selected.near)
-    rows += left_out(problem, point, exchanged, "swapped", "a rival explains the data better")
+    rows += left_out(
+        problem, point, exchanged, "swapped", "a rival explains the data better"
+    )
     point = prune(problem, exchanged)
     rows += left_out(
-        problem, exchanged, point, "dropped", "the other causes have made it unnecessary"
+        problem,
+        exchanged,
+        point,
+        "dropped",
+        "the other causes have made it unnecessary",
     )
     simpler = with_fewer(problem, point, ties)
     if simpler is None:
         return point, ties
     rows += left_out(
-        problem, point, simpler, "swapped", "a rival explains the data without another cause"
+        problem,
+        point,
+        simpler,
+        "swapped",
+        "a rival explains the data without another cause",
     )
-    return with_best_rivals(p.library, with_noise_anew(problem, p.library, simpler), selected.near)
+    return with_best_rivals(
+        p.library, with_noise_anew(problem, p.library, simpler), selected.near
+    )
 
 
 def _without_what_tyres_do(
@@ -256,13 +300,18 @@ def _without_what_tyres_do(
         if (index := late_turn(point)) is not None:
             return index, "scrubbing tyres delay the turn as well"
         if (index := bent_turn(problem, point, explained)) is not None:
-            return index, "scrubbing tyres also make the turn depend on speed and radius"
+            return (
+                index,
+                "scrubbing tyres also make the turn depend on speed and radius",
+            )
         return None
 
     return _without_doubtful(problem, point, rows, imitates)
 
 
-def with_fewer(problem: Problem, point: Point, ties: Mapping[str, list[Rival]]) -> Point | None:
+def with_fewer(
+    problem: Problem, point: Point, ties: Mapping[str, list[Rival]]
+) -> Point | None:
     """Return a model with fewer causes in which a rival that ties replaces two; or None.
 
     A wheel radius with a scale of the navigation has the same effect as a rotation gain alone.

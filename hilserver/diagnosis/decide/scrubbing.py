@@ -31,7 +31,9 @@ def scrubs(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> bool:
     log, robot = problem.stage.log, problem.stage.robot
     if robot.wheelbase_m is None or robot.is_mecanum or not log.has(*POSITION, YAW):
         return False
-    gain = next((f for f in point.model.fitted if traits_of(f.candidate.cause).scrubs_as), None)
+    gain = next(
+        (f for f in point.model.fitted if traits_of(f.candidate.cause).scrubs_as), None
+    )
     if gain is None or gain.theta[0] > SCRUBBING_MUCH:
         return False
     irregular = bool(unknown) and unknown[0].family.regressors[0] == TURNING
@@ -41,7 +43,10 @@ def scrubs(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> bool:
 def late_turn(point: Point) -> int | None:
     """Return the index of a latency of the turn that is short enough to come from the tyres."""
     for index, f in enumerate(point.model.fitted):
-        if traits_of(f.candidate.cause).delays_turn and 0.0 < f.theta[0] < SCRUBBING_LATE_S:
+        if (
+            traits_of(f.candidate.cause).delays_turn
+            and 0.0 < f.theta[0] < SCRUBBING_LATE_S
+        ):
             return index
     return None
 
@@ -62,7 +67,9 @@ def bent_turn(problem: Problem, point: Point, explained: float) -> int | None:
     return None
 
 
-def as_friction(robot: RobotParameters, gain: Fitted, own: Parameter) -> Parameter | None:
+def as_friction(
+    robot: RobotParameters, gain: Fitted, own: Parameter
+) -> Parameter | None:
     """Return the ratio of friction across to along that turns the robot as the rotation gain does.
 
     None if no ratio does.
@@ -74,7 +81,10 @@ def as_friction(robot: RobotParameters, gain: Fitted, own: Parameter) -> Paramet
         wanted = (1.0 + a) * robot.k_om / even
         return float(
             brentq(
-                lambda r: anisotropy(robot.wheelbase_m or 0.0, robot.track_m, r, 0.0)[0] - wanted,
+                lambda r: (
+                    anisotropy(robot.wheelbase_m or 0.0, robot.track_m, r, 0.0)[0]
+                    - wanted
+                ),
                 *RATIOS,
                 xtol=1e-4,
             )

@@ -31,7 +31,12 @@ from hilserver.diagnosis.noise.whitening import NoiseModel
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.problem import Point, Problem
-from hilserver.diagnosis.regression.screen import Scores, adjusted, critical, null_maxima
+from hilserver.diagnosis.regression.screen import (
+    Scores,
+    adjusted,
+    critical,
+    null_maxima,
+)
 from hilserver.diagnosis.regression.stages import clean
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.schema.decisions import Decision
@@ -59,7 +64,9 @@ class Selected:
     point: Point
     # family-wise p of each accepted cause when it was accepted
     p: dict[str, float] = field(default_factory=dict)
-    rows: list[Decision] = field(default_factory=list)  # what was taken and refused, in order
+    rows: list[Decision] = field(
+        default_factory=list
+    )  # what was taken and refused, in order
     # for each accepted cause, the others that explained nearly as much in its round
     near: dict[str, list[Trial]] = field(default_factory=dict)
 
@@ -110,7 +117,9 @@ def attempt(
     c = library.candidates[index]
     begin = c.beginning
     if gross and not c.linear:
-        c, begin = searched(problem, point, [o for o in library.candidates if o.cause == c.cause])
+        c, begin = searched(
+            problem, point, [o for o in library.candidates if o.cause == c.cause]
+        )
     trial = fit(problem, point.model.plus(c, begin), point, iterations=3)
     if not possible(trial):
         return None
@@ -124,16 +133,22 @@ def both_at_once(problem: Problem, point: Point, library: Library) -> Point:
     """
     causes = point.model.causes
     index, both = next(
-        ((i, both) for i, c in enumerate(causes) if (both := traits_of(c).together)), (0, ())
+        ((i, both) for i, c in enumerate(causes) if (both := traits_of(c).together)),
+        (0, ()),
     )
-    missing = [c for c in library.candidates if c.cause in both and c.cause not in causes]
+    missing = [
+        c for c in library.candidates if c.cause in both and c.cause not in causes
+    ]
     if not missing:
         return point
     in_its_place = Model(
         tuple(Fitted(c, beginning_for(point.model.fitted[index], c)) for c in missing)
     )
     beside = Model(tuple(Fitted(c, c.beginning) for c in missing))
-    for others, new in ((point.model.without(index), in_its_place), (point.model, beside)):
+    for others, new in (
+        (point.model.without(index), in_its_place),
+        (point.model, beside),
+    ):
         trial = fit(problem, Model((*others.fitted, *new.fitted)), point, iterations=12)
         least = SELECTION_LEAST_SAVED + TIE * (len(trial.model.fitted) - len(causes))
         saved = point.deviance - trial.deviance
@@ -196,7 +211,9 @@ def _plausible(
         as_good = theirs <= ours + inexact
         why, better = DETOUR, as_good and _simpler(problem, first.point, other.point)
     if better and not any(map(_excessive, other.point.model.fitted)):
-        gone = [c for c in first.point.model.causes if c not in other.point.model.causes]
+        gone = [
+            c for c in first.point.model.causes if c not in other.point.model.causes
+        ]
         other.rows[:0] = [Decision(cause, "swapped", None, why) for cause in gone]
         return other
     _use_noise(problem, library, own, first.point)
@@ -251,7 +268,9 @@ def _use_noise(problem: Problem, library: Library, noise: Noises, point: Point) 
 
 def _cost(problem: Problem, selected: Selected, noise: Noises) -> float:
     """Return the deviance of a model under some noise, plus the cost of its parameters."""
-    point = fit(problem.under(*noise), selected.point.model, selected.point, iterations=2)
+    point = fit(
+        problem.under(*noise), selected.point.model, selected.point, iterations=2
+    )
     return point.deviance + sum(TIE * f.candidate.weight for f in point.model.fitted)
 
 
@@ -277,7 +296,9 @@ def _forward(
         if np.abs(scores.t).max(initial=0.0) < limit and not point.is_gross:
             break
         starts = best_starts(scores, library, barred, gross=point.is_gross)
-        ts = [float(np.abs(scores.t[library.owner == index]).max()) for index, _ in starts]
+        ts = [
+            float(np.abs(scores.t[library.owner == index]).max()) for index, _ in starts
+        ]
         ps = adjusted(np.array(ts), maxima).tolist()
         tried = pool.map(
             partial(attempt, problem, point, library, gross=point.is_gross),
@@ -304,7 +325,9 @@ def _forward(
     return selected
 
 
-def _already(problem: Problem, library: Library, point: Point, selected: Selected) -> Point:
+def _already(
+    problem: Problem, library: Library, point: Point, selected: Selected
+) -> Point:
     """Return a model that a search starts from; its causes count as taken, each with its own p."""
     if not point.model.fitted:
         return point

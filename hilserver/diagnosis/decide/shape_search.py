@@ -12,8 +12,12 @@ from hilserver.diagnosis.decide.trial import Trial, cost, possible
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.problem import Point, Problem
 
-PROMISING: Final = 0.5  # share of the best trial's gain from which another shape is worth a search
-NOISE_ERROR: Final = 1.1  # variance of whitened residuals that is the noise model's own error
+PROMISING: Final = (
+    0.5  # share of the best trial's gain from which another shape is worth a search
+)
+NOISE_ERROR: Final = (
+    1.1  # variance of whitened residuals that is the noise model's own error
+)
 FIRST_STRIDE, LAST_STRIDE = 0.4, 0.004
 FAR_OFF: Final = 3.0  # times the loss of an ordinary block
 SHIFTS_M = (0.6, 0.3, 0.15, 0.08, 0.04, 0.02)
@@ -50,7 +54,9 @@ def searched(
     return best, (min(max(theta, best.low[0]), best.high[0]),)
 
 
-def refined(problem: Problem, point: Point, trials: Sequence[Trial], pool: Executor) -> list[Trial]:
+def refined(
+    problem: Problem, point: Point, trials: Sequence[Trial], pool: Executor
+) -> list[Trial]:
     """Search the shapes of those trials that could win with a better one; sort, the best first.
 
     If the best trial explains a gross misfit nearly whole, no shape of another can do better.
@@ -65,7 +71,10 @@ def refined(problem: Problem, point: Point, trials: Sequence[Trial], pool: Execu
         moved = refine(problem, trial.point, len(trial.point.model.fitted) - 1)
         if not possible(moved):
             return None
-        candidate, gain = moved.model.fitted[-1].candidate, point.deviance - moved.deviance
+        candidate, gain = (
+            moved.model.fitted[-1].candidate,
+            point.deviance - moved.deviance,
+        )
         return replace(trial, candidate=candidate, point=moved, gain=gain)
 
     out = [trial for trial in pool.map(best_shape, trials) if trial is not None]
@@ -78,7 +87,9 @@ def refine(problem: Problem, point: Point, index: int) -> Point:
         for side in (1.0, -1.0):
             f = point.model.fitted[index]
             assert f.candidate.moved is not None
-            moved = point.model.swapped(index, f.candidate.moved(side * shift_m), f.theta)
+            moved = point.model.swapped(
+                index, f.candidate.moved(side * shift_m), f.theta
+            )
             trial = fit(problem, moved, point, iterations=2)
             if _unexplained(trial) < _unexplained(point) - 0.1:
                 point = trial

@@ -68,7 +68,11 @@ def remaining(
     blocks = Blocks.of(stack.block, stack.n_blocks)
     bounded = float(np.minimum(point.left**2, OUTLIER_SD**2).sum())
     gross = not point.model.fitted and bounded > GROSS * len(point.left)
-    gross = gross and stack.n_blocks >= FEWEST_BLOCKS and not problem.stage.follows_setpoints
+    gross = (
+        gross
+        and stack.n_blocks >= FEWEST_BLOCKS
+        and not problem.stage.follows_setpoints
+    )
     least = max(REST_LEAST_GAIN, LEAST_USEFUL * len(stack), INEXACT * explained)
     scores, strong = [], []
     most: Unknown | None = None
@@ -83,11 +87,22 @@ def remaining(
         u = Unknown(replace(family, white=white), t, np.inf, 1.0, gain)
         if gross and (most is None or u.gain > most.gain):
             most = u
-        if t > least_t(REST_LEVEL) and u.gain > least and holds_out(problem, white, point.left):
+        if (
+            t > least_t(REST_LEVEL)
+            and u.gain > least
+            and holds_out(problem, white, point.left)
+        ):
             strong.append(u)
     maxima = null_maxima(scores, rng)
-    limit, ps = critical(maxima, REST_LEVEL), adjusted(np.array([u.t for u in strong]), maxima)
-    found = [replace(u, p=float(p)) for u, p in zip(strong, ps, strict=True) if p < REST_LEVEL]
+    limit, ps = (
+        critical(maxima, REST_LEVEL),
+        adjusted(np.array([u.t for u in strong]), maxima),
+    )
+    found = [
+        replace(u, p=float(p))
+        for u, p in zip(strong, ps, strict=True)
+        if p < REST_LEVEL
+    ]
     if not found and most is not None:
         found = [most]
     return [replace(u, critical=limit) for u in sorted(found, key=lambda u: -u.gain)]
@@ -112,7 +127,9 @@ class Imitation:
         for family in families:
             for index in range(len(self._better)):
                 assert accepted is not None
-                more = _better(self._problem, family.white, self._point, accepted, index)
+                more = _better(
+                    self._problem, family.white, self._point, accepted, index
+                )
                 self._better[index] = max(self._better[index], more)
             yield family
 
@@ -132,7 +149,9 @@ def imitated(problem: Problem, point: Point, families: Iterable[Family]) -> int 
     return found.index
 
 
-def _better(problem: Problem, white: Array, point: Point, accepted: Array, index: int) -> float:
+def _better(
+    problem: Problem, white: Array, point: Point, accepted: Array, index: int
+) -> float:
     """Return by how much one of a family's columns explains more in place of a cause; or 0."""
     others, own = apart(point, accepted, index)
     target = orthogonal(point.left + own, others)
@@ -167,7 +186,9 @@ def joint_gain(white: Array, left: Array) -> float:
     return saved(shown, left, RIDGE) - float(shown.shape[1])
 
 
-def holds_out(problem: Problem, white: Array, left: Array, least: float = REST_LEAST_GAIN) -> bool:
+def holds_out(
+    problem: Problem, white: Array, left: Array, least: float = REST_LEAST_GAIN
+) -> bool:
     """Return whether a family explains blocks that its coefficients were not fitted to."""
     stack = problem.stack
     unit, _ = scaled(white)
@@ -185,7 +206,9 @@ def holds_out(problem: Problem, white: Array, left: Array, least: float = REST_L
     return sum(gained) > least and min(gained) > 0.0
 
 
-def without_unknown(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> list[int]:
+def without_unknown(
+    problem: Problem, point: Point, unknown: Sequence[Unknown]
+) -> list[int]:
     """Return the accepted causes that unknown structure leaves in doubt.
 
     A cause is in doubt if, together with the structure's columns, it explains less than

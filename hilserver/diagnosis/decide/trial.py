@@ -60,7 +60,10 @@ def implausible(f: Fitted) -> bool:
 
 def worth_a_name(fitted: Fitted) -> bool:
     """Return whether a cause is as large as its least size."""
-    away = (abs(v - null) for v, null in zip(fitted.theta, fitted.candidate.null, strict=True))
+    away = (
+        abs(v - null)
+        for v, null in zip(fitted.theta, fitted.candidate.null, strict=True)
+    )
     return max(away) >= fitted.candidate.least
 
 
@@ -101,7 +104,9 @@ def wald(problem: Problem, point: Point, index: int) -> float:
     information = problem.stack.block_sums(orthogonal(own, others) ** 2)
     used = not_alone(information)[problem.stack.block]
     cov, _ = covariance(problem, point, np.column_stack([others, own]) * used[:, None])
-    return float(normal(cov[-1, -1] ** -0.5, freedom_of(information[not_alone(information)]))[()])
+    return float(
+        normal(cov[-1, -1] ** -0.5, freedom_of(information[not_alone(information)]))[()]
+    )
 
 
 def not_alone(information: Array) -> Mask:
@@ -115,7 +120,10 @@ def not_alone(information: Array) -> Mask:
         Of each block.
     """
     used = np.ones(len(information), dtype=bool)
-    while 2.0 * (left := information[used]).max() > left.sum() and np.count_nonzero(left) > 1:
+    while (
+        2.0 * (left := information[used]).max() > left.sum()
+        and np.count_nonzero(left) > 1
+    ):
         used &= information < left.max()
     return used
 
@@ -145,7 +153,10 @@ def own_error(problem: Problem, point: Point, before: float) -> float:
 def _moved_by(problem: Problem, point: Point, index: int, share: float) -> float:
     """Return the deviance between a model and the same model with one cause larger by a share."""
     f = point.model.fitted[index]
-    theta = (v + share * (v - null) for v, null in zip(f.theta, f.candidate.null, strict=True))
+    theta = (
+        v + share * (v - null)
+        for v, null in zip(f.theta, f.candidate.null, strict=True)
+    )
     moved = point.model.swapped(index, f.candidate, tuple(theta))
     other = problem.point(moved, point.poses, pose_steps=0)
     return float(((other.left - point.left) ** 2).sum())

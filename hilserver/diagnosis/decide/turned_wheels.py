@@ -53,8 +53,12 @@ def _moved(
 ) -> tuple[Stage, Array]:
     """Return the pose stage with wheels moved by drive terms, and its whitened difference."""
     problem, poses = p.problem, p.base.poses
-    anew = stages_of(log, problem.stage.robot, jobs, drive_terms=terms)[problem.stage.name]
-    moved = problem.stage.difference(anew.predict({}, poses), problem.stage.predict({}, poses))
+    anew = stages_of(log, problem.stage.robot, jobs, drive_terms=terms)[
+        problem.stage.name
+    ]
+    moved = problem.stage.difference(
+        anew.predict({}, poses), problem.stage.predict({}, poses)
+    )
     return anew, problem.shown(p.base, moved)
 
 

@@ -19,8 +19,14 @@ from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, YAW
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.units import RAD_S_PER_RPM
 
-DRIVES, TURNS = 0.1, 0.1  # speed [m/s] and turn rate [rad/s] from which a direction is remembered
-TURNING, DRIVING = 0.2, 0.05  # turn rate [rad/s] and speed [m/s] from which a direction counts
+DRIVES, TURNS = (
+    0.1,
+    0.1,
+)  # speed [m/s] and turn rate [rad/s] from which a direction is remembered
+TURNING, DRIVING = (
+    0.2,
+    0.05,
+)  # turn rate [rad/s] and speed [m/s] from which a direction counts
 RANGING = "ranging"
 FREQUENCIES_HZ = tuple(float(f) for f in np.geomspace(0.02, 2.0, 9))
 PEAKS, FINEST_HZ = 3, 5.0
@@ -62,13 +68,24 @@ def _of_the_body(m: Motion, problem: Problem, point: Point) -> Iterator[Raw]:
             ahead(h * on), aside(h * on), turn(h * on), ahead(h * v), aside(h * v),
             turn(h * np.abs(v)), turn(h * om),
         )]  # fmt: skip
-        yield "heading", (YAW if YAW in edges else "pose.yaw_rad", "pose.yaw_rad"), columns
+        yield (
+            "heading",
+            (YAW if YAW in edges else "pose.yaw_rad", "pose.yaw_rad"),
+            columns,
+        )
     if POSITION[0] in edges and not m.stage.begins_anew:
         x, y = _unit(m.x), _unit(m.y)
         shapes = (x, y, x**2, y**2, x * y, np.sin(np.pi * x), np.sin(np.pi * y))
-        yield "place", POSITION, [c for h in shapes for c in (ahead(h * v), turn(h * om))]
+        yield (
+            "place",
+            POSITION,
+            [c for h in shapes for c in (ahead(h * v), turn(h * om))],
+        )
         yield RANGING, POSITION, [m.placed(*field.T) for field in anchor_fields(m)]
-    size, spin = np.abs(v) / (np.abs(v).max() + 1e-9), np.abs(om) / (np.abs(om).max() + 1e-9)
+    size, spin = (
+        np.abs(v) / (np.abs(v).max() + 1e-9),
+        np.abs(om) / (np.abs(om).max() + 1e-9),
+    )
     yield "speed", ("velocity.linear_m_s",), [
         turn(size * on * _side(om, TURNING)), ahead(size * v), ahead(size**2 * v), aside(size * v),
         turn(v), turn(size * v), turn(size**2 * om), ahead(_side(v, DRIVING)),
@@ -78,7 +95,10 @@ def _of_the_body(m: Motion, problem: Problem, point: Point) -> Iterator[Raw]:
         ahead(np.abs(om)), turn(np.abs(om)), aside(np.abs(om)), turn(_side(om, TURNING)),
     ]  # fmt: skip
     went, turned = m.last_side(v, DRIVES), m.last_side(om, TURNS)
-    driven, spun = [turn(went * om), ahead(went * v)], [ahead(turned * v), turn(turned * om)]
+    driven, spun = (
+        [turn(went * om), ahead(went * v)],
+        [ahead(turned * v), turn(turned * om)],
+    )
     for tau_s in (0.3, 1.0, 3.0):
         past, past_om = m.smoothed(v, tau_s), m.smoothed(om, tau_s)
         side, side_om = _side(past, DRIVING), _side(past_om, TURNING)
@@ -131,7 +151,9 @@ def peaks(problem: Problem, point: Point, names: Sequence[str]) -> tuple[float, 
     if not courses:
         return ()
     padded = 4 * max(map(len, courses))  # a channel may end before the others
-    power = np.sum([np.abs(np.fft.rfft(course, padded)) ** 2 for course in courses], axis=0)
+    power = np.sum(
+        [np.abs(np.fft.rfft(course, padded)) ** 2 for course in courses], axis=0
+    )
     step_hz, width = FINEST_HZ / (len(power) - 1), 6
     out = []
     for _ in range(PEAKS):
@@ -148,7 +170,9 @@ def _side(values: Array, knee: float) -> Array:
 
 def _unit(values: Array) -> Array:
     low, high = np.quantile(values, [0.01, 0.99])
-    return np.asarray(np.clip((2.0 * values - low - high) / max(high - low, 1e-9), -1.5, 1.5))
+    return np.asarray(
+        np.clip((2.0 * values - low - high) / max(high - low, 1e-9), -1.5, 1.5)
+    )
 
 
 def _of_the_drive(stage: DriveStage, problem: Problem, point: Point) -> Iterator[Raw]:
@@ -175,15 +199,23 @@ def _of_the_drive(stage: DriveStage, problem: Problem, point: Point) -> Iterator
 
     for source, name in enumerate(WHEELS):
         own, columns = seen[:, source], []
-        loads = [(shape, np.gradient(shape)) for shape in (own, slope[:, source] / 100.0)]
+        loads = [
+            (shape, np.gradient(shape)) for shape in (own, slope[:, source] / 100.0)
+        ]
         for w in (w for w in range(4) if w != source):
             columns.append(of_wheel(w, own, duty[:, source]))
             columns += [column for load in loads for column in disturbed(w, *load)]
         signals = ("setpoint_rpm", "speed_rpm", "duty_pct")
-        yield f"wheel {name}", tuple(f"wheel.{name}.{signal}" for signal in signals), columns
+        yield (
+            f"wheel {name}",
+            tuple(f"wheel.{name}.{signal}" for signal in signals),
+            columns,
+        )
     for w, name in enumerate(WHEELS):
         waves = [wave(k * angle[:, w]) for k in (1, 2) for wave in (np.cos, np.sin)]
-        columns = [column for wave in waves for column in disturbed(w, wave, np.gradient(wave))]
+        columns = [
+            column for wave in waves for column in disturbed(w, wave, np.gradient(wave))
+        ]
         yield f"angle {name}", (f"wheel.{name}.angle_rad",), columns
     duties = [n for n in DUTIES if n in stack.edges]
     found = peaks(problem, point, duties or [n for n in SPEEDS if n in stack.edges])

@@ -11,7 +11,9 @@ from hilserver.diagnosis.regression.stages import of_the_other_half
 DIGITS: Final = 5  # further digits depend on how many threads share its large products
 
 
-def ceilings(part: Part, horizon_s: float, rng: np.random.Generator) -> dict[str, float]:
+def ceilings(
+    part: Part, horizon_s: float, rng: np.random.Generator
+) -> dict[str, float]:
     """Return the held-out ratio that a ridge regression on all columns reaches, by quantity.
 
     The base is the model; the effects are taken as linear there.

@@ -31,8 +31,13 @@ def smallest_of(
     """Return sizes for the causes of all stages at a model, and what the drive did not excite."""
     scores = [library.scores(point) for library, point in stages]
     limit = critical(null_maxima(scores, rng)) if scores else 0.0
-    found = [smallest(library, s, limit) for (library, _), s in zip(stages, scores, strict=True)]
-    return [size for some, _ in found for size in some], [one for _, some in found for one in some]
+    found = [
+        smallest(library, s, limit)
+        for (library, _), s in zip(stages, scores, strict=True)
+    ]
+    return [size for some, _ in found for size in some], [
+        one for _, some in found for one in some
+    ]
 
 
 def smallest(
@@ -43,7 +48,9 @@ def smallest(
     needed = least + DETECTABLE_SELECTION_SD + DETECTABLE_POWER_SD
     found: dict[str, tuple[float, str, float]] = {}
     for i, c in enumerate(library.candidates):
-        norms = library.norms[i] if c.n > 1 else np.ones(1)  # by which `spread` divided columns
+        norms = (
+            library.norms[i] if c.n > 1 else np.ones(1)
+        )  # by which `spread` divided columns
         names = list(c.terms(c.start))
         mine = np.flatnonzero(library.owner == i)[: max(c.n, 1)]
         for k, j in enumerate(mine):
@@ -54,7 +61,11 @@ def smallest(
             size = _size(c, float(needed[j] / visible), float(norms[k]))
             if size is None:
                 continue
-            name = names[k] if k < len(names) and not names[k].endswith("phase") else names[0]
+            name = (
+                names[k]
+                if k < len(names) and not names[k].endswith("phase")
+                else names[0]
+            )
             smaller = c.cause not in found or (size < found[c.cause][0]) != c.is_limit
             if smaller:
                 largest = max(c.high[k] - c.null[k], c.null[k] - c.low[k])

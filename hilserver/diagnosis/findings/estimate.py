@@ -91,7 +91,10 @@ def reported(model: Model) -> Array:
     """Return the derivatives of the reported parameters by the fitted ones, shape (k, k)."""
     return np.asarray(
         block_diag(
-            *(_polar(f.theta) if is_wave(f) else np.eye(f.candidate.n) for f in model.fitted)
+            *(
+                _polar(f.theta) if is_wave(f) else np.eye(f.candidate.n)
+                for f in model.fitted
+            )
         )
     )
 

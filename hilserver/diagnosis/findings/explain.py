@@ -85,9 +85,13 @@ def explain_finding(finding: Finding) -> str:
     if finding.verdict is Verdict.STRUCTURE_NOT_IN_LIBRARY:
         on = ", ".join(finding.regressors) or "nothing that was measured"
         most = "".join(f", and is largest in {signal}" for signal in finding.parameters)
-        return f"An error remains that no known cause explains; it depends on {on}{most}."
+        return (
+            f"An error remains that no known cause explains; it depends on {on}{most}."
+        )
     if not finding.causes:
-        return "The simulation deviates from the measurement, but no cause can be named."
+        return (
+            "The simulation deviates from the measurement, but no cause can be named."
+        )
     text = explain(finding.causes, finding.parameters)
     if finding.verdict is Verdict.EFFECTIVE:
         alike = _lower(text.rstrip("."))
@@ -108,7 +112,11 @@ def of_two_wheels(finding: Finding) -> Finding:
 def remedy(cause: str, *, patched: bool) -> str:
     """Return what to do about a cause, with a patch or without one."""
     said = sentences()[cause_of(cause).name]
-    return f"{said['remedy']} {said['patch']}" if patched and "patch" in said else said["remedy"]
+    return (
+        f"{said['remedy']} {said['patch']}"
+        if patched and "patch" in said
+        else said["remedy"]
+    )
 
 
 def separating_experiment(causes: Iterable[str]) -> str:
@@ -140,8 +148,12 @@ def _lower(text: str) -> str:
 
 def _say(cause: str, parameters: Mapping[str, Parameter]) -> str:
     """Return the sentence of a cause with its parameters filled in."""
-    own = {n: p for n, p in parameters.items() if n == cause or n.startswith(f"{cause}.")}
-    by_part = {part.name: p for n, p in own.items() if (part := known_part(n)) is not None}
+    own = {
+        n: p for n, p in parameters.items() if n == cause or n.startswith(f"{cause}.")
+    }
+    by_part = {
+        part.name: p for n, p in own.items() if (part := known_part(n)) is not None
+    }
     parts = CAUSES[cause].parts
     known = [by_part[part.name] for part in parts if part.name in by_part]
     main = next(iter((*known, *own.values())), None)
@@ -156,7 +168,10 @@ def _say(cause: str, parameters: Mapping[str, Parameter]) -> str:
         if match[1]:
             return _value(name, own.get(f"{cause}.{name}"))
         if name == "where":
-            return ", ".join(n.removeprefix(f"{cause}.") for n in own if n != cause) or "a channel"
+            return (
+                ", ".join(n.removeprefix(f"{cause}.") for n in own if n != cause)
+                or "a channel"
+            )
         if name == "values":
             return _all_of(own) or "some"
         if main is None:

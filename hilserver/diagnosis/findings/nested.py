@@ -81,7 +81,11 @@ def _is_found(f: Fitted, halves: Halves) -> bool:
     found = []
     for half in halves:
         theirs = half.whole.model if half is not None else Model()
-        found += [other for other in theirs.fitted if other.candidate.cause == f.candidate.cause]
+        found += [
+            other
+            for other in theirs.fitted
+            if other.candidate.cause == f.candidate.cause
+        ]
     return bool(found) and len(found) == len(halves) and same_sign((f, *found))
 
 
@@ -100,7 +104,9 @@ def in_halves(finding: Finding, halves: Halves) -> Finding:
     return finding.model_copy(update={"halves": sum(shown)})
 
 
-def judged_by_halves(judged: Mapping[str, Judged], seed: int, jobs: int) -> dict[str, Halves]:
+def judged_by_halves(
+    judged: Mapping[str, Judged], seed: int, jobs: int
+) -> dict[str, Halves]:
     """Return, for every stage with a cause, what is found in it without each half of its blocks.
 
     The wheels that move the pose turn according to the drive's causes in the whole log.
@@ -111,7 +117,9 @@ def judged_by_halves(judged: Mapping[str, Judged], seed: int, jobs: int) -> dict
     for half in range(2 if found else 0):
         rng = np.random.default_rng(seed)
         prepared = {name: without(j.prepared, half) for name, j in judged.items()}
-        scores = {n: p.library.scores(p.base) for n, p in prepared.items() if p is not None}
+        scores = {
+            n: p.library.scores(p.base) for n, p in prepared.items() if p is not None
+        }
         for name, halves in found.items():
             p = prepared[name]
             if p is None:
@@ -137,7 +145,10 @@ def cross_validated(
     """
     problem, poses = j.prepared.problem, j.point.poses
     names = [
-        {f.candidate.cause, *(r.candidate.cause for r in j.ties.get(f.candidate.cause, ()))}
+        {
+            f.candidate.cause,
+            *(r.candidate.cause for r in j.ties.get(f.candidate.cause, ())),
+        }
         for f in j.point.model.fitted
     ]
 
@@ -146,7 +157,10 @@ def cross_validated(
             return Model()
         point, gone = half.whole, barred
         if patched:  # nobody gets what only one half takes for effective
-            point, gone = half.point, barred | (half.effective - {*j.point.model.causes})
+            point, gone = (
+                half.point,
+                barred | (half.effective - {*j.point.model.causes}),
+            )
         left = [i for i, cause in enumerate(point.model.causes) if cause in gone]
         if not left:
             return point.model
@@ -158,7 +172,9 @@ def cross_validated(
 
     def predicted(models: Sequence[Model]) -> Array:
         each = [
-            problem.point(model, poses, pose_steps=2).predicted if model.fitted else configured
+            problem.point(model, poses, pose_steps=2).predicted
+            if model.fitted
+            else configured
             for model in models
         ]
         return of_halves(problem, each)

@@ -46,7 +46,8 @@ def gain_on(
         problem, model = Problem(stage.uncut()), models.get(name, Model())
         base = model.without(*model.of_the_machine) if of_patch else Model()
         before, after = (
-            problem.predict(m.terms, problem.start_poses(m.terms)) for m in (base, model)
+            problem.predict(m.terms, problem.start_poses(m.terms))
+            for m in (base, model)
         )
         found |= gains(problem, before, after, horizon_s, rng)
     return found

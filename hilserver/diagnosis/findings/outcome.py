@@ -24,7 +24,11 @@ from hilserver.diagnosis.decide.scrubbing import as_friction
 from hilserver.diagnosis.decide.structure import Unknown
 from hilserver.diagnosis.decide.trial import implausible
 from hilserver.diagnosis.findings.estimate import is_wave
-from hilserver.diagnosis.findings.explain import explain_finding, number, separating_experiment
+from hilserver.diagnosis.findings.explain import (
+    explain_finding,
+    number,
+    separating_experiment,
+)
 from hilserver.diagnosis.noise.quick_noise import deviation_from_median
 from hilserver.diagnosis.regression.intervals import limits, whole_covariance
 from hilserver.diagnosis.regression.problem import Point, Problem
@@ -35,7 +39,9 @@ from hilserver.diagnosis.thresholds import FEWEST_EVENTS, NEGLIGIBLE
 from hilserver.measured.channels import POSITION, SETPOINTS
 from hilserver.measured.names import signal_unit
 
-COARSE_SHARE: Final = 0.002  # half the interval of a step found in the spectrum, by the step
+COARSE_SHARE: Final = (
+    0.002  # half the interval of a step found in the spectrum, by the step
+)
 LEAST_OUTLIERS: Final = 0.004  # share of the positions
 
 
@@ -74,7 +80,9 @@ def _wave(f: Fitted, shown: Array) -> dict[str, Parameter]:
     size, phase = float(np.hypot(a, b)), float(np.arctan2(b, a))
     half = 0.5 * (shown[:, 1] - shown[:, 0])
     along = float(np.hypot(half[0] * a, half[1] * b) / max(size, 1e-300))
-    across = float(np.hypot(half[0] * b, half[1] * a) / max(size, 1e-300) / max(size, 1e-300))
+    across = float(
+        np.hypot(half[0] * b, half[1] * a) / max(size, 1e-300) / max(size, 1e-300)
+    )
     return {
         names[0]: _within(size, along, unit_of(names[0])),
         names[1]: _within(phase, across, "rad"),
@@ -129,7 +137,9 @@ def other_findings(j: Judged) -> list[Finding]:
         found.append(lost(late, judged))
     # three events of all wheels: fewer explain no structure
     if j.unknown and late < max(FEWEST_EVENTS * len(SETPOINTS), NEGLIGIBLE * judged):
-        found.append(structure(j.unknown, problem.stage.block, deviating(problem, j.point)))
+        found.append(
+            structure(j.unknown, problem.stage.block, deviating(problem, j.point))
+        )
     return found
 
 
@@ -160,19 +170,25 @@ def fitted_finding(
     alone = Verdict.DATA_FAULT if block == "data" else Verdict.NAMED
     verdict = Verdict.DRIFT if drifts else alone if one else Verdict.NAMED_GROUP
     experiment = None if one else separating_experiment(causes)
-    return _finding(verdict, causes, block, p, parameters=values, separating_experiment=experiment)
+    return _finding(
+        verdict, causes, block, p, parameters=values, separating_experiment=experiment
+    )
 
 
 def effective(cause: str, values: dict[str, Parameter], p: float) -> Finding:
     """Return the finding of an item that acts like a cause."""
-    return _finding(Verdict.EFFECTIVE, (cause,), CAUSES[cause].block, p, parameters=values)
+    return _finding(
+        Verdict.EFFECTIVE, (cause,), CAUSES[cause].block, p, parameters=values
+    )
 
 
 def _finding(
     verdict: Verdict, causes: Iterable[str], block: Block, p: float, **fields: Any
 ) -> Finding:
     """Return a finding with its sentence."""
-    finding = Finding(verdict=verdict, causes=tuple(causes), block=block, p_adjusted=p, **fields)
+    finding = Finding(
+        verdict=verdict, causes=tuple(causes), block=block, p_adjusted=p, **fields
+    )
     return finding.model_copy(update={"explanation": explain_finding(finding)})
 
 
@@ -196,7 +212,9 @@ def deviating(problem: Problem, point: Point) -> dict[str, Parameter]:
     return {name: Parameter(value=mean, ci95=None, unit=signal_unit(name))}
 
 
-def structure(unknown: Sequence[Unknown], block: Block, most: dict[str, Parameter]) -> Finding:
+def structure(
+    unknown: Sequence[Unknown], block: Block, most: dict[str, Parameter]
+) -> Finding:
     """Return the finding of unknown structure: what the error depends on, the strongest first.
 
     Parameters
@@ -227,7 +245,9 @@ def lost(late: int, judged: int) -> Finding:
 
 def coarse(step_rpm: float) -> Finding:
     """Return the finding of wheel speeds that come in steps."""
-    return _named(SPEED_STEP, {SPEED_STEP: _within(step_rpm, COARSE_SHARE * step_rpm, "rpm")})
+    return _named(
+        SPEED_STEP, {SPEED_STEP: _within(step_rpm, COARSE_SHARE * step_rpm, "rpm")}
+    )
 
 
 def misplaced_anchor(anchor: Anchor, p: float) -> Finding:
@@ -243,7 +263,10 @@ def misplaced_anchor(anchor: Anchor, p: float) -> Finding:
 
 def _field(anchor: Anchor) -> dict[str, Parameter]:
     """Return how far the position is off at the place where an anchor moves it most."""
-    size_m, half_m = anchor.largest * abs(anchor.error_m), anchor.largest * anchor.half_m
+    size_m, half_m = (
+        anchor.largest * abs(anchor.error_m),
+        anchor.largest * anchor.half_m,
+    )
     return {POSITION_FIELD: _within(size_m, half_m, "m")}
 
 
@@ -263,7 +286,8 @@ def outliers(problem: Problem, point: Point) -> Finding | None:
         away[part] = deviation_from_median(stack.t_s[part], away[part])
     size = np.hypot(away[x], away[y])
     noise = max(
-        float(np.hypot(problem.noise[n].white_sd, problem.noise[n].ou_sd)) for n in POSITION
+        float(np.hypot(problem.noise[n].white_sd, problem.noise[n].ou_sd))
+        for n in POSITION
     )
     left_out = (problem.weights[x] == 0.0) | (problem.weights[y] == 0.0)
     sizes = size[left_out & (size > max(0.3, 5.0 * noise))]
@@ -274,11 +298,15 @@ def outliers(problem: Problem, point: Point) -> Finding | None:
     half = 1.96 * np.sqrt(share * (1.0 - share) / n)
     half_size = 2.0 * 1.2533 * sizes.std(ddof=1) / np.sqrt(k) + 0.01 * middle
     found = zip(OUTLIERS, (share, middle), (half, half_size), strict=True)
-    values = {name: _within(value, width, unit_of(name)) for name, value, width in found}
+    values = {
+        name: _within(value, width, unit_of(name)) for name, value, width in found
+    }
     return _named(OUTLIERS[0], values)
 
 
-def extension(findings: Iterable[Finding], fitted: Mapping[int, Fitted]) -> tuple[FittedTerm, ...]:
+def extension(
+    findings: Iterable[Finding], fitted: Mapping[int, Fitted]
+) -> tuple[FittedTerm, ...]:
     """Return the plant terms that the findings switch on."""
     out: list[FittedTerm] = []
     for index, finding in enumerate(findings):
@@ -296,7 +324,9 @@ def worsened(*patches: Mapping[str, Gain]) -> str | None:
     It is not if the whole interval of a quantity that the patch changes is a loss, wherever its
     gain was measured.
     """
-    changed = {key for gains in patches for key, gain in gains.items() if gain.ratio != 1.0}
+    changed = {
+        key for gains in patches for key, gain in gains.items() if gain.ratio != 1.0
+    }
     for key, gain in (item for some in patches for item in some.items()):
         if key in changed and gain.ci95 is not None and gain.ci95[1] < 1.0:
             low, high = gain.ci95

@@ -65,5 +65,9 @@ def as_yaml(patch: ModelPatch) -> str:
     """Return the patch as the text of its file."""
     own = {"parameters"}  # of schema 2: what a user has tuned
     data = patch.model_dump(mode="json", by_alias=True, exclude_none=True, exclude=own)
-    head = _HEAD if patch.groups is None else _HEAD.replace("model_patch.yaml", _WITH_GROUP, 1)
+    head = (
+        _HEAD
+        if patch.groups is None
+        else _HEAD.replace("model_patch.yaml", _WITH_GROUP, 1)
+    )
     return head + yaml.safe_dump(data, sort_keys=False, allow_unicode=True)

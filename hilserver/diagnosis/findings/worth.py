@@ -8,7 +8,12 @@ import numpy as np
 from hilserver.arrays import Array
 from hilserver.diagnosis.decide.revision import Judged
 from hilserver.diagnosis.findings.estimate import Estimate
-from hilserver.diagnosis.regression.gain import Pair, channel_errors, errors, pooled_gains
+from hilserver.diagnosis.regression.gain import (
+    Pair,
+    channel_errors,
+    errors,
+    pooled_gains,
+)
 from hilserver.diagnosis.regression.problem import Problem
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.schema.findings import Finding, Gain, Matters
@@ -51,7 +56,10 @@ class Explained:
         return tuple(part.corrected for part in self.parts)
 
     def gains(
-        self, horizon_s: float, rng: np.random.Generator, before: Predictions | None = None
+        self,
+        horizon_s: float,
+        rng: np.random.Generator,
+        before: Predictions | None = None,
     ) -> dict[str, Gain]:
         """Return the gain of every quantity over all members, against no cause or against some."""
         base = before or tuple(part.before for part in self.parts)
@@ -64,7 +72,8 @@ class Explained:
         more, most = self._means(alone), self._means(together)
         return {
             name: Matters(
-                alone=_ratio(more[name], least[name]), with_partners=_ratio(most[name], least[name])
+                alone=_ratio(more[name], least[name]),
+                with_partners=_ratio(most[name], least[name]),
             )
             for name in least
         }
@@ -77,7 +86,9 @@ class Explained:
                 found = channel_errors(part.problem, predicted, (name,))
                 if found is not None:
                     values.setdefault(name, []).append(found.values)
-        return {name: float(np.concatenate(parts).mean()) for name, parts in values.items()}
+        return {
+            name: float(np.concatenate(parts).mean()) for name, parts in values.items()
+        }
 
 
 def _ratio(before: float, after: float) -> float:
@@ -121,7 +132,10 @@ class Answer:
         return {key: gain for key, gain in beside.items() if gain.before != gain.after}
 
     def with_worth(
-        self, horizon_s: float, rng: np.random.Generator, total: dict[str, Gain] | None = None
+        self,
+        horizon_s: float,
+        rng: np.random.Generator,
+        total: dict[str, Gain] | None = None,
     ) -> list[Finding]:
         """Return the findings with the gain of each cause and its effect, all others being on.
 

@@ -66,7 +66,9 @@ def _of(j: Judged, groups: int) -> list[Cause]:
         if cause in j.effective:
             continue  # it asserts nothing that another group could share
         rivals = {
-            r.candidate.cause: r.fitted for r in j.ties.get(cause, ()) if r.candidate.cause != cause
+            r.candidate.cause: r.fitted
+            for r in j.ties.get(cause, ())
+            if r.candidate.cause != cause
         }
         p = min(groups * chance(j, cause), 1.0)
         out.append(Cause(f, rivals, p, cause in j.drift))

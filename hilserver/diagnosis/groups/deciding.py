@@ -64,7 +64,9 @@ def with_what_remains(whole: Decided, rng: np.random.Generator) -> Decided:
         unknown = j.unknown
         if unknown or set(model.causes) != set(j.point.model.causes):
             explained = max(j.prepared.base.deviance - point.deviance, 0.0)
-            unknown = remaining(problem, point, rng, families_of(problem, point), explained)
+            unknown = remaining(
+                problem, point, rng, families_of(problem, point), explained
+            )
         members.append(replace(j, point=point, whole=point, unknown=unknown))
     return replace(whole, members=tuple(members))
 
@@ -73,7 +75,8 @@ def with_rival(decided: Decided, index: int, rival: Fitted) -> JointFit:
     """Return the model with a rival in place of a cause; free parameters stay free."""
     assert decided.joint is not None
     models = [
-        point.model.swapped(index, rival.candidate, rival.theta) for point in decided.joint.points
+        point.model.swapped(index, rival.candidate, rival.theta)
+        for point in decided.joint.points
     ]
     mine = decided.joint.points[0].model.slices[index]
     free = decided.joint.all.free

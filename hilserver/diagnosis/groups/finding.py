@@ -5,7 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from hilserver.diagnosis.decide.trial import at_bound
-from hilserver.diagnosis.findings.estimate import Estimate, is_wave, priors, reported, with_priors
+from hilserver.diagnosis.findings.estimate import (
+    Estimate,
+    is_wave,
+    priors,
+    reported,
+    with_priors,
+)
 from hilserver.diagnosis.findings.explain import explain
 from hilserver.diagnosis.findings.outcome import fitted_finding, parameters_of
 from hilserver.diagnosis.groups.deciding import Decided, with_rival
@@ -33,7 +39,9 @@ def fitted_findings(decided: Decided) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-def parameters_by_group(joint: JointFit, index: int, names: Sequence[str]) -> dict[str, Parameter]:
+def parameters_by_group(
+    joint: JointFit, index: int, names: Sequence[str]
+) -> dict[str, Parameter]:
     """Return the parameters of one cause; those that differ have a value per group."""
     mine = joint.points[0].model.slices[index]
     free = joint.all.free[mine]
@@ -46,7 +54,8 @@ def parameters_by_group(joint: JointFit, index: int, names: Sequence[str]) -> di
         parameters = parameters_of(f, interval)
         if free.any() and not fit.known[mine].all():
             parameters = {
-                name: p.model_copy(update={"ci95": None}) for name, p in parameters.items()
+                name: p.model_copy(update={"ci95": None})
+                for name, p in parameters.items()
             }
         shown.append(parameters)
     whole = is_wave(joint.points[0].model.fitted[index])
@@ -73,7 +82,9 @@ def in_words(finding: Finding) -> str:
     said = []
     for group in groups:
         values = {
-            name: p if p.groups is None else p.model_copy(update={"value": p.groups[group].value})
+            name: p
+            if p.groups is None
+            else p.model_copy(update={"value": p.groups[group].value})
             for name, p in finding.parameters.items()
         }
         text = explain(finding.causes, values)
@@ -97,5 +108,8 @@ def estimate_in_groups(joint: JointFit, names: Sequence[str]) -> Estimate:
     known = np.flatnonzero(np.diag(whole) > 0.0)
     covariance = (turn @ with_priors(whole, prior) @ turn.T)[np.ix_(known, known)]
     return Estimate(
-        tuple(labels[i] for i in known), tuple(owner[known].tolist()), value[known], covariance
+        tuple(labels[i] for i in known),
+        tuple(owner[known].tolist()),
+        value[known],
+        covariance,
     )

@@ -10,7 +10,12 @@ from hilserver.arrays import Array, Mask
 from hilserver.diagnosis.compare.differences import run_of_spans
 from hilserver.diagnosis.decide.revision import Judged
 from hilserver.diagnosis.findings.estimate import is_wave
-from hilserver.diagnosis.groups.sharing import GroupFit, Together, free_parameters, together
+from hilserver.diagnosis.groups.sharing import (
+    GroupFit,
+    Together,
+    free_parameters,
+    together,
+)
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.gain import held_out
 from hilserver.diagnosis.regression.intervals import whole_covariance
@@ -19,7 +24,9 @@ from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.thresholds import COMPARE_LEVEL
 
-SILENT: Final = 1e-3  # whitened size of a cause's least effect below which a log does not show it
+SILENT: Final = (
+    1e-3  # whitened size of a cause's least effect below which a log does not show it
+)
 
 
 @dataclass(frozen=True)
@@ -52,13 +59,16 @@ class JointFit:
         for test in (0, 1):
             own = [
                 replace(known, value=_trained(j.prepared.problem, point, test))
-                for j, point, known in zip(self.members, self.points, self.fits, strict=True)
+                for j, point, known in zip(
+                    self.members, self.points, self.fits, strict=True
+                )
             ]
             values = together(own, self.all.free).value
             folds.append(list(map(predicted, self.members, self.points, values)))
         pairs = zip(*folds, strict=True)
         return tuple(
-            held_out(j.prepared.problem, pair) for j, pair in zip(self.members, pairs, strict=True)
+            held_out(j.prepared.problem, pair)
+            for j, pair in zip(self.members, pairs, strict=True)
         )
 
 
@@ -73,9 +83,13 @@ def fit_in_all(
         The parameters that differ by group; without it they are determined.
     """
     points = [
-        fit(j.prepared.problem, model, j.point) for j, model in zip(members, models, strict=True)
+        fit(j.prepared.problem, model, j.point)
+        for j, model in zip(members, models, strict=True)
     ]
-    fits = [_known(j.prepared.problem, point) for j, point in zip(members, points, strict=True)]
+    fits = [
+        _known(j.prepared.problem, point)
+        for j, point in zip(members, points, strict=True)
+    ]
     if free is None:
         model = points[0].model
         least = np.array([f.candidate.least for f in model.fitted for _ in f.theta])

@@ -58,8 +58,14 @@ def _explained(d: Decided) -> Explained:
             return configured
         models = [point.model.without(*causes) for point in fitted.points]
         slices = fitted.points[0].model.slices
-        gone = [i for cause in causes for i in range(slices[cause].start, slices[cause].stop)]
-        return fit_in_all(d.members, models, np.delete(fitted.all.free, gone)).held_out()
+        gone = [
+            i
+            for cause in causes
+            for i in range(slices[cause].start, slices[cause].stop)
+        ]
+        return fit_in_all(
+            d.members, models, np.delete(fitted.all.free, gone)
+        ).held_out()
 
     parts = zip(d.names, d.members, configured, corrected, after, strict=True)
     return Explained(tuple(Part(*part) for part in parts), without)
@@ -94,5 +100,9 @@ def smallest_in_groups(
         why = vocabulary_reasons(
             {d.cause for d in own}, m.reasons, set(m.judged), absent(m.log), UNSEEN
         )
-        unseen |= {c: NotJudged(cause=c, reason=r) for c, r in why.items() if c not in unseen}
-    return list(sizes.values()), [one for cause, one in unseen.items() if cause not in sizes]
+        unseen |= {
+            c: NotJudged(cause=c, reason=r) for c, r in why.items() if c not in unseen
+        }
+    return list(sizes.values()), [
+        one for cause, one in unseen.items() if cause not in sizes
+    ]

@@ -34,7 +34,9 @@ class GroupFit:
         if len(known):
             place = np.ix_(known, known)
             dof = float(self.dof[known].max())  # runs only make single variances larger
-            out[place] = _inverse(self.covariance[place]) * max(1.0 - (len(known) + 1) / dof, 0.1)
+            out[place] = _inverse(self.covariance[place]) * max(
+                1.0 - (len(known) + 1) / dof, 0.1
+            )
         return out
 
 
@@ -47,8 +49,12 @@ class Together:
     covariance: Array
     misfit: float  # squared distance to the groups' own estimates, weighted by their covariances
     free: Mask  # shape (k,)
-    places: Indices  # shape (groups, k): index of the unknown for each parameter of a group
-    unknowns: Array  # shape (m, m): covariance of all unknowns; 0 for what no group shows
+    places: (
+        Indices  # shape (groups, k): index of the unknown for each parameter of a group
+    )
+    unknowns: (
+        Array  # shape (m, m): covariance of all unknowns; 0 for what no group shows
+    )
 
 
 def together(fits: Sequence[GroupFit], free: Mask) -> Together:
@@ -65,7 +71,9 @@ def together(fits: Sequence[GroupFit], free: Mask) -> Together:
     best = covariance @ target
     value = np.stack([best[place] for place in places])
     known = np.stack([fit.known for fit in fits])
-    for j in np.flatnonzero(free):  # a group that does not show it gets the mean of the others
+    for j in np.flatnonzero(
+        free
+    ):  # a group that does not show it gets the mean of the others
         if known[:, j].any():
             value[~known[:, j], j] = value[known[:, j], j].mean()
     misfit = 0.0
@@ -132,7 +140,9 @@ def free_parameters(
     return free
 
 
-def _test(fits: Sequence[GroupFit], unit: Sequence[int], free: Mask) -> tuple[float, Array]:
+def _test(
+    fits: Sequence[GroupFit], unit: Sequence[int], free: Mask
+) -> tuple[float, Array]:
     """Return the p of some parameters not differing, and how far their values lie apart."""
     mine = list(unit)
     knowing = [fit for fit in fits if fit.known[mine].all()]
@@ -149,4 +159,6 @@ def _test(fits: Sequence[GroupFit], unit: Sequence[int], free: Mask) -> tuple[fl
     values = np.array(
         [v for v, fit in zip(apart.value, fits, strict=True) if fit.known[mine].all()]
     )
-    return float(stats.f.sf(gained / freedom, freedom, dof)), np.ptp(values[:, mine], axis=0)
+    return float(stats.f.sf(gained / freedom, freedom, dof)), np.ptp(
+        values[:, mine], axis=0
+    )

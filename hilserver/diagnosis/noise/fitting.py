@@ -53,7 +53,9 @@ def fit_noise(residuals: Iterable[tuple[Array, Array]]) -> NoiseModel:
     else:
         model = _fit(windows, model)
     dof = _tail_dof(windows.innovations(model))
-    return NoiseModel(max(model.white_sd, _FALLBACK_SD), model.ou_sd, model.ou_tau_s, dof)
+    return NoiseModel(
+        max(model.white_sd, _FALLBACK_SD), model.ou_sd, model.ou_tau_s, dof
+    )
 
 
 def short_noise(residuals: Sequence[Array]) -> tuple[NoiseModel, float]:
@@ -81,13 +83,17 @@ def short_noise(residuals: Sequence[Array]) -> tuple[NoiseModel, float]:
         return NoiseModel(sd), sd if sd > _FALLBACK_SD else 0.0
     scale = float(np.mean(square))
     for _ in range(20):
-        scale = float(np.mean(square * (SHORT_DOF + 1.0) / (SHORT_DOF + square / scale)))
+        scale = float(
+            np.mean(square * (SHORT_DOF + 1.0) / (SHORT_DOF + square / scale))
+        )
     sd = max(math.sqrt(scale), _FALLBACK_SD)
     bounded = [np.clip(r / sd, -3.0, 3.0) for r in residuals]
     power = sum(float(r @ r) for r in bounded)
     total = 1.0
     for lag in range(1, _LAGS):
-        together = sum(float(r[lag:] @ r[:-lag]) for r in bounded if len(r) > lag) / power
+        together = (
+            sum(float(r[lag:] @ r[:-lag]) for r in bounded if len(r) > lag) / power
+        )
         if together < 0.05:
             break
         total += 2.0 * together
@@ -98,7 +104,9 @@ def _size(residuals: Sequence[Array]) -> float:
     """Return the root mean square of the finite values, above 0."""
     values = np.concatenate([np.zeros(0), *residuals])
     values = values[np.isfinite(values)]
-    return max(float(np.linalg.norm(values)) / math.sqrt(max(len(values), 1)), _FALLBACK_SD)
+    return max(
+        float(np.linalg.norm(values)) / math.sqrt(max(len(values), 1)), _FALLBACK_SD
+    )
 
 
 def robust_weights(samples: Array) -> Array:
@@ -117,7 +125,10 @@ def robust_weights(samples: Array) -> Array:
 
 def _fit(windows: Windows, start: NoiseModel | None) -> NoiseModel:
     """Maximise the likelihood over correlation time and share of the coloured part."""
-    tau_range = (math.log(min(windows.step_s, 0.5 * NOISE_TAU_MAX_S)), math.log(NOISE_TAU_MAX_S))
+    tau_range = (
+        math.log(min(windows.step_s, 0.5 * NOISE_TAU_MAX_S)),
+        math.log(NOISE_TAU_MAX_S),
+    )
 
     def loss(point: Sequence[float], subset: Windows = windows) -> float:
         log_tau = min(max(point[0], tau_range[0]), tau_range[1])
@@ -144,7 +155,9 @@ def _fit(windows: Windows, start: NoiseModel | None) -> NoiseModel:
     if -best.fun - white < 2.0 * NOISE_NATS:  # deviation and correlation time
         return NoiseModel(white_sd)
     tau_s = math.exp(min(max(best.x[0], tau_range[0]), tau_range[1]))
-    share = 1.0 / (1.0 + math.exp(-min(max(best.x[1], _LOGIT_RANGE[0]), _LOGIT_RANGE[1])))
+    share = 1.0 / (
+        1.0 + math.exp(-min(max(best.x[1], _LOGIT_RANGE[0]), _LOGIT_RANGE[1]))
+    )
     sd = windows.likelihood(1.0 - share, share, tau_s)[1]
     return NoiseModel(sd * math.sqrt(1.0 - share), sd * math.sqrt(share), tau_s)
 
@@ -168,6 +181,8 @@ def _student_likelihood(square: Array, dof: float) -> float:
     scale = float(np.median(square)) / 0.5
     for _ in range(20):
         scale = float(np.mean(square * (dof + 1.0) / (dof + square / scale)))
-    constant = gammaln(0.5 * (dof + 1.0)) - gammaln(0.5 * dof) - 0.5 * math.log(dof * math.pi)
+    constant = (
+        gammaln(0.5 * (dof + 1.0)) - gammaln(0.5 * dof) - 0.5 * math.log(dof * math.pi)
+    )
     tails = 0.5 * (dof + 1.0) * np.log1p(square / (dof * scale))
     return float(len(square) * (constant - 0.5 * math.log(scale)) - tails.sum())

@@ -25,7 +25,9 @@ WITHIN_3_SD = 0.97334
 def isolated(white: Array) -> Mask:
     """Return which samples are outliers: far off, and only a few in a row."""
     bad = np.abs(white) > OUTLIER_SD
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(np.int8)))
+    edges = np.flatnonzero(
+        np.diff(np.concatenate([[False], bad, [False]]).astype(np.int8))
+    )
     out = np.zeros(len(bad), dtype=bool)
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
         if end - begin <= OUTLIERS_IN_A_ROW:
@@ -49,7 +51,9 @@ def deviation_from_median(t_s: Array, residual: Array) -> Array:
     if len(t_s) < 2:
         return np.zeros(len(t_s))
     width = round(AROUND_S / max(float(np.median(np.diff(t_s))), 1e-6)) // 2 * 2 + 1
-    return np.asarray(residual - median_filter(residual, size=max(width, 5), mode="nearest"))
+    return np.asarray(
+        residual - median_filter(residual, size=max(width, 5), mode="nearest")
+    )
 
 
 def plain_noise(parts: Sequence[tuple[Array, Array]]) -> NoiseModel | None:
@@ -59,7 +63,9 @@ def plain_noise(parts: Sequence[tuple[Array, Array]]) -> NoiseModel | None:
         return None
     far = FAR_SD * 1.4826 * float(np.median(np.abs(np.concatenate(pieces))))
     if np.mean(np.abs(np.concatenate(pieces)) > far) > NOISE_FEW_FAR:
-        return None  # outliers would count as noise, and hide the correlation of the rest
+        return (
+            None  # outliers would count as noise, and hide the correlation of the rest
+        )
     power = sum(float(r @ r) for r in pieces)
     if power <= 0.0:
         return None

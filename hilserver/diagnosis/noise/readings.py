@@ -77,7 +77,9 @@ class Reading:
 def lasting(noise_sd: float, step: float) -> float:
     """Return the variance of the mean rounding error over all places between two steps."""
     size = (
-        step / (math.pi * HARMONICS) * np.exp(-2.0 * (math.pi * HARMONICS * noise_sd / step) ** 2)
+        step
+        / (math.pi * HARMONICS)
+        * np.exp(-2.0 * (math.pi * HARMONICS * noise_sd / step) ** 2)
     )
     return float(0.5 * (size**2).sum())
 

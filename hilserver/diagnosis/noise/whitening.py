@@ -24,7 +24,9 @@ class NoiseModel:
     white_sd: float
     ou_sd: float = 0.0
     ou_tau_s: float = 1.0  # correlation time of the Ornstein-Uhlenbeck part
-    tail_dof: float = math.inf  # of the innovations' Student-t distribution; infinite: normal
+    tail_dof: float = (
+        math.inf
+    )  # of the innovations' Student-t distribution; infinite: normal
 
     @property
     def sd(self) -> float:
@@ -47,7 +49,9 @@ class Filter:
         """Return the filters of `n` samples, to be filled by `prepare`."""
         return cls(np.zeros(n), np.zeros(n), np.zeros(n))
 
-    def prepare(self, part: slice, model: NoiseModel, t_s: Array, weights: Array) -> None:
+    def prepare(
+        self, part: slice, model: NoiseModel, t_s: Array, weights: Array
+    ) -> None:
         """Fill in the filter for one stretch of noise.
 
         Parameters
@@ -74,7 +78,9 @@ class Filter:
 
     def whiten(self, columns: Array) -> Array:
         """Whiten columns, shape (n,) or (n, k): each passes through the same linear operator."""
-        table = np.ascontiguousarray(columns if columns.ndim > 1 else columns[:, None], float)
+        table = np.ascontiguousarray(
+            columns if columns.ndim > 1 else columns[:, None], float
+        )
         if not self.gain.any():  # already white
             white = table * self.scale[:, None]
             white[self.scale == 0.0] = 0.0  # whatever the value, even NaN
@@ -86,7 +92,14 @@ class Filter:
 
 @kernel()
 def fill_gains(
-    t_s: Any, weights: Any, white: float, ou: float, tau_s: float, kept: Any, gain: Any, scale: Any
+    t_s: Any,
+    weights: Any,
+    white: float,
+    ou: float,
+    tau_s: float,
+    kept: Any,
+    gain: Any,
+    scale: Any,
 ) -> None:
     """Run the variances of the Kalman filter over one span.
 

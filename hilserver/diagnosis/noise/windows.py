@@ -87,12 +87,18 @@ class Windows:
         index = np.concatenate(rows)
         starts = np.cumsum([0, *(len(row) for row in rows)]).astype(np.int64)
         return Windows(
-            self.t_s[index], self.r[index], self.weights[index], starts, self.lines[chosen]
+            self.t_s[index],
+            self.r[index],
+            self.weights[index],
+            starts,
+            self.lines[chosen],
         )
 
     def gate_level(self) -> None:
         """Leave out samples far from their window's line."""
-        self.weights = (np.abs(self._detrended()) <= 2.0 * FAR_SD * self.spread).astype(float)
+        self.weights = (np.abs(self._detrended()) <= 2.0 * FAR_SD * self.spread).astype(
+            float
+        )
 
     def gate_innovations(self, model: NoiseModel) -> float:
         """Leave out samples whose innovation is too large; return their share."""
@@ -125,7 +131,9 @@ class Windows:
     def _innovations(self, model: NoiseModel, gate_sd: float, weights: Array) -> Array:
         out = np.zeros(self.samples)
         variances = (model.white_sd**2, model.ou_sd**2, model.ou_tau_s)
-        gated(self.t_s, self._detrended(), self.starts, *variances, gate_sd, weights, out)
+        gated(
+            self.t_s, self._detrended(), self.starts, *variances, gate_sd, weights, out
+        )
         return out
 
 
@@ -204,7 +212,14 @@ def gated(
 
 @kernel()
 def restricted(
-    t_s: Any, r: Any, weights: Any, starts: Any, white: float, ou: float, tau_s: float, lines: Any
+    t_s: Any,
+    r: Any,
+    weights: Any,
+    starts: Any,
+    white: float,
+    ou: float,
+    tau_s: float,
+    lines: Any,
 ) -> tuple[float, float, float]:
     """Return squared sum, log determinant and freedom with the windows' lines projected out.
 

@@ -22,7 +22,9 @@ class Visible(_Model):
     cause: str
     size: float
     unit: str
-    reference: float | None = Field(description="size at which a diagnosis should name it")
+    reference: float | None = Field(
+        description="size at which a diagnosis should name it"
+    )
     shows: bool = Field(description="whether it shows at its reference size")
 
 
@@ -50,13 +52,17 @@ class Missing(_Model):
     channel: str
     signals: tuple[str, ...]
     shows: tuple[str, ...]
-    separates: tuple[str, ...] = Field(description="causes that it removes from every group")
+    separates: tuple[str, ...] = Field(
+        description="causes that it removes from every group"
+    )
 
 
 class Proposed(Prospect):
     """The better manoeuvre."""
 
-    better: bool = Field(description="false: nothing better was found; the scenario is as planned")
+    better: bool = Field(
+        description="false: nothing better was found; the scenario is as planned"
+    )
     pieces: tuple[str, ...]
     scenario: str
 
@@ -97,12 +103,15 @@ def prospect(outlook: Outlook, duration_s: float) -> Prospect:
         groups=tuple(
             Group(
                 causes=group,
-                cosine=min(c for pair, c in outlook.pairs.items() if set(pair) <= set(group)),
+                cosine=min(
+                    c for pair, c in outlook.pairs.items() if set(pair) <= set(group)
+                ),
                 separating_experiment=separating_experiment(group),
             )
             for group in outlook.groups
         ),
         not_judged=tuple(
-            NotJudged(cause=cause, reason=reason) for cause, reason in outlook.not_judged.items()
+            NotJudged(cause=cause, reason=reason)
+            for cause, reason in outlook.not_judged.items()
         ),
     )

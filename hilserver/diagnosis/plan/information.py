@@ -50,12 +50,16 @@ def directions_of(library: Library) -> list[Direction]:
         rows = tuple(int(j) for j in np.flatnonzero(library.owner == i)[: min(c.n, 2)])
         names = list(c.terms(tuple(0.5 * s for s in c.step)))
         sizes = tuple(reference(c.cause, n) for n in names[:2])
-        if c.is_limit and sizes[0]:  # a share of it is its reference value divided by that share
+        if (
+            c.is_limit and sizes[0]
+        ):  # a share of it is its reference value divided by that share
             units: tuple[float, ...] = (sizes[0] ** 2 / c.start[0],)
         elif not c.linear:
             units = (abs(c.start[0] - c.null[0]),)
         else:
-            units = (1.0,) if c.n == 1 else tuple(1.0 / float(n) for n in library.norms[i])
+            units = (
+                (1.0,) if c.n == 1 else tuple(1.0 / float(n) for n in library.norms[i])
+            )
         found.append(Direction(c, rows, units, sizes))
     return found
 
@@ -78,7 +82,9 @@ def grams_by_span(library: Library, n_spans: int) -> Array:
     return out
 
 
-def sizes_of(directions: Sequence[Direction], gram: Array, needed: float = T_NEEDED) -> Array:
+def sizes_of(
+    directions: Sequence[Direction], gram: Array, needed: float = T_NEEDED
+) -> Array:
     """Return the smallest detectable size of each candidate as a share of its reference size.
 
     Infinite where a candidate cannot be seen or has no reference size.

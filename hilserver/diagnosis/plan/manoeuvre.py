@@ -70,11 +70,15 @@ def of_log(log: MeasuredLog, robot: RobotParameters) -> list[Manoeuvre]:
         )
     found = []
     for i, span in enumerate(log.spans):
-        t = np.unique(np.concatenate([log[n].of(i)[0] for n in (*names, ENABLE) if n in log]))
+        t = np.unique(
+            np.concatenate([log[n].of(i)[0] for n in (*names, ENABLE) if n in log])
+        )
         t = np.concatenate([[span.start_s], t[t > span.start_s]])
         columns = {n: _hold(*log[n].of(i), t) for n in (*names, ENABLE) if n in log}
         rpm = _to_wheels(columns, robot, names is TWIST)
-        found.append(Manoeuvre(t - span.start_s, rpm, span.end_s - span.start_s).changes())
+        found.append(
+            Manoeuvre(t - span.start_s, rpm, span.end_s - span.start_s).changes()
+        )
     total_s = sum(m.duration_s for m in found)
     if not SHORTEST_S <= total_s <= LONGEST_PLAN_S:
         raise LogError(
@@ -91,10 +95,14 @@ def _files(log: MeasuredLog) -> str:
 def _hold(t: Array, values: Array, at: Array) -> Array:
     if len(t) == 0:
         return np.zeros(len(at))
-    return np.asarray(values[np.maximum(np.searchsorted(t, at + 1e-9, side="right") - 1, 0)])
+    return np.asarray(
+        values[np.maximum(np.searchsorted(t, at + 1e-9, side="right") - 1, 0)]
+    )
 
 
-def _to_wheels(columns: Mapping[str, Array], robot: RobotParameters, is_twist: bool) -> Array:
+def _to_wheels(
+    columns: Mapping[str, Array], robot: RobotParameters, is_twist: bool
+) -> Array:
     if is_twist:
         rpm = from_twist(robot, columns[TWIST[0]], columns[TWIST[1]])
     else:
@@ -104,7 +112,9 @@ def _to_wheels(columns: Mapping[str, Array], robot: RobotParameters, is_twist: b
     return np.asarray(rpm)
 
 
-def from_twist(robot: RobotParameters, linear_m_s: Array, angular_rad_s: Array) -> Array:
+def from_twist(
+    robot: RobotParameters, linear_m_s: Array, angular_rad_s: Array
+) -> Array:
     """Return the set-points of a twist, equation (5.25), shape (n, 4) [rpm]."""
     p = pack(robot)
     if robot.exclusive_twist:
@@ -127,17 +137,25 @@ def of_scenario(
         If it is not a scenario, has no set-points, or is too long.
     """
     scenario = load_scenario(path)
-    now: dict[str, float] = dict.fromkeys((*SETPOINTS, *TWIST, MODE), 0.0) | {ENABLE: 1.0}
+    now: dict[str, float] = dict.fromkeys((*SETPOINTS, *TWIST, MODE), 0.0) | {
+        ENABLE: 1.0
+    }
     at_s, rpm = [0.0], [np.zeros(4)]
     commands = False
-    for index, step in sorted(enumerate(scenario.steps), key=lambda entry: entry[1].at_s):
-        written = _scalars(step.write, place(path, ("steps", index, "write", ALL_WHEELS)))
+    for index, step in sorted(
+        enumerate(scenario.steps), key=lambda entry: entry[1].at_s
+    ):
+        written = _scalars(
+            step.write, place(path, ("steps", index, "write", ALL_WHEELS))
+        )
         commands |= any(name in now and name not in (MODE, ENABLE) for name in written)
         now |= {name: value for name, value in written.items() if name in now}
         at_s.append(step.at_s)
         rpm.append(_present(now, robot))
     if not commands:
-        raise ConfigError(f"{path}: writes no set-points; a plan needs {ALL_WHEELS} or a twist")
+        raise ConfigError(
+            f"{path}: writes no set-points; a plan needs {ALL_WHEELS} or a twist"
+        )
     last_s = at_s[-1] + AFTER_S if duration_s is None else max(duration_s, at_s[-1])
     if not SHORTEST_S <= last_s <= LONGEST_PLAN_S:
         raise ConfigError(
@@ -151,7 +169,9 @@ def _scalars(write: Mapping[str, Any], where: str) -> dict[str, float]:
     for name, value in write.items():
         if name == ALL_WHEELS:
             if not isinstance(value, list) or len(value) != len(SETPOINTS):
-                raise ConfigError(f"{where}a list of {len(SETPOINTS)} set-points belongs here")
+                raise ConfigError(
+                    f"{where}a list of {len(SETPOINTS)} set-points belongs here"
+                )
             found |= dict(zip(SETPOINTS, value, strict=True))
         elif not isinstance(value, list):
             found[name] = float(value)
@@ -176,12 +196,16 @@ def as_scenario(spans: Sequence[Manoeuvre], text: str) -> dict[str, Any]:
         whole = whole.then(span)
     whole = whole.changes()
     steps: list[dict[str, Any]] = []
-    for at_s, rpm in zip(whole.at_s.tolist(), whole.setpoints_rpm.tolist(), strict=True):
+    for at_s, rpm in zip(
+        whole.at_s.tolist(), whole.setpoints_rpm.tolist(), strict=True
+    ):
         write: dict[str, Any] = {ALL_WHEELS: [round(v, 4) + 0.0 for v in rpm]}
         if not steps:
             write = {MODE: 0, ENABLE: True} | write
         steps.append({"at_s": round(at_s, 4), "write": write})
     if whole.setpoints_rpm[-1].any():
-        steps.append({"at_s": round(whole.duration_s, 4), "write": {ALL_WHEELS: [0.0] * 4}})
+        steps.append(
+            {"at_s": round(whole.duration_s, 4), "write": {ALL_WHEELS: [0.0] * 4}}
+        )
     Scenario.model_validate({"steps": steps})
     return {"scenario": text, "steps": steps}

@@ -13,7 +13,15 @@ from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.encoders import as_turned, driven
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.thresholds import BLOCK_S
-from hilserver.measured.channels import DUTIES, GYRO, POSITION, SETPOINTS, SPEEDS, VOLTAGE, YAW
+from hilserver.measured.channels import (
+    DUTIES,
+    GYRO,
+    POSITION,
+    SETPOINTS,
+    SPEEDS,
+    VOLTAGE,
+    YAW,
+)
 from hilserver.measured.data import Channel, MeasuredLog, Source, Span
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import NOMINAL_V
@@ -90,7 +98,10 @@ def null_log(
     """
     rate_hz, jitter = recording.rate_hz, np.random.default_rng(0)
     rows = [_stamps(m.duration_s, rate_hz, robot.period_s, jitter) for m in spans]
-    tags = [_stamps(m.duration_s, recording.navigation_hz, robot.period_s, jitter) for m in spans]
+    tags = [
+        _stamps(m.duration_s, recording.navigation_hz, robot.period_s, jitter)
+        for m in spans
+    ]
     begin = np.concatenate([[0.0], np.cumsum([m.duration_s + 1.0 for m in spans])])
     channels = _commands(spans, begin)
     for name in (*SPEEDS, *DUTIES, *POSITION, YAW, GYRO, VOLTAGE):
@@ -113,7 +124,9 @@ def null_log(
     return MeasuredLog(log.sources, {**kept, **noisy}, log.spans)
 
 
-def _stamps(duration_s: float, rate_hz: float, period_s: float, rng: np.random.Generator) -> Array:
+def _stamps(
+    duration_s: float, rate_hz: float, period_s: float, rng: np.random.Generator
+) -> Array:
     nominal = np.arange(0.0, duration_s, 1.0 / rate_hz)
     most = 0.2 / rate_hz
     moved = nominal + np.clip(JITTER_S * rng.standard_normal(len(nominal)), -most, most)
@@ -139,7 +152,9 @@ def _with_truth(
 ) -> MeasuredLog:
     """Fill in what the model shows: first the drive's own replay, then the pose from its speeds."""
     volts = log[VOLTAGE]
-    log = log.with_channels({VOLTAGE: volts.with_values(NOMINAL_V - SAG_V_PER_S * volts.t_s)})
+    log = log.with_channels(
+        {VOLTAGE: volts.with_values(NOMINAL_V - SAG_V_PER_S * volts.t_s)}
+    )
     drive = DriveStage(log, robot, block_s=BLOCK_S)
     log = log.with_channels(
         _filled(log, drive.stack.edges, drive.predict(terms), (*SPEEDS, *DUTIES))
@@ -153,13 +168,17 @@ def _with_truth(
     )
     at_origin = np.zeros((len(pose.segments), 3))
     names = (*POSITION, YAW, GYRO)
-    return log.with_channels(_filled(log, pose.stack.edges, pose.predict(terms, at_origin), names))
+    return log.with_channels(
+        _filled(log, pose.stack.edges, pose.predict(terms, at_origin), names)
+    )
 
 
 def _filled(
     log: MeasuredLog, edges: Mapping[str, slice], predicted: Array, names: Sequence[str]
 ) -> dict[str, Channel]:
-    return {name: log[name].with_values(predicted[edges[name]].copy()) for name in names}
+    return {
+        name: log[name].with_values(predicted[edges[name]].copy()) for name in names
+    }
 
 
 def _noise(name: str, channel: Channel, rng: np.random.Generator) -> Array:
@@ -169,7 +188,9 @@ def _noise(name: str, channel: Channel, rng: np.random.Generator) -> Array:
     return np.asarray(noise)
 
 
-def _ornstein_uhlenbeck(t_s: Array, sd: float, tau_s: float, rng: np.random.Generator) -> Array:
+def _ornstein_uhlenbeck(
+    t_s: Array, sd: float, tau_s: float, rng: np.random.Generator
+) -> Array:
     keep = np.exp(-np.diff(t_s, prepend=t_s[0] - 1e6) / tau_s)
     fresh = rng.standard_normal(len(t_s)) * np.sqrt(1.0 - keep**2)
     out, state = np.empty(len(t_s)), 0.0
@@ -179,7 +200,9 @@ def _ornstein_uhlenbeck(t_s: Array, sd: float, tau_s: float, rng: np.random.Gene
     return sd * out
 
 
-def path_of(spans: Sequence[Manoeuvre], robot: RobotParameters) -> list[tuple[Array, Array, Array]]:
+def path_of(
+    spans: Sequence[Manoeuvre], robot: RobotParameters
+) -> list[tuple[Array, Array, Array]]:
     """Return x [m], y [m] and yaw [rad] that the model drives in each span, from the origin."""
     log = null_log(spans, robot, Recording((*POSITION, YAW)), None)
     return [

@@ -57,7 +57,9 @@ class Outlook:
     @property
     def shown(self) -> list[str]:
         """Causes that are visible at their reference size, or that have none."""
-        return [c for c in self.sizes if (share := self.share(c)) is None or share <= 1.0]
+        return [
+            c for c in self.sizes if (share := self.share(c)) is None or share <= 1.0
+        ]
 
     @property
     def named(self) -> list[str]:
@@ -79,7 +81,11 @@ def _at_rest(found: Outlook) -> Outlook:
     shown, unseen = at_rest(list(found.sizes.values()), ())
     reasons = found.not_judged | {n.cause: n.reason for n in unseen}
     return replace(
-        found, sizes={d.cause: d for d in shown}, groups=[], pairs={}, not_judged=reasons
+        found,
+        sizes={d.cause: d for d in shown},
+        groups=[],
+        pairs={},
+        not_judged=reasons,
     )
 
 
@@ -121,7 +127,9 @@ def limits(directions: Sequence[Direction], gram: Array) -> dict[str, Detectable
         if d.candidate.is_limit and d.sizes[0] and share <= HOPELESS:
             size = d.sizes[0] / max(float(share), LEAST_SHOWN)
             if d.cause not in found or size > found[d.cause].size:
-                found[d.cause] = Detectable(cause=d.cause, size=size, unit=CAUSES[d.cause].unit)
+                found[d.cause] = Detectable(
+                    cause=d.cause, size=size, unit=CAUSES[d.cause].unit
+                )
     return found
 
 
@@ -140,7 +148,9 @@ def confused(
     for i, a in enumerate(names):
         for b in names[i + 1 :]:
             rows = np.ix_(chosen[a], chosen[b])
-            close = (cosines[rows] > GROUP_COSINE) & (np.minimum(z[rows], z.T[rows]) < Z_APART)
+            close = (cosines[rows] > GROUP_COSINE) & (
+                np.minimum(z[rows], z.T[rows]) < Z_APART
+            )
             if close.any():
                 found[a, b] = float(cosines[rows][close].max())
     return found
@@ -159,7 +169,11 @@ def grouped(pairs: dict[tuple[str, str], float]) -> list[tuple[str, ...]]:
             found.append(tuple(sorted(clique)))
         for cause in list(able):
             mine = near[cause]
-            extend([*clique, cause], [c for c in able if c in mine], [c for c in done if c in mine])
+            extend(
+                [*clique, cause],
+                [c for c in able if c in mine],
+                [c for c in done if c in mine],
+            )
             able.remove(cause)
             done.append(cause)
 

@@ -40,7 +40,9 @@ def of_moves(moves: Sequence[Move]) -> Manoeuvre:
     """Return the set-points of some moves, with the plant's signs."""
     seconds, left, right = (np.array(column) for column in zip(*moves, strict=True))
     at_s = np.round(np.concatenate([[0.0], np.cumsum(seconds)]), 3)
-    return Manoeuvre(at_s[:-1], np.column_stack([left, left, -right, -right]), float(at_s[-1]))
+    return Manoeuvre(
+        at_s[:-1], np.column_stack([left, left, -right, -right]), float(at_s[-1])
+    )
 
 
 def there_and_back(moves: Sequence[Move]) -> list[Move]:
@@ -58,7 +60,9 @@ def pieces(robot: RobotParameters, room_m: tuple[float, float]) -> list[Piece]:
         Sides of the room.
     """
     half = [0.5 * side - MARGIN_M for side in room_m]
-    found = [Piece(name, of_moves(moves)) for name, moves in _all(robot, max(half[0], 0.05))]
+    found = [
+        Piece(name, of_moves(moves)) for name, moves in _all(robot, max(half[0], 0.05))
+    ]
     paths = path_of([piece.manoeuvre for piece in found], robot)
     return [
         piece
@@ -75,12 +79,17 @@ def _all(robot: RobotParameters, reach_m: float) -> Iterator[tuple[str, list[Mov
     yield from _steps(robot)
 
 
-def _straights(robot: RobotParameters, reach_m: float) -> Iterator[tuple[str, list[Move]]]:
+def _straights(
+    robot: RobotParameters, reach_m: float
+) -> Iterator[tuple[str, list[Move]]]:
     top, m_s = robot.max_rpm, robot.wheel_radius_m * RAD_S_PER_RPM
     for share in (0.25, 0.5, 0.85):
         rpm = share * top
         seconds = min(LONGEST_PIECE_S, 0.95 * reach_m / (rpm * m_s))
-        yield f"straight there and back, {rpm:.0f} rpm", there_and_back([(seconds, rpm, rpm)])
+        yield (
+            f"straight there and back, {rpm:.0f} rpm",
+            there_and_back([(seconds, rpm, rpm)]),
+        )
         across_s = 0.95 * reach_m / (rpm * m_s)
         if across_s <= ACROSS_S:
             there, back = (across_s, rpm, rpm), (across_s, -rpm, -rpm)
@@ -98,7 +107,10 @@ def _spins(robot: RobotParameters) -> Iterator[tuple[str, list[Move]]]:
         rpm = share * top
         rad_s = 2.0 * robot.wheel_radius_m * rpm * RAD_S_PER_RPM * robot.k_om
         moves = [(turn * 2.0 * math.pi / rad_s, -rpm, rpm)]
-        yield f"{turn:g} turns on the spot both ways, {rpm:.0f} rpm", there_and_back(moves)
+        yield (
+            f"{turn:g} turns on the spot both ways, {rpm:.0f} rpm",
+            there_and_back(moves),
+        )
     slow, fast = 0.15 * top, 0.6 * top
     changing = [(0.7, -slow, slow), (0.7, -fast, fast), (0.7, -slow, slow)]
     yield "on the spot with changing speed, both ways", there_and_back(changing)
@@ -112,23 +124,32 @@ def _arcs(robot: RobotParameters, reach_m: float) -> Iterator[tuple[str, list[Mo
     for share in (0.4, 0.85):
         for inner in (0.0, 0.4, 0.75):
             rpm = share * top
-            seconds = min(LONGEST_PIECE_S, 0.95 * reach_m / (0.5 * (1.0 + inner) * rpm * m_s))
+            seconds = min(
+                LONGEST_PIECE_S, 0.95 * reach_m / (0.5 * (1.0 + inner) * rpm * m_s)
+            )
             for side, move in _sides((seconds, inner * rpm, rpm)):
-                name = f"{side} arc, {inner * rpm:.0f} and {rpm:.0f} rpm, there and back"
+                name = (
+                    f"{side} arc, {inner * rpm:.0f} and {rpm:.0f} rpm, there and back"
+                )
                 yield name, there_and_back([move])
     for share, inner in ((0.5, 0.2), (0.85, 0.4), (0.85, 0.65)):
         rpm = share * top
         rad_s = (1.0 - inner) * rpm * m_s * robot.k_om
         circle = (2.0 * math.pi / rad_s, inner * rpm, rpm)
         both = [move for _, move in _sides(circle)]
-        yield f"circle left, circle right, {rpm:.0f} rpm", [both[0], PAUSE, both[1], PAUSE]
+        yield (
+            f"circle left, circle right, {rpm:.0f} rpm",
+            [both[0], PAUSE, both[1], PAUSE],
+        )
         for side, (seconds, left, right) in _sides(circle):
             fast = (0.6 * seconds, left, right)
             slow = (0.4 * seconds / 0.4, 0.4 * left, 0.4 * right)
             yield f"{side} circle at two speeds, {rpm:.0f} rpm", [slow, fast, PAUSE]
     slow_on, fast_on = (0.8, 0.1 * top, 0.3 * top), (0.8, 0.3 * top, 0.9 * top)
     for side, _ in _sides(slow_on):
-        moves = [m if side == "left" else (m[0], m[2], m[1]) for m in (slow_on, fast_on)]
+        moves = [
+            m if side == "left" else (m[0], m[2], m[1]) for m in (slow_on, fast_on)
+        ]
         yield f"{side} arc with changing speed, there and back", there_and_back(moves)
 
 

@@ -9,7 +9,12 @@ import numpy as np
 from hilserver import __version__
 from hilserver.daemon.assembly import Assembly
 from hilserver.diagnosis.plan.document import Missing, PlanDocument, Proposed, prospect
-from hilserver.diagnosis.plan.manoeuvre import Manoeuvre, as_scenario, of_log, of_scenario
+from hilserver.diagnosis.plan.manoeuvre import (
+    Manoeuvre,
+    as_scenario,
+    of_log,
+    of_scenario,
+)
 from hilserver.diagnosis.plan.null_log import ALL, GROUPS, Recording, Studio, path_of
 from hilserver.diagnosis.plan.outlook import Outlook, look
 from hilserver.diagnosis.plan.pieces import Piece, of_moves, pieces
@@ -36,7 +41,9 @@ class Wish:
     # measured signals of the experiment; None: those of the log; all for a scenario
     channels: tuple[str, ...] | None = None
     rate_hz: float = 50.0
-    duration_s: float | None = None  # of the better manoeuvre; None: that of the given one
+    duration_s: float | None = (
+        None  # of the better manoeuvre; None: that of the given one
+    )
     room_m: tuple[float, float] = ROOM_M
     seed: int = 0
     jobs: int = 2
@@ -57,7 +64,9 @@ class Given:
         return sum(span.duration_s for span in self.spans)
 
 
-def plan(wish: Wish, assembly: Assembly, report: Report) -> tuple[PlanDocument, dict[str, str]]:
+def plan(
+    wish: Wish, assembly: Assembly, report: Report
+) -> tuple[PlanDocument, dict[str, str]]:
     """Plan an experiment; return the document and the text of every file by its name.
 
     Raises
@@ -71,17 +80,23 @@ def plan(wish: Wish, assembly: Assembly, report: Report) -> tuple[PlanDocument, 
     recording = Recording(wish.channels or given.channels, wish.rate_hz)
     studio = Studio(given.robot, wish.seed, wish.jobs, report)
     now = look(given.spans, recording, studio)
-    chosen = _better(studio, recording, wish.room_m, wish.duration_s or given.duration_s)
+    chosen = _better(
+        studio, recording, wish.room_m, wish.duration_s or given.duration_s
+    )
     spans = [_joined(chosen)]
     if not _inside(spans, given.robot, wish.room_m):
-        raise FailedError(f"the pieces drift out of {_sides(wish.room_m)}; increase --room")
+        raise FailedError(
+            f"the pieces drift out of {_sides(wish.room_m)}; increase --room"
+        )
     then = look(spans, recording, studio)
     stays = _inside(given.spans, given.robot, wish.room_m)
     fits = stays and given.duration_s <= (wish.duration_s or given.duration_s)
     better = then.score > now.score or not fits
     if not better:
         spans, then = given.spans, now
-    leaves = f"{wish.manoeuvre.name} leaves {_sides(wish.room_m)} when started in the middle"
+    leaves = (
+        f"{wish.manoeuvre.name} leaves {_sides(wish.room_m)} when started in the middle"
+    )
     length_s = sum(s.duration_s for s in spans)
     document = PlanDocument(
         version=__version__,
@@ -103,7 +118,9 @@ def plan(wish: Wish, assembly: Assembly, report: Report) -> tuple[PlanDocument, 
         notices=given.notices if stays else (*given.notices, leaves),
     )
     files = {
-        SCENARIO: as_yaml(as_scenario(spans, f"the best manoeuvre in {length_s:.0f} s")),
+        SCENARIO: as_yaml(
+            as_scenario(spans, f"the best manoeuvre in {length_s:.0f} s")
+        ),
         PLAN: document.model_dump_json(by_alias=True, indent=1) + "\n",
     }
     return document, files
@@ -116,7 +133,10 @@ def read(wish: Wish, robot: RobotParameters) -> Given:
     log = read_measured([wish.manoeuvre], wish.mapping)
     robot = machine(log, robot)
     return Given(
-        of_log(log, robot), robot, tuple(name for name in ALL if name in log) or ALL, log.notices
+        of_log(log, robot),
+        robot,
+        tuple(name for name in ALL if name in log) or ALL,
+        log.notices,
     )
 
 
@@ -168,5 +188,7 @@ def _missing(
         shows = tuple(c for c in then.shown if c not in now.shown)
         before = {c for group in now.groups for c in group}
         separates = tuple(c for c in then.named if c in before)
-        found.append(Missing(channel=channel, signals=absent, shows=shows, separates=separates))
+        found.append(
+            Missing(channel=channel, signals=absent, shows=shows, separates=separates)
+        )
     return tuple(found)

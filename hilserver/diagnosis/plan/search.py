@@ -6,7 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from hilserver.arrays import Array
-from hilserver.diagnosis.plan.information import Direction, directions_of, grams_by_span, score
+from hilserver.diagnosis.plan.information import (
+    Direction,
+    directions_of,
+    grams_by_span,
+    score,
+)
 from hilserver.diagnosis.plan.null_log import Recording, Studio
 from hilserver.diagnosis.plan.pieces import Piece
 from hilserver.diagnosis.progress import Report
@@ -35,12 +40,17 @@ def information_of(
         prepared, _ = prepare(stage, studio.jobs, studio.report)
         if prepared is not None:
             library = prepared.library
-            known.append(Information(directions_of(library), grams_by_span(library, len(found))))
+            known.append(
+                Information(directions_of(library), grams_by_span(library, len(found)))
+            )
     return known
 
 
 def choose(
-    found: Sequence[Piece], known: Sequence[Information], duration_s: float, report: Report
+    found: Sequence[Piece],
+    known: Sequence[Information],
+    duration_s: float,
+    report: Report,
 ) -> list[Piece]:
     """Return the pieces with the most information; repetitions are allowed.
 
@@ -111,7 +121,8 @@ class _Search:
     def _change(self, piece: int, sign: float) -> None:
         self._left_s -= sign * float(self._lengths_s[piece])
         self._sums = [
-            total + sign * t.grams[piece] for t, total in zip(self._known, self._sums, strict=True)
+            total + sign * t.grams[piece]
+            for t, total in zip(self._known, self._sums, strict=True)
         ]
         self._now = sum(
             score(t.directions, s) for t, s in zip(self._known, self._sums, strict=True)

@@ -13,15 +13,25 @@ WIDTH = 96
 def lines(document: PlanDocument) -> list[str]:
     """Return what a user should know."""
     planned, proposed = document.as_planned, document.proposed
-    short = [name for name, signals in GROUPS.items() if set(signals) & set(document.channels)]
-    out = [f"Recorded: set-points, {', '.join(short)}; {document.rate_hz:g} rows per second"]
+    short = [
+        name
+        for name, signals in GROUPS.items()
+        if set(signals) & set(document.channels)
+    ]
+    out = [
+        f"Recorded: set-points, {', '.join(short)}; {document.rate_hz:g} rows per second"
+    ]
     out += [f"Note: {notice}" for notice in document.notices]
     out += ["", f"{document.manoeuvre}, {planned.duration_s:.0f} s: {_count(planned)}"]
     out += _prospect(planned)
     for missing in document.missing_channels:
         gain = [f"shows {', '.join(missing.shows)}"] if missing.shows else []
-        gain += [f"separates {', '.join(missing.separates)}"] if missing.separates else []
-        out += _wrapped(f"also with {missing.channel}: ", " and ".join(gain) or "nothing more")
+        gain += (
+            [f"separates {', '.join(missing.separates)}"] if missing.separates else []
+        )
+        out += _wrapped(
+            f"also with {missing.channel}: ", " and ".join(gain) or "nothing more"
+        )
     if not proposed.better:
         return [*out, "", "No better manoeuvre was found for this time and room."]
     out += ["", f"Proposed, {proposed.duration_s:.0f} s: {_count(proposed)}"]
@@ -39,7 +49,9 @@ def _count(prospect: Prospect) -> str:
 
 def _prospect(prospect: Prospect) -> list[str]:
     out = _wrapped("shows from: ", _sizes(v for v in prospect.causes if v.shows))
-    out += _wrapped("only if larger: ", _sizes(v for v in prospect.causes if not v.shows))
+    out += _wrapped(
+        "only if larger: ", _sizes(v for v in prospect.causes if not v.shows)
+    )
     for group in prospect.groups:
         out += _wrapped("cannot separate: ", ", ".join(group.causes))
     reasons: dict[str, list[str]] = {}
@@ -57,7 +69,8 @@ def _sizes(found: Iterable[Visible]) -> str:
 def _counted(names: Iterable[str]) -> list[str]:
     names = list(names)
     return [
-        f"{n} x {name}" if (n := names.count(name)) > 1 else name for name in dict.fromkeys(names)
+        f"{n} x {name}" if (n := names.count(name)) > 1 else name
+        for name in dict.fromkeys(names)
     ]
 
 
@@ -65,5 +78,9 @@ def _wrapped(head: str, text: str) -> list[str]:
     if not text:
         return []
     return textwrap.wrap(
-        head + text, WIDTH, initial_indent="  ", subsequent_indent="    ", break_on_hyphens=False
+        head + text,
+        WIDTH,
+        initial_indent="  ",
+        subsequent_indent="    ",
+        break_on_hyphens=False,
     )

@@ -17,7 +17,9 @@ from hilserver.diagnosis.regression.gain import Windows, missed, windows
 from hilserver.diagnosis.regression.linear import ridge
 from hilserver.diagnosis.regression.problem import Point, Problem
 
-DAMPED_BY_ENDS: Final = 1e-4  # see `linear`: not every parameter affects the end of a run
+DAMPED_BY_ENDS: Final = (
+    1e-4  # see `linear`: not every parameter affects the end of a run
+)
 MOST_STEPS: Final = 12
 CONVERGED: Final = 1e-3  # share of the cost; a smaller gain ends the iteration
 
@@ -68,7 +70,9 @@ class _Ends:
     def __init__(self, problem: Problem, runs: Windows, predicted: Array) -> None:
         self.problem, self.runs = problem, runs
         off = missed(problem, predicted, runs)
-        self.scale = {k: max(float(np.median(np.abs(one))), 1e-9) for k, one in off.items()}
+        self.scale = {
+            k: max(float(np.median(np.abs(one))), 1e-9) for k, one in off.items()
+        }
 
     def _off(self, predicted: Array) -> Misses:
         off = missed(self.problem, predicted, self.runs)
@@ -94,5 +98,7 @@ class _Ends:
 
 def _flat(off: Misses, weight: Mapping[str, Array]) -> Array:
     """Return all misses in one vector, both coordinates of a position, times their weights."""
-    parts = [weight[key] * part for key, one in off.items() for part in (one.real, one.imag)]
+    parts = [
+        weight[key] * part for key, one in off.items() for part in (one.real, one.imag)
+    ]
     return np.concatenate(parts)

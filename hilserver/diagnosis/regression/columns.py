@@ -32,7 +32,9 @@ class Library:
     columns: Columns = field(default_factory=lambda: np.zeros((0, 0), np.float32))
     # shape (blocks, k): sums of their squares
     squares: Columns = field(default_factory=lambda: np.zeros((0, 0), np.float32))
-    norms: list[Array] = field(default_factory=list)  # lengths of columns, if there are several
+    norms: list[Array] = field(
+        default_factory=list
+    )  # lengths of columns, if there are several
 
     def __post_init__(self) -> None:
         stack = self.problem.stack
@@ -66,7 +68,10 @@ class Library:
             weight, part = np.concatenate(sides), self.columns[:, begin:end]
             lay_out(white, length, place, weight, self.blocks.order, part)
             begin = end
-        self.squares, self._made_for = self.blocks.squares(self.columns), (problem.noise, point)
+        self.squares, self._made_for = (
+            self.blocks.squares(self.columns),
+            (problem.noise, point),
+        )
 
     def ridge(self, point: Point, rows: Mask | None = None) -> Array:
         """Return coefficients of all directions at once for the residual of a model.
@@ -83,14 +88,18 @@ class Library:
         gram = (columns.T @ columns).astype(np.float64) / np.outer(norm, norm)
         left = point.left[self.blocks.order][chosen].astype(np.float32)
         along = (columns.T @ left).astype(np.float64) / norm
-        return np.asarray(np.linalg.solve(gram + RIDGE * np.eye(len(norm)), along) / norm)
+        return np.asarray(
+            np.linalg.solve(gram + RIDGE * np.eye(len(norm)), along) / norm
+        )
 
     def effect(self, weight: Array, rows: Indices | slice) -> Array:
         """Return what coefficients of all directions add to the prediction of some samples."""
         total = np.zeros(len(self.problem.stack))[rows]
         for i, raw in enumerate(self.raw):
             mine = weight[self.owner == i]
-            theta = mine if raw.shape[1] == 1 else np.array(SQUARE).T @ mine / self.norms[i]
+            theta = (
+                mine if raw.shape[1] == 1 else np.array(SQUARE).T @ mine / self.norms[i]
+            )
             total += raw[rows] @ theta
         return np.asarray(total)
 
@@ -108,7 +117,9 @@ class Library:
 
 
 @kernel()
-def lay_out(white: Any, length: Any, place: Any, weight: Any, order: Any, out: Any) -> None:
+def lay_out(
+    white: Any, length: Any, place: Any, weight: Any, order: Any, out: Any
+) -> None:
     """Write directions of whitened columns, with the samples in a given order.
 
     Parameters

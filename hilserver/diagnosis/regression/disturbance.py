@@ -23,7 +23,9 @@ class Motion:
         dense = stage.simulate(point.model.terms, point.poses)
         self.dt = stage.period_s * stride
         first = stage.segments.first
-        self.rows = [np.arange(first[i], first[i + 1], stride) for i in range(len(first) - 1)]
+        self.rows = [
+            np.arange(first[i], first[i + 1], stride) for i in range(len(first) - 1)
+        ]
         take = np.concatenate(self.rows)
         sizes = [len(r) for r in self.rows]
         self.bounds = np.concatenate([[0], np.cumsum(sizes)])
@@ -45,7 +47,9 @@ class Motion:
     def column(self, dv: Array, dvy: Array, dom: Array) -> Array:
         """Return the raw column of a disturbance of the body velocity."""
         yaw = self._integrate(dom)
-        place = self._integrate((dv + 1j * dvy) * self._ahead + 1j * yaw * self._velocity)
+        place = self._integrate(
+            (dv + 1j * dvy) * self._ahead + 1j * yaw * self._velocity
+        )
         return self._sampled(
             {POSITION[0]: place.real, POSITION[1]: place.imag, YAW: yaw, GYRO: dom}
         )

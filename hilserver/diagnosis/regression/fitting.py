@@ -11,7 +11,9 @@ from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Model
 
 DAMPED: Final = 1e-6  # damping of the steps of a fit, see `linear`
-LEAST_EXPECTED: Final = 0.01  # deviance; a step with a smaller expected gain is not taken
+LEAST_EXPECTED: Final = (
+    0.01  # deviance; a step with a smaller expected gain is not taken
+)
 AS_EXPECTED: Final = 0.1
 """Share by which a step's gain may miss the linear one if the sensitivities are to be reused."""
 ATTEMPTS: Final = 4
@@ -19,7 +21,12 @@ ATTEMPTS: Final = 4
 
 
 def fit(
-    problem: Problem, model: Model, start: Point, *, rows: Mask | None = None, iterations: int = 6
+    problem: Problem,
+    model: Model,
+    start: Point,
+    *,
+    rows: Mask | None = None,
+    iterations: int = 6,
 ) -> Point:
     """Fit the parameters of a model.
 
@@ -37,7 +44,9 @@ def fit(
     used = np.ones(problem.stack.n_blocks, dtype=bool) if rows is None else rows
     raw = _columns_near(problem, point, start)
     taken = any(f in start.model.fitted for f in model.fitted)
-    fresh = not taken or np.array_equal(point.predicted, start.predicted)  # none is of elsewhere
+    fresh = not taken or np.array_equal(
+        point.predicted, start.predicted
+    )  # none is of elsewhere
     for more in reversed(range(iterations)):
         best, expected = _step(problem, point, raw, used)
         if expected < LEAST_EXPECTED or (best is None and fresh):
@@ -71,7 +80,9 @@ def _columns_near(problem: Problem, point: Point, start: Point) -> Array:
     return found
 
 
-def _step(problem: Problem, point: Point, raw: Array, used: Mask) -> tuple[Point | None, float]:
+def _step(
+    problem: Problem, point: Point, raw: Array, used: Mask
+) -> tuple[Point | None, float]:
     """Return the point after a step that gains, if any, and the gain expected of it.
 
     A block in which a step does not follow its slope does not steer the next attempt: a robot that
@@ -86,7 +97,9 @@ def _step(problem: Problem, point: Point, raw: Array, used: Mask) -> tuple[Point
     bases = problem.bases_at(point)
     white = problem.project(raw, bases)
     for _ in range(ATTEMPTS):
-        found, expected, diverged = _attempted(problem, point, raw, white, bases, used, steering)
+        found, expected, diverged = _attempted(
+            problem, point, raw, white, bases, used, steering
+        )
         diverged &= steering
         steering = steering & ~diverged
         few = 2 * steering.sum() < used.sum()

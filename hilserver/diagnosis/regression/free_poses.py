@@ -18,7 +18,9 @@ class FreePoses:
     """The samples of each segment: the columns of its initial pose affect no others."""
 
     order: Indices  # shape (n,): samples, segment by segment
-    ends: Indices  # shape (segments + 1,): where each segment begins and ends in `order`
+    ends: (
+        Indices  # shape (segments + 1,): where each segment begins and ends in `order`
+    )
 
     @classmethod
     def of(cls, segment: Indices, segments: int) -> "FreePoses":
@@ -36,7 +38,9 @@ class FreePoses:
         u = np.where(shown[:, None, :], u, 0.0)
         inverse = np.divide(1.0, s, out=np.zeros_like(s), where=shown)
         ut = u.transpose(0, 2, 1)
-        return Bases(self, unit, u @ ut, vt.transpose(0, 2, 1) @ (inverse[:, :, None] * ut))
+        return Bases(
+            self, unit, u @ ut, vt.transpose(0, 2, 1) @ (inverse[:, :, None] * ut)
+        )
 
 
 @dataclass(frozen=True)
@@ -98,7 +102,9 @@ def orthonormal(columns: Any, order: Any, ends: Any, unit: Any, upper: Any) -> N
 
 
 @kernel()
-def subtract(white: Any, order: Any, ends: Any, unit: Any, shown: Any, out: Any) -> None:
+def subtract(
+    white: Any, order: Any, ends: Any, unit: Any, shown: Any, out: Any
+) -> None:
     """Write columns without their projections onto each segment's basis."""
     width = white.shape[1]
     along, part = np.empty((3, width)), np.empty((3, width))
@@ -120,4 +126,6 @@ def subtract(white: Any, order: Any, ends: Any, unit: Any, shown: Any, out: Any)
         for r in rows:
             a, b, c = unit[r, 0], unit[r, 1], unit[r, 2]
             for k in range(width):
-                out[r, k] = white[r, k] - (a * part[0, k] + b * part[1, k] + c * part[2, k])
+                out[r, k] = white[r, k] - (
+                    a * part[0, k] + b * part[1, k] + c * part[2, k]
+                )

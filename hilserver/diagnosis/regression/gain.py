@@ -20,7 +20,9 @@ from hilserver.diagnosis.thresholds import FEWEST_BLOCKS
 from hilserver.measured.channels import POSITION, TAG, YAW
 
 RESAMPLES = 400
-SEGMENTS_APART_S = 1e7  # longer than any segment, so that the stamps of two segments differ
+SEGMENTS_APART_S = (
+    1e7  # longer than any segment, so that the stamps of two segments differ
+)
 HORIZON_S = 5.0  # length of the free runs for which the gain is reported
 HORIZONS_S = (1.0, 2.0, 5.0, 10.0, 20.0)
 
@@ -61,11 +63,17 @@ def of_halves(problem: Problem, predictions: Sequence[Array]) -> Array:
     return np.where(half == 0, predictions[0], predictions[1])
 
 
-def channel_errors(problem: Problem, predicted: Array, names: Sequence[str]) -> Errors | None:
+def channel_errors(
+    problem: Problem, predicted: Array, names: Sequence[str]
+) -> Errors | None:
     """Return absolute residuals of some channels."""
     stack = problem.stack
     residual = np.abs(problem.residual(predicted))
-    rows = [np.arange(stack.edges[n].start, stack.edges[n].stop) for n in names if n in stack.edges]
+    rows = [
+        np.arange(stack.edges[n].start, stack.edges[n].stop)
+        for n in names
+        if n in stack.edges
+    ]
     if not rows:
         return None
     rows_ = np.concatenate(rows)
@@ -154,7 +162,9 @@ def missed(problem: Problem, predicted: Array, w: Windows) -> dict[str, NDArray[
     return out
 
 
-def free_run_errors(problem: Problem, predicted: Array, w: Windows) -> dict[str, Errors]:
+def free_run_errors(
+    problem: Problem, predicted: Array, w: Windows
+) -> dict[str, Errors]:
     """Return errors at the end of free runs that start at the measured pose."""
     out = {}
     for key, off in missed(problem, predicted, w).items():
@@ -164,10 +174,14 @@ def free_run_errors(problem: Problem, predicted: Array, w: Windows) -> dict[str,
     return out
 
 
-def compare(before: Errors, after: Errors, horizon_s: float, rng: np.random.Generator) -> Gain:
+def compare(
+    before: Errors, after: Errors, horizon_s: float, rng: np.random.Generator
+) -> Gain:
     """Return mean errors, their ratio and its bootstrap interval over blocks."""
     n = int(before.block.max()) + 1
-    sums = np.stack([np.bincount(e.block, weights=e.values, minlength=n) for e in (before, after)])
+    sums = np.stack(
+        [np.bincount(e.block, weights=e.values, minlength=n) for e in (before, after)]
+    )
     sums = sums[:, np.bincount(before.block, minlength=n) > 0]
     count = sums.shape[1]
     b, a = float(before.values.mean()), float(after.values.mean())
@@ -177,11 +191,17 @@ def compare(before: Errors, after: Errors, horizon_s: float, rng: np.random.Gene
         drawn = sums[:, picks].sum(axis=2)
         ratios = drawn[0] / np.maximum(drawn[1], 1e-300)
         ci = (float(np.quantile(ratios, 0.025)), float(np.quantile(ratios, 0.975)))
-    return Gain(horizon_s=horizon_s, before=b, after=a, ratio=b / max(a, 1e-300), ci95=ci)
+    return Gain(
+        horizon_s=horizon_s, before=b, after=a, ratio=b / max(a, 1e-300), ci95=ci
+    )
 
 
 def gains(
-    problem: Problem, before: Array, after: Array, horizon_s: float, rng: np.random.Generator
+    problem: Problem,
+    before: Array,
+    after: Array,
+    horizon_s: float,
+    rng: np.random.Generator,
 ) -> dict[str, Gain]:
     """Return the gain of every quantity of a stage at one horizon."""
     return pooled_gains([errors(problem, (before, after), horizon_s)], rng)
@@ -196,7 +216,9 @@ class Pair:
     horizon_s: float
 
 
-def errors(problem: Problem, predictions: tuple[Array, Array], horizon_s: float) -> dict[str, Pair]:
+def errors(
+    problem: Problem, predictions: tuple[Array, Array], horizon_s: float
+) -> dict[str, Pair]:
     """Return the errors of every quantity of a stage, before and after."""
     out: dict[str, Pair] = {}
     w = windows(problem, horizon_s)
@@ -211,13 +233,17 @@ def errors(problem: Problem, predictions: tuple[Array, Array], horizon_s: float)
     return out
 
 
-def pooled_gains(parts: Sequence[Mapping[str, Pair]], rng: np.random.Generator) -> dict[str, Gain]:
+def pooled_gains(
+    parts: Sequence[Mapping[str, Pair]], rng: np.random.Generator
+) -> dict[str, Gain]:
     """Return the gain of every quantity over one or several problems together."""
     out = {}
     for key in dict.fromkeys(key for part in parts for key in part):
         pairs = [part[key] for part in parts if key in part]
         counts = [len(pair.before.values) for pair in pairs]
-        horizon_s = float(np.average([pair.horizon_s for pair in pairs], weights=counts))
+        horizon_s = float(
+            np.average([pair.horizon_s for pair in pairs], weights=counts)
+        )
         before = _together([pair.before for pair in pairs])
         after = _together([pair.after for pair in pairs])
         out[key] = compare(before, after, horizon_s, rng)
@@ -230,5 +256,7 @@ def _together(parts: Sequence[Errors]) -> Errors:
     begins = np.cumsum([0, *sizes[:-1]])
     return Errors(
         np.concatenate([part.values for part in parts]),
-        np.concatenate([part.block + begin for part, begin in zip(parts, begins, strict=True)]),
+        np.concatenate(
+            [part.block + begin for part, begin in zip(parts, begins, strict=True)]
+        ),
     )

@@ -15,7 +15,12 @@ import numpy as np
 from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.noise.fitting import fit_noise, robust_weights, short_noise
-from hilserver.diagnosis.noise.quick_noise import isolated, noise_of_neighbours, plain_noise, spikes
+from hilserver.diagnosis.noise.quick_noise import (
+    isolated,
+    noise_of_neighbours,
+    plain_noise,
+    spikes,
+)
 from hilserver.diagnosis.noise.readings import Reading, noise_of_readings
 from hilserver.diagnosis.noise.whitening import Filter, NoiseModel
 from hilserver.diagnosis.regression.free_poses import Bases, FreePoses
@@ -96,7 +101,9 @@ class Problem:
         return replace(self, noise=noise, weights=weights)
 
     # --- predictions ------------------------------------------------------------------------------
-    def predict(self, terms: Mapping[str, float], poses: Array, *, keep: bool = False) -> Array:
+    def predict(
+        self, terms: Mapping[str, float], poses: Array, *, keep: bool = False
+    ) -> Array:
         """Return what the sensors show, on average, with the terms of a model."""
         key = (*terms.items(), poses.tobytes())
         lately = (shown for known, shown in list(self._shown) if known == key)
@@ -132,7 +139,11 @@ class Problem:
         """Whiten raw columns, shape (n,) or (n, k), channel by channel and segment by segment."""
         noise, weights, known = self._filter
         if noise is not self.noise or weights is not self.weights:
-            noise, weights, known = self.noise, self.weights, Filter.empty(len(self.stack))
+            noise, weights, known = (
+                self.noise,
+                self.weights,
+                Filter.empty(len(self.stack)),
+            )
             for name, _, part in self._runs:
                 known.prepare(part, noise[name], self.stack.t_s, weights)
             self._filter = noise, weights, known
@@ -173,9 +184,14 @@ class Problem:
         self._bases.append(((point, self.noise, self.weights), bases))
         return point
 
-    def columns(self, point: Point, model: Model, which: Sequence[int] | None = None) -> Array:
+    def columns(
+        self, point: Point, model: Model, which: Sequence[int] | None = None
+    ) -> Array:
         """Return the raw sensitivities of a model's parameters, all or some, shape (n, k)."""
-        theta, step = model.theta(), np.array([s for f in model.fitted for s in f.candidate.step])
+        theta, step = (
+            model.theta(),
+            np.array([s for f in model.fitted for s in f.candidate.step]),
+        )
         low, high = model.borders()
         # beyond its bound a parameter may be one that the plant does not accept
         step = np.where((theta + step < low) | (theta + step > high), -step, step)
@@ -209,7 +225,9 @@ class Problem:
             return None
         key = (point, self.noise, self.weights)
         bases = self.bases_at(point)
-        return _once(self._left, key, lambda: self.project(self.own_white(point), bases))
+        return _once(
+            self._left, key, lambda: self.project(self.own_white(point), bases)
+        )
 
     def effect(self, point: Point, index: int) -> Array:
         """Return the effect of a point's cause, whitened and projected, shape (n,)."""
@@ -263,9 +281,14 @@ class Problem:
         residuals = [(t, r) for t, r, _, _ in parts]
         readings = [(t, x, y) for t, _, x, y in parts]
         if self.stage.memoryless and not self.ripples:
-            rounded = noise_of_readings(readings, reading) if reading.step > 0.0 else None
+            rounded = (
+                noise_of_readings(readings, reading) if reading.step > 0.0 else None
+            )
             return rounded or noise_of_neighbours(residuals)
-        found, rounding = plain_noise(residuals) or fit_noise(residuals), reading.step / 12.0**0.5
+        found, rounding = (
+            plain_noise(residuals) or fit_noise(residuals),
+            reading.step / 12.0**0.5,
+        )
         if found.sd >= rounding:
             return found
         # at standstill there is one value; no reading is more exact than its rounding

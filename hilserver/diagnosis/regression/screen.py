@@ -27,8 +27,12 @@ from hilserver.compiled import kernel
 from hilserver.diagnosis.thresholds import SCREEN_LEVEL
 
 Real = NDArray[Any]  # of 32 or 64 bits
-LEAST_FREEDOM: Final = 0.5  # degrees of freedom of a direction that shows in a single block
-FLIPS: Final = 4999  # draws of the blocks' signs; p is at least about one over this number
+LEAST_FREEDOM: Final = (
+    0.5  # degrees of freedom of a direction that shows in a single block
+)
+FLIPS: Final = (
+    4999  # draws of the blocks' signs; p is at least about one over this number
+)
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,9 @@ def normal(t: Array, freedom: Array) -> Array:
 def student(z: Array | float, freedom: Array) -> Array:
     """Return the t whose normal deviate is z: the inverse of `normal`."""
     scale = (8.0 * freedom + 1.0) / (8.0 * freedom + 3.0)
-    return np.asarray(np.sqrt(freedom * np.expm1(np.minimum((z / scale) ** 2 / freedom, 300.0))))
+    return np.asarray(
+        np.sqrt(freedom * np.expm1(np.minimum((z / scale) ** 2 / freedom, 300.0)))
+    )
 
 
 def freedom_of(own: Array) -> Array:
@@ -67,7 +73,9 @@ def freedom_of(own: Array) -> Array:
     """
     own = own.astype(np.float64)  # squares of small ones would underflow in 32 bits
     total, squares = own.sum(axis=0), (own**2).sum(axis=0)
-    return np.asarray(np.maximum(total**2 / np.maximum(squares, 1e-300) - 1.0, LEAST_FREEDOM))
+    return np.asarray(
+        np.maximum(total**2 / np.maximum(squares, 1e-300) - 1.0, LEAST_FREEDOM)
+    )
 
 
 @dataclass(frozen=True)
@@ -81,7 +89,9 @@ class Blocks:
     def of(cls, block: Indices, n_blocks: int) -> "Blocks":
         """Sort samples by their block."""
         counts = np.bincount(block, minlength=n_blocks)
-        return cls(np.argsort(block, kind="stable"), np.concatenate([[0], np.cumsum(counts)]))
+        return cls(
+            np.argsort(block, kind="stable"), np.concatenate([[0], np.cumsum(counts)])
+        )
 
     def squares(self, columns: Real) -> Real:
         """Return the sums of squares of columns, shape (n, k), over every block."""
@@ -95,7 +105,9 @@ class Blocks:
         Both must be in the order of the blocks.
         """
         out = np.zeros((len(self.starts) - 1, columns.shape[1], others.shape[1]))
-        for b, (low, high) in enumerate(zip(self.starts[:-1], self.starts[1:], strict=True)):
+        for b, (low, high) in enumerate(
+            zip(self.starts[:-1], self.starts[1:], strict=True)
+        ):
             if high > low:
                 out[b] = columns[low:high].T @ others[low:high]
         return out
@@ -153,7 +165,9 @@ def score(
     )
 
 
-def null_maxima(scores: Sequence[Scores], rng: np.random.Generator, flips: int = FLIPS) -> Array:
+def null_maxima(
+    scores: Sequence[Scores], rng: np.random.Generator, flips: int = FLIPS
+) -> Array:
     """Return the largest |t| of every sign flip over all directions of all stages."""
     largest = np.zeros(flips)
     for s in scores:
@@ -163,7 +177,9 @@ def null_maxima(scores: Sequence[Scores], rng: np.random.Generator, flips: int =
         own = s.own[:, used].astype(np.float64)
         information = s.information[used].astype(np.float64)
         rest = s.blocks[:, used] - s.size[used] * own
-        signs = rng.integers(0, 2, size=(flips, len(own))).astype(np.float64) * 2.0 - 1.0
+        signs = (
+            rng.integers(0, 2, size=(flips, len(own))).astype(np.float64) * 2.0 - 1.0
+        )
         squares = (rest**2).sum(axis=0), (own**2).sum(axis=0)
         products = signs @ rest, signs @ (rest * own)
         raise_maxima(*products, *squares, information, s.freedom[used], largest)
@@ -172,7 +188,13 @@ def null_maxima(scores: Sequence[Scores], rng: np.random.Generator, flips: int =
 
 @kernel()
 def raise_maxima(
-    total: Any, cross: Any, left: Any, square: Any, information: Any, freedom: Any, largest: Any
+    total: Any,
+    cross: Any,
+    left: Any,
+    square: Any,
+    information: Any,
+    freedom: Any,
+    largest: Any,
 ) -> None:
     """Raise the largest normal deviate of every flip to that of the directions.
 

@@ -47,7 +47,9 @@ class Prepared:
     coarse_rpm: float | None = None
 
 
-def block_length(total_s: float, shortest_s: float, longest_s: float, aim: int) -> float:
+def block_length(
+    total_s: float, shortest_s: float, longest_s: float, aim: int
+) -> float:
     """Return the length of sign-flip blocks that gives about `aim` of them."""
     return float(np.clip(total_s / aim, shortest_s, longest_s))
 
@@ -75,8 +77,13 @@ def stages_of(
         drive = DriveStage(log, robot, block_s=BLOCK_S)
     if PoseStage.judges(log, robot, driven=drive is not None):
         known = None if drive is None else driven(drive, drive_terms)
-        turned, block_s = as_turned(log, robot, drive_terms), block_length(total_s, 3.0, 5.0, 72)
-        stages[PoseStage.name] = PoseStage(turned, robot, known, block_s=block_s, jobs=jobs)
+        turned, block_s = (
+            as_turned(log, robot, drive_terms),
+            block_length(total_s, 3.0, 5.0, 72),
+        )
+        stages[PoseStage.name] = PoseStage(
+            turned, robot, known, block_s=block_s, jobs=jobs
+        )
     return stages
 
 
@@ -103,7 +110,11 @@ def foretold(log: MeasuredLog, robot: RobotParameters) -> str:
     else:
         cannot.append(f"the motion ({missing['pose']})")
 
-    yes = f"This log shows {' and '.join(can)}" if can else "This log shows nothing to judge"
+    yes = (
+        f"This log shows {' and '.join(can)}"
+        if can
+        else "This log shows nothing to judge"
+    )
     return f"{yes}; not judged: {', '.join(cannot)}." if cannot else f"{yes}."
 
 
@@ -127,7 +138,9 @@ def prepare_all(
     for name, stage in stages_of(log, robot, jobs).items():
         if stage.follows_setpoints and lost_setpoints:
             candidates, others = judged_candidates(stage)
-            reasons |= dict.fromkeys([*others, *(c.cause for c in candidates)], LOST_SETPOINTS)
+            reasons |= dict.fromkeys(
+                [*others, *(c.cause for c in candidates)], LOST_SETPOINTS
+            )
             continue
         one, why = prepare(stage, jobs, report)
         reasons |= why
@@ -143,7 +156,9 @@ def prepare(
     if len(stage.stack) == 0:
         return None, {}
     candidates, reasons = judged_candidates(stage)
-    candidates = [c for c in candidates if splits(stage.log, c) and c.cause not in barred]
+    candidates = [
+        c for c in candidates if splits(stage.log, c) and c.cause not in barred
+    ]
     problem = Problem(stage)
     base = _as_configured(problem)
     coarse_rpm = _coarse(problem, base)
@@ -154,9 +169,14 @@ def prepare(
         base = problem.point(Model(), base.poses)
     raw: list[Columns] = []
     with ThreadPoolExecutor(max(jobs, 1)) as pool:
-        for i, column in enumerate(pool.map(lambda c: problem.column(base, c), candidates)):
+        for i, column in enumerate(
+            pool.map(lambda c: problem.column(base, c), candidates)
+        ):
             raw.append(column.astype(np.float32))
-            report(f"{stage.name}: effect of {candidates[i].label}", (i + 1) / len(candidates))
+            report(
+                f"{stage.name}: effect of {candidates[i].label}",
+                (i + 1) / len(candidates),
+            )
     return _ready(problem, Library(problem, candidates, raw), base, coarse_rpm), reasons
 
 
@@ -171,7 +191,9 @@ def without(p: Prepared, half: int) -> Prepared | None:
     if not len(stack) or len(rows) == len(p.problem.stack):
         return None
     problem = Problem(p.problem.stage.on(stack), ripples=p.problem.ripples)
-    library = Library(problem, p.library.candidates, [raw[rows] for raw in p.library.raw])
+    library = Library(
+        problem, p.library.candidates, [raw[rows] for raw in p.library.raw]
+    )
     return _ready(problem, library, _as_configured(problem), p.coarse_rpm)
 
 
@@ -184,7 +206,9 @@ def _as_configured(problem: Problem) -> Point:
     return problem.point(Model(), base.poses)
 
 
-def _ready(problem: Problem, library: Library, base: Point, coarse_rpm: float | None) -> Prepared:
+def _ready(
+    problem: Problem, library: Library, base: Point, coarse_rpm: float | None
+) -> Prepared:
     clean(problem, library, base)
     base = problem.point(Model(), base.poses)
     library.rewhiten(base)
@@ -197,13 +221,19 @@ def _coarse(problem: Problem, base: Point) -> float | None:
     A loop on a coarse speed hunts about its set-point, and no replay stays in step with it for
     long: the measured values themselves show the step, and the ripple counts as noise.
     """
-    names = [n for n in SPEEDS if n in problem.stack.edges and n not in problem.stage.log.made]
+    names = [
+        n
+        for n in SPEEDS
+        if n in problem.stack.edges and n not in problem.stage.log.made
+    ]
     if not names or not base.is_gross:
         return None
     parts = [problem.stack.edges[n] for n in names]
     values = problem.stack.values
     step = coarse_step([values[e] for e in parts], [base.predicted[e] for e in parts])
-    rounded = [problem.readings[n].step for n in names if problem.readings[n].step > 0.0]
+    rounded = [
+        problem.readings[n].step for n in names if problem.readings[n].step > 0.0
+    ]
     if step is None or not rounded:
         return step
     own = all(abs(step - one) < SAME * one for one in rounded)

@@ -11,11 +11,23 @@ from hilserver.diagnosis.catalogue.library import drive_candidates
 from hilserver.diagnosis.catalogue.traits import Need
 from hilserver.diagnosis.catalogue.vocabulary import SPEED_SCALES, SPEED_STEP
 from hilserver.diagnosis.replay.battery import voltage
-from hilserver.diagnosis.replay.kernels import place_inputs, run_drive, run_process, sample
+from hilserver.diagnosis.replay.kernels import (
+    place_inputs,
+    run_drive,
+    run_process,
+    sample,
+)
 from hilserver.diagnosis.replay.model import robot_with
 from hilserver.diagnosis.replay.stack import Stack, make_stack
 from hilserver.diagnosis.replay.stage import NO_POSES, Stage
-from hilserver.measured.channels import DUTIES, DUTY_COMMANDS, SETPOINTS, SPEEDS, TWIST, VOLTAGE
+from hilserver.measured.channels import (
+    DUTIES,
+    DUTY_COMMANDS,
+    SETPOINTS,
+    SPEEDS,
+    TWIST,
+    VOLTAGE,
+)
 from hilserver.measured.clock import cut
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.resolution import step_of
@@ -67,13 +79,17 @@ class DriveStage(Stage):
     needs = (Need.SPEED, Need.DUTY, Need.VOLTAGE, Need.STAMPS)
     quantities: ClassVar = {"speed_rpm": SPEEDS, "duty_pct": DUTIES}
 
-    def __init__(self, log: MeasuredLog, robot: RobotParameters, *, block_s: float) -> None:
+    def __init__(
+        self, log: MeasuredLog, robot: RobotParameters, *, block_s: float
+    ) -> None:
         self.log, self.robot, self._rest = log, robot, initial_state(robot)
         self.segments = cut(log, robot.period_s, None)
         names = [n for n in (*SPEEDS, *DUTIES) if n in log]
         skips_s = self._unknown_s()
         self.settled_s = self.segments.start_s + np.minimum(skips_s, SETTLING_S)
-        self.stack = make_stack(log, names, self.segments, block_s=block_s, skip_s=skips_s)
+        self.stack = make_stack(
+            log, names, self.segments, block_s=block_s, skip_s=skips_s
+        )
         self._rounded = any(step_of(log[n].values)[0] > 0.0 for n in SPEEDS if n in log)
         self._inputs, self._row = self._latched()
         self._speed_0 = self._start()
@@ -102,9 +118,13 @@ class DriveStage(Stage):
         self._run(terms, speed, seen, duty)
         return speed, seen, duty
 
-    def _run(self, terms: Mapping[str, float], speed: Array, seen: Array, duty: Array) -> None:
+    def _run(
+        self, terms: Mapping[str, float], speed: Array, seen: Array, duty: Array
+    ) -> None:
         """Write what `simulate` returns; with one array for both speeds, the shown one remains."""
-        robot = robot_with(self.robot, {k: v for k, v in terms.items() if "shift." not in k})
+        robot = robot_with(
+            self.robot, {k: v for k, v in terms.items() if "shift." not in k}
+        )
         p, phase = pack(robot), terms.get("shift.control_phase", 0.0)
         run_drive(
             p,
@@ -188,7 +208,12 @@ class DriveStage(Stage):
             if not is_speed or held:
                 at = np.floor(at + ON_TIME)
             sample(
-                seen if is_speed else duty, wheel, stack.low[edge], stack.high[edge], at, out[edge]
+                seen if is_speed else duty,
+                wheel,
+                stack.low[edge],
+                stack.high[edge],
+                at,
+                out[edge],
             )
         return out
 
@@ -216,7 +241,9 @@ class DriveStage(Stage):
         others = [INPUTS[name] for w, name in enumerate(SETPOINTS) if w != wheel]
         own = np.delete(self._inputs, others, axis=1)
         differs = np.concatenate([[False], (own[1:] != own[:-1]).any(axis=1)])
-        changed = np.concatenate([[False], np.diff(self._row) != 0]) & differs[self._row]
+        changed = (
+            np.concatenate([[False], np.diff(self._row) != 0]) & differs[self._row]
+        )
         changed[self.segments.first[:-1]] = False
         return np.asarray(changed)
 
@@ -288,10 +315,16 @@ class DriveStage(Stage):
             changes: dict[int, list[tuple[int, float]]] = {}
             for name, column in channels.items():
                 t, v = self.log[name].of(int(span))
-                fresh = np.concatenate([[True] * (len(v) > 0), np.diff(v) != 0.0]).astype(bool)
-                ticks = np.ceil((t - self.segments.start_s[i]) / self.robot.period_s - ON_TIME)
+                fresh = np.concatenate(
+                    [[True] * (len(v) > 0), np.diff(v) != 0.0]
+                ).astype(bool)
+                ticks = np.ceil(
+                    (t - self.segments.start_s[i]) / self.robot.period_s - ON_TIME
+                )
                 for k, value in zip(ticks[fresh].astype(int), v[fresh], strict=True):
-                    changes.setdefault(max(int(k), 0), []).append((column, float(value)))
+                    changes.setdefault(max(int(k), 0), []).append(
+                        (column, float(value))
+                    )
             first, end = int(self.segments.first[i]), int(self.segments.first[i + 1])
             index[first:end] = len(rows)
             rows.append(now.copy())
@@ -316,7 +349,9 @@ class DriveStage(Stage):
             if name in INPUTS:
                 is_row[tick] = True
             else:
-                measured[tick, (*SPEEDS, *DUTIES).index(name)] = channel.values[segment >= 0]
+                measured[tick, (*SPEEDS, *DUTIES).index(name)] = channel.values[
+                    segment >= 0
+                ]
         dense = self._inputs[self._row]
         place_inputs(
             pack(self.robot),

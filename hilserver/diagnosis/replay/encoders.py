@@ -24,14 +24,20 @@ def driven(drive: DriveStage, terms: Mapping[str, float]) -> Driven:
 
 
 def _gains(robot: RobotParameters, terms: Mapping[str, float]) -> Array:
-    p = pack(robot_with(robot, {k: v for k, v in terms.items() if k.startswith("encoder")}))
+    p = pack(
+        robot_with(robot, {k: v for k, v in terms.items() if k.startswith("encoder")})
+    )
     return p.encoder_gain
 
 
-def as_turned(log: MeasuredLog, robot: RobotParameters, terms: Mapping[str, float]) -> MeasuredLog:
+def as_turned(
+    log: MeasuredLog, robot: RobotParameters, terms: Mapping[str, float]
+) -> MeasuredLog:
     """Return the log with the true speeds of the wheels, whatever their encoders show."""
     turned = {}
-    for (name, scale), gain in zip(SPEED_SCALES.items(), _gains(robot, terms), strict=True):
+    for (name, scale), gain in zip(
+        SPEED_SCALES.items(), _gains(robot, terms), strict=True
+    ):
         factor = terms.get(scale, 1.0) * float(gain)
         if name in log and factor != 1.0:
             turned[name] = log[name].with_values(log[name].values / factor)

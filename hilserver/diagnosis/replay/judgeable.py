@@ -30,7 +30,9 @@ NO_STAGE: Final[Mapping[StageName, str]] = {
 
 WITHOUT_CANDIDATE: Final = frozenset({"nav_outliers"})  # judged on single samples
 UNSEEN: Final = "hardly excited: this drive cannot show it"
-LOST_SETPOINTS: Final = "the log does not contain the set-points that the robot received"
+LOST_SETPOINTS: Final = (
+    "the log does not contain the set-points that the robot received"
+)
 
 
 def absent(log: MeasuredLog) -> dict[StageName, str]:
@@ -43,7 +45,11 @@ def absent(log: MeasuredLog) -> dict[StageName, str]:
         *(() if turning else ("no wheel speed in the log",)),
         *(() if log.drive_is_known else ("no plant.process in the mapping",)),
     ]
-    of_pose = "no wheel speed on both sides" if posed else "no pose and no turn rate in the log"
+    of_pose = (
+        "no wheel speed on both sides"
+        if posed
+        else "no pose and no turn rate in the log"
+    )
     return {"drive": ", ".join(of_drive) or NO_STAGE["drive"], "pose": of_pose}
 
 
@@ -51,7 +57,11 @@ def of_kinematics(why: str | None) -> dict[str, str]:
     """Return the reason for all causes of the pose if the log shows none, see `checks.frame`."""
     if why is None:
         return {}
-    return {n: f"the robot {why}" for n, c in CAUSES.items() if c.physical and c.stage == "pose"}
+    return {
+        n: f"the robot {why}"
+        for n, c in CAUSES.items()
+        if c.physical and c.stage == "pose"
+    }
 
 
 def of_the_log(reason: str) -> bool:
@@ -123,5 +133,7 @@ def vocabulary_reasons(
         elif unseen and name not in WITHOUT_CANDIDATE:
             out[name] = unseen
     order = {name: place for place, name in enumerate(CAUSES)}
-    left = sorted(out.keys() - judged, key=lambda name: (order.get(name, len(order)), name))
+    left = sorted(
+        out.keys() - judged, key=lambda name: (order.get(name, len(order)), name)
+    )
     return {name: out[name] for name in left}

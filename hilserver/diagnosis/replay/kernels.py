@@ -11,7 +11,13 @@ import numpy as np
 from hilserver.compiled import kernel
 from hilserver.compiled.records import assign, record_at
 from hilserver.plant.command import command
-from hilserver.plant.drive import drive_base, drive_terms, encoder, load, process_of_tick
+from hilserver.plant.drive import (
+    drive_base,
+    drive_terms,
+    encoder,
+    load,
+    process_of_tick,
+)
 from hilserver.plant.layout import INPUTS, Inputs, Outputs, Parameters, State
 
 SETPOINT = Inputs.where("setpoint").start
@@ -84,7 +90,9 @@ def _set_start(p: Parameters, x: State, speed_0: Any) -> None:
 
 
 @kernel()
-def _drive_to(p: Parameters, x: State, y: Outputs, inputs: Any, first: int, end: int) -> None:
+def _drive_to(
+    p: Parameters, x: State, y: Outputs, inputs: Any, first: int, end: int
+) -> None:
     for k in range(first, end):
         command(p, x, _row(inputs, k))
         drive_terms(p, x, y)
@@ -95,7 +103,9 @@ def _miss(p: Parameters, y: Outputs, measured: Any, i: int) -> float:
     """Return the squared difference between a wheel and its measurement [rpm^2]."""
     speed = y.speed[i] - measured[i]
     duty = (y.duty[i] - measured[4 + i]) / max(p.k_p, 1e-9)
-    return (0.0 if np.isnan(speed) else speed * speed) + (0.0 if np.isnan(duty) else duty * duty)
+    return (0.0 if np.isnan(speed) else speed * speed) + (
+        0.0 if np.isnan(duty) else duty * duty
+    )
 
 
 @kernel()

@@ -54,7 +54,9 @@ class Model:
     def of_the_machine(self) -> frozenset[int]:
         """Indices of the causes that a patch can hold; the others correct the log."""
         by_place = enumerate(self.fitted)
-        return frozenset(i for i, f in by_place if f.terms.keys().isdisjoint(OF_THE_LOG))
+        return frozenset(
+            i for i, f in by_place if f.terms.keys().isdisjoint(OF_THE_LOG)
+        )
 
     def theta(self) -> Array:
         """Return all parameters in one vector."""
@@ -85,7 +87,9 @@ class Model:
         """Return the model without some of its causes, given by index."""
         return Model(tuple(f for i, f in enumerate(self.fitted) if i not in causes))
 
-    def swapped(self, index: int, candidate: Candidate, theta: tuple[float, ...]) -> "Model":
+    def swapped(
+        self, index: int, candidate: Candidate, theta: tuple[float, ...]
+    ) -> "Model":
         """Return the model with one cause replaced."""
         fitted = list(self.fitted)
         fitted[index] = Fitted(candidate, theta)

@@ -67,7 +67,9 @@ def run_pose(
     for s in which:
         begin, end = first[s], first[s + 1]
         if suffice:
-            _run_by_speeds(p, pose_0[s], left[begin:end], right[begin:end], pose[begin:end])
+            _run_by_speeds(
+                p, pose_0[s], left[begin:end], right[begin:end], pose[begin:end]
+            )
             continue
         for i in range(3):
             x.pose[i] = pose_0[s, i]
@@ -92,7 +94,9 @@ def _velocities(p: Parameters, inside: bool, w_l: Any, w_r: Any, out: Any) -> No
 
 
 @kernel()
-def _run_by_speeds(p: Parameters, pose_0: Any, left: Any, right: Any, pose: Any) -> None:
+def _run_by_speeds(
+    p: Parameters, pose_0: Any, left: Any, right: Any, pose: Any
+) -> None:
     """Run one segment from place and wheel speeds alone, as `_run_segment` does.
 
     Headings are the same to the bit. Directions are rotated along with them, since a sine and a

@@ -104,11 +104,17 @@ class PoseStage(Stage):
         self.left, self.right = wheels.sides()
         self.apart = wheels.apart() if robot.is_mecanum else np.empty((2, 0))
         self.encoders: dict[int, Array] = {}
-        if drive is None or not any(n in log for n in DUTIES):  # duties show it far better
-            self.encoders = {w: own for w, own in wheels.shares.items() if SPEEDS[w] in log}
+        if drive is None or not any(
+            n in log for n in DUTIES
+        ):  # duties show it far better
+            self.encoders = {
+                w: own for w, own in wheels.shares.items() if SPEEDS[w] in log
+            }
         self.angle_0 = angles_at_starts(self.left, self.segments)
         names = [n for n in (*TAG, GYRO) if n in log]
-        usable = np.array([self._is_driven(int(s)) for s in self.segments.span], dtype=bool)
+        usable = np.array(
+            [self._is_driven(int(s)) for s in self.segments.span], dtype=bool
+        )
         self.stack = make_stack(
             log,
             names,
@@ -145,7 +151,9 @@ class PoseStage(Stage):
         if self.drive is not None and self.drive.has_setpoints(span):
             return True
         log = self.log
-        return tell_motion(self.robot, lambda n: n in log and len(log[n].of(span)[0]) > 0)
+        return tell_motion(
+            self.robot, lambda n: n in log and len(log[n].of(span)[0]) > 0
+        )
 
     def on(self, stack: Stack) -> "PoseStage":
         """Return the stage with some of its samples."""
@@ -155,13 +163,17 @@ class PoseStage(Stage):
 
     def uncut(self) -> "PoseStage":
         """Return the stage with whole spans as its segments."""
-        return PoseStage(self.log, self.robot, self._driven, block_s=self._block_s, longest_s=None)
+        return PoseStage(
+            self.log, self.robot, self._driven, block_s=self._block_s, longest_s=None
+        )
 
     def as_simulated(self) -> "PoseStage":
         """Return the stage with wheels that turn as the configured drive does from set-points."""
         assert self.drive is not None
         wheels = driven(self.drive, {})
-        return PoseStage(self.log.without(SPEEDS), self.robot, wheels, block_s=self._block_s)
+        return PoseStage(
+            self.log.without(SPEEDS), self.robot, wheels, block_s=self._block_s
+        )
 
     def candidates(self) -> list[Candidate]:
         """Return the causes of kinematics, navigation and gyro, and of encoders."""
@@ -200,7 +212,9 @@ class PoseStage(Stage):
         p.dt = self.period_s
         return p
 
-    def _run(self, p: Parameters, poses: Array, which: Indices, *, keep: bool = False) -> Array:
+    def _run(
+        self, p: Parameters, poses: Array, which: Indices, *, keep: bool = False
+    ) -> Array:
         """Run some segments, or return their kept run if only sensors have changed since."""
         key = (p.numbers[:_SENSORS].tobytes(), poses.tobytes(), which.tobytes())
         for known, dense in list(self._kept):
@@ -234,7 +248,9 @@ class PoseStage(Stage):
                     apart[wheel // 2] += -more if wheel % 2 else more
         return sides[0], sides[1], apart
 
-    def predict(self, terms: Mapping[str, float], poses: Array, *, keep: bool = False) -> Array:
+    def predict(
+        self, terms: Mapping[str, float], poses: Array, *, keep: bool = False
+    ) -> Array:
         """Return what the stack's samples would be; yaw follows the measured turns.
 
         With `keep` the run is remembered: predictions that differ from it only in sensors are then

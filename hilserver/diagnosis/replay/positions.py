@@ -12,7 +12,9 @@ from hilserver.measured.data import MeasuredLog
 
 SAME_START_M: Final = 0.01
 FEWEST_STARTS: Final = 4
-FEW: Final = 0.02  # share of the samples that the driven area may leave out on each side
+FEW: Final = (
+    0.02  # share of the samples that the driven area may leave out on each side
+)
 
 
 def begins_anew(log: MeasuredLog) -> bool:
@@ -27,7 +29,9 @@ def begins_anew(log: MeasuredLog) -> bool:
         channel = log[name]
         _, first = np.unique(channel.span, return_index=True)
         starts.append(channel.values[first])
-    return all(len(s) >= FEWEST_STARTS and float(np.ptp(s)) < SAME_START_M for s in starts)
+    return all(
+        len(s) >= FEWEST_STARTS and float(np.ptp(s)) < SAME_START_M for s in starts
+    )
 
 
 def driven_place(log: MeasuredLog) -> Region | None:
@@ -61,5 +65,8 @@ def paired(log: MeasuredLog) -> MeasuredLog:
         between &= (since_s >= 0.0) & (since_s < 2.0 * row_period_s(y))
     x = subset(x, between)
     return log.with_channels(
-        {POSITION[0]: x, POSITION[1]: x.with_values(np.interp(at[between], own, y.values))}
+        {
+            POSITION[0]: x,
+            POSITION[1]: x.with_values(np.interp(at[between], own, y.values)),
+        }
     )

@@ -74,7 +74,9 @@ class Stack:
         many = len(unit) and unit[-1] + 1 >= FOLD_RUNS
         fold = (unit if many else np.arange(len(unit))) % 2
         rows = np.flatnonzero(kept[self.block])
-        ends = {n: np.searchsorted(rows, [e.start, e.stop]) for n, e in self.edges.items()}
+        ends = {
+            n: np.searchsorted(rows, [e.start, e.stop]) for n, e in self.edges.items()
+        }
         number = np.cumsum(kept) - 1
         part = replace(
             self,
@@ -127,7 +129,9 @@ def make_stack(
         Segments that take part.
     """
     # of no channel there is no sample
-    parts: list[list[NDArray[Any]]] = [[np.empty(0, np.int64), *(np.empty(0) for _ in range(3))]]
+    parts: list[list[NDArray[Any]]] = [
+        [np.empty(0, np.int64), *(np.empty(0) for _ in range(3))]
+    ]
     edges: dict[str, slice] = {}
     begin, skips_s = 0, np.broadcast_to(skip_s, len(segments))
     for name in names:
@@ -138,8 +142,12 @@ def make_stack(
         keep &= channel.t_s >= segments.start_s[index] + skips_s[index] - 1e-9
         edges[name] = slice(begin, begin + int(keep.sum()))
         begin = edges[name].stop
-        parts.append([array[keep] for array in (segment, channel.t_s, channel.values, at)])
-    segment, t_s, values, at = (np.concatenate(part) for part in zip(*parts, strict=True))
+        parts.append(
+            [array[keep] for array in (segment, channel.t_s, channel.values, at)]
+        )
+    segment, t_s, values, at = (
+        np.concatenate(part) for part in zip(*parts, strict=True)
+    )
     segment = segment.astype(np.int64)
     block, n_blocks, fold, half = _blocks(log, segments, segment, t_s, block_s)
     return Stack(
@@ -172,7 +180,9 @@ def _blocks(
         return number[segment], len(names), fold, fold
     per = np.maximum(1, np.rint(length / block_s)).astype(np.int64)
     start = np.concatenate([[0], np.cumsum(per)])
-    inside = ((t_s - segments.start_s[segment]) / length[segment] * per[segment]).astype(np.int64)
+    inside = (
+        (t_s - segments.start_s[segment]) / length[segment] * per[segment]
+    ).astype(np.int64)
     block = start[segment] + np.clip(inside, 0, per[segment] - 1)
     owner = np.repeat(np.arange(len(segments)), per)
     # Segments of one run share its floor, its beginning and its course. So if there are several

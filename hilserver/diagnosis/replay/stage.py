@@ -41,7 +41,9 @@ class Stage(ABC):
         """Return the candidates that it could judge with all of its channels."""
 
     @abstractmethod
-    def predict(self, terms: Mapping[str, float], poses: Array, *, keep: bool = False) -> Array:
+    def predict(
+        self, terms: Mapping[str, float], poses: Array, *, keep: bool = False
+    ) -> Array:
         """Return what the stack's samples would be.
 
         Parameters

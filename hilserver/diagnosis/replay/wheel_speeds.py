@@ -39,21 +39,29 @@ class WheelSpeeds:
 
     @cached_property
     def _steps(self) -> list[float]:
-        return [step_of(self.log[n].values)[0] if n in self.log else 0.0 for n in SPEEDS]
+        return [
+            step_of(self.log[n].values)[0] if n in self.log else 0.0 for n in SPEEDS
+        ]
 
     def sides(self) -> tuple[Array, Array]:
         """Return dense sums of both sides' wheel speeds [rpm]."""
-        left, right = (sum(self.shares[w] for w in side if w in self.shares) for side in SIDES)
+        left, right = (
+            sum(self.shares[w] for w in side if w in self.shares) for side in SIDES
+        )
         return np.ascontiguousarray(left), np.ascontiguousarray(right)
 
     def apart(self) -> Array:
         """Return dense front minus rear wheel of both sides [rpm], shape (2, ticks)."""
-        return np.stack([self._wheel(front) - self._wheel(rear) for front, rear in SIDES])
+        return np.stack(
+            [self._wheel(front) - self._wheel(rear) for front, rear in SIDES]
+        )
 
     @cached_property
     def shares(self) -> dict[int, Array]:
         """By wheel: its part of the sum of its side; none if unmeasured beside a measured one."""
-        chosen = [[w for w in side if SPEEDS[w] in self.log] or list(side) for side in SIDES]
+        chosen = [
+            [w for w in side if SPEEDS[w] in self.log] or list(side) for side in SIDES
+        ]
         return {w: 2.0 / len(side) * self._wheel(w) for side in chosen for w in side}
 
     def _wheel(self, wheel: int) -> Array:
@@ -72,7 +80,9 @@ class WheelSpeeds:
 
     def _stretch(self, i: int, wheel: int) -> Array:
         times, span = self.segments.times(i), int(self.segments.span[i])
-        t, v = self._samples(SPEEDS[wheel], span, times[0] - MARGIN_S, times[-1] + MARGIN_S)
+        t, v = self._samples(
+            SPEEDS[wheel], span, times[0] - MARGIN_S, times[-1] + MARGIN_S
+        )
         if self.drive is None:
             if len(t) < 2:
                 return np.full(len(times), v[0] if len(v) else 0.0)
@@ -86,11 +96,15 @@ class WheelSpeeds:
         model = _read(simulated, (times - start_s) / stage.segments.period_s, last)
         if len(t) == 0:
             return np.asarray(model)
-        at_samples = _read(shown[part, wheel], (t - start_s) / stage.segments.period_s, last)
+        at_samples = _read(
+            shown[part, wheel], (t - start_s) / stage.segments.period_s, last
+        )
         difference = beyond_rounding(v - at_samples, self._steps[wheel])
         return np.asarray(model + np.interp(times, t, steadied(t, difference)))
 
-    def _samples(self, name: str, span: int, start_s: float, end_s: float) -> tuple[Array, Array]:
+    def _samples(
+        self, name: str, span: int, start_s: float, end_s: float
+    ) -> tuple[Array, Array]:
         if name not in self.log:
             return np.zeros(0), np.zeros(0)
         pieces = [self.log[name].of(s) for s in self._joined[span]]
@@ -125,7 +139,9 @@ def neighbours(log: MeasuredLog) -> list[list[int]]:
     """
     spans = log.spans
     joined = [
-        a.block is not None and a.block == b.block and -1e-9 <= b.start_s - a.end_s <= GOES_ON_S
+        a.block is not None
+        and a.block == b.block
+        and -1e-9 <= b.start_s - a.end_s <= GOES_ON_S
         for a, b in pairwise(spans)
     ]
     out = []
@@ -141,7 +157,9 @@ def beyond_rounding(difference: Array, step: float) -> Array:
 
     Rounding stays as long as a wheel keeps its speed, and would turn a robot that drives straight.
     """
-    return np.asarray(np.sign(difference) * np.maximum(np.abs(difference) - 0.5 * step, 0.0))
+    return np.asarray(
+        np.sign(difference) * np.maximum(np.abs(difference) - 0.5 * step, 0.0)
+    )
 
 
 def steadied(t_s: Array, difference: Array) -> Array:
@@ -151,7 +169,11 @@ def steadied(t_s: Array, difference: Array) -> Array:
     shifts them between the samples, or removes them while the robot does not turn, would explain
     them. What has a memory is not noise, and is kept.
     """
-    n = round(STEADY_WINDOW_S * (len(t_s) - 1) / max(float(np.ptp(t_s)), 1e-9)) if len(t_s) else 0
+    n = (
+        round(STEADY_WINDOW_S * (len(t_s) - 1) / max(float(np.ptp(t_s)), 1e-9))
+        if len(t_s)
+        else 0
+    )
     if n < 3 or len(t_s) < 2 * n:
         return difference
     swing = difference - difference.mean()
@@ -166,4 +188,6 @@ def _read(dense: Array, at: Array, last: int) -> Array:
     """Read a dense array between its rows, constant beyond its ends."""
     at = np.clip(at, 0.0, last)
     low = np.minimum(at.astype(np.int64), max(last - 1, 0))
-    return np.asarray(dense[low] + (at - low) * (dense[np.minimum(low + 1, last)] - dense[low]))
+    return np.asarray(
+        dense[low] + (at - low) * (dense[np.minimum(low + 1, last)] - dense[low])
+    )

@@ -11,7 +11,12 @@ from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG, unit_of
 from hilserver.diagnosis.decide.revision import Judged
 from hilserver.diagnosis.findings.worth import Part
 from hilserver.diagnosis.regression.columns import Library
-from hilserver.diagnosis.regression.gain import HORIZONS_S, compare, free_run_errors, windows
+from hilserver.diagnosis.regression.gain import (
+    HORIZONS_S,
+    compare,
+    free_run_errors,
+    windows,
+)
 from hilserver.diagnosis.regression.screen import adjusted, critical, null_maxima
 from hilserver.diagnosis.replay.pose_stage import FORWARD, TURN
 from hilserver.diagnosis.report import cuts
@@ -44,10 +49,14 @@ def evidence(
     """Collect the evidence behind the findings of one member."""
     extended = bool(terms) and any((p.after != p.before).any() for p in stages)
     prepared = [part.judged.prepared for part in stages]
-    start_s = min((float(c.t_s[0]) for c in log.channels.values() if len(c.t_s)), default=0.0)
+    start_s = min(
+        (float(c.t_s[0]) for c in log.channels.values() if len(c.t_s)), default=0.0
+    )
     return Evidence(
         series=tuple(
-            replace(item, t_s=item.t_s - start_s) for p in stages for item in _series(p, extended)
+            replace(item, t_s=item.t_s - start_s)
+            for p in stages
+            for item in _series(p, extended)
         ),
         paths=tuple(path for p in stages for path in _paths(p, extended)),
         cuts=cuts.cuts(prepared),
@@ -143,7 +152,9 @@ def _horizons(part: Part) -> list[HorizonRow]:
         if w is None or round(w.horizon_s, 1) in seen:
             continue
         seen.add(round(w.horizon_s, 1))
-        first, second = (free_run_errors(problem, p, w) for p in (part.before, part.after))
+        first, second = (
+            free_run_errors(problem, p, w) for p in (part.before, part.after)
+        )
         for key in first:
             gain = compare(first[key], second[key], w.horizon_s, rng)
             out.append(HorizonRow(key, gain))
@@ -167,7 +178,9 @@ def _paths(part: Part, extended: bool) -> tuple[Path, ...]:
             for v in (stack.values, part.before, part.after)
         ]
         begins = tuple((np.flatnonzero(np.diff(segment[rows])) + 1).tolist())
-        out.append(Path(int(k), tracks[0], tracks[1], tracks[2] if extended else None, begins))
+        out.append(
+            Path(int(k), tracks[0], tracks[1], tracks[2] if extended else None, begins)
+        )
     least_m = HALF_AS_LARGE * max(way.size_m for way in out)
     large = [way for way in out if way.size_m >= least_m]
     return tuple(large[:: -(-len(large) // MOST_PATHS)])
@@ -187,7 +200,9 @@ def _range(log: MeasuredLog, stages: Sequence[Part]) -> FittedIn:
     """Return the range of what happened in the log: beyond it nothing is known."""
     moved: dict[str, Array] = {}
     for p in stages:
-        moved |= p.problem.stage.signals(p.judged.point.model.terms, p.judged.point.poses)
+        moved |= p.problem.stage.signals(
+            p.judged.point.model.terms, p.judged.point.poses
+        )
     measured = {name: log[name].values for name in (*SPEEDS, VOLTAGE) if name in log}
 
     def ends(of: Mapping[str, Array], *names: str) -> tuple[float, float] | None:

@@ -46,7 +46,8 @@ def _windows(problem: Problem) -> list[Indices]:
     order = [u for u in np.argsort(middle, kind="stable") if (unit == u).any()]
     width = max(1, round(len(order) / WINDOWS))
     return [
-        np.flatnonzero(np.isin(unit, order[k : k + width])) for k in range(0, len(order), width)
+        np.flatnonzero(np.isin(unit, order[k : k + width]))
+        for k in range(0, len(order), width)
     ]
 
 
@@ -60,14 +61,22 @@ def _of(
             continue
         step, spread, wide = _estimate(problem, point.left[rows], columns[rows], rows)
         times.append(float(problem.stack.t_s[rows].mean()))
-        values.append(list(f.candidate.terms(tuple(np.asarray(f.theta) + step)).values()))
-        halves.append(wide * np.sqrt(np.einsum("ij,jk,ik->i", jacobian, spread, jacobian)))
+        values.append(
+            list(f.candidate.terms(tuple(np.asarray(f.theta) + step)).values())
+        )
+        halves.append(
+            wide * np.sqrt(np.einsum("ij,jk,ik->i", jacobian, spread, jacobian))
+        )
     out = []
     for k, name in enumerate(f.terms if len(times) > 1 else ()):
         if jacobian[k].any():
             public, t = OF_THE_LOG.get(name, name), np.array(times)
-            value, half = (np.array([one[k] for one in all_of]) for all_of in (values, halves))
-            out.append(Course(public, unit_of(public), t, value, value - half, value + half))
+            value, half = (
+                np.array([one[k] for one in all_of]) for all_of in (values, halves)
+            )
+            out.append(
+                Course(public, unit_of(public), t, value, value - half, value + half)
+            )
     return out
 
 

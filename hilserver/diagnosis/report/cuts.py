@@ -26,7 +26,9 @@ POSE_STEPS: Final = 2
 """Fits of the free initial poses: from the set-points the pose drifts far away."""
 DENSE_SHARE: Final = 0.5
 """Share of the closed loop's time constant: samples closer than this show the duty in between."""
-FALL: Final = 8.0  # closed-loop time constants after which the duty changes slowly again
+FALL: Final = (
+    8.0  # closed-loop time constants after which the duty changes slowly again
+)
 REST: Final = 7.0
 """Time constants of the process after which a duty that was not recorded no longer matters."""
 FEWEST: Final = 20
@@ -78,7 +80,9 @@ def remarks(stages: Collection[Prepared]) -> tuple[str, ...]:
         stack, robot = problem.stack, problem.stage.robot
         duties = [stack.t_s[stack.edges[n]] for n in DUTIES if n in stack.edges]
         if any(
-            np.median(np.diff(t)) > DENSE_SHARE * _closed_s(robot) for t in duties if len(t) > 1
+            np.median(np.diff(t)) > DENSE_SHARE * _closed_s(robot)
+            for t in duties
+            if len(t) > 1
         ):
             return (
                 "The duty was recorded at too low a rate to be known between samples after a"

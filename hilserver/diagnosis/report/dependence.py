@@ -22,7 +22,9 @@ BASE_S: Final = 1.0  # over which the growth of a pose's error is measured
 BINS: Final = 24
 FEWEST_IN_A_BIN: Final = 3
 ALIKE: Final = 0.98
-PERIODS: Final = 4.0  # a log of at least this many periods is folded over the strongest one
+PERIODS: Final = (
+    4.0  # a log of at least this many periods is folded over the strongest one
+)
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,9 @@ class _Left:
     used: Mask  # shape of `values`
 
 
-def dependences(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> list[Dependence]:
+def dependences(
+    problem: Problem, point: Point, unknown: Sequence[Unknown]
+) -> list[Dependence]:
     """Return what the remaining error depends on, the strongest structure first.
 
     Regressors are taken from the final model, so that no sensor's noise is in both.
@@ -49,7 +53,11 @@ def dependences(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> l
             label, unit, x = name, signal_unit(name), known[name]
             if name == "t_s":
                 label, unit, x = _folded(problem, point, x)
-            bins = min(BINS, problem.stack.n_blocks // FEWEST_IN_A_BIN) if label == "t_s" else BINS
+            bins = (
+                min(BINS, problem.stack.n_blocks // FEWEST_IN_A_BIN)
+                if label == "t_s"
+                else BINS
+            )
             block = problem.stack.block[left.edge]
             parts = binned(x[left.used], left.values[left.used], block[left.used], bins)
             if any(_alike(x, other) for other in drawn) or len(parts) < 2:
@@ -59,7 +67,18 @@ def dependences(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> l
             low, high = mean - half, mean + half
             own = signal_unit(left.name)
             out.append(
-                Dependence(left.name, own, label, unit, at, mean, low, high, abs(u.t), u.critical)
+                Dependence(
+                    left.name,
+                    own,
+                    label,
+                    unit,
+                    at,
+                    mean,
+                    low,
+                    high,
+                    abs(u.t),
+                    u.critical,
+                )
             )
     return out
 
@@ -124,8 +143,12 @@ def _regressors(problem: Problem, point: Point, edge: slice) -> Mapping[str, Arr
     stage, stack = problem.stage, problem.stack
     row = np.minimum(np.rint(stack.at[edge]).astype(np.int64), stack.high[edge])
     dense = stage.signals(point.model.terms, point.poses)
-    out = {"t_s": stack.t_s[edge]} | {name: values[row] for name, values in dense.items()}
-    return out | {name: _held(stage, name, edge) for name in SETPOINTS if name in stage.log}
+    out = {"t_s": stack.t_s[edge]} | {
+        name: values[row] for name, values in dense.items()
+    }
+    return out | {
+        name: _held(stage, name, edge) for name in SETPOINTS if name in stage.log
+    }
 
 
 def _held(stage: Stage, name: str, edge: slice) -> Array:
@@ -144,7 +167,9 @@ def _held(stage: Stage, name: str, edge: slice) -> Array:
 def _folded(problem: Problem, point: Point, t_s: Array) -> tuple[str, str, Array]:
     """Return time, folded over the strongest period of the residual if the log holds many."""
     among = [n for n in (GYRO, *DUTIES) if n in problem.stack.edges]
-    found = peaks(problem, point, among or [n for n in SPEEDS if n in problem.stack.edges])
+    found = peaks(
+        problem, point, among or [n for n in SPEEDS if n in problem.stack.edges]
+    )
     if not found or float(np.ptp(t_s)) * found[0] < PERIODS:
         return "t_s", "s", t_s
     period_s = 1.0 / found[0]

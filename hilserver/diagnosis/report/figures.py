@@ -23,7 +23,13 @@ from hilserver.diagnosis.report.svg import (
     span_of,
 )
 from hilserver.diagnosis.report.words import Change
-from hilserver.diagnosis.schema.evidence import Course, Dependence, HorizonRow, Path, Similarity
+from hilserver.diagnosis.schema.evidence import (
+    Course,
+    Dependence,
+    HorizonRow,
+    Path,
+    Similarity,
+)
 from hilserver.diagnosis.schema.findings import Gain, Parameter
 
 SMALLEST_LIKENESS = 0.5
@@ -37,7 +43,10 @@ def path(way: Path) -> Figure:
     """Draw the path over the floor, to scale."""
     tracks = [t for t in (way.measured, way.simulated, way.extended) if t is not None]
     x, y = (span_of(*(t[:, i] for t in tracks), margin=0.05) for i in (0, 1))
-    inner_w, inner_h = 520.0 - MARGIN_LEFT - MARGIN_RIGHT, 400.0 - MARGIN_TOP - MARGIN_BOTTOM
+    inner_w, inner_h = (
+        520.0 - MARGIN_LEFT - MARGIN_RIGHT,
+        400.0 - MARGIN_TOP - MARGIN_BOTTOM,
+    )
     width, height = x[1] - x[0], y[1] - y[0]
     if width / inner_w > height / inner_h:
         y = _around(y, width * inner_h / inner_w)
@@ -62,8 +71,16 @@ def path(way: Path) -> Figure:
     if way.begins:
         pieces = len(way.begins) + 1
         rings = f"Rings: starts of the {pieces} model runs; the start poses are fitted."
-    title = f"Path, {way.group}, segment {way.span}" if way.group else f"Path, segment {way.span}"
-    return Figure(picture([plot], title), title, f"Distance from the measured end: {ends}. {rings}")
+    title = (
+        f"Path, {way.group}, segment {way.span}"
+        if way.group
+        else f"Path, segment {way.span}"
+    )
+    return Figure(
+        picture([plot], title),
+        title,
+        f"Distance from the measured end: {ends}. {rings}",
+    )
 
 
 def _around(span: tuple[float, float], width: float) -> tuple[float, float]:
@@ -77,9 +94,16 @@ def horizons(rows: Sequence[HorizonRow]) -> Figure | None:
     gains = [r.gain for r in runs]
     if all(Change.of(g).is_none for g in gains):
         return None
-    length_s, ratios = np.array([g.horizon_s for g in gains]), np.array([g.ratio for g in gains])
-    ends = np.array([e for g in gains for e in g.ci95 or () if math.isfinite(e) and e > 0])
-    low, high = (10.0**v for v in span_of(np.log10(ratios), np.log10(ends), np.zeros(1)))
+    length_s, ratios = (
+        np.array([g.horizon_s for g in gains]),
+        np.array([g.ratio for g in gains]),
+    )
+    ends = np.array(
+        [e for g in gains for e in g.ci95 or () if math.isfinite(e) and e > 0]
+    )
+    low, high = (
+        10.0**v for v in span_of(np.log10(ratios), np.log10(ends), np.zeros(1))
+    )
     plot = Plot((length_s.min() / 1.25, length_s.max() * 1.25), (low, high), "free run [s]",
                 "times better", width=720, height=320, log_x=True, log_y=True)  # fmt: skip
     plot.level(1.0, "as good as before")
@@ -98,8 +122,13 @@ def horizons(rows: Sequence[HorizonRow]) -> Figure | None:
 def _gain_line(
     plot: Plot, gains: Sequence[Gain], role: str, name: str, unit: str, *, shift: float
 ) -> None:
-    x, ratio = shift * np.array([g.horizon_s for g in gains]), np.array([g.ratio for g in gains])
-    low, high = np.array([(math.nan, math.nan) if g.ci95 is None else g.ci95 for g in gains]).T
+    x, ratio = (
+        shift * np.array([g.horizon_s for g in gains]),
+        np.array([g.ratio for g in gains]),
+    )
+    low, high = np.array(
+        [(math.nan, math.nan) if g.ci95 is None else g.ci95 for g in gains]
+    ).T
     plot.line(x, ratio, role, f"{name}: ratio of errors")
     plot.whiskers(x, low, high, role)
     for at, value, g in zip(x, ratio, gains, strict=True):
@@ -161,8 +190,13 @@ def _heat_map(names: Sequence[str], cosine: Array, limit: float) -> Markup:
 def dependence(item: Dependence) -> Figure:
     """Draw the remaining residual against one regressor."""
     name = f"{item.channel} over {item.regressor}"
-    labels = f"{item.regressor} [{item.regressor_unit}]", f"remaining error [{item.unit}]"
-    plot = Plot(span_of(item.x), span_of(item.low, item.high, np.zeros(1)), *labels, height=250)
+    labels = (
+        f"{item.regressor} [{item.regressor_unit}]",
+        f"remaining error [{item.unit}]",
+    )
+    plot = Plot(
+        span_of(item.x), span_of(item.low, item.high, np.zeros(1)), *labels, height=250
+    )
     plot.level(0.0)
     plot.band(item.x, item.low, item.high, "extended")
     plot.line(item.x, item.mean, "extended", name)
@@ -197,12 +231,14 @@ def interval(parameter: Parameter, name: str) -> Markup:
     left, right = min(low, null), max(high, null)
     margin = 0.12 * ((right - left) or 1.0)
     scale = Scale(left - margin, right + margin, 0, INTERVAL_WIDTH)
-    a, b, at, zero = (f"{float(scale(v)):.1f}" for v in (low, high, parameter.value, null))
+    a, b, at, zero = (
+        f"{float(scale(v)):.1f}" for v in (low, high, parameter.value, null)
+    )
     text = f"{name}: {number(low)} to {number(high)}; no effect: {number(null)}"
     ticks = Markup("").join(
-        Markup('<path class="axis" d="M{x} 20v4"/><text x="{x}" y="38">{text}</text>').format(
-            x=f"{float(scale(value)):.1f}", text=label(value)
-        )
+        Markup(
+            '<path class="axis" d="M{x} 20v4"/><text x="{x}" y="38">{text}</text>'
+        ).format(x=f"{float(scale(value)):.1f}", text=label(value))
         for value in scale.ticks(INTERVAL_TICKS)
     )
     return Markup(

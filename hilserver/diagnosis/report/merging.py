@@ -22,13 +22,19 @@ def merged(parts: Mapping[str, Evidence]) -> Evidence:
     return Evidence(
         series=_series(parts.values()),
         paths=tuple(replace(p, group=g) for g, e in many for p in e.paths[:PATHS_EACH]),
-        cuts=tuple(replace(r, channel=f"{r.channel} ({g})") for g, e in many for r in e.cuts),
+        cuts=tuple(
+            replace(r, channel=f"{r.channel} ({g})") for g, e in many for r in e.cuts
+        ),
         screen=_screen(parts.values()),
         similarity=first.similarity,
         dependences=tuple(
-            replace(d, channel=f"{d.channel} ({g})") for g, e in many for d in e.dependences
+            replace(d, channel=f"{d.channel} ({g})")
+            for g, e in many
+            for d in e.dependences
         ),
-        courses=tuple(replace(c, cause=f"{c.cause} ({g})") for g, e in many for c in e.courses),
+        courses=tuple(
+            replace(c, cause=f"{c.cause} ({g})") for g, e in many for c in e.courses
+        ),
         extension=first.extension,
         fitted=_range([e.fitted for e in parts.values()]),
         timings_s=first.timings_s,
@@ -51,7 +57,9 @@ def _series(parts: Iterable[Evidence]) -> tuple[Series, ...]:
             measured=np.concatenate([known.measured, item.measured]),
             simulated=np.concatenate([known.simulated, item.simulated]),
             extended=None if a is None or b is None else np.concatenate([a, b]),
-            run=np.concatenate([known.run, item.run + int(known.run.max(initial=-1)) + 1]),
+            run=np.concatenate(
+                [known.run, item.run + int(known.run.max(initial=-1)) + 1]
+            ),
         )
     return tuple(found.values())
 

@@ -18,14 +18,19 @@ from hilserver.diagnosis.schema.evidence import Evidence, Path, Series
 from hilserver.diagnosis.schema.findings import Findings, Verdict
 from hilserver.diagnosis.thresholds import SCREEN_LEVEL
 
-LEAST_CHANGE: Final = 0.03  # share of a residual below which a channel counts as not changed
+LEAST_CHANGE: Final = (
+    0.03  # share of a residual below which a channel counts as not changed
+)
 _SECTION: Final = re.compile(r'<section id="(\w+)">.*?<h2>(.*?)</h2>', re.DOTALL)
 _CELL: Final = re.compile(r"<td\b")
 STYLES: Final = ("plot.css", "style.css")
 MODELS: Final = (
     ("measured", "measured"),
     ("simulated", "simulated: the plant as it is configured"),
-    ("extended", "extended: the same plant with the causes found in the other half of the log"),
+    (
+        "extended",
+        "extended: the same plant with the causes found in the other half of the log",
+    ),
 )
 
 
@@ -56,11 +61,15 @@ def render(findings: Findings, evidence: Evidence) -> str:
             understated=words.understated(findings) if findings.total_gain else "",
             changed=[g for g in gains if not words.is_unchanged(g.gain)],
             unchanged=[g for g in gains if words.is_unchanged(g.gain)],
-            causes=[f for f in findings.findings if f.verdict is not Verdict.DATA_FAULT],
+            causes=[
+                f for f in findings.findings if f.verdict is not Verdict.DATA_FAULT
+            ],
             faults=[f for f in findings.findings if f.verdict is Verdict.DATA_FAULT],
             steps=words.steps(findings),
             where=words.where(evidence.cuts),
-            screen=sorted(evidence.screen, key=lambda r: -abs(r.statistic) / r.critical),
+            screen=sorted(
+                evidence.screen, key=lambda r: -abs(r.statistic) / r.critical
+            ),
             selected=tables.selected(findings),
             shared=words.belonging(findings, differs=False),
             free=words.belonging(findings, differs=True),
@@ -78,8 +87,12 @@ def _plots(evidence: Evidence) -> dict[str, Any]:
 
     `same` are those that it does not change.
     """
-    drawn = sorted((s for s in evidence.series if len(s.t_s) > 1), key=lambda s: -improvement(s))
-    is_changed = [s.extended is None or improvement(s) > 1 + LEAST_CHANGE for s in drawn]
+    drawn = sorted(
+        (s for s in evidence.series if len(s.t_s) > 1), key=lambda s: -improvement(s)
+    )
+    is_changed = [
+        s.extended is None or improvement(s) > 1 + LEAST_CHANGE for s in drawn
+    ]
     like = evidence.similarity
     return {
         "paths": figures.paths(evidence.paths),
@@ -116,7 +129,9 @@ def environment() -> Environment:
         lstrip_blocks=True,
     )
     folder = files("hilserver.diagnosis.report")
-    style = "".join(folder.joinpath(name).read_text(encoding="utf-8") for name in STYLES)
+    style = "".join(
+        folder.joinpath(name).read_text(encoding="utf-8") for name in STYLES
+    )
     made.globals |= {
         "style": Markup(style),  # noqa: S704 - our own
         "badges": words.BADGES,

@@ -35,10 +35,14 @@ _OF_WHEELS: Final = {
 _ALL_FROM: Final = 3  # this many wheels in a row are called the wheels
 
 _WHEEL = r"wheel\.(?:fl|rl|fr|rr)\.(\w+)"
-_RUN = re.compile(rf"{_WHEEL}(?:(?:, | and )wheel\.(?:fl|rl|fr|rr)\.\1\b)*(?P<more> and \d+ more)?")
+_RUN = re.compile(
+    rf"{_WHEEL}(?:(?:, | and )wheel\.(?:fl|rl|fr|rr)\.\1\b)*(?P<more> and \d+ more)?"
+)
 _CYCLE = re.compile(r"t_s mod (\d+(?:\.\d+)?(?:e[+-]?\d+)?)")
 _GROUPS: Final = {s.name.partition(".")[0] for s in robot_table(Ranges(1.0, 1.0, 1.0))}
-_NAME = re.compile(rf"\b(?:t_s|(?:{'|'.join(sorted(_GROUPS))})(?:\.[a-z][a-z0-9_]*)+)\b")
+_NAME = re.compile(
+    rf"\b(?:t_s|(?:{'|'.join(sorted(_GROUPS))})(?:\.[a-z][a-z0-9_]*)+)\b"
+)
 _UNIT = re.compile(r"_(?:rpm|pct|rad|m|v|a|c|s|nm|n)(?:_s2?)?$")
 
 

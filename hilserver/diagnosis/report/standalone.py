@@ -12,7 +12,9 @@ _TITLE_Y, _LEGEND_Y = 24.0, 50.0
 _SAMPLE, _GAP, _LETTER = 28.0, 22.0, 6.5
 
 
-def document(plots: Sequence[Plot], title: str, legend: Sequence[tuple[str, str]]) -> str:
+def document(
+    plots: Sequence[Plot], title: str, legend: Sequence[tuple[str, str]]
+) -> str:
     """Return plots, one below the other, as a file.
 
     Parameters
@@ -22,7 +24,11 @@ def document(plots: Sequence[Plot], title: str, legend: Sequence[tuple[str, str]
     legend : sequence of (str, str)
         Roles of lines, and their labels.
     """
-    style = files("hilserver.diagnosis.report").joinpath("plot.css").read_text(encoding="utf-8")
+    style = (
+        files("hilserver.diagnosis.report")
+        .joinpath("plot.css")
+        .read_text(encoding="utf-8")
+    )
     width = max(plot.width for plot in plots)
     height = max(plot.top + plot.height for plot in plots)
     inner = "".join(plot.render() for plot in plots)

@@ -34,7 +34,8 @@ def summary(findings: Findings) -> str:
         lines.append("  The report shows how large an effect must be to be detected.")
     lines += [f"  Note: {notice}" for notice in findings.notices]
     return "\n".join(
-        textwrap.fill(line, WIDTH, subsequent_indent="  ", break_on_hyphens=False) for line in lines
+        textwrap.fill(line, WIDTH, subsequent_indent="  ", break_on_hyphens=False)
+        for line in lines
     )
 
 
@@ -43,4 +44,6 @@ def one_line(findings: Findings) -> str:
     causes = [" or ".join(f.causes) or str(f.verdict) for f in findings.findings]
     if findings.verdict is Overall.NOTHING_FOUND and causes:
         return ", ".join(causes)  # too little motion for a verdict
-    return f"{findings.verdict}: {', '.join(causes)}" if causes else str(findings.verdict)
+    return (
+        f"{findings.verdict}: {', '.join(causes)}" if causes else str(findings.verdict)
+    )

@@ -53,10 +53,14 @@ class Scale:
         return [k * step for k in range(first, end + 1)]
 
     def _log_ticks(self) -> list[float]:
-        decades = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)
+        decades = range(
+            math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1
+        )
         all_ticks = [f * 10.0**d for d in decades for f in (1, 2, 5)]
         inside = [
-            t for t in all_ticks if self.low <= t * (1 + 1e-9) and t <= self.high * (1 + 1e-9)
+            t
+            for t in all_ticks
+            if self.low <= t * (1 + 1e-9) and t <= self.high * (1 + 1e-9)
         ]
         if len(inside) <= 8:
             return inside
@@ -105,7 +109,8 @@ def _extremes(y: Array, length: int) -> Indices:
     pieces = y.reshape(-1, length)
     blank = np.isnan(pieces)
     least, most = (
-        np.argmin(np.where(blank, np.inf, sign * pieces), axis=1) for sign in (1.0, -1.0)
+        np.argmin(np.where(blank, np.inf, sign * pieces), axis=1)
+        for sign in (1.0, -1.0)
     )
     ends = np.sort(np.stack([least, most], axis=1), axis=1)
     ends[~np.isfinite(pieces).any(axis=1)] = 0
@@ -115,7 +120,10 @@ def _extremes(y: Array, length: int) -> Indices:
 
 def runs_of(run: Indices) -> list[slice]:
     """Return where the runs of a line are: at least one."""
-    return [slice(a, b) for a, b in pairwise([0, *(np.flatnonzero(np.diff(run)) + 1), len(run)])]
+    return [
+        slice(a, b)
+        for a, b in pairwise([0, *(np.flatnonzero(np.diff(run)) + 1), len(run)])
+    ]
 
 
 def thinned(x: Array, y: Array, run: Indices) -> tuple[Array, Array]:
@@ -124,7 +132,9 @@ def thinned(x: Array, y: Array, run: Indices) -> tuple[Array, Array]:
     drawn = runs[:: math.ceil(len(runs) / MAX_RUNS)]
     most = max(FEWEST_POINTS, LINE_POINTS // len(drawn))
     parts = [decimate(x[own], y[own], most) for own in drawn]
-    xs, ys = zip(*((np.append(a, np.nan), np.append(b, np.nan)) for a, b in parts), strict=True)
+    xs, ys = zip(
+        *((np.append(a, np.nan), np.append(b, np.nan)) for a, b in parts), strict=True
+    )
     return np.concatenate(xs), np.concatenate(ys)
 
 
@@ -166,7 +176,10 @@ class Plot:
     def to_y(self) -> Scale:
         """Scale of the ordinate, upwards."""
         return Scale(
-            *self.y, self.top + self.height - MARGIN_BOTTOM, self.top + MARGIN_TOP, self.log_y
+            *self.y,
+            self.top + self.height - MARGIN_BOTTOM,
+            self.top + MARGIN_TOP,
+            self.log_y,
         )
 
     def line(
@@ -201,7 +214,9 @@ class Plot:
         """Draw a path in the plane, shape (n, 2): every k-th point; it breaks at `begins`."""
         step = max(1, math.ceil(len(xy) / points))
         gap = np.full((1, 2), np.nan)
-        parts = [np.vstack([own[::step], own[-1:], gap]) for own in np.split(xy, begins)]
+        parts = [
+            np.vstack([own[::step], own[-1:], gap]) for own in np.split(xy, begins)
+        ]
         x, y = np.concatenate(parts).T
         self._line(x, y, role, title)
 
@@ -214,7 +229,9 @@ class Plot:
         """Fill between two lines."""
         xs, lows = self._place(x, low)
         _, highs = self._place(x, high)
-        data = path_data(np.concatenate([xs, xs[::-1]]), np.concatenate([lows, highs[::-1]]))
+        data = path_data(
+            np.concatenate([xs, xs[::-1]]), np.concatenate([lows, highs[::-1]])
+        )
         self._drawn.append(f'<path class="band {role}" d="{data}Z"/>')
 
     def dots(self, x: Array, y: Array, role: str, titles: Sequence[str]) -> None:
@@ -238,7 +255,9 @@ class Plot:
         if data:
             self._drawn.append(f'<path class="whisker {role}" d="{data}"/>')
 
-    def bar(self, first: float, last: float, height: float, role: str, title: str) -> None:
+    def bar(
+        self, first: float, last: float, height: float, role: str, title: str
+    ) -> None:
         """Fill a bar from zero upwards between two positions."""
         a, b = (float(self.to_x(v)) for v in (first, last))
         y0, y1 = (float(self.to_y(v)) for v in (0.0, height))
@@ -260,7 +279,11 @@ class Plot:
 
     def upright(self, x: float) -> None:
         """Draw a vertical reference line."""
-        at, y0, y1 = float(self.to_x(x)), self.top + self.height - MARGIN_BOTTOM, self.top
+        at, y0, y1 = (
+            float(self.to_x(x)),
+            self.top + self.height - MARGIN_BOTTOM,
+            self.top,
+        )
         self._drawn.append(f'<path class="axis" d="M{at:.1f} {y0}V{y1 + MARGIN_TOP}"/>')
 
     def begins(self, x: Array) -> None:

@@ -25,7 +25,11 @@ def selected(findings: Findings) -> list[Row]:
     for row in reversed(findings.decisions):
         p = size = None
         if found := in_the_end.pop(row.cause, None):
-            own = (v for n, v in found.parameters.items() if n.partition(".")[0] == row.cause)
+            own = (
+                v
+                for n, v in found.parameters.items()
+                if n.partition(".")[0] == row.cause
+            )
             p, size = found.p_adjusted, next(own, None)
         reason = f"{row.group}: {row.reason}" if row.group else row.reason
         out.append({"cause": row.cause, "action": row.action, "reason": reason, "p": p,

@@ -7,7 +7,14 @@ import numpy as np
 from hilserver.arrays import Array, Indices
 from hilserver.diagnosis.findings.explain import number
 from hilserver.diagnosis.report.plain import plain
-from hilserver.diagnosis.report.svg import MAX_RUNS, Figure, Plot, picture, runs_of, span_of
+from hilserver.diagnosis.report.svg import (
+    MAX_RUNS,
+    Figure,
+    Plot,
+    picture,
+    runs_of,
+    span_of,
+)
 from hilserver.diagnosis.schema.evidence import Series
 
 MAX_MARKS = 60  # run beginnings that are marked; more of them would merge into a bar
@@ -21,7 +28,12 @@ def series(item: Series) -> Figure:
     x, models = span_of(t, margin=0.0), (item.measured, item.simulated, item.extended)
     values = Plot(x, span_of(*models), "", f"value [{item.unit}]", height=230)
     residual = Plot(
-        x, span_of(before, after), "time [s]", f"residual [{item.unit}]", height=190, top=206
+        x,
+        span_of(before, after),
+        "time [s]",
+        f"residual [{item.unit}]",
+        height=190,
+        top=206,
     )
     residual.level(0.0)
     for plot, role, y, title in (
@@ -51,7 +63,11 @@ def _anew(begins: int) -> str:
     if not begins:
         return ""
     text = f" The models restart {begins} time{'s' * (begins > 1)}"
-    text += ", at the marks at the top." if begins <= MAX_MARKS else ", where the lines break."
+    text += (
+        ", at the marks at the top."
+        if begins <= MAX_MARKS
+        else ", where the lines break."
+    )
     step = math.ceil((begins + 1) / MAX_RUNS)
     return f"{text} Only one run in {step} is drawn." if step > 1 else text
 
@@ -61,7 +77,9 @@ def improvement(item: Series) -> float:
     if item.extended is None:
         return 1.0
     models = (item.simulated, item.extended)
-    before, after = (float(np.nanmean(np.abs(item.measured - model))) for model in models)
+    before, after = (
+        float(np.nanmean(np.abs(item.measured - model))) for model in models
+    )
     return before / after if after > 0 else math.inf
 
 

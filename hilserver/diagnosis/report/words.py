@@ -4,7 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hilserver.diagnosis.catalogue.vocabulary import cause_of
-from hilserver.diagnosis.findings.explain import QUANTITIES, explain_finding, number, remedy
+from hilserver.diagnosis.findings.explain import (
+    QUANTITIES,
+    explain_finding,
+    number,
+    remedy,
+)
 from hilserver.diagnosis.replay.judgeable import of_the_log
 from hilserver.diagnosis.report.plain import plain
 from hilserver.diagnosis.schema.evidence import CutRow
@@ -48,12 +53,20 @@ def headline(findings: Findings) -> str:
     """Return the headline, one sentence: of the robot it says nothing that was not judged."""
     if findings.verdict in {Overall.DIFFERS, Overall.NO_DIFFERENCE}:
         return _compared(findings)
-    named = [f for f in findings.findings if f.verdict is not Verdict.INSUFFICIENT_EXCITATION]
-    silent = [f for f in findings.findings if f.verdict is Verdict.INSUFFICIENT_EXCITATION]
+    named = [
+        f for f in findings.findings if f.verdict is not Verdict.INSUFFICIENT_EXCITATION
+    ]
+    silent = [
+        f for f in findings.findings if f.verdict is Verdict.INSUFFICIENT_EXCITATION
+    ]
     faults = [f for f in named if f.verdict is Verdict.DATA_FAULT]
     of_log = f"{_count(faults)} fault{'s' * (len(faults) > 1)} in the recording"
     others, without = len(named) - len(faults), missing(findings)
-    if not others and not findings.smallest_detectable and (findings.not_judged or faults):
+    if (
+        not others
+        and not findings.smallest_detectable
+        and (findings.not_judged or faults)
+    ):
         begin = f"{of_log}, but n" if faults else "N"
         return f"{begin}othing about the robot could be judged{without}."
     if silent and not named:
@@ -65,21 +78,29 @@ def headline(findings: Findings) -> str:
     if len(named) == 1 and (others or not without):
         return plain(explain_finding(named[0]))
     if not others:
-        judged = f"what could be judged of the robot{without}" if without else "the robot"
+        judged = (
+            f"what could be judged of the robot{without}" if without else "the robot"
+        )
         return f"{of_log}, none in {judged}."
     what = "thing differs" if others == 1 else "things differ"
     text = f"{_count(named[:others])} {what} from the simulation"
     if faults:
-        text += f", and the recording has {_count(faults).lower()} fault" + "s" * (len(faults) > 1)
+        text += f", and the recording has {_count(faults).lower()} fault" + "s" * (
+            len(faults) > 1
+        )
     return f"{text}."
 
 
 def missing(findings: Findings) -> str:
     """Return in brackets what the recording lacks for some causes; empty if it lacks nothing."""
-    reasons = ", ".join(n.reason for n in findings.not_judged if of_the_log(n.reason)).split(", ")
+    reasons = ", ".join(
+        n.reason for n in findings.not_judged if of_the_log(n.reason)
+    ).split(", ")
     each = list(dict.fromkeys(reason.removesuffix(" in the log") for reason in reasons))
     # no wheel speed at all is also none on both sides
-    said = [one for one in each if not any(one != other and one in other for other in each)]
+    said = [
+        one for one in each if not any(one != other and one in other for other in each)
+    ]
     return f" ({', '.join(said)})" if any(said) else ""
 
 
@@ -90,7 +111,9 @@ def _compared(findings: Findings) -> str:
         return plain(explain_finding(differ[0]))
     if differ:
         return f"The two sets of recordings differ in {_count(differ).lower()} ways."
-    silent = [f for f in findings.findings if f.verdict is Verdict.INSUFFICIENT_EXCITATION]
+    silent = [
+        f for f in findings.findings if f.verdict is Verdict.INSUFFICIENT_EXCITATION
+    ]
     if silent:
         return plain(explain_finding(silent[0]))
     without = missing(findings)
@@ -166,7 +189,9 @@ def gains(findings: Findings) -> list[Gained]:
     order = list(QUANTITIES)
     return [
         Gained(*QUANTITIES[key], when(key, gain), gain, findings.ceiling.get(key))
-        for key, gain in sorted(findings.total_gain.items(), key=lambda item: order.index(item[0]))
+        for key, gain in sorted(
+            findings.total_gain.items(), key=lambda item: order.index(item[0])
+        )
     ]
 
 
@@ -185,14 +210,20 @@ def best(gained: Sequence[Gained]) -> Gained | None:
 def held_out(findings: Findings) -> str:
     """Return, in words, what the total gain was measured on."""
     other = any(notice.startswith(ON_OTHER_LOGS) for notice in findings.notices)
-    return "other logs" if other else "parts of the recording that were not used for the fit"
+    return (
+        "other logs"
+        if other
+        else "parts of the recording that were not used for the fit"
+    )
 
 
 def understated(findings: Findings) -> str:
     """Return why the total gain leaves out causes that were found; empty if it does not."""
     by = {0: "by neither", 1: "by one alone"}
     unshown = [
-        f"{' or '.join(f.causes)} ({by[f.halves]})" for f in findings.findings if f.halves < 2
+        f"{' or '.join(f.causes)} ({by[f.halves]})"
+        for f in findings.findings
+        if f.halves < 2
     ]
     if not unshown or held_out(findings) == "other logs":
         return ""
@@ -246,11 +277,17 @@ class Step:
 def steps(findings: Findings) -> list[Step]:
     """Return what to do, faults of the recording first."""
     items = []
-    for item in sorted(findings.findings, key=lambda f: f.verdict is not Verdict.DATA_FAULT):
+    for item in sorted(
+        findings.findings, key=lambda f: f.verdict is not Verdict.DATA_FAULT
+    ):
         if item.separating_experiment:
-            items.append(Step(_label(item, "Find out which"), item.separating_experiment))
+            items.append(
+                Step(_label(item, "Find out which"), item.separating_experiment)
+            )
         elif item.verdict is Verdict.STRUCTURE_NOT_IN_LIBRARY:
-            items.append(Step(_label(item, "Find the cause"), signals=tuple(item.regressors)))
+            items.append(
+                Step(_label(item, "Find the cause"), signals=tuple(item.regressors))
+            )
         elif item.verdict is Verdict.EFFECTIVE:
             items.append(Step(_label(item, "Find out what is behind it"), BEHIND))
         elif item.verdict is not Verdict.NO_DIFFERENCE:
@@ -295,7 +332,9 @@ def shared_and_free(findings: Findings) -> list[str]:
     """Return in words what all groups of logs share, and what differs."""
     out = []
     if shared := belonging(findings, differs=False):
-        names = ", ".join(f"{b.name} {number(b.parameter.value, b.parameter.unit)}" for b in shared)
+        names = ", ".join(
+            f"{b.name} {number(b.parameter.value, b.parameter.unit)}" for b in shared
+        )
         out.append(f"The same in all groups, so it belongs to the machine: {names}.")
     if free := belonging(findings, differs=True):
         said = []

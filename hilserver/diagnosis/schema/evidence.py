@@ -42,7 +42,9 @@ class Path:
     measured: Array
     simulated: Array
     extended: Array | None
-    begins: tuple[int, ...] = ()  # rows at which the models begin anew, without the first
+    begins: tuple[
+        int, ...
+    ] = ()  # rows at which the models begin anew, without the first
     group: str = ""  # of logs; empty without groups
 
     @property
@@ -137,7 +139,9 @@ class Evidence:
     # what the machine did in the data that the extension was fitted to
     fitted: FittedIn = field(default_factory=FittedIn)
     timings_s: Mapping[str, float] = field(default_factory=dict)  # wall time by stage
-    remarks: tuple[str, ...] = ()  # what a reader of the evidence should know, in sentences
+    remarks: tuple[
+        str, ...
+    ] = ()  # what a reader of the evidence should know, in sentences
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,13 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import Any, ClassVar, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+)
 
 from hilserver.diagnosis.schema.decisions import Decision
 
@@ -49,7 +55,11 @@ class _Model(BaseModel):
     @model_serializer(mode="wrap")
     def _lean(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         data: dict[str, Any] = handler(self)
-        return {key: value for key, value in data.items() if self.unsaid.get(key, ...) != value}
+        return {
+            key: value
+            for key, value in data.items()
+            if self.unsaid.get(key, ...) != value
+        }
 
 
 Interval = tuple[float, float]
@@ -145,7 +155,9 @@ class Finding(_Model):
 
     verdict: Verdict
     causes: tuple[str, ...]
-    block: Literal["controller", "drive", "kinematics", "navigation", "inertial", "data", "timing"]
+    block: Literal[
+        "controller", "drive", "kinematics", "navigation", "inertial", "data", "timing"
+    ]
     parameters: dict[str, Parameter] = Field(default_factory=dict)
     p_adjusted: float | None = None
     explanation: str = ""

@@ -44,7 +44,9 @@ def numbered(title: str, number: str | None) -> str:
     """Return a title with the number of the thesis's figure, if it has one."""
     if number is None:
         return title
-    return f"{title} ({'figures' if ' ' in number else 'figure'} {number} of the thesis)"
+    return (
+        f"{title} ({'figures' if ' ' in number else 'figure'} {number} of the thesis)"
+    )
 
 
 def wheels(
@@ -76,7 +78,13 @@ def of_wheel(both: BesideModels, w: int) -> Figure:
         plot.line(t_s, speed, "measured", f"{name}: measured speed", run=span)
     if not courses.are_measured:
         speed = courses.wheels_rpm[:, w]
-        plot.line(courses.t_s, speed, "simulated", f"{name}: simulated drive", run=courses.span)
+        plot.line(
+            courses.t_s,
+            speed,
+            "simulated",
+            f"{name}: simulated drive",
+            run=courses.span,
+        )
     title = f"{name} wheel".capitalize()
     return Figure(picture([plot], title), title, "")
 
@@ -119,11 +127,15 @@ def over_time(both: BesideModels, experiment: Experiment, channel: str) -> Figur
     plots, caption = [plot], ""
     if shown is not None:
         plot.x_label = ""
-        plot.line(shown.t_s, shown.values, "measured", f"{name} measured", run=shown.span)
+        plot.line(
+            shown.t_s, shown.values, "measured", f"{name} measured", run=shown.span
+        )
         plots.append(gaps_over_time(both, shown, curves, UNITS[channel]))
         caption = "Above: values. Below: model minus black curve."
     for model, curve in curves.items():
-        plot.line(courses.t_s, curve, ROLES[model], f"{name}, {model}", run=courses.span)
+        plot.line(
+            courses.t_s, curve, ROLES[model], f"{name}, {model}", run=courses.span
+        )
     return Figure(picture(plots, title), title, caption)
 
 
@@ -131,10 +143,14 @@ def gaps_over_time(
     both: BesideModels, shown: Measured, curves: Mapping[str, Array], unit: str
 ) -> Plot:
     """Draw how far the models are from what was measured."""
-    gaps = {model: both.at(shown, curve) - shown.values for model, curve in curves.items()}
+    gaps = {
+        model: both.at(shown, curve) - shown.values for model, curve in curves.items()
+    }
     time_s = span_of(both.courses.t_s, margin=0.0)
     ranges = span_of(*gaps.values(), np.zeros(1))
-    plot = Plot(time_s, ranges, "time [s]", f"gap [{unit}]", height=REST, top=HEIGHT - 24)
+    plot = Plot(
+        time_s, ranges, "time [s]", f"gap [{unit}]", height=REST, top=HEIGHT - 24
+    )
     plot.level(0.0)
     for model, apart in gaps.items():
         role, title = GAP_ROLES[model], f"{model} minus measured"

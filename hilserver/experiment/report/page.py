@@ -34,7 +34,10 @@ class Third(NamedTuple):
 def third_of(measured: Path | None, *, has_body: bool) -> Third:
     """Return what stands beside the models: a recording, or the robot that drove instead."""
     if measured is not None:
-        return Third("measured", f"Black: what {measured.name} measured. The models start with it.")
+        return Third(
+            "measured",
+            f"Black: what {measured.name} measured. The models start with it.",
+        )
     not_real = "Nothing was measured here. Black is the true pose of a simulated robot,"
     yours = "To see how well they fit the real robot, give a recording of it with --measured."
     if has_body:
@@ -89,7 +92,9 @@ def render(
             gaps=gaps,
             names=NAMES,
             identified=identified,
-            wheels_title=figures.numbered("Wheel speeds", experiment.figures.get("wheels")),
+            wheels_title=figures.numbered(
+                "Wheel speeds", experiment.figures.get("wheels")
+            ),
             wheels_legend=of_wheels,
             wheels=wheels,
             reading=reading(both),

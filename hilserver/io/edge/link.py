@@ -31,7 +31,10 @@ ANSWER_S: Final = 5.0
 LEAVE_S, DISCONNECT_S = 0.3, 0.1
 KEEPALIVE_S: Final = 10
 EARLY_NS: Final = 2_000_000  # a frame this early counts as the one that is due
-PROTOCOLS: Final = {"3.1.1": aiomqtt.ProtocolVersion.V311, "5": aiomqtt.ProtocolVersion.V5}
+PROTOCOLS: Final = {
+    "3.1.1": aiomqtt.ProtocolVersion.V311,
+    "5": aiomqtt.ProtocolVersion.V5,
+}
 
 _log = structlog.get_logger(__name__)
 
@@ -51,7 +54,9 @@ class EdgeLink(Part):
 
     def __init__(self, config: EdgeConfig, world: World) -> None:
         self._config, self._world = config, world
-        self.status = PeerStatus("edge", f"mqtt://{config.host}:{config.port}", mode="mqtt")
+        self.status = PeerStatus(
+            "edge", f"mqtt://{config.host}:{config.port}", mode="mqtt"
+        )
         self.status.stale = config.drives  # without writers nothing is waited for
         self._source = Source(
             config.driver,
@@ -118,7 +123,9 @@ class EdgeLink(Part):
 
     # --- the connection ---------------------------------------------------------------------------
 
-    async def _stay_connected(self, password: str | None, context: ssl.SSLContext | None) -> None:
+    async def _stay_connected(
+        self, password: str | None, context: ssl.SSLContext | None
+    ) -> None:
         pause_s = FIRST_PAUSE_S
         while True:
             begun_s = time.monotonic()
@@ -145,7 +152,9 @@ class EdgeLink(Part):
         if self._client is not None:
             self._client._client._sock_close()
 
-    def _new_client(self, password: str | None, context: ssl.SSLContext | None) -> aiomqtt.Client:
+    def _new_client(
+        self, password: str | None, context: ssl.SSLContext | None
+    ) -> aiomqtt.Client:
         config = self._config
         will = payload.status(config, 0, time.time_ns(), available=False)
         return aiomqtt.Client(
@@ -154,7 +163,9 @@ class EdgeLink(Part):
             username=config.user,
             password=password,
             protocol=PROTOCOLS[config.version],
-            will=aiomqtt.Will(payload.status_topic(config), will, qos=config.qos, retain=True),
+            will=aiomqtt.Will(
+                payload.status_topic(config), will, qos=config.qos, retain=True
+            ),
             tls_context=context,
             timeout=ANSWER_S,
             keepalive=KEEPALIVE_S,
@@ -164,14 +175,20 @@ class EdgeLink(Part):
     async def _greet(self, client: aiomqtt.Client) -> None:
         """Publish birth message and metadata, and subscribe to writes."""
         await self._say(client, available=True)
-        described = payload.metadata(self._config, self._collections, self._status_number)
+        described = payload.metadata(
+            self._config, self._collections, self._status_number
+        )
         topic, qos = payload.metadata_topic(self._config), self._config.qos
         await client.publish(topic, described, qos=qos, retain=True)
         for topic in self._by_topic:
             await client.subscribe(topic, qos=qos)
         status, now_ns = self.status, time.monotonic_ns()
         status.reconnects += status.last_connect_ns is not None
-        status.connected, status.state, status.last_connect_ns = True, LinkState.CONNECTED, now_ns
+        status.connected, status.state, status.last_connect_ns = (
+            True,
+            LinkState.CONNECTED,
+            now_ns,
+        )
         self._source.faults.admit()
         _log.info("databus connected", broker=status.endpoint)
 
@@ -198,9 +215,15 @@ class EdgeLink(Part):
     def _lost(self, reason: str) -> None:
         status = self.status
         status.failed_attempts += not status.connected
-        status.connected, status.state, status.last_error = False, LinkState.HELD_OFF, reason
+        status.connected, status.state, status.last_error = (
+            False,
+            LinkState.HELD_OFF,
+            reason,
+        )
         sentence = f"the broker {status.endpoint} is not reachable: {reason}"
-        self._source.faults.refuse(EdgeFault.NO_BROKER, "broker", sentence, time.monotonic_ns())
+        self._source.faults.refuse(
+            EdgeFault.NO_BROKER, "broker", sentence, time.monotonic_ns()
+        )
 
     # --- values out and in ------------------------------------------------------------------------
 
@@ -230,7 +253,9 @@ class EdgeLink(Part):
     def _refuse(self, collection: Collection, why: str) -> None:
         name = collection.group.name
         sentence = f"a write to group '{name}' was refused: {why}"
-        self._source.faults.report(EdgeFault.BAD_WRITE, name, sentence, time.monotonic_ns())
+        self._source.faults.report(
+            EdgeFault.BAD_WRITE, name, sentence, time.monotonic_ns()
+        )
 
     def _write(self, collection: Collection, data: bytes) -> None:
         now_ns = time.monotonic_ns()

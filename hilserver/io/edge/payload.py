@@ -65,7 +65,10 @@ def collections_of(config: EdgeConfig, table: SignalTable) -> list[Collection]:
             for signal in scalars
             if any(fnmatchcase(signal.name, pattern) for pattern in group.signals)
         )
-        base, place = f"ie/d/j/simatic/v1/{config.id}/dp", f"{config.connection}/{group.name}"
+        base, place = (
+            f"ie/d/j/simatic/v1/{config.id}/dp",
+            f"{config.connection}/{group.name}",
+        )
         write_topic = f"{base}/w/{place}" if group.writable else ""
         found.append(Collection(group, signals, f"{base}/r/{place}", write_topic))
     return found
@@ -81,7 +84,9 @@ def status_topic(config: EdgeConfig) -> str:
     return f"ie/s/j/simatic/v1/{config.id}/status"
 
 
-def metadata(config: EdgeConfig, collections: Iterable[Collection], number: int) -> bytes:
+def metadata(
+    config: EdgeConfig, collections: Iterable[Collection], number: int
+) -> bytes:
     """Return the message that describes all others."""
     points = [_described(collection) for collection in collections]
     connection = {"name": config.connection, "type": "hilserver", "dataPoints": points}
@@ -104,7 +109,11 @@ def _described(collection: Collection) -> dict[str, Any]:
         **written,
         "publishType": "bulk",
         "dataPointDefinitions": [
-            {"name": signal.name, "id": _id(signal), "dataType": DATA_TYPES[signal.type]}
+            {
+                "name": signal.name,
+                "id": _id(signal),
+                "dataType": DATA_TYPES[signal.type],
+            }
             for signal in collection.signals
         ],
     }
@@ -125,7 +134,9 @@ def status(config: EdgeConfig, number: int, utc_ns: int, *, available: bool) -> 
             "seq": number,
             "ts": _timestamp(utc_ns),
             "connector": {"status": "available" if available else "unavailable"},
-            "connections": [{"name": config.connection, "status": "good" if available else "bad"}],
+            "connections": [
+                {"name": config.connection, "status": "good" if available else "bad"}
+            ],
         }
     )
 
@@ -134,7 +145,12 @@ def values(collection: Collection, frame: Frame, number: int, utc_ns: int) -> by
     """Return the values of a group in one frame; `utc_ns` is the frame's planned time."""
     timestamp = _timestamp(utc_ns)
     points = [
-        {"id": _id(signal), "val": _value(signal, frame), "ts": timestamp, "qc": _quality(code)}
+        {
+            "id": _id(signal),
+            "val": _value(signal, frame),
+            "ts": timestamp,
+            "qc": _quality(code),
+        }
         for signal in collection.signals
         for code in (int(frame.status[signal.slots[0]]),)
     ]
@@ -164,7 +180,9 @@ def written(collection: Collection, data: bytes) -> Mapping[str, object]:
     if len(data) > MOST_BYTES:
         raise ValueError(f"{len(data)} bytes are more than a group has")
     try:
-        message = from_json(data)  # Python's own recurses as deep as a stranger's message nests
+        message = from_json(
+            data
+        )  # Python's own recurses as deep as a stranger's message nests
     except ValueError:
         raise ValueError("is not JSON") from None
     points = message.get("vals") if isinstance(message, dict) else None

@@ -36,7 +36,9 @@ _log = structlog.get_logger(__name__)
 
 def hidden_host() -> str:
     """Return a loopback address that cannot be guessed."""
-    return ".".join(["127", *(str(random.SystemRandom().randint(1, 254)) for _ in range(3))])
+    return ".".join(
+        ["127", *(str(random.SystemRandom().randint(1, 254)) for _ in range(3))]
+    )
 
 
 class Door:
@@ -58,7 +60,9 @@ class Door:
     async def open(self, host: str, port: int, behind: tuple[str, int]) -> None:
         """Listen; OSError if that is not possible."""
         self._behind = behind
-        self._server = await asyncio.start_server(self._enter, host, port, limit=HEAD_BYTES)
+        self._server = await asyncio.start_server(
+            self._enter, host, port, limit=HEAD_BYTES
+        )
 
     async def close(self) -> None:
         """Accept no more viewers, and end all connections."""
@@ -67,8 +71,12 @@ class Door:
         for job in tuple(self._open):
             await job.end()
 
-    def _enter(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        address, *_ = writer.get_extra_info("peername") or ("unknown",)  # none once it has left
+    def _enter(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
+        address, *_ = writer.get_extra_info("peername") or (
+            "unknown",
+        )  # none once it has left
         place = self._places.take(address, writer.transport.abort)
         if place is None:
             writer.transport.abort()
@@ -84,7 +92,10 @@ class Door:
         job.on_end = ended
 
     async def _guarded(
-        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, place: KeptPlace
+        self,
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
+        place: KeptPlace,
     ) -> None:
         try:
             await self._serve(reader, writer, place)
@@ -94,7 +105,10 @@ class Door:
             writer.transport.abort()
 
     async def _serve(
-        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, place: KeptPlace
+        self,
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
+        place: KeptPlace,
     ) -> None:
         async with time_limit(HEAD_S):
             head = await reader.readuntil(b"\r\n\r\n")
@@ -106,20 +120,26 @@ class Door:
         try:
             outer.write(head)
             asks = partial(self._places.progress, place)
-            await first_of(_sent(reader, outer, asks), _shown(inner, writer, place.address))
+            await first_of(
+                _sent(reader, outer, asks), _shown(inner, writer, place.address)
+            )
         finally:
             outer.transport.abort()
 
     def _may_enter(self, head: bytes) -> bool:
         named = [
             value.strip().decode("latin-1").rstrip("/").lower()
-            for name, _, value in (line.partition(b":") for line in head.split(b"\r\n")[1:])
+            for name, _, value in (
+                line.partition(b":") for line in head.split(b"\r\n")[1:]
+            )
             if name.strip().lower() == b"origin"
         ]
         return all(origin in self._origins for origin in named)
 
 
-async def _shown(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str) -> None:
+async def _shown(
+    reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str
+) -> None:
     """Forward data to the viewer, as long as it takes them; the SDK drops frames meanwhile."""
     event_loop.hold_little(writer.transport)
     while data := await reader.read(PIECE_BYTES):
@@ -128,7 +148,10 @@ async def _shown(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, add
             async with time_limit(UNREAD_S):
                 await writer.drain()
         except TimeoutError:
-            _log.warning("foxglove viewer does not take what it is shown: closed", address=address)
+            _log.warning(
+                "foxglove viewer does not take what it is shown: closed",
+                address=address,
+            )
             return
 
 

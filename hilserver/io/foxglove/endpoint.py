@@ -37,7 +37,9 @@ SET: Final = "/hilserver/set"
 SCENE_EVERY_S: Final = 5.0
 MOST_WAITING: Final = 100
 TAKE_EVERY_S: Final = 0.005
-HANDED_OVER_NS: Final = 1_000_000_000  # after a standstill, all that waited is in the inbox then
+HANDED_OVER_NS: Final = (
+    1_000_000_000  # after a standstill, all that waited is in the inbox then
+)
 _SIGNALS: Final = TypeAdapter(dict[str, Any])
 
 
@@ -68,15 +70,22 @@ class Endpoint(Part):
         self._row["cdr"] = CDR_LITTLE_ENDIAN
         self._types = Types()
         self._context = foxglove.Context()
-        schema = foxglove.Schema(name=SCHEMA_NAME, encoding="ros2msg", data=layout.schema.encode())
+        schema = foxglove.Schema(
+            name=SCHEMA_NAME, encoding="ros2msg", data=layout.schema.encode()
+        )
         self._frames = foxglove.Channel(
             TOPIC, schema=schema, message_encoding="cdr", context=self._context
         )
         self._transforms = FrameTransformChannel("/transforms", context=self._context)
         self._scene = SceneUpdateChannel("/scene", context=self._context)
         self._door = Door(config.origins, world.tasks)
-        self._arrivals = Arrivals(round(world.config.page.deadman_ms * 1e6), HANDED_OVER_NS)
-        self._shown, self._scene_s = -1, 0.0  # the frame shown last, when the hall is due again
+        self._arrivals = Arrivals(
+            round(world.config.page.deadman_ms * 1e6), HANDED_OVER_NS
+        )
+        self._shown, self._scene_s = (
+            -1,
+            0.0,
+        )  # the frame shown last, when the hall is due again
         self._server: Any = None
         self._jobs: list[SupervisedTask] = []
 
@@ -100,7 +109,9 @@ class Endpoint(Part):
                 loop.call_soon_threadsafe(take_soon)
 
         table = self._world.table
-        inbox = Inbox(self._understood, lambda name: name in table and table[name].writable, wake)
+        inbox = Inbox(
+            self._understood, lambda name: name in table and table[name].writable, wake
+        )
         host = hidden_host()
         try:
             self._server = await asyncio.to_thread(
@@ -114,7 +125,9 @@ class Endpoint(Part):
                 context=self._context,
                 message_backlog_size=MOST_WAITING,
             )
-            await self._door.open(self._config.host, self._config.port, (host, self._server.port))
+            await self._door.open(
+                self._config.host, self._config.port, (host, self._server.port)
+            )
         except (RuntimeError, OSError, foxglove_error()) as error:
             await self.stop()
             why = error if isinstance(error, OSError) else OSError(str(error))
@@ -156,24 +169,37 @@ class Endpoint(Part):
                 frame.tick,
                 frame.planned_ns,
             )
-            row["values"], row["status"] = frame.values[self._slots], frame.status[self._slots]
+            row["values"], row["status"] = (
+                frame.values[self._slots],
+                frame.status[self._slots],
+            )
             self._frames.log(row.tobytes(), log_time=stamp_ns)
         if self._transforms.has_sinks():
-            for parent, child, name in (("map", "base_link", "pose"), ("map", "nav", "nav")):
+            for parent, child, name in (
+                ("map", "base_link", "pose"),
+                ("map", "nav", "nav"),
+            ):
                 self._transforms.log(
-                    self._transform(frame, parent, child, name, stamp_ns), log_time=stamp_ns
+                    self._transform(frame, parent, child, name, stamp_ns),
+                    log_time=stamp_ns,
                 )
 
-    def _transform(self, frame: Frame, parent: str, child: str, name: str, stamp_ns: int) -> Any:
+    def _transform(
+        self, frame: Frame, parent: str, child: str, name: str, stamp_ns: int
+    ) -> Any:
         slot, values = self._world.table.slot, frame.values
-        x, y, yaw = (float(values[slot(f"{name}.{part}")]) for part in ("x_m", "y_m", "yaw_rad"))
+        x, y, yaw = (
+            float(values[slot(f"{name}.{part}")]) for part in ("x_m", "y_m", "yaw_rad")
+        )
         sec, nsec = divmod(stamp_ns, 10**9)
         return fg.FrameTransform(
             timestamp=fg.Timestamp(sec=sec, nsec=nsec),
             parent_frame_id=parent,
             child_frame_id=child,
             translation=fg.Vector3(x=x, y=y, z=0.0),
-            rotation=fg.Quaternion(x=0.0, y=0.0, z=math.sin(yaw / 2), w=math.cos(yaw / 2)),
+            rotation=fg.Quaternion(
+                x=0.0, y=0.0, z=math.sin(yaw / 2), w=math.cos(yaw / 2)
+            ),
         )
 
     # --- what viewers publish ---------------------------------------------------------------------
@@ -182,9 +208,13 @@ class Endpoint(Part):
         values, received_ns = inbox.take()
         if values:
             came_ns = self._arrivals.came_ns(received_ns)
-            self._world.gate.write(SOURCE, values, received_ns=received_ns, commanded_ns=came_ns)
+            self._world.gate.write(
+                SOURCE, values, received_ns=received_ns, commanded_ns=came_ns
+            )
 
-    def _understood(self, topic: str, encoding: str, data: bytes) -> Mapping[str, object]:
+    def _understood(
+        self, topic: str, encoding: str, data: bytes
+    ) -> Mapping[str, object]:
         if topic == SET and encoding == "json":
             return _SIGNALS.validate_json(data)
         if topic != TWIST:
@@ -203,4 +233,8 @@ class Endpoint(Part):
 def foxglove_error() -> type[Exception]:
     """Return the SDK's error class, whose place differs between versions."""
     found = getattr(foxglove, "FoxgloveError", RuntimeError)
-    return found if isinstance(found, type) and issubclass(found, Exception) else RuntimeError
+    return (
+        found
+        if isinstance(found, type) and issubclass(found, Exception)
+        else RuntimeError
+    )

@@ -85,4 +85,8 @@ class Inbox(ServerListener):
         now_s = time.monotonic()
         if now_s - self._complained_s >= COMPLAIN_EVERY_S:
             self._complained_s = now_s
-            _log.warning("a viewer published something that is not a command", topic=topic, why=why)
+            _log.warning(
+                "a viewer published something that is not a command",
+                topic=topic,
+                why=why,
+            )

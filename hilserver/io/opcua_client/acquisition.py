@@ -69,7 +69,9 @@ class Acquisition:
         reason = "as configured"
         if self.config.mode != "poll":
             reason = await self._subscribe()
-            self.report_slow(f"{reason}: polling every {self.config.poll_ms:g} ms instead")
+            self.report_slow(
+                f"{reason}: polling every {self.config.poll_ms:g} ms instead"
+            )
         await self._poll(reason)
 
     async def _subscribe(self) -> str:
@@ -88,17 +90,24 @@ class Acquisition:
         )
         missing = await subscription.add(self.nodes)
         grant = subscription.grant
-        self._enter("subscribe", "as configured" if config.mode == "subscribe" else "fast enough")
+        self._enter(
+            "subscribe",
+            "as configured" if config.mode == "subscribe" else "fast enough",
+        )
         while True:
             self.status.granted_publishing_ms = grant.publishing_ms
             self.status.granted_sampling_ms = grant.sampling_ms
-            slow = too_slow(grant, publishing_ms=config.publishing_ms, poll_ms=config.poll_ms)
+            slow = too_slow(
+                grant, publishing_ms=config.publishing_ms, poll_ms=config.poll_ms
+            )
             if slow and config.mode == "auto":
                 await subscription.delete()
                 return slow
             if slow:
                 self.report_slow(f"{slow}, and mode is subscribe")
-            slow = await self._observe(subscription, OBSERVED_S if not missing else LOOK_AGAIN_S)
+            slow = await self._observe(
+                subscription, OBSERVED_S if not missing else LOOK_AGAIN_S
+            )
             if slow:
                 await subscription.delete()
                 return slow
@@ -111,7 +120,8 @@ class Acquisition:
         received, missed = self.status.sequence_received, self.status.sequence_missed
         await subscription.watch(duration_s)
         slow = too_many_missed(
-            self.status.sequence_received - received, self.status.sequence_missed - missed
+            self.status.sequence_received - received,
+            self.status.sequence_missed - missed,
         )
         if slow and self.config.mode == "subscribe":
             self.report_slow(f"{slow}, and mode is subscribe")
@@ -134,7 +144,9 @@ class Acquisition:
                 names, nodes = await self._resolved()
                 request = read_request(nodes, ua.AttributeIds.Value)
                 complete = len(names) == len(self.nodes)
-                look_again_at = float("inf") if complete else time.monotonic() + LOOK_AGAIN_S
+                look_again_at = (
+                    float("inf") if complete else time.monotonic() + LOOK_AGAIN_S
+                )
             if names:
                 values = await self.session.read(request)
                 now_ns, judged = time.monotonic_ns(), map(judge, values)
@@ -150,6 +162,8 @@ class Acquisition:
         now_ns = time.monotonic_ns()
         for name, node in found.items():
             if node is None:
-                self.intake.missing(name, "the peer does not have this namespace", now_ns)
+                self.intake.missing(
+                    name, "the peer does not have this namespace", now_ns
+                )
         known = {name: node for name, node in found.items() if node is not None}
         return list(known), list(known.values())

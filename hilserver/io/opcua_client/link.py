@@ -34,10 +34,16 @@ class PeerLink(Peer):
     def __init__(
         self, config: PeerConfig, *, security: LinkSecurity | None = None, **around: Any
     ) -> None:
-        if security is None and (config.security.is_secure or config.security.user is not None):
+        if security is None and (
+            config.security.is_secure or config.security.user is not None
+        ):
             raise ValueError(f"peer '{config.name}' asks for a protected link")
         # Without security nothing is asked of certificates and users.
-        self.kinds = OF_OPCUA if security else OF_OPCUA - {FaultKind.CERTIFICATE, FaultKind.LOG_IN}
+        self.kinds = (
+            OF_OPCUA
+            if security
+            else OF_OPCUA - {FaultKind.CERTIFICATE, FaultKind.LOG_IN}
+        )
         super().__init__(config, **around)
         self._security = security
 
@@ -59,7 +65,9 @@ class PeerLink(Peer):
         status, now_ns = self.status, time.monotonic_ns()
         await session.read_clock()
         intake = self.enter()
-        acquisition = Acquisition(session, self.config, status, intake, self._report_slow)
+        acquisition = Acquisition(
+            session, self.config, status, intake, self._report_slow
+        )
         self._intake.expect(acquisition.nodes, now_ns)
         writer = Writer(
             session,

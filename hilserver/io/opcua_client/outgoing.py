@@ -95,7 +95,9 @@ def _whole(value: object, kind: ua.VariantType, _is_bad: bool) -> bool | int:
     return whole
 
 
-def data_value(value: ua.Variant, form: Form, status: int, stamp: datetime) -> ua.DataValue:
+def data_value(
+    value: ua.Variant, form: Form, status: int, stamp: datetime
+) -> ua.DataValue:
     """Return the value to send; without this the library would fill in a missing status."""
     return ua.DataValue(
         value,

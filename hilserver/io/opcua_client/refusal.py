@@ -15,7 +15,11 @@ from hilserver.opcua.trust_list import Verdict
 
 _SHOWN = 5
 _LONGEST = 100
-_LOG_IN_CODES = {"BadUserAccessDenied", "BadIdentityTokenRejected", "BadIdentityTokenInvalid"}
+_LOG_IN_CODES = {
+    "BadUserAccessDenied",
+    "BadIdentityTokenRejected",
+    "BadIdentityTokenInvalid",
+}
 _POLICY_CODES = {
     "BadSecurityPolicyRejected",
     "BadSecurityModeRejected",
@@ -45,11 +49,15 @@ def certificate_refused(
     if sentence is None:
         sentence = _about(parse_certificate(data), verdict, host, trust_with)
     return RefusedError(
-        FaultKind.CERTIFICATE, verdict.value, f"not connected: {sentence} ({verdict.value})"
+        FaultKind.CERTIFICATE,
+        verdict.value,
+        f"not connected: {sentence} ({verdict.value})",
     )
 
 
-def _about(certificate: x509.Certificate, verdict: Verdict, host: str, trust_with: str) -> str:
+def _about(
+    certificate: x509.Certificate, verdict: Verdict, host: str, trust_with: str
+) -> str:
     if verdict is Verdict.HOST:
         names = _listed(host_names(certificate)) or "no host"
         return (
@@ -67,7 +75,9 @@ def _about(certificate: x509.Certificate, verdict: Verdict, host: str, trust_wit
 
 
 def policy_missing(
-    wanted: str, endpoints: Sequence[ua.EndpointDescription], policy_names: dict[str, str]
+    wanted: str,
+    endpoints: Sequence[ua.EndpointDescription],
+    policy_names: dict[str, str],
 ) -> RefusedError:
     """Return that no endpoint has the configured policy and mode, and those there are."""
     offered = dict.fromkeys(
@@ -84,10 +94,16 @@ def policy_missing(
     )
 
 
-def token_missing(user: str | None, offered: Iterable[ua.UserTokenPolicy]) -> RefusedError:
+def token_missing(
+    user: str | None, offered: Iterable[ua.UserTokenPolicy]
+) -> RefusedError:
     """Return that the endpoint does not accept our kind of log-in."""
     kinds = _listed([policy.TokenType.name for policy in offered]) or "nothing"
-    remedy = "set user and password_file" if user is None else "remove user and password_file"
+    remedy = (
+        "set user and password_file"
+        if user is None
+        else "remove user and password_file"
+    )
     what = "anonymous clients" if user is None else "user names"
     return RefusedError(
         FaultKind.LOG_IN,
@@ -114,10 +130,17 @@ def refused_by_peer(
     code = ua.StatusCode(ua.UInt32(error.code)).name
     if code in _LOG_IN_CODES:
         who = "anonymous clients" if user is None else f"user '{user}'"
-        remedy = "set user and password_file" if user is None else "check user and password_file"
+        remedy = (
+            "set user and password_file"
+            if user is None
+            else "check user and password_file"
+        )
         kind, sentence = FaultKind.LOG_IN, f"it refuses {who}: {remedy}"
     elif code in _POLICY_CODES:
-        kind, sentence = FaultKind.SECURITY_POLICY, "it refuses this policy and mode: set security"
+        kind, sentence = (
+            FaultKind.SECURITY_POLICY,
+            "it refuses this policy and mode: set security",
+        )
     elif code.startswith("BadCertificate") or code == "BadSecurityChecksFailed":
         which = f"our certificate {ours}" if ours else "an unprotected connection"
         remedy = "trust it there, and check both clocks" if ours else "set security"

@@ -84,7 +84,9 @@ class LinkSecurity:
         self._password_file = security.password_file and folder / security.password_file
         self._shown: tuple[bytes, str] | None = None
         try:
-            self._identity = _identity(config, opcua, folder) if security.is_secure else None
+            self._identity = (
+                _identity(config, opcua, folder) if security.is_secure else None
+            )
             if self._password_file is not None:
                 _read_password(self._password_file)
         except ConfigError as error:
@@ -96,7 +98,9 @@ class LinkSecurity:
         return "" if self._identity is None else thumbprint(self._identity.certificate)
 
     async def prepare(
-        self, client: "PeerClient", ask: Callable[[], Awaitable[list[ua.EndpointDescription]]]
+        self,
+        client: "PeerClient",
+        ask: Callable[[], Awaitable[list[ua.EndpointDescription]]],
     ) -> None:
         """Give `client` everything it needs to connect to a trusted peer.
 
@@ -117,7 +121,9 @@ class LinkSecurity:
             try:
                 password = _read_password(self._password_file)
             except ConfigError as error:
-                raise RefusedError(FaultKind.LOG_IN, "file", f"not connected: {error}") from None
+                raise RefusedError(
+                    FaultKind.LOG_IN, "file", f"not connected: {error}"
+                ) from None
             client.set_user(self.user)
             client.set_password(password)
 
@@ -144,9 +150,15 @@ class LinkSecurity:
         if token_type != ua.UserTokenType.UserName:
             return fitting[0]
         known = {policy.URI for policy in _POLICIES.values()}
-        encrypted = [p for p in fitting if (p.SecurityPolicyUri or identity.policy.URI) in known]
+        encrypted = [
+            p for p in fitting if (p.SecurityPolicyUri or identity.policy.URI) in known
+        ]
         if encrypted:
-            own = [p for p in encrypted if p.SecurityPolicyUri in (None, "", identity.policy.URI)]
+            own = [
+                p
+                for p in encrypted
+                if p.SecurityPolicyUri in (None, "", identity.policy.URI)
+            ]
             return (own or encrypted)[0]
         plain = [p for p in fitting if p.SecurityPolicyUri == _NONE_URI]
         if plain and identity.mode == ua.MessageSecurityMode.SignAndEncrypt:
@@ -154,7 +166,9 @@ class LinkSecurity:
         uri = fitting[0].SecurityPolicyUri
         raise refusal.password_exposed("" if uri == _NONE_URI else uri or "")
 
-    def _choose(self, endpoints: list[ua.EndpointDescription]) -> ua.EndpointDescription:
+    def _choose(
+        self, endpoints: list[ua.EndpointDescription]
+    ) -> ua.EndpointDescription:
         identity = self._identity
         assert identity is not None
         for endpoint in endpoints:
@@ -172,13 +186,17 @@ class LinkSecurity:
         """Judge again how the peer identifies itself, now through the secure channel."""
         self._judged(to_der(certificate), server)
 
-    def _judged(self, data: bytes | None, server: ua.ApplicationDescription) -> x509.Certificate:
+    def _judged(
+        self, data: bytes | None, server: ua.ApplicationDescription
+    ) -> x509.Certificate:
         """Return the certificate if it is good."""
         assert self._identity is not None
         shown, uri = data or b"", server.ApplicationUri or ""
         verdict = self._verdict(shown, uri)
         if verdict is not Verdict.GOOD:
-            kept = verdict is Verdict.UNTRUSTED and self._identity.trust.keep_rejected(shown)
+            kept = verdict is Verdict.UNTRUSTED and self._identity.trust.keep_rejected(
+                shown
+            )
             raise self._refuse(verdict, shown, uri, is_kept=kept is not None)
         self._shown = (shown, uri)
         return x509.load_der_x509_certificate(first_of_chain(shown))
@@ -193,7 +211,11 @@ class LinkSecurity:
     ) -> RefusedError:
         identity = self._identity
         assert identity is not None
-        remedy = identity.trust_with if is_kept else f"put it into {identity.trust.folder}/trusted"
+        remedy = (
+            identity.trust_with
+            if is_kept
+            else f"put it into {identity.trust.folder}/trusted"
+        )
         return refusal.certificate_refused(verdict, data, self._host, uri, remedy)
 
 
@@ -221,7 +243,8 @@ def _identity(config: PeerConfig, opcua: OpcUaSettings, folder: Path) -> _Identi
     ours = TrustList(folder / opcua.certificates)
     key_path = security.private_key or opcua.private_key
     certificate, key = ours.own(
-        key_path and folder / key_path, security.certificate and folder / security.certificate
+        key_path and folder / key_path,
+        security.certificate and folder / security.certificate,
     )
     if not application_uris(certificate):
         raise ConfigError(
@@ -230,7 +253,9 @@ def _identity(config: PeerConfig, opcua: OpcUaSettings, folder: Path) -> _Identi
     left = certificate.not_valid_after_utc - datetime.now(UTC)
     if left < _WARN_BEFORE:
         remedy = "run 'hilserver certs renew'"
-        _log.warning("certificate ends", peer=config.name, days_left=left.days, remedy=remedy)
+        _log.warning(
+            "certificate ends", peer=config.name, days_left=left.days, remedy=remedy
+        )
     trust = ours if security.trust is None else TrustList(folder / security.trust)
     option = "" if security.trust is None else f" --folder {security.trust}"
     trust_with = f"compare it, then 'hilserver certs trust{option} THUMBPRINT'"
@@ -264,9 +289,13 @@ def _read_password(path: Path) -> str:
         if is_open_to_others(path):
             raise ConfigError(f"{path} can be read by others: run 'chmod 600 {path}'")
         with path.open("rb") as file:
-            password = file.read(MAX_PASSWORD_BYTES + 2).split(b"\n")[0].rstrip(b"\r").decode()
+            password = (
+                file.read(MAX_PASSWORD_BYTES + 2).split(b"\n")[0].rstrip(b"\r").decode()
+            )
     except OSError as error:
-        raise ConfigError(f"password_file {path} cannot be read: {error.strerror}") from None
+        raise ConfigError(
+            f"password_file {path} cannot be read: {error.strerror}"
+        ) from None
     except ValueError:
         raise ConfigError(f"password_file {path} contains no text") from None
     if not 0 < len(password.encode()) <= MAX_PASSWORD_BYTES:

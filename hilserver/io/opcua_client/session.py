@@ -18,7 +18,12 @@ from hilserver.config.peers import NodeAddress
 from hilserver.io.opcua_client.refusal import hung_up, refused_by_peer
 from hilserver.io.opcua_client.security import LinkSecurity, PeerClient
 from hilserver.io.peer_link import samples
-from hilserver.io.peer_link.samples import FaultKind, LinkLostError, RefusedError, Verdict
+from hilserver.io.peer_link.samples import (
+    FaultKind,
+    LinkLostError,
+    RefusedError,
+    Verdict,
+)
 from hilserver.time_limit import time_limit
 
 CONNECT_TIMEOUT_S = 2.0  # for the TCP connection and for each request
@@ -46,11 +51,15 @@ def quieten_asyncua() -> None:
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
 
 
-def read_request(nodes: Iterable[ua.NodeId], attribute: ua.AttributeIds) -> ua.ReadParameters:
+def read_request(
+    nodes: Iterable[ua.NodeId], attribute: ua.AttributeIds
+) -> ua.ReadParameters:
     """Build a multi-read that can be sent repeatedly."""
     parameters = ua.ReadParameters()
     parameters.TimestampsToReturn = ua.TimestampsToReturn.Source
-    parameters.NodesToRead = [ua.ReadValueId(NodeId=n, AttributeId=attribute) for n in nodes]
+    parameters.NodesToRead = [
+        ua.ReadValueId(NodeId=n, AttributeId=attribute) for n in nodes
+    ]
     return parameters
 
 
@@ -67,13 +76,17 @@ class Session:
         quieten_asyncua()
         self._endpoint = endpoint
         self._security = security
-        self._client = PeerClient(endpoint, timeout=CONNECT_TIMEOUT_S, watchdog_intervall=3600)
+        self._client = PeerClient(
+            endpoint, timeout=CONNECT_TIMEOUT_S, watchdog_intervall=3600
+        )
         self._client.security = security
         self._client.name = "hilserver"
         self._client.application_uri = "urn:hilserver:client"
         self._client.session_timeout = SESSION_TIMEOUT_MS
         self._client.connection_lost_callback = self._on_lost
-        self._client.uaclient._make_protocol = self._limited(self._client.uaclient._make_protocol)
+        self._client.uaclient._make_protocol = self._limited(
+            self._client.uaclient._make_protocol
+        )
         self._lost = asyncio.Event()
         # the raw services (read, write, create_subscription, ...)
         self.services: Any = self._client.uaclient.session
@@ -97,7 +110,9 @@ class Session:
         security = self._security
         ours = "" if security is None else security.thumbprint
         if isinstance(error, ua.UaStatusCodeError):
-            return refused_by_peer(error, None if security is None else security.user, ours)
+            return refused_by_peer(
+                error, None if security is None else security.user, ours
+            )
         is_protected = self._client.security_policy.Mode != ua.MessageSecurityMode.None_
         if is_protected and not isinstance(error, ConnectionRefusedError):
             return hung_up(ours)
@@ -128,7 +143,9 @@ class Session:
 
         def make() -> Any:
             protocol = make_protocol()
-            protocol.timeout = OPEN_AT_MOST_S  # until it is open: what limits that counts our time
+            protocol.timeout = (
+                OPEN_AT_MOST_S  # until it is open: what limits that counts our time
+            )
             receive = protocol.data_received
 
             def data_received(data: bytes) -> None:
@@ -174,7 +191,9 @@ class Session:
         """Send one multi-read; one DataValue per node, in order."""
         values: list[ua.DataValue] = await self.services.read(request)
         if len(values) != len(request.NodesToRead):
-            raise LinkLostError("the peer answered a read with the wrong number of values")
+            raise LinkLostError(
+                "the peer answered a read with the wrong number of values"
+            )
         return values
 
     async def read_attributes(
@@ -184,7 +203,10 @@ class Session:
         if not nodes:
             return []
         values = await self.read(read_request(nodes, attribute))
-        return [v.Value.Value if v.StatusCode.is_good() and v.Value else None for v in values]
+        return [
+            v.Value.Value if v.StatusCode.is_good() and v.Value else None
+            for v in values
+        ]
 
     async def read_clock(self) -> Any:
         """Read the peer's ServerStatus.CurrentTime (datetime, or None)."""
@@ -192,7 +214,9 @@ class Session:
 
     async def resolve(self, nodes: Iterable[str]) -> dict[str, ua.NodeId | None]:
         """Look up the namespaces and return the node ids; None if the URI is unknown."""
-        uris = (await self.read_attributes([_NAMESPACE_ARRAY], ua.AttributeIds.Value))[0] or []
+        uris = (await self.read_attributes([_NAMESPACE_ARRAY], ua.AttributeIds.Value))[
+            0
+        ] or []
         resolved: dict[str, ua.NodeId | None] = {}
         for text in nodes:
             address = NodeAddress.parse(text)
@@ -201,7 +225,9 @@ class Session:
                 index = uris.index(address.namespace_uri)
             resolved[text] = None
             if index is not None:
-                resolved[text] = ua.NodeId.from_string(f"ns={index};{address.identifier}")
+                resolved[text] = ua.NodeId.from_string(
+                    f"ns={index};{address.identifier}"
+                )
         return resolved
 
 
@@ -223,7 +249,10 @@ def _judged(sample: ua.DataValue) -> Verdict:
     status = sample.StatusCode
     if status is not None and not status.is_good():
         kind = FaultKind.BAD_STATUS
-        if status.value in (ua.StatusCodes.BadNodeIdUnknown, ua.StatusCodes.BadNodeIdInvalid):
+        if status.value in (
+            ua.StatusCodes.BadNodeIdUnknown,
+            ua.StatusCodes.BadNodeIdInvalid,
+        ):
             kind = FaultKind.MISSING_NODE
         return Verdict(fault=kind, detail=f"status {status.name}")
     value = sample.Value.Value if sample.Value is not None else None

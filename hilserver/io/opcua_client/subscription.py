@@ -42,7 +42,12 @@ class Subscription:
     """
 
     def __init__(
-        self, session: Session, intake: FaultyIntake, *, poll_ms: float, every_stamp: bool
+        self,
+        session: Session,
+        intake: FaultyIntake,
+        *,
+        poll_ms: float,
+        every_stamp: bool,
     ) -> None:
         self._session = session
         self._intake = intake
@@ -64,13 +69,19 @@ class Subscription:
         request = ua.CreateSubscriptionParameters()
         request.RequestedPublishingInterval = publishing_ms
         request.RequestedMaxKeepAliveCount = keep_alives
-        request.RequestedLifetimeCount = max(10 * keep_alives, int(LIFETIME_MS / publishing_ms))
+        request.RequestedLifetimeCount = max(
+            10 * keep_alives, int(LIFETIME_MS / publishing_ms)
+        )
         request.PublishingEnabled = True
-        result = await self._session.services.create_subscription(request, self._on_publish)
+        result = await self._session.services.create_subscription(
+            request, self._on_publish
+        )
         self._id = result.SubscriptionId
         self._sampling_asked_ms = sampling_ms
         self.grant = Grant(result.RevisedPublishingInterval, 0.0)
-        keep_alive_s = result.RevisedPublishingInterval * result.RevisedMaxKeepAliveCount / 1000
+        keep_alive_s = (
+            result.RevisedPublishingInterval * result.RevisedMaxKeepAliveCount / 1000
+        )
         self._silent_after_s = max(SILENT_AFTER_S, 3 * keep_alive_s)
         return self.grant
 
@@ -94,11 +105,15 @@ class Subscription:
         results = await self._create_items(items)
         for node, item, result in zip(found, items, results, strict=True):
             if result.StatusCode.is_good():
-                sampling_ms = max(self.grant.sampling_ms, result.RevisedSamplingInterval)
+                sampling_ms = max(
+                    self.grant.sampling_ms, result.RevisedSamplingInterval
+                )
                 self.grant = Grant(self.grant.publishing_ms, sampling_ms)
                 continue
             self._handles.pop(item.RequestedParameters.ClientHandle, None)
-            self._intake.missing(node, f"status {result.StatusCode.name}", time.monotonic_ns())
+            self._intake.missing(
+                node, f"status {result.StatusCode.name}", time.monotonic_ns()
+            )
             missing.append(node)
         return missing
 
@@ -122,19 +137,25 @@ class Subscription:
             trigger = ua.DataChangeTrigger.StatusValueTimestamp
             parameters.Filter = ua.DataChangeFilter(Trigger=trigger)
         item = ua.MonitoredItemCreateRequest()
-        item.ItemToMonitor = ua.ReadValueId(NodeId=node_id, AttributeId=ua.AttributeIds.Value)
+        item.ItemToMonitor = ua.ReadValueId(
+            NodeId=node_id, AttributeId=ua.AttributeIds.Value
+        )
         item.MonitoringMode = ua.MonitoringMode.Reporting
         item.RequestedParameters = parameters
         return item
 
-    async def _create_items(self, items: list[ua.MonitoredItemCreateRequest]) -> list[Any]:
+    async def _create_items(
+        self, items: list[ua.MonitoredItemCreateRequest]
+    ) -> list[Any]:
         request = ua.CreateMonitoredItemsParameters()
         request.SubscriptionId = self._id
         request.TimestampsToReturn = ua.TimestampsToReturn.Source
         request.ItemsToCreate = items
         results = list(await self._session.services.create_monitored_items(request))
         if len(results) != len(items):
-            raise LinkLostError("the peer answered a subscription with the wrong number of nodes")
+            raise LinkLostError(
+                "the peer answered a subscription with the wrong number of nodes"
+            )
         again = [
             index
             for index, result in enumerate(results)

@@ -57,14 +57,19 @@ class Writer:
         self._status.writes_skipped += count
 
     async def _cycle(self) -> None:
-        if len(self._targets) < len(self._config.write) and time.monotonic() >= self._look_again_s:
+        if (
+            len(self._targets) < len(self._config.write)
+            and time.monotonic() >= self._look_again_s
+        ):
             await self._find_targets()
             self._look_again_s = time.monotonic() + LOOK_AGAIN_S
         try:
             outputs = {signal: self._read_output(signal) for signal in self._targets}
         except LookupError:
             return  # no tick has produced a value yet
-        values = [value for s, output in outputs.items() if (value := self._value(s, output))]
+        values = [
+            value for s, output in outputs.items() if (value := self._value(s, output))
+        ]
         if not values:
             return
         signals, request = [signal for signal, _ in values], ua.WriteParameters()
@@ -76,7 +81,9 @@ class Writer:
     async def _send(self, signals: list[str], request: ua.WriteParameters) -> None:
         results = await self._session.services.write(request)
         if len(results) != len(signals):
-            raise LinkLostError("the peer answered a write with the wrong number of results")
+            raise LinkLostError(
+                "the peer answered a write with the wrong number of results"
+            )
         self._status.writes += 1
         for signal, result in zip(signals, results, strict=True):
             if not result.is_good() and signal in self._targets:
@@ -94,21 +101,32 @@ class Writer:
             fitted = variant(value, kind, is_bad=is_bad(status))
         except UnfitError as error:
             sentence = f"{signal} is not written to {address}: {error}"
-            self._faults.report(FaultKind.UNFIT_OUTPUT, signal, sentence, time.monotonic_ns())
+            self._faults.report(
+                FaultKind.UNFIT_OUTPUT, signal, sentence, time.monotonic_ns()
+            )
             return None
-        data = data_value(fitted, form, status if is_honest else GOOD, self._utc(monotonic_ns))
-        return signal, ua.WriteValue(NodeId=node, AttributeId=ua.AttributeIds.Value, Value=data)
+        data = data_value(
+            fitted, form, status if is_honest else GOOD, self._utc(monotonic_ns)
+        )
+        return signal, ua.WriteValue(
+            NodeId=node, AttributeId=ua.AttributeIds.Value, Value=data
+        )
 
     def _on_refused(self, signal: str, result: ua.StatusCode) -> None:
         node = self._config.write[signal]
         form = self._forms.get(signal, Form.WHOLE)
-        if result.value == ua.StatusCodes.BadWriteNotSupported and form is not Form.BARE:
+        if (
+            result.value == ua.StatusCodes.BadWriteNotSupported
+            and form is not Form.BARE
+        ):
             self._forms[signal] = Form(form + 1)
             return
         if result.value == ua.StatusCodes.BadNodeIdUnknown:
             del self._targets[signal]
         sentence = f"{node} refuses {signal}: {result.name}"
-        self._faults.report(FaultKind.REFUSED_WRITE, node, sentence, time.monotonic_ns())
+        self._faults.report(
+            FaultKind.REFUSED_WRITE, node, sentence, time.monotonic_ns()
+        )
 
     async def _find_targets(self) -> None:
         wanted: Mapping[str, str] = {

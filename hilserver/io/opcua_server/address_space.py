@@ -56,14 +56,20 @@ class AddressSpaceBuilder:
 
     def _place(self, path: str, name: str, parent: str, reference: int) -> Place:
         """Return the place of one of our nodes below another one."""
-        return Place(self.node_id(path), self.name(name), self.node_id(parent), reference)
+        return Place(
+            self.node_id(path), self.name(name), self.node_id(parent), reference
+        )
 
     def roots(self) -> None:
         """Add DI's DeviceSet and the robot below it."""
         kinds, name = ua.ObjectIds, ua.QualifiedName("DeviceSet", self._di_index)
         device_set = Place(self.device_set, name, OBJECTS, kinds.Organizes)
-        self._object(device_set, kinds.BaseObjectType, "Contains all instances of devices")
-        robot = Place(self.robot, self.name("Robot"), self.device_set, kinds.HasComponent)
+        self._object(
+            device_set, kinds.BaseObjectType, "Contains all instances of devices"
+        )
+        robot = Place(
+            self.robot, self.name("Robot"), self.device_set, kinds.HasComponent
+        )
         events = ua.EventNotifier.SubscribeToEvents.mask
         self._object(robot, kinds.BaseObjectType, "The simulated robot", events)
         self.reference(SERVER, self.robot, kinds.HasNotifier, ua.NodeClass.Object)
@@ -71,7 +77,9 @@ class AddressSpaceBuilder:
     def namespaces(self) -> None:
         """Describe both namespaces; a nodeset file does this by its models."""
         self._namespace(model.NAMESPACE_URI, self._index, __version__, ua.IdType.String)
-        self._namespace(model.DI_NAMESPACE_URI, self._di_index, model.DI_VERSION, ua.IdType.Numeric)
+        self._namespace(
+            model.DI_NAMESPACE_URI, self._di_index, model.DI_VERSION, ua.IdType.Numeric
+        )
 
     def nameplate(self, entries: Iterable[Entry]) -> None:
         """Add the nameplate: properties of the robot, referenced by a group as well."""
@@ -98,7 +106,11 @@ class AddressSpaceBuilder:
             ("NamespaceVersion", version, kinds.String),
             ("NamespacePublicationDate", _PUBLISHED, kinds.DateTime),
             ("IsNamespaceSubset", index == self._di_index, kinds.Boolean),
-            ("StaticNodeIdTypes", ua.Variant([ids], ua.VariantType.Int32), kinds.IdType),
+            (
+                "StaticNodeIdTypes",
+                ua.Variant([ids], ua.VariantType.Int32),
+                kinds.IdType,
+            ),
             ("StaticNumericNodeIdRange", no_ranges, kinds.NumericRange),
             ("StaticStringNodeIdPattern", "", kinds.String),
         ):
@@ -117,12 +129,16 @@ class AddressSpaceBuilder:
         attributes.DataType = ua.NodeId(row.data_type)
         attributes.ValueRank = -1 if row.length is None else 1
         attributes.ArrayDimensions = None if row.length is None else [row.length]
-        attributes.AccessLevel = _READ_WRITE if row.writable else ua.AccessLevel.CurrentRead.mask
+        attributes.AccessLevel = (
+            _READ_WRITE if row.writable else ua.AccessLevel.CurrentRead.mask
+        )
         attributes.UserAccessLevel = attributes.AccessLevel
         # 0: every change is reported, there is no sampling between plant and subscriber.
         attributes.MinimumSamplingInterval = 0.0
         place = self._place(row.path, row.name, row.parent, ua.ObjectIds.HasComponent)
-        self.value_of(self._add(place, attributes, row.type_definition)).value = ua.DataValue(
+        self.value_of(
+            self._add(place, attributes, row.type_definition)
+        ).value = ua.DataValue(
             ua.Variant(), _WAITING, ServerTimestamp=datetime.now(UTC)
         )
         self._properties(row)
@@ -131,7 +147,9 @@ class AddressSpaceBuilder:
         kinds = ua.ObjectIds
         if row.eu_range is not None:
             low, high = row.eu_range
-            self.property(row.path, "EURange", ua.Range(float(low), float(high)), kinds.Range)
+            self.property(
+                row.path, "EURange", ua.Range(float(low), float(high)), kinds.Range
+            )
         if row.unit is not None:
             unit = eu_information(row.unit)
             self.property(row.path, "EngineeringUnits", unit, kinds.EUInformation)
@@ -139,8 +157,12 @@ class AddressSpaceBuilder:
             texts = [ua.LocalizedText(text) for text in row.enum_strings]
             self.property(row.path, "EnumStrings", texts, kinds.LocalizedText)
         if row.two_states:
-            for name, text in zip(("FalseState", "TrueState"), row.two_states, strict=True):
-                self.property(row.path, name, ua.LocalizedText(text), kinds.LocalizedText)
+            for name, text in zip(
+                ("FalseState", "TrueState"), row.two_states, strict=True
+            ):
+                self.property(
+                    row.path, name, ua.LocalizedText(text), kinds.LocalizedText
+                )
 
     def property(
         self, owner: str, name: str, value: Any, data_type: int, namespace: int = 0
@@ -151,8 +173,13 @@ class AddressSpaceBuilder:
         attributes.ValueRank = 1 if isinstance(value, list) else -1
         attributes.ArrayDimensions = [0] if isinstance(value, list) else None
         attributes.Value = value if isinstance(value, ua.Variant) else ua.Variant(value)
-        node_id, browse_name = self.node_id(f"{owner}.{name}"), ua.QualifiedName(name, namespace)
-        place = Place(node_id, browse_name, self.node_id(owner), ua.ObjectIds.HasProperty)
+        node_id, browse_name = (
+            self.node_id(f"{owner}.{name}"),
+            ua.QualifiedName(name, namespace),
+        )
+        place = Place(
+            node_id, browse_name, self.node_id(owner), ua.ObjectIds.HasProperty
+        )
         return self._add(place, attributes, ua.ObjectIds.PropertyType)
 
     def method(self, method: Method) -> ua.NodeId:
@@ -160,7 +187,9 @@ class AddressSpaceBuilder:
         attributes = ua.MethodAttributes()
         attributes.Description = ua.LocalizedText(method.description)
         attributes.Executable = attributes.UserExecutable = True
-        place = self._place(method.node_id, method.name, "methods", ua.ObjectIds.HasComponent)
+        place = self._place(
+            method.node_id, method.name, "methods", ua.ObjectIds.HasComponent
+        )
         node_id = self._add(place, attributes)
         if method.arguments:
             arguments = [
@@ -172,11 +201,17 @@ class AddressSpaceBuilder:
                 )
                 for argument in method.arguments
             ]
-            self.property(method.node_id, "InputArguments", arguments, ua.ObjectIds.Argument)
+            self.property(
+                method.node_id, "InputArguments", arguments, ua.ObjectIds.Argument
+            )
         return node_id
 
     def event_type(
-        self, path: str, name: str, base: ua.NodeId, properties: Sequence[tuple[str, int, Any]]
+        self,
+        path: str,
+        name: str,
+        base: ua.NodeId,
+        properties: Sequence[tuple[str, int, Any]],
     ) -> ua.NodeId:
         """Add an event type; `properties` are rows of name, data type, initial value."""
         attributes = ua.ObjectTypeAttributes()
@@ -187,7 +222,9 @@ class AddressSpaceBuilder:
         for entry, data_type, value in properties:
             typed = ua.Variant(value, ua.VariantType(data_type))
             added = self.property(path, entry, typed, data_type, self._index)
-            self._reference(added, mandatory, kinds.HasModellingRule, ua.NodeClass.Object)
+            self._reference(
+                added, mandatory, kinds.HasModellingRule, ua.NodeClass.Object
+            )
         return node_id
 
     def value_of(self, node_id: ua.NodeId) -> Any:
@@ -199,7 +236,11 @@ class AddressSpaceBuilder:
         self._service._aspace[node_id].attributes[ua.AttributeIds.Value] = place
 
     def reference(
-        self, source: ua.NodeId, target: ua.NodeId, kind: int, target_class: ua.NodeClass
+        self,
+        source: ua.NodeId,
+        target: ua.NodeId,
+        kind: int,
+        target_class: ua.NodeClass,
     ) -> None:
         """Add a reference and its inverse."""
         self._reference(source, target, kind, target_class)
@@ -221,13 +262,17 @@ class AddressSpaceBuilder:
         item.TargetNodeClass = target_class
         self._service.add_references([item])[0].check()
 
-    def _object(self, place: Place, type_definition: int, about: str, notifier: int = 0) -> None:
+    def _object(
+        self, place: Place, type_definition: int, about: str, notifier: int = 0
+    ) -> None:
         attributes = ua.ObjectAttributes()
         attributes.Description = ua.LocalizedText(about)
         attributes.EventNotifier = notifier
         self._add(place, attributes, type_definition)
 
-    def _add(self, place: Place, attributes: Any, type_definition: int | None = None) -> ua.NodeId:
+    def _add(
+        self, place: Place, attributes: Any, type_definition: int | None = None
+    ) -> ua.NodeId:
         attributes.DisplayName = ua.LocalizedText(place.name.Name)
         item = ua.AddNodesItem()
         item.RequestedNewNodeId = place.node_id

@@ -40,13 +40,22 @@ from hilserver.io.opcua_server.method_table import CALLER, METHODS, Method, Part
 from hilserver.io.opcua_server.model import CONTROL_SOURCE, DATA_TYPES, SHELL
 from hilserver.io.opcua_server.parameters import ParameterVariables
 from hilserver.io.opcua_server.values import SignalVariables
-from hilserver.opcua.application import ACCEPTED, Answer, Application, CallAnswer, Visitor, refused
+from hilserver.opcua.application import (
+    ACCEPTED,
+    Answer,
+    Application,
+    CallAnswer,
+    Visitor,
+    refused,
+)
 from hilserver.opcua.logs import log
 from hilserver.opcua.settings import Role
 from hilserver.plant.layout import N_SETPOINTS
 from hilserver.signals import Signal, SignalTable
 
-SOURCE = "opcua"  # name under which clients of this server write, except the operator page
+SOURCE = (
+    "opcua"  # name under which clients of this server write, except the operator page
+)
 
 _Codes = ua.StatusCodes
 STATUS_OF: dict[Refusal, int] = {
@@ -90,7 +99,12 @@ class RobotApplication(Application):
         show_owner: Callable[[], None],
     ) -> None:
         super().__init__(server, server.access)
-        self._index, self._table, self._image, self._gate = namespace_index, table, image, gate
+        self._index, self._table, self._image, self._gate = (
+            namespace_index,
+            table,
+            image,
+            gate,
+        )
         self._variables, self._parts, self._show_owner = variables, parts, show_owner
         self._parameters = parameters
         self._methods = {ua.NodeId(m.node_id, namespace_index): m for m in METHODS}
@@ -178,7 +192,10 @@ class RobotApplication(Application):
         return answers
 
     def _change(
-        self, changes: dict[str, tuple[int, ua.Variant]], answers: list[Answer], source: str
+        self,
+        changes: dict[str, tuple[int, ua.Variant]],
+        answers: list[Answer],
+        source: str,
     ) -> None:
         """Change parameters, all in one tick."""
         written = {name: variant for name, (_, variant) in changes.items()}
@@ -207,13 +224,18 @@ class RobotApplication(Application):
         for name, reason in turned_down.items():
             why = self._gate.explain(source, name, reason)
             answers[group[name][0]] = Answer(STATUS_OF[reason], why)
-        accepted = {name: self._gate.accepted_value(name) for name in values.keys() - turned_down}
+        accepted = {
+            name: self._gate.accepted_value(name)
+            for name in values.keys() - turned_down
+        }
         if accepted:
             if kind_of(source) == SOURCE and session.processor is not None:
                 self._gate.present.add(session)
                 slots = [slot for name in accepted for slot in self._table[name].slots]
                 client = session if session.visitor.may_hold_control else None
-                self._gate.commanded((slot for slot in slots if slot < N_SETPOINTS), client)
+                self._gate.commanded(
+                    (slot for slot in slots if slot < N_SETPOINTS), client
+                )
             self._variables.show_written(accepted, self._image.pushed_rows)
 
     def _take_control(self, variant: ua.Variant, session: Any) -> Answer:
@@ -256,7 +278,11 @@ class RobotApplication(Application):
     async def call(self, request: ua.CallMethodRequest, session: Any) -> CallAnswer:
         """Answer one call; the method can see who called."""
         who, method = _name_of(session), self._methods.get(request.MethodId)
-        other = self._other_driver(session) if method is not None and method.disturbs else ""
+        other = (
+            self._other_driver(session)
+            if method is not None and method.disturbs
+            else ""
+        )
         if other and self.may_call(session.user, request.MethodId):
             return refused(_Codes.BadUserAccessDenied, other)
         mine = CALLER.set(who)
@@ -264,12 +290,18 @@ class RobotApplication(Application):
             answer = await super().call(request, session)
         finally:
             CALLER.reset(mine)
-        if method is None or method.name == "ResetStatistics":  # which changes nothing in the plant
+        if (
+            method is None or method.name == "ResetStatistics"
+        ):  # which changes nothing in the plant
             return answer
         if answer.result.StatusCode.is_good():
-            said = [f"{argument.Value!r:.60}" for argument in request.InputArguments or ()]
+            said = [
+                f"{argument.Value!r:.60}" for argument in request.InputArguments or ()
+            ]
             text = f"{method.name}({', '.join(said)}) by {who}"
-            self._gate.publish(Event(EventKind.STATE, 200, session.visitor.source, text))
+            self._gate.publish(
+                Event(EventKind.STATE, 200, session.visitor.source, text)
+            )
         if answer.text and method.refused is not None:
             why = answer.text.removeprefix(f"{method.name}: ")
             method.refused(self._parts, f"{method.name} by {who} was refused: {why}")

@@ -71,13 +71,17 @@ class Diagnostics:
         self._due_s, self._table = now_s + self._every_s, self._provider()
         for entry, figures in self._table.items():
             name = entry.replace(".", "_")
-            for figure, value in sorted(figures.items(), key=lambda row: row[0] != self._flat):
+            for figure, value in sorted(
+                figures.items(), key=lambda row: row[0] != self._flat
+            ):
                 path = f"{self._group}.{name}"
                 self._show(path if figure == self._flat else f"{path}.{figure}", value)
         return self._table
 
     def _show(self, path: str, value: Figure) -> None:
-        if self._last.get(path, _NEVER) == value and type(self._last[path]) is type(value):
+        if self._last.get(path, _NEVER) == value and type(self._last[path]) is type(
+            value
+        ):
             return
         if path not in self._places and not self._add(path, value):
             return
@@ -88,12 +92,18 @@ class Diagnostics:
             now = datetime.now(UTC)
             self._places[path].value = FixedDataValue(_NO_VALUE, _WAITING, now, now)
         else:
-            self._places[path].value = FixedDataValue.good(converted, kind, is_array=False)
+            self._places[path].value = FixedDataValue.good(
+                converted, kind, is_array=False
+            )
 
     def _add(self, path: str, value: Figure) -> bool:
         if len(self._places) >= _MAX_VARIABLES:
             if not self._is_full:
-                log.warning("too many figures for OPC UA", group=self._group, shown=_MAX_VARIABLES)
+                log.warning(
+                    "too many figures for OPC UA",
+                    group=self._group,
+                    shown=_MAX_VARIABLES,
+                )
             self._is_full = True
             return False
         kind = _kind_of(path, value)
@@ -104,7 +114,13 @@ class Diagnostics:
             self._folders.add(parent)
         self._builder.variable(
             model.Variable(
-                path, parent, name, "", model.BASE_DATA_VARIABLE, kind.value, writable=False
+                path,
+                parent,
+                name,
+                "",
+                model.BASE_DATA_VARIABLE,
+                kind.value,
+                writable=False,
             )
         )
         self._places[path] = self._builder.value_of(self._builder.node_id(path))

@@ -34,7 +34,9 @@ class Argument:
 class Parts:
     """What the methods act on."""
 
-    def __init__(self, control: "Control", faults: "Faults | None", files: Any = None) -> None:
+    def __init__(
+        self, control: "Control", faults: "Faults | None", files: Any = None
+    ) -> None:
         self.control = control
         self._faults, self._files = faults, files
 
@@ -78,7 +80,9 @@ class Method:
 
 def _plain(name: str) -> str:
     if not _PLAIN_NAME.fullmatch(name):
-        raise ValueError(f"{name!r:.120} is not a plain file name (letters, digits, _ . -)")
+        raise ValueError(
+            f"{name!r:.120} is not a plain file name (letters, digits, _ . -)"
+        )
     return name
 
 
@@ -93,11 +97,17 @@ def _undecided(on: Parts, sentence: str) -> None:
 
 
 _SIGNAL = Argument("signal", STRING, "Name of the signal")
-_SNAPSHOT = Argument("name", STRING, "Plain file name in the snapshot directory, no path")
+_SNAPSHOT = Argument(
+    "name", STRING, "Plain file name in the snapshot directory, no path"
+)
 _SCENARIO = Argument("name", STRING, "Plain file name in folders.scenarios, no path")
 _PATCH = Argument("name", STRING, "Plain file name in folders.patches, no path")
-_NUMBER = Argument("number", ValueType.UINT32, "Number of the proposal, see recalibration.proposal")
-_RECORDING = Argument("name", STRING, "Plain file name in folders.recordings, .mcap or .csv")
+_NUMBER = Argument(
+    "number", ValueType.UINT32, "Number of the proposal, see recalibration.proposal"
+)
+_RECORDING = Argument(
+    "name", STRING, "Plain file name in folders.recordings, .mcap or .csv"
+)
 
 METHODS = (
     Method(
@@ -106,7 +116,9 @@ METHODS = (
         lambda on: on.control.start(),
         disturbs=True,
     ),
-    Method("Stop", "Emergency stop: go to the safe state", lambda on: on.control.stop()),
+    Method(
+        "Stop", "Emergency stop: go to the safe state", lambda on: on.control.stop()
+    ),
     Method(
         "Pause",
         "Stop the simulation at the next tick",
@@ -159,7 +171,9 @@ METHODS = (
     ),
     Method("ClearFaults", "End all injected faults", lambda on: on.faults.clear()),
     Method(
-        "ResetStatistics", "Restart the timing statistics", lambda on: on.control.reset_statistics()
+        "ResetStatistics",
+        "Restart the timing statistics",
+        lambda on: on.control.reset_statistics(),
     ),
     Method(
         "SetPose",
@@ -168,11 +182,15 @@ METHODS = (
         (
             Argument("x", ValueType.DOUBLE, "Position in the world frame [m]"),
             Argument("y", ValueType.DOUBLE, "Position in the world frame [m]"),
-            Argument("yaw", ValueType.DOUBLE, "Heading, counter-clockwise positive [rad]"),
+            Argument(
+                "yaw", ValueType.DOUBLE, "Heading, counter-clockwise positive [rad]"
+            ),
         ),
     ),
     Method(
-        "AlignPose", "Place the robot where the measured one is", lambda on: on.control.align_pose()
+        "AlignPose",
+        "Place the robot where the measured one is",
+        lambda on: on.control.align_pose(),
     ),
     Method(
         "SetSpeed",
@@ -207,7 +225,11 @@ METHODS = (
         lambda on, name: on.files.patches.load(_plain(name)),
         (_PATCH,),
     ),
-    Method("RemovePatch", "Continue without the model patch", lambda on: on.files.patches.remove()),
+    Method(
+        "RemovePatch",
+        "Continue without the model patch",
+        lambda on: on.files.patches.remove(),
+    ),
     Method(
         "SetParameter",
         "Set a parameter by a number, a name of one, or null, from one tick on",

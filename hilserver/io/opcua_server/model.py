@@ -21,7 +21,9 @@ if TYPE_CHECKING:  # clients also use these names, and need no compiler
 NAMESPACE_URI = "urn:hilserver:robot"
 DI_NAMESPACE_URI = "http://opcfoundation.org/UA/DI/"
 DI_VERSION = "1.04"  # of OPC 10000-100, whose names we use
-DI_DEVICE_SET = 5001  # numeric identifier of DeviceSet in the DI namespace (OPC 10000-100)
+DI_DEVICE_SET = (
+    5001  # numeric identifier of DeviceSet in the DI namespace (OPC 10000-100)
+)
 
 ROBOT = "robot"  # node id of the object that holds all our nodes
 GROUPS = {
@@ -136,12 +138,17 @@ def _of_parameter(parameter: "Parameter") -> Variable:
     path = PARAMETERS + parameter.name
     parent, name = split(path)
     text = parameter.meaning + ("; NaN is null" if parameter.nullable else "")
-    text += f"; SetParameter takes it {parameter.names_text}" if parameter.names_text else ""
+    text += (
+        f"; SetParameter takes it {parameter.names_text}"
+        if parameter.names_text
+        else ""
+    )
     return Variable(
         path=path,
         parent=parent,
         name=name,
-        description=text + ("; a change needs a restart" if parameter.when == "restart" else ""),
+        description=text
+        + ("; a change needs a restart" if parameter.when == "restart" else ""),
         type_definition=ANALOG_UNIT_RANGE,
         data_type=DATA_TYPES[ValueType.DOUBLE],
         writable=True,
@@ -171,7 +178,11 @@ def describe(
     )
     paths = [variable.path for variable in variables]
     own = [_of_parameter(parameter) for parameter in parameters]
-    places = [*(f"{group}.x" for group in GROUPS), *paths, *(variable.path for variable in own)]
+    places = [
+        *(f"{group}.x" for group in GROUPS),
+        *paths,
+        *(variable.path for variable in own),
+    ]
     folders = list(folders_of(places))
     taken = {folder.path for folder in folders} | {ROBOT}
     for path in paths:

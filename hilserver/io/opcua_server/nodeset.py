@@ -42,4 +42,8 @@ def to_nodeset(table: SignalTable, parameters: Iterable[Parameter] = ()) -> str:
 
 def _as_xml(value: object) -> Markup:
     """Return text escaped for XML: unlike HTML this leaves an apostrophe as it is."""
-    return value if isinstance(value, Markup) else Markup(escape(str(value), {'"': "&quot;"}))  # noqa: S704
+    return (
+        value
+        if isinstance(value, Markup)
+        else Markup(escape(str(value), {'"': "&quot;"}))  # noqa: S704
+    )

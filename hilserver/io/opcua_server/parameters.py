@@ -17,7 +17,9 @@ _DOUBLE = ua.VariantType.Double
 class ParameterVariables:
     """Values of the parameters, and what clients write."""
 
-    def __init__(self, parameters: LiveParameters | None, place: Callable[[str], Any]) -> None:
+    def __init__(
+        self, parameters: LiveParameters | None, place: Callable[[str], Any]
+    ) -> None:
         self._parameters = parameters
         names = () if parameters is None else parameters.table
         self._places = {PARAMETERS + name: place(PARAMETERS + name) for name in names}
@@ -36,10 +38,14 @@ class ParameterVariables:
         for name, value in values.items():
             before = self._shown.get(name, math.inf)
             if value != before and not (math.isnan(value) and math.isnan(before)):
-                self._places[PARAMETERS + name].value = FixedDataValue.good(value, _DOUBLE)
+                self._places[PARAMETERS + name].value = FixedDataValue.good(
+                    value, _DOUBLE
+                )
         self._source, self._shown = values, dict(values)
 
-    def write(self, source: str, written: Mapping[str, ua.Variant]) -> dict[str, Refused]:
+    def write(
+        self, source: str, written: Mapping[str, ua.Variant]
+    ) -> dict[str, Refused]:
         """Change parameters, all in one tick; return refusals by the name of the node."""
         refused: dict[str, Refused] = {}
         values: dict[str, object] = {}
@@ -48,6 +54,8 @@ class ParameterVariables:
                 refused[node] = Refused(Refusal.TYPE_MISMATCH, "the type is Double")
             else:
                 values[node.removeprefix(PARAMETERS)] = variant.Value
-        found = {} if self._parameters is None else self._parameters.write(source, values)
+        found = (
+            {} if self._parameters is None else self._parameters.write(source, values)
+        )
         self.publish()
         return refused | {PARAMETERS + name: why for name, why in found.items()}

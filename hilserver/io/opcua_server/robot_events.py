@@ -95,7 +95,12 @@ class RobotEvents:
     """Sends the events of the bus to OPC UA clients."""
 
     def __init__(
-        self, builder: AddressSpaceBuilder, subscriptions: Any, clock: UtcClock, *, limit_per_s: int
+        self,
+        builder: AddressSpaceBuilder,
+        subscriptions: Any,
+        clock: UtcClock,
+        *,
+        limit_per_s: int,
     ) -> None:
         self._subscriptions = subscriptions
         self._clock = clock
@@ -147,12 +152,18 @@ def _add_types(builder: AddressSpaceBuilder) -> dict[EventKind, ua.NodeId]:
         f"types.{BASE_TYPE}",
         BASE_TYPE,
         ua.NodeId(kinds.BaseEventType),
-        (("Kind", kinds.String, ""), ("MonotonicTime_ns", kinds.Int64, 0), ("Suppressed", 7, 0)),
+        (
+            ("Kind", kinds.String, ""),
+            ("MonotonicTime_ns", kinds.Int64, 0),
+            ("Suppressed", 7, 0),
+        ),
     )
     types = {
         kind: builder.event_type(f"types.{name}", name, base, ())
         for kind, name in TYPE_NAMES.items()
     }
     for type_id in types.values():
-        builder.reference(builder.robot, type_id, kinds.GeneratesEvent, ua.NodeClass.ObjectType)
+        builder.reference(
+            builder.robot, type_id, kinds.GeneratesEvent, ua.NodeClass.ObjectType
+        )
     return types

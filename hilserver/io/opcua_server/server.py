@@ -13,7 +13,12 @@ from hilserver.io.opcua_server.diagnostics import Diagnostics
 from hilserver.io.opcua_server.method_table import METHODS, Parts
 from hilserver.io.opcua_server.parameters import ParameterVariables
 from hilserver.io.opcua_server.robot_events import RobotEvents
-from hilserver.io.opcua_server.server_status import PRODUCT_URI, ServerStatus, build_info, nameplate
+from hilserver.io.opcua_server.server_status import (
+    PRODUCT_URI,
+    ServerStatus,
+    build_info,
+    nameplate,
+)
 from hilserver.io.opcua_server.values import SignalVariables
 from hilserver.io.world import Figure, Part, World
 from hilserver.opcua.encoding import FixedDataValue
@@ -38,7 +43,9 @@ class OpcUaServer(Part):
         self._world, self._config = world, world.config.opcua
         self._gate = world.gate
         audit = world.tables["audit"]
-        self._providers = dict(world.tables) | {"audit": lambda: {**audit(), **self.audit()}}
+        self._providers = dict(world.tables) | {
+            "audit": lambda: {**audit(), **self.audit()}
+        }
         if world.faults is not None:
             self._providers["faults"] = world.faults.figures
         parameters = () if world.parameters is None else world.parameters.table.values()
@@ -65,7 +72,11 @@ class OpcUaServer(Part):
             config.is_secure and config.anonymous_role in (None, Role.OBSERVER)
         )
         protection = "certificates" if config.is_secure else "policy None"
-        who = "users" if config.anonymous_role is None else f"{config.anonymous_role.name.lower()}"
+        who = (
+            "users"
+            if config.anonymous_role is None
+            else f"{config.anonymous_role.name.lower()}"
+        )
         return {
             "opcua_access": {
                 "ok": not is_open,
@@ -85,7 +96,9 @@ class OpcUaServer(Part):
         FailedError if the address cannot be listened on; ConfigError if certificate or key are
         missing or cannot be used.
         """
-        server = HardenedServer(self._config, self._world.folder, self._world.tasks.spawn)
+        server = HardenedServer(
+            self._config, self._world.folder, self._world.tasks.spawn
+        )
         server.set_server_name("hilserver")
         server.product_uri, server.manufacturer_name = PRODUCT_URI, "hilserver"
         await server.init()
@@ -96,7 +109,9 @@ class OpcUaServer(Part):
         self._robot_events.attach(self._world.events)
         self.publish_diagnostics()
         if not self.audit()["opcua_access"]["ok"]:
-            log.warning("opcua is open to the network: anyone may command", endpoint=self.url)
+            log.warning(
+                "opcua is open to the network: anyone may command", endpoint=self.url
+            )
         log.info("opcua server listens", endpoint=self.url)
 
     async def stop(self) -> None:
@@ -184,7 +199,9 @@ class OpcUaServer(Part):
         if self._gate.owner == self._owner_shown:
             return
         self._owner_shown = self._gate.owner
-        self._owner_place.value = FixedDataValue.good(self._owner_shown, ua.VariantType.String)
+        self._owner_place.value = FixedDataValue.good(
+            self._owner_shown, ua.VariantType.String
+        )
 
 
 def parts(world: World) -> Iterator[OpcUaServer]:

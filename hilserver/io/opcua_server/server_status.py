@@ -82,7 +82,9 @@ class ServerStatus:
         self._level = _place(address_space, kinds.Server_ServiceLevel)
         self._shown: tuple[State, int] | None = None
 
-    def show(self, state: State, peers: Mapping[str, Any], audit: Mapping[str, Any]) -> None:
+    def show(
+        self, state: State, peers: Mapping[str, Any], audit: Mapping[str, Any]
+    ) -> None:
         """Write state and service level where they changed."""
         level = service_level(state, peers, audit)
         if self._shown == (state, level):
@@ -104,7 +106,9 @@ class ServerStatus:
         self._level.value = FixedDataValue.good(level, ua.VariantType.Byte)
 
 
-def service_level(state: State, peers: Mapping[str, Any], audit: Mapping[str, Any]) -> int:
+def service_level(
+    state: State, peers: Mapping[str, Any], audit: Mapping[str, Any]
+) -> int:
     """Return the ServiceLevel that goes with a state."""
     if state is not State.RUNNING:
         return _LEVELS[state]

@@ -69,7 +69,8 @@ _ROWS = (
 )
 
 UNECE: dict[str, Unit] = {
-    symbol: Unit(symbol, code, unit_id(code), description) for symbol, code, description in _ROWS
+    symbol: Unit(symbol, code, unit_id(code), description)
+    for symbol, code, description in _ROWS
 }
 """Every unit that a signal may have, by symbol; "1" is no unit."""
 
@@ -80,5 +81,7 @@ def find_unit(symbol: str) -> Unit:
     ConfigError if there is none; its sentence lists the known ones.
     """
     if symbol not in UNECE:
-        raise ConfigError(f"unit '{symbol}' is unknown; write one of {', '.join(UNECE)}")
+        raise ConfigError(
+            f"unit '{symbol}' is unknown; write one of {', '.join(UNECE)}"
+        )
     return UNECE[symbol]

@@ -47,7 +47,9 @@ def worst(codes: list[int]) -> int:
 class SignalPlace(AttributeValue):  # type: ignore[misc]
     """Place of a signal's value in the address space; the value is made when it is read."""
 
-    def __init__(self, signal: Signal, variables: "SignalVariables", stamp: Stamp) -> None:
+    def __init__(
+        self, signal: Signal, variables: "SignalVariables", stamp: Stamp
+    ) -> None:
         self._signal = signal
         self._variables = variables
         self._kind = ua.VariantType(DATA_TYPES[signal.type])
@@ -71,7 +73,11 @@ class SignalPlace(AttributeValue):  # type: ignore[misc]
     def _make(self) -> FixedDataValue:
         slots, code_of = self._signal.slots, self._variables.code
         values, status = self._variables.values, self._variables.status
-        code = status[slots[0]] if len(slots) == 1 else worst([status[slot] for slot in slots])
+        code = (
+            status[slots[0]]
+            if len(slots) == 1
+            else worst([status[slot] for slot in slots])
+        )
         numbers = [values[slot] for slot in slots]
         if code < 0:
             code = int(ua.StatusCodes.BadWaitingForInitialData)
@@ -103,7 +109,9 @@ class SignalVariables:
         self._clock = clock
         started = Stamp(None, datetime.now(UTC))
         # signal name -> its place in the address space
-        self.places = {signal.name: SignalPlace(signal, self, started) for signal in table}
+        self.places = {
+            signal.name: SignalPlace(signal, self, started) for signal in table
+        }
         self._by_slot: list[list[SignalPlace]] = [[] for _ in range(table.n_slots)]
         for signal in table:
             for slot in signal.slots:
@@ -132,7 +140,9 @@ class SignalVariables:
         self._mark(slots.tolist(), self._clock.utc(frame.planned_ns))
         return int(slots.size)
 
-    def show_written(self, values: Mapping[str, tuple[float, ...]], pushed_rows: int) -> None:
+    def show_written(
+        self, values: Mapping[str, tuple[float, ...]], pushed_rows: int
+    ) -> None:
         """Show accepted writes until a frame has latched `pushed_rows` rows."""
         slots: list[int] = []
         for name, numbers in values.items():

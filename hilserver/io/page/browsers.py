@@ -54,7 +54,9 @@ class Browser:
 class Browsers:
     """All browsers; those without a log-in, not seen for longest, are forgotten first."""
 
-    def __init__(self, make_hand: Callable[[], Hand], *, anonymous_may_stop: bool = False) -> None:
+    def __init__(
+        self, make_hand: Callable[[], Hand], *, anonymous_may_stop: bool = False
+    ) -> None:
         self._make_hand, self._may_stop = make_hand, anonymous_may_stop
         self._by_key: dict[str, Browser] = {}
 
@@ -68,7 +70,8 @@ class Browsers:
     async def new(self) -> Browser:
         """Return a new one; others without an open socket make room, those without a user first."""
         idle = sorted(
-            (b for b in self._by_key.values() if not b.live), key=lambda b: (b.user != "", b.seen_s)
+            (b for b in self._by_key.values() if not b.live),
+            key=lambda b: (b.user != "", b.seen_s),
         )
         while idle and len(self._by_key) >= MAX_BROWSERS:
             await self.forget(idle.pop(0))

@@ -27,9 +27,15 @@ def load(folder: Path = FOLDER) -> dict[str, Asset]:
     for path in sorted(folder.rglob("*")):
         if path.is_file():
             body = path.read_bytes()
-            packed = gzip.compress(body, 6) if path.suffix in _TEXTS and len(body) > 1024 else None
+            packed = (
+                gzip.compress(body, 6)
+                if path.suffix in _TEXTS and len(body) > 1024
+                else None
+            )
             kind = mimetypes.guess_type(path.name)[0] or "application/octet-stream"
             assets[path.relative_to(folder).as_posix()] = Asset(body, packed, kind)
     if "index.html" not in assets:
-        raise FailedError("the page is not built: run 'npm ci && npm run build' in page/")
+        raise FailedError(
+            "the page is not built: run 'npm ci && npm run build' in page/"
+        )
     return assets

@@ -19,7 +19,11 @@ from hilserver.opcua.passwords import WINDOW_S, FailedAttempts, keys_of
 from hilserver.signals.numbers import is_finite_number
 
 ANY = ""
-_RANGES = {"Byte": (0, 2**8 - 1), "UInt32": (0, 2**32 - 1), "Int64": (-(2**63), 2**63 - 1)}
+_RANGES = {
+    "Byte": (0, 2**8 - 1),
+    "UInt32": (0, 2**32 - 1),
+    "Int64": (-(2**63), 2**63 - 1),
+}
 _WORDS = {
     STRING: "text",
     "Double": "a finite number",
@@ -39,7 +43,9 @@ def fit(value: Any, kind: str) -> bool:
     if kind == ANY:
         return True
     if kind == STRING:
-        return is_finite_number(value) or (isinstance(value, str) and _is_unicode(value))
+        return is_finite_number(value) or (
+            isinstance(value, str) and _is_unicode(value)
+        )
     if kind == "Boolean":
         return isinstance(value, bool) or value in (0, 1)
     if not is_finite_number(value):
@@ -48,7 +54,9 @@ def fit(value: Any, kind: str) -> bool:
     return low <= value <= high and (kind not in _RANGES or float(value).is_integer())
 
 
-def check(name: str, given: Sequence[Any], wanted: Sequence[str], optional: int = 0) -> None:
+def check(
+    name: str, given: Sequence[Any], wanted: Sequence[str], optional: int = 0
+) -> None:
     """Check the arguments of a call; WrongTypeError says what is wrong."""
     if not len(wanted) - optional <= len(given) <= len(wanted):
         raise WrongTypeError(f"{name} takes {len(wanted)} arguments, not {len(given)}")
@@ -93,7 +101,9 @@ class LogIns:
         """
         keys, now_s = keys_of(name, browser.address), time.monotonic()
         if any(self._attempts.is_blocked(key, now_s) for key in keys):
-            raise RefusedError("too many failed log-ins for this name or address: wait a minute")
+            raise RefusedError(
+                "too many failed log-ins for this name or address: wait a minute"
+            )
         for key in keys:  # before the answer, or parallel guesses would all pass
             self._attempts.failed(key, now_s)
         async with browser.lock:
@@ -150,7 +160,9 @@ class Calls:
         else:
             raise RefusedError(f"there is no method '{name:.40}'")
         is_stop = name == "Stop"
-        if name not in ("login", "logout", "session") and not (is_stop and browser.may_stop):
+        if name not in ("login", "logout", "session") and not (
+            is_stop and browser.may_stop
+        ):
             await self.ready(browser)
         if is_stop:
             return await self._stopping.press(browser)(SHOWN_S)
@@ -176,7 +188,9 @@ class Calls:
         await self.ready(browser)
         await browser.hand.call("Stop", ())
 
-    async def _login(self, browser: Browser, name: str, password: str) -> dict[str, Any]:
+    async def _login(
+        self, browser: Browser, name: str, password: str
+    ) -> dict[str, Any]:
         if not self._setup.opcua.needs_login:
             raise RefusedError("this page needs no log-in")
         browser.may_stop = False
@@ -198,7 +212,8 @@ class Calls:
         page = self._setup.page
         return {
             "user": browser.user,
-            "needs_login": self._setup.opcua.needs_login and not browser.hand.is_connected,
+            "needs_login": self._setup.opcua.needs_login
+            and not browser.hand.is_connected,
             "problem": problem,
             "drive": browser.hand.rights.drive,
             "methods": browser.hand.rights.methods,
@@ -209,14 +224,18 @@ class Calls:
     async def _ticket(self, browser: Browser) -> str:
         return browser.new_ticket()
 
-    async def _take(self, browser: Browser, number: int, taken_from: int | None = None) -> None:
+    async def _take(
+        self, browser: Browser, number: int, taken_from: int | None = None
+    ) -> None:
         client = self._live.find(number)
         if client is None or client.browser is not browser:
             raise RefusedError("this page has no live connection")
 
         def check() -> None:
             if self._live.driver not in (None, number, taken_from):
-                raise RefusedError("another browser is driving: confirm to take control")
+                raise RefusedError(
+                    "another browser is driving: confirm to take control"
+                )
 
         await self._driving.take(client, check)
         if self._live.find(number) is not client:  # it has left meanwhile
@@ -242,7 +261,9 @@ class Calls:
                 raise RefusedError(f"there is no parameter '{name:.60}'")
             if value is not None:
                 check_value(name, value, "Double")
-        numbers = {PARAMETERS + n: math.nan if v is None else v for n, v in values.items()}
+        numbers = {
+            PARAMETERS + n: math.nan if v is None else v for n, v in values.items()
+        }
         await browser.hand.write(numbers)
 
     async def _diagnose(self, browser: Browser, log: str, mapping: str = "") -> int:

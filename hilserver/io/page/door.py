@@ -50,7 +50,12 @@ class Place(asyncio.Protocol):
         self._door, self._is_over = door, False
         self._transport: Any = None
         self._timer: asyncio.TimerHandle | None = None
-        for name in ("data_received", "eof_received", "pause_writing", "resume_writing"):
+        for name in (
+            "data_received",
+            "eof_received",
+            "pause_writing",
+            "resume_writing",
+        ):
             setattr(self, name, getattr(behind, name))
         self.uses(Use.WAITS, HEAD_S)
 
@@ -137,7 +142,11 @@ class Door:
             await asyncio.get_running_loop().connect_accepted_socket(
                 lambda: place, connection, ssl=self.tls, ssl_handshake_timeout=limit_s
             )
-        except (OSError, TimeoutError, RuntimeError):  # it is gone, or does not speak TLS
+        except (
+            OSError,
+            TimeoutError,
+            RuntimeError,
+        ):  # it is gone, or does not speak TLS
             place.end()
 
     def place(self, address: str) -> Place | None:
@@ -157,9 +166,12 @@ class Door:
         may_yield = (
             place
             for place in self._places.values()
-            if place.use == Use.WAITS or (place.use == Use.WORKS and place.since_s < late_s)
+            if place.use == Use.WAITS
+            or (place.use == Use.WORKS and place.since_s < late_s)
         )
-        return min(may_yield, key=lambda p: (p.use, -crowd[p.address], p.since_s), default=None)
+        return min(
+            may_yield, key=lambda p: (p.use, -crowd[p.address], p.since_s), default=None
+        )
 
     def leave(self, place: Place) -> None:
         """Free a place."""

@@ -76,7 +76,9 @@ class Driving:
         self._rests = False  # a zero came before it, which the daemon has to see
         self._news = asyncio.Event()
         self._taken_s = -math.inf
-        self._turn = asyncio.Lock()  # what one browser sent is completed before another's turn
+        self._turn = (
+            asyncio.Lock()
+        )  # what one browser sent is completed before another's turn
 
     @property
     def is_new(self) -> bool:
@@ -93,10 +95,17 @@ class Driving:
         async with self._turn:
             check()
             await seat.browser.hand.write({"control.source": "page"})
-            before, self.driver, self._next, self._rests = self.driver, seat, None, False
+            before, self.driver, self._next, self._rests = (
+                self.driver,
+                seat,
+                None,
+                False,
+            )
             self._taken_s = time.monotonic()
         if before is not None and before is not seat:
-            before.tell({"type": "refused", "text": "another browser has taken control"})
+            before.tell(
+                {"type": "refused", "text": "another browser has taken control"}
+            )
 
     def command(self, seat: Seat, data: Mapping[str, Any]) -> None:
         """Take a command of `seat`; RefusedError if it does not drive or its picture is too old."""
@@ -132,7 +141,9 @@ class Driving:
 
     async def _hand_over(self, command: Command, seat: Seat) -> None:
         try:
-            if command is _RELEASE:  # stop at once, as handing over control would only ramp down
+            if (
+                command is _RELEASE
+            ):  # stop at once, as handing over control would only ramp down
                 self.driver = None
                 await seat.browser.hand.write(_REST.values)
             await seat.browser.hand.write(command.values)

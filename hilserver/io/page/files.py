@@ -30,7 +30,11 @@ def files_in(folder: Path, *suffixes: str) -> Iterator[dict[str, Any]]:
         entries = [(path, path.stat()) for path in folder.iterdir() if path.is_file()]
         for path, status in sorted(entries, key=lambda row: -row[1].st_mtime)[:500]:
             if (not suffixes or path.suffix in suffixes) and _NAME.fullmatch(path.name):
-                yield {"name": path.name, "bytes": status.st_size, "modified_s": status.st_mtime}
+                yield {
+                    "name": path.name,
+                    "bytes": status.st_size,
+                    "modified_s": status.st_mtime,
+                }
 
 
 def file_in(folder: Path, name: object) -> Path:

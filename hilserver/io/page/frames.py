@@ -42,7 +42,9 @@ class Selection:
     def encode(self, frame: Frame, stamp: int) -> bytes:
         """Return the bytes for one frame."""
         age_s = max(time.monotonic_ns() - frame.planned_ns, 0) * 1e-9
-        head = HEAD.pack(MESSAGE_VERSION, self.key[0], len(self._slots), stamp, frame.tick, age_s)
+        head = HEAD.pack(
+            MESSAGE_VERSION, self.key[0], len(self._slots), stamp, frame.tick, age_s
+        )
         values = frame.values[self._slots].astype("<f8").tobytes()
         return head + values + frame.status[self._slots].astype("<u4").tobytes()
 
@@ -52,7 +54,9 @@ MAX_PLOTTED = 24
 _TIME = "sim.time_s"
 
 
-def history(reader: ImageReader, slots: Mapping[str, int], names: Sequence[str]) -> dict[str, Any]:
+def history(
+    reader: ImageReader, slots: Mapping[str, int], names: Sequence[str]
+) -> dict[str, Any]:
     """Return times [s] and values of signals, oldest first; None for a missing value.
 
     Only as many frames are read as a plot can show; they begin where time last went back.
@@ -72,5 +76,10 @@ def history(reader: ImageReader, slots: Mapping[str, int], names: Sequence[str])
             good = (frame.status[columns] < BAD) & np.isfinite(frame.values[columns])
             values = frame.values[columns].tolist()
             times.append(now_s)
-            rows.append([v if ok else None for v, ok in zip(values, good.tolist(), strict=True)])
-    return {"times": times, "series": {n: [row[i] for row in rows] for i, n in enumerate(names)}}
+            rows.append(
+                [v if ok else None for v, ok in zip(values, good.tolist(), strict=True)]
+            )
+    return {
+        "times": times,
+        "series": {n: [row[i] for row in rows] for i, n in enumerate(names)},
+    }

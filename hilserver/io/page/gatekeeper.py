@@ -42,7 +42,11 @@ class Gatekeeper:
         try:
             name = urlsplit(f"//{host}").hostname or ""
             origin = request.headers.get("Origin")
-            same = not _is_elsewhere(request) if origin is None else urlsplit(origin).netloc == host
+            same = (
+                not _is_elsewhere(request)
+                if origin is None
+                else urlsplit(origin).netloc == host
+            )
         except ValueError:
             return False
         return same and (not self._is_local or is_loopback(name))

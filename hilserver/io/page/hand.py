@@ -62,7 +62,9 @@ class Hand:
         client = self._client
         return client is not None and client.uaclient.state is UaClientState.CONNECTED
 
-    async def connect(self, name: str = "", password: str = "", address: str = "") -> None:
+    async def connect(
+        self, name: str = "", password: str = "", address: str = ""
+    ) -> None:
         """Open the session, for a user at this address.
 
         RefusedError if the server does not answer; WrongPasswordError if it does not accept this
@@ -70,9 +72,13 @@ class Hand:
         """
         access = self._access
         if not access.endpoint:
-            raise RefusedError("the OPC UA server of the daemon is off: this page is read-only")
+            raise RefusedError(
+                "the OPC UA server of the daemon is off: this page is read-only"
+            )
         await self.close()
-        client = Client(access.endpoint, timeout=LOG_IN_ANSWER_S, watchdog_intervall=30.0)
+        client = Client(
+            access.endpoint, timeout=LOG_IN_ANSWER_S, watchdog_intervall=30.0
+        )
         client.name = "hilserver page"
         client.description = f"{access.secret or 'page'} {address} operator"
         try:
@@ -81,7 +87,9 @@ class Hand:
             if name:
                 client.set_user(name)
                 client.set_password(password)
-            async with time_limit(None):  # asyncua limits each request, and cancels some itself
+            async with time_limit(
+                None
+            ):  # asyncua limits each request, and cancels some itself
                 await client.connect()
                 self._client = client
                 self._index = await client.get_namespace_index(NAMESPACE_URI)
@@ -89,7 +97,10 @@ class Hand:
                 client.uaclient.protocol.timeout = HAND_ANSWER_S
         except ua.UaStatusCodeError as error:
             await self.close()
-            unknown = {ua.StatusCodes.BadUserAccessDenied, ua.StatusCodes.BadIdentityTokenRejected}
+            unknown = {
+                ua.StatusCodes.BadUserAccessDenied,
+                ua.StatusCodes.BadIdentityTokenRejected,
+            }
             if error.code in unknown:
                 raise WrongPasswordError("name or password is wrong") from None
             raise RefusedError(str(error)) from None
@@ -132,7 +143,9 @@ class Hand:
         item.InputArguments = _arguments(method, arguments)
         request.Parameters.MethodsToCall = [item]
         response = await self._ask(request, ua.CallResponse)
-        _check([result.StatusCode for result in response.Results], response.DiagnosticInfos)
+        _check(
+            [result.StatusCode for result in response.Results], response.DiagnosticInfos
+        )
 
     async def read(self, names: Sequence[str]) -> list[Any]:
         """Return the values of signals; None for one that has none.
@@ -162,8 +175,12 @@ class Hand:
         executable = await self._read(
             [method.node_id for method in METHODS], ua.AttributeIds.UserExecutable
         )
-        (level,) = await self._read(["twist.linear_m_s"], ua.AttributeIds.UserAccessLevel)
-        methods = tuple(m.name for m, may in zip(METHODS, executable, strict=True) if may)
+        (level,) = await self._read(
+            ["twist.linear_m_s"], ua.AttributeIds.UserAccessLevel
+        )
+        methods = tuple(
+            m.name for m, may in zip(METHODS, executable, strict=True) if may
+        )
         return Rights(bool((level or 0) & ua.AccessLevel.CurrentWrite.mask), methods)
 
     async def _read(self, names: list[str], attribute: ua.AttributeIds) -> list[Any]:
@@ -204,12 +221,16 @@ def _arguments(method: Method, given: Sequence[Any]) -> list[ua.Variant]:
     if len(given) != len(method.arguments):
         raise RefusedError(f"{method.name} takes {len(method.arguments)} arguments")
     try:
-        return [_variant(a.type, v) for a, v in zip(method.arguments, given, strict=True)]
+        return [
+            _variant(a.type, v) for a, v in zip(method.arguments, given, strict=True)
+        ]
     except (TypeError, ValueError, OverflowError):
         raise RefusedError(f"{method.name}: an argument has the wrong type") from None
 
 
-def _check(codes: Sequence[ua.StatusCode], infos: Sequence[ua.DiagnosticInfo] | None) -> None:
+def _check(
+    codes: Sequence[ua.StatusCode], infos: Sequence[ua.DiagnosticInfo] | None
+) -> None:
     for position, code in enumerate(codes):
         if not code.is_good():
             info = infos[position] if infos and position < len(infos) else None

@@ -36,15 +36,23 @@ class ShareOfTime:
         now_s = time.monotonic()
         if not self._marks or now_s - self._marks[-1][0] >= over_s / 8:
             try:
-                words = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1]
+                words = (
+                    Path(f"/proc/{pid}/stat")
+                    .read_text(encoding="ascii")
+                    .rsplit(")", 1)[1]
+                )
             except (OSError, IndexError):
                 return False
-            ticks = sum(int(word) for word in words.split()[11:15])  # with ended children: proc(5)
+            ticks = sum(
+                int(word) for word in words.split()[11:15]
+            )  # with ended children: proc(5)
             self._marks.append((now_s, ticks / os.sysconf("SC_CLK_TCK")))
         while len(self._marks) > 2 and now_s - self._marks[1][0] >= over_s:
             self._marks.popleft()
         (then_s, then_used_s), (last_s, used_s) = self._marks[0], self._marks[-1]
-        return last_s - then_s >= over_s / 2 and used_s - then_used_s < 0.1 * (last_s - then_s)
+        return last_s - then_s >= over_s / 2 and used_s - then_used_s < 0.1 * (
+            last_s - then_s
+        )
 
 
 @dataclass
@@ -94,10 +102,14 @@ class Jobs:
         self._jobs: deque[Job] = deque(maxlen=MAX_KEPT)
         self._running: SupervisedTask | None = None
         reports = setup.folder("reports")
-        earlier = [row for row in reports_in(reports) if row["title"] is not None][:MAX_KEPT]
+        earlier = [row for row in reports_in(reports) if row["title"] is not None][
+            :MAX_KEPT
+        ]
         for number, row in enumerate(reversed(earlier), 1):
             name, title, at_s = row["name"], row["title"], row["modified_s"]
-            self._jobs.append(Job(number, name, reports / name, "done", 1.0, "", title, at_s))
+            self._jobs.append(
+                Job(number, name, reports / name, "done", 1.0, "", title, at_s)
+            )
         self._next = len(earlier) + 1
 
     def view(self) -> list[dict[str, Any]]:
@@ -118,13 +130,17 @@ class Jobs:
             mapping = str(own)
         running = next((job for job in self._jobs if job.state == "running"), None)
         if running is not None:
-            raise RefusedError(f"the diagnosis of {running.log} is running: wait or cancel it")
+            raise RefusedError(
+                f"the diagnosis of {running.log} is running: wait or cancel it"
+            )
         stamp = time.strftime("%Y%m%d-%H%M%S")
         folder = self._setup.folder("reports") / f"{path.stem[:60]}-{stamp}"
         job = Job(self._next, path.name, folder)
         self._next += 1
         self._jobs.append(job)
-        self._running = self._tasks.spawn(partial(self._run, job, path, mapping), "diagnosis")
+        self._running = self._tasks.spawn(
+            partial(self._run, job, path, mapping), "diagnosis"
+        )
         return job.number
 
     def map(self, log: object, text: str) -> None:
@@ -176,7 +192,13 @@ class Jobs:
             await self._running.end()
 
     async def _run(self, job: Job, log: Path, mapping: str) -> None:
-        words = [sys.executable, "-m", "hilserver.io.page.quietly", "diagnose", str(log)]
+        words = [
+            sys.executable,
+            "-m",
+            "hilserver.io.page.quietly",
+            "diagnose",
+            str(log),
+        ]
         words += ["-o", str(job.folder), "--jobs", "1"]
         if mapping:
             words += ["--mapping", mapping]
@@ -195,7 +217,9 @@ class Jobs:
             await self._follow(job, job.process)
             code = await job.process.wait()
             if job.state == "running":
-                job.state, job.share = ("done", 1.0) if code == 0 else ("failed", job.share)
+                job.state, job.share = (
+                    ("done", 1.0) if code == 0 else ("failed", job.share)
+                )
         except (OSError, ValueError) as error:
             job.state, job.text = "failed", str(error)
         finally:

@@ -47,7 +47,9 @@ class PageBeside(Part):
 
     async def start(self) -> None:
         """Start it, without waiting for it."""
-        self._job = self._tasks.keep("page", partial(_keep_running, self._setup(), self._listener))
+        self._job = self._tasks.keep(
+            "page", partial(_keep_running, self._setup(), self._listener)
+        )
 
     async def stop(self) -> None:
         """End it."""
@@ -65,7 +67,11 @@ async def _keep_running(setup: Setup, listener: socket.socket) -> None:
             code = error.strerror or str(error)
         if loop.time() - started_s > STEADY_S:
             wait_s = RESTART_S
-        _log.error("the page has stopped; the daemon keeps running", exit=code, again_in_s=wait_s)
+        _log.error(
+            "the page has stopped; the daemon keeps running",
+            exit=code,
+            again_in_s=wait_s,
+        )
         await asyncio.sleep(wait_s)
         wait_s = min(2 * wait_s, LONGEST_RESTART_S)
 

@@ -18,9 +18,13 @@ def listen(host: str, port: int) -> socket.socket:
     """
     ports = [port + i for i in range(_TRIES) if port + i <= 65535] if port else [0]
     try:
-        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        family, _, _, _, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM
+        )[0]
     except OSError as error:
-        raise address_refused(f"page: cannot listen on {host} port {port}", error) from None
+        raise address_refused(
+            f"page: cannot listen on {host} port {port}", error
+        ) from None
     for candidate in ports:
         listener = socket.socket(family, socket.SOCK_STREAM)
         try:
@@ -31,7 +35,9 @@ def listen(host: str, port: int) -> socket.socket:
             listener.close()
             if error.errno != errno.EADDRINUSE or candidate == ports[-1]:
                 where = f"{host} port {candidate}"
-                raise address_refused(f"page: cannot listen on {where}", error) from None
+                raise address_refused(
+                    f"page: cannot listen on {where}", error
+                ) from None
         else:
             return listener
     raise FailedError(f"page: no port for {host}")
@@ -52,13 +58,17 @@ def tls_context(certificate: Path, key: Path) -> ssl.SSLContext:
         context.load_cert_chain(certificate, key, password=_no_password)
     except ssl.SSLError as error:
         if error.reason == "KEY_VALUES_MISMATCH":
-            raise ConfigError(f"{certificate} does not belong to the key {key}") from None
+            raise ConfigError(
+                f"{certificate} does not belong to the key {key}"
+            ) from None
         raise ConfigError(
             f"{certificate} and {key} cannot be used: a certificate and its key in PEM form are"
             " needed"
         ) from None
     except ValueError:
-        raise ConfigError(f"{key} has a password; store it without, readable by you only") from None
+        raise ConfigError(
+            f"{key} has a password; store it without, readable by you only"
+        ) from None
     return context
 
 

@@ -71,7 +71,9 @@ class Client:
         now_s = time.monotonic()
         self._blocked_since_s = self._blocked_since_s or now_s
         if now_s - self._blocked_since_s > UNREAD_S:
-            _log.warning("page: browser %s takes nothing any more: closed", self.browser.address)
+            _log.warning(
+                "page: browser %s takes nothing any more: closed", self.browser.address
+            )
             transport.abort()
         return False
 
@@ -126,7 +128,9 @@ class Live:
         """The newest board of the daemon."""
         return self._board.content
 
-    async def serve(self, request: web.Request, browser: Browser) -> web.WebSocketResponse:
+    async def serve(
+        self, request: web.Request, browser: Browser
+    ) -> web.WebSocketResponse:
         """Serve one socket until it closes."""
         client = Client(self._next, browser, request, self._tasks)
         self._next += 1
@@ -135,7 +139,9 @@ class Live:
             await _close(client, *refusal)
             return client.socket
         welcome = json.dumps({"type": "welcome", "you": client.number})
-        await _ignoring_loss(client.socket.send_str(welcome))  # before any board or frame
+        await _ignoring_loss(
+            client.socket.send_str(welcome)
+        )  # before any board or frame
         self._clients[client.number] = client
         self._door.stays(request)
         browser.live += 1
@@ -178,14 +184,18 @@ class Live:
             now_s = int(time.monotonic())
             second, count = (second, count + 1) if now_s == second else (now_s, 1)
             if message.type is not WSMsgType.TEXT or count > MESSAGES_PER_S:
-                await _close(client, WSCloseCode.POLICY_VIOLATION, "not a message of this page")
+                await _close(
+                    client, WSCloseCode.POLICY_VIOLATION, "not a message of this page"
+                )
                 return
             try:
                 self._understand(client, json.loads(message.data))
             except RefusedError as error:
                 client.tell({"type": "refused", "text": str(error)})
             except (ValueError, TypeError, KeyError, RecursionError):
-                await _close(client, WSCloseCode.POLICY_VIOLATION, "not a message of this page")
+                await _close(
+                    client, WSCloseCode.POLICY_VIOLATION, "not a message of this page"
+                )
                 return
 
     def _understand(self, client: Client, data: Mapping[str, Any]) -> None:

@@ -32,7 +32,10 @@ from hilserver.time_limit import time_limit
 
 TOKEN_HEADER = "X-Hilserver-Token"  # noqa: S105 - the header's name
 SENT_HEADER = "X-Hilserver-Sent"  # by the clock of the frames
-EXPIRES_MS, FAR_MS = 5_000, 2**31  # beyond: the clock has wrapped, or the browser is ahead
+EXPIRES_MS, FAR_MS = (
+    5_000,
+    2**31,
+)  # beyond: the clock has wrapped, or the browser is ahead
 BODY_BYTES = 65_536
 BODY_S = 5.0
 SWEEP_S, LOOK_S = 60.0, 1.0
@@ -50,7 +53,8 @@ class PageServer:
         types = {signal["name"]: signal["type"] for signal in setup.signals}
         types |= {PARAMETERS + row["name"]: "Double" for row in setup.parameters}
         self._browsers = Browsers(
-            lambda: Hand(setup.opcua, types), anonymous_may_stop=setup.opcua.anonymous_may_stop
+            lambda: Hand(setup.opcua, types),
+            anonymous_may_stop=setup.opcua.anonymous_may_stop,
         )
         self._tasks = Supervisor()
         self._door = Door(self._tls(), tasks=self._tasks)
@@ -71,13 +75,18 @@ class PageServer:
             door=self._door,
             tasks=self._tasks,
         )
-        self._calls = Calls(setup, self._browsers, self._live, self._driving, self._jobs, stopping)
+        self._calls = Calls(
+            setup, self._browsers, self._live, self._driving, self._jobs, stopping
+        )
 
     async def run(self, listener: socket.socket) -> None:
         """Serve on `listener`."""
         _allow_connections()
         runner = web.AppRunner(
-            self._application(), access_log=None, handle_signals=False, keepalive_timeout=20.0
+            self._application(),
+            access_log=None,
+            handle_signals=False,
+            keepalive_timeout=20.0,
         )
         await runner.setup()
         if runner.server is None:
@@ -102,7 +111,11 @@ class PageServer:
 
     def _tls(self) -> ssl.SSLContext | None:
         page = self._setup.page
-        return tls_context(Path(page.certificate), Path(page.key)) if page.certificate else None
+        return (
+            tls_context(Path(page.certificate), Path(page.key))
+            if page.certificate
+            else None
+        )
 
     def _application(self) -> web.Application:
         gatekeeper = Gatekeeper(self._setup.page.host)
@@ -136,12 +149,16 @@ class PageServer:
         browser = self._browsers.find(request.cookies.get(COOKIE))
         if browser is None:
             browser = await self._browsers.new()
-        body = self._assets["index.html"].body.replace(bundle.TOKEN, browser.token.encode())
+        body = self._assets["index.html"].body.replace(
+            bundle.TOKEN, browser.token.encode()
+        )
         response = web.Response(body=body, content_type="text/html", charset="utf-8")
         self._show_key(request, response, browser)
         return response
 
-    def _show_key(self, request: web.Request, response: web.Response, browser: Browser) -> None:
+    def _show_key(
+        self, request: web.Request, response: web.Response, browser: Browser
+    ) -> None:
         if request.cookies.get(COOKIE) != browser.key:
             response.set_cookie(
                 COOKIE,
@@ -160,8 +177,12 @@ class PageServer:
         headers = {"Content-Type": asset.content_type}
         if path.startswith("assets/"):  # their names change with their content
             headers["Cache-Control"] = "max-age=31536000, immutable"
-        if asset.packed is not None and "gzip" in request.headers.get("Accept-Encoding", ""):
-            return web.Response(body=asset.packed, headers={**headers, "Content-Encoding": "gzip"})
+        if asset.packed is not None and "gzip" in request.headers.get(
+            "Accept-Encoding", ""
+        ):
+            return web.Response(
+                body=asset.packed, headers={**headers, "Content-Encoding": "gzip"}
+            )
         return web.Response(body=asset.body, headers=headers)
 
     # --- what it reads ----------------------------------------------------------------------------
@@ -193,7 +214,11 @@ class PageServer:
     async def _hall(self, request: web.Request) -> web.Response:
         self._reader(request)
         return web.json_response(
-            {"walls": self._setup.walls, "robot": self._setup.robot, "faults": self._setup.faults}
+            {
+                "walls": self._setup.walls,
+                "robot": self._setup.robot,
+                "faults": self._setup.faults,
+            }
         )
 
     async def _logs(self, request: web.Request) -> web.Response:
@@ -235,7 +260,9 @@ class PageServer:
 
     async def _report(self, request: web.Request) -> web.Response:
         self._reader(request)
-        path = self._jobs.report(request.match_info["folder"], request.match_info["name"])
+        path = self._jobs.report(
+            request.match_info["folder"], request.match_info["name"]
+        )
         return await _shown(path)
 
     async def _sweep_report(self, request: web.Request) -> web.Response:
@@ -280,14 +307,26 @@ class PageServer:
                 data = await request.json()
             name, arguments = data["method"], data.get("arguments", [])
         except TimeoutError:
-            raise web.HTTPRequestTimeout(text="the call did not arrive completely") from None
+            raise web.HTTPRequestTimeout(
+                text="the call did not arrive completely"
+            ) from None
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
-            raise web.HTTPBadRequest(text="a call needs a method and arguments") from None
+            raise web.HTTPBadRequest(
+                text="a call needs a method and arguments"
+            ) from None
         if not isinstance(name, str) or not isinstance(arguments, list):
-            raise web.HTTPBadRequest(text="a call needs a method name and a list of arguments")
+            raise web.HTTPBadRequest(
+                text="a call needs a method name and a list of arguments"
+            )
         sent = request.headers.get(SENT_HEADER, "")
-        if sent.isdecimal() and name != "Stop" and EXPIRES_MS < age_ms(int(sent)) < FAR_MS:
-            text = "it came too late and was not done: the page's server had stood still"
+        if (
+            sent.isdecimal()
+            and name != "Stop"
+            and EXPIRES_MS < age_ms(int(sent)) < FAR_MS
+        ):
+            text = (
+                "it came too late and was not done: the page's server had stood still"
+            )
             return web.json_response({"ok": False, "text": text}, status=409)
         try:
             result = await self._calls.do(browser, name, arguments)

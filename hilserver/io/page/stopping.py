@@ -75,7 +75,11 @@ class Stopping:
     def _is_shown(self, since: int) -> bool:
         """Whether a frame after so many shows the drive that stops."""
         frame = self._reader.latest()
-        return frame is not None and frame.number >= since and frame.values[self._slot] == _STOPS
+        return (
+            frame is not None
+            and frame.number >= since
+            and frame.values[self._slot] == _STOPS
+        )
 
     async def _say(self, browser: Browser) -> None:
         user = browser.user or "anonymous"

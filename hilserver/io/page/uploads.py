@@ -53,9 +53,13 @@ class Uploads:
                 f" {', '.join(LOG_SUFFIXES)}"
             )
         slow = RefusedError("another log took its place, as this one came too slowly")
-        place = self._places.take(request.remote or "", lambda: request.content.set_exception(slow))
+        place = self._places.take(
+            request.remote or "", lambda: request.content.set_exception(slow)
+        )
         if place is None:
-            raise RefusedError("other logs are being uploaded; wait until one is complete")
+            raise RefusedError(
+                "other logs are being uploaded; wait until one is complete"
+            )
         target = self._folder / name
         try:
             part = await asyncio.to_thread(self._begin, target)

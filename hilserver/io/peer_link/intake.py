@@ -28,7 +28,9 @@ class Intake:
     `utc_ns`: CLOCK_MONOTONIC [ns] -> UTC [ns].
     """
 
-    def __init__(self, config: PeerConfig, source: Source, utc_ns: Callable[[int], int]) -> None:
+    def __init__(
+        self, config: PeerConfig, source: Source, utc_ns: Callable[[int], int]
+    ) -> None:
         self._inputs = {node: config.inputs_of(node) for node in config.read}
         self._counter = config.counter
         self._stamped_node = config.counter
@@ -37,7 +39,9 @@ class Intake:
         self._source, self._status = source, source.status
         self._staleness, self._faults = source.staleness, source.faults
         self._utc_ns = utc_ns
-        self._counted: int | None = None  # newest number of the counter, of whichever session
+        self._counted: int | None = (
+            None  # newest number of the counter, of whichever session
+        )
         self.begin_session()
 
     def begin_session(self) -> None:
@@ -60,7 +64,9 @@ class Intake:
 
     def missing(self, node: str, why: str, now_ns: int) -> None:
         """Report a node that the peer does not have (yet)."""
-        self._faults.report(FaultKind.MISSING_NODE, node, f"{node} does not exist: {why}", now_ns)
+        self._faults.report(
+            FaultKind.MISSING_NODE, node, f"{node} does not exist: {why}", now_ns
+        )
         self._drop(node, now_ns)
 
     def receive(self, samples: Iterable[tuple[str, Verdict]], now_ns: int) -> None:
@@ -129,7 +135,9 @@ class Intake:
         value = verdict.value
         if not isinstance(value, int | float) or value != int(value):
             sentence = f"{self._counter}: {value!r} is not a counter value"
-            self._faults.report(FaultKind.SEQUENCE_JUMP, str(self._counter), sentence, now_ns)
+            self._faults.report(
+                FaultKind.SEQUENCE_JUMP, str(self._counter), sentence, now_ns
+            )
             return False
         before, number = self.sequence.last, int(value) % self._modulus
         # A controller that hangs says the same again in every session: nothing of it is new.
@@ -162,7 +170,9 @@ class Intake:
         latency_ns = one_way_ns(stamp_ns, self._utc_ns(now_ns), offset_ns)
         tolerance_ns = 1_000_000 + (self.offset.uncertainty_ns or 0)
         if latency_ns < -tolerance_ns:
-            sentence = f"the SourceTimestamp of {node} is {-latency_ns / 1e6:.0f} ms ahead"
+            sentence = (
+                f"the SourceTimestamp of {node} is {-latency_ns / 1e6:.0f} ms ahead"
+            )
             self._faults.report(FaultKind.STAMP_AHEAD, node, sentence, now_ns)
             return
         self._status.one_way.observe(max(latency_ns, 0))
@@ -189,7 +199,9 @@ class Intake:
     def _watch_repeats(self, now_ns: int) -> None:
         self._repeats += 1
         if self._repeats > REPEATS_TOLERATED:
-            sentence = f"values change while {self._counter} repeats {self.sequence.last}"
+            sentence = (
+                f"values change while {self._counter} repeats {self.sequence.last}"
+            )
             node = str(self._counter)
             self._faults.report(FaultKind.SEQUENCE_REPEATS, node, sentence, now_ns)
 

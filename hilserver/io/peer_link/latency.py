@@ -115,7 +115,9 @@ class StampWatch:
         if stamp_ns == seen.stamp_ns:
             seen.changes_without_advance += changed
         frozen = seen.changes_without_advance > self._tolerated
-        return StampVerdict(advanced=False, fault=FaultKind.FROZEN_STAMP if frozen else None)
+        return StampVerdict(
+            advanced=False, fault=FaultKind.FROZEN_STAMP if frozen else None
+        )
 
 
 def one_way_ns(stamp_ns: int, arrival_ns: int, offset_ns: int) -> int:

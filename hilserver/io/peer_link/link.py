@@ -18,7 +18,12 @@ from hilserver.faults.links import Line
 from hilserver.io.arrival import WATCH_S
 from hilserver.io.link_status import LinkState, PeerStatus
 from hilserver.io.peer_link.intake import FaultyIntake, Intake
-from hilserver.io.peer_link.samples import FaultKind, LinkLostError, RefusedError, refusal_in
+from hilserver.io.peer_link.samples import (
+    FaultKind,
+    LinkLostError,
+    RefusedError,
+    refusal_in,
+)
 from hilserver.io.source import Source
 from hilserver.io.world import Part
 from hilserver.signals import MEASURED
@@ -156,7 +161,9 @@ class Peer(Part):
             shortest_s = 0.02
             try:
                 self._intake.begin_session()
-                async with time_limit(None):  # what a library cancels itself must not end this task
+                async with time_limit(
+                    None
+                ):  # what a library cancels itself must not end this task
                     await self.converse()
             except Exception as error:  # noqa: BLE001 - a broken peer can make a library raise anything
                 refused = refusal_in(error)
@@ -186,7 +193,9 @@ class Peer(Part):
         status.last_connect_ns = time.monotonic_ns()
         status.connected, status.state = True, LinkState.CONNECTED
         self._faults.admit()
-        _log.info("peer connected", peer=self.config.name, endpoint=self.config.endpoint)
+        _log.info(
+            "peer connected", peer=self.config.name, endpoint=self.config.endpoint
+        )
         return FaultyIntake(self._intake, self._line)
 
     def _leave(self) -> None:
@@ -205,7 +214,9 @@ class Peer(Part):
     def _note_refusal(self, refused: RefusedError) -> None:
         """Report the reason once, however often the attempt is repeated."""
         self.status.last_error = str(refused)
-        self._faults.refuse(refused.kind, refused.subject, str(refused), time.monotonic_ns())
+        self._faults.refuse(
+            refused.kind, refused.subject, str(refused), time.monotonic_ns()
+        )
 
 
 def describe(error: BaseException) -> str:

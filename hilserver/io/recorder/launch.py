@@ -50,7 +50,9 @@ async def running_recorder(
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.PIPE,
         ) as process:
-            messages = tasks.spawn(partial(_log_messages, process), "recorder's messages")
+            messages = tasks.spawn(
+                partial(_log_messages, process), "recorder's messages"
+            )
             if await children.line_of(process, READY, START_LIMIT_S) is None:
                 raise FailedError("the recorder did not start; see its message above")
             watching = tasks.spawn(partial(watch, process), "recorder")
@@ -78,7 +80,9 @@ def recorder_inside(
         Settings(
             path=folder / str(config.file),
             signals=config.signals,
-            rotate_bytes=None if config.rotate_mb is None else round(config.rotate_mb * 1e6),
+            rotate_bytes=None
+            if config.rotate_mb is None
+            else round(config.rotate_mb * 1e6),
             keep=config.keep,
             max_bytes=config.max_mb * 1e6,
             keep_free_bytes=config.keep_free_mb * 1e6,
@@ -98,8 +102,18 @@ def recorder_inside(
 
 def _command(config: RecordingConfig, image: str, folder: Path) -> list[str]:
     words = children.python("-m", "hilserver", "record", "--image", image)
-    words += ["--out", str(folder / str(config.file)), "--buffer-mb", str(config.buffer_mb)]
-    words += ["--max-mb", str(config.max_mb), "--keep-free-mb", str(config.keep_free_mb)]
+    words += [
+        "--out",
+        str(folder / str(config.file)),
+        "--buffer-mb",
+        str(config.buffer_mb),
+    ]
+    words += [
+        "--max-mb",
+        str(config.max_mb),
+        "--keep-free-mb",
+        str(config.keep_free_mb),
+    ]
     for pattern in config.signals:
         words += ["--signals", pattern]
     if config.rotate_mb is not None:

@@ -51,15 +51,23 @@ class Marks:
     """All marks beside an image, for its daemon."""
 
     def __init__(self, image: ImageReader, name: str, batch_frames: int) -> None:
-        self._image, self._path, self._prefix = image, path_of(name), path_of(_prefix(name)).name
+        self._image, self._path, self._prefix = (
+            image,
+            path_of(name),
+            path_of(_prefix(name)).name,
+        )
         self._room = image.control.ring_length - batch_frames - MARGIN_FRAMES
         self._given_up: dict[Path, int] = {}
 
     def wait(self) -> None:
         """Wait until the next batch overwrites no frame that a recorder still has to read."""
         for path in self._path.parent.glob(f"{self._prefix}*"):
-            with contextlib.suppress(OSError):  # it has just ended, or belongs to another user
-                fd = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+            with contextlib.suppress(
+                OSError
+            ):  # it has just ended, or belongs to another user
+                fd = os.open(
+                    path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+                )
                 try:
                     self._wait_for(path, fd)
                 finally:
@@ -73,7 +81,9 @@ class Marks:
             if number != last:
                 last, deadline_s = number, time.monotonic() + PATIENCE_S
             elif time.monotonic() > deadline_s:
-                _log.warning("a recorder is stalled: going on without it", mark=path.name)
+                _log.warning(
+                    "a recorder is stalled: going on without it", mark=path.name
+                )
                 self._given_up[path] = number
                 return
             time.sleep(_LOOK_S)

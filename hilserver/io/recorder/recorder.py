@@ -82,7 +82,9 @@ class Recorder:
     @property
     def lacks_inputs(self) -> bool:
         """Whether inputs are left out, so that no replay is possible."""
-        inputs = {i for i, s in enumerate(self._run["signals"]) if s["direction"] == "in"}
+        inputs = {
+            i for i, s in enumerate(self._run["signals"]) if s["direction"] == "in"
+        }
         return not inputs <= set(self._slots)
 
     def run(self, duration_s: float | None) -> str:
@@ -96,7 +98,9 @@ class Recorder:
             now_s = time.monotonic()
             gone = False
             if now_s >= next_s:
-                gone = self._source.daemon_is_gone()  # read before the last look at the ring
+                gone = (
+                    self._source.daemon_is_gone()
+                )  # read before the last look at the ring
                 self._supervise(now_s)
                 next_s = now_s + SUPERVISE_S
             self._read()
@@ -133,7 +137,9 @@ class Recorder:
             self._rotate(batch)
             if self._thinner is not None:
                 batch = self._thinner.thinned(batch)
-            dropped |= len(batch.frames) > 0 and not self._writing.put(batch, wait=self._waits)
+            dropped |= len(batch.frames) > 0 and not self._writing.put(
+                batch, wait=self._waits
+            )
         if dropped or self._source.lost > self._reported[0]:
             self._want_state()
 
@@ -143,7 +149,10 @@ class Recorder:
         began = self._file_began
         if not 0 < began <= first:  # the first batch, or time has gone back
             self._file_began = first
-        elif self._rotate_s is not None and (last - began) * self._period_s >= self._rotate_s:
+        elif (
+            self._rotate_s is not None
+            and (last - began) * self._period_s >= self._rotate_s
+        ):
             self._file_began = first
             self._writing.put(NextFile())
 
@@ -154,7 +163,9 @@ class Recorder:
 
     def _supervise(self, now_s: float) -> None:
         if self._source.refresh():
-            began_with = {"patch": self._run.get("patch")}  # later ones are changes in the file
+            began_with = {
+                "patch": self._run.get("patch")
+            }  # later ones are changes in the file
             self._run = make_run(self._source.description) | began_with
             self._writing.put(self._run)
         if self._asked_s is not None and now_s - self._asked_s > STATE_WITHIN_S:

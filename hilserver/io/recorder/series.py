@@ -20,9 +20,13 @@ class Settings:
     """What to record, and where to."""
 
     path: Path
-    signals: Sequence[str] = ("*",)  # patterns; inputs (hidden ones too) are needed for a replay
+    signals: Sequence[str] = (
+        "*",
+    )  # patterns; inputs (hidden ones too) are needed for a replay
     rotate_bytes: int | None = None
-    rotate_s: float | None = None  # also begin a new file after so much time of the plant
+    rotate_s: float | None = (
+        None  # also begin a new file after so much time of the plant
+    )
     keep: int | None = None  # the newest files of a rotation
     # leave out frames in which no recorded signal changes, see `thinning`
     sparse: bool = False
@@ -47,7 +51,9 @@ class FileSeries:
         self._settings, self._opened = settings, 0
         self._path, self._keep = settings.path, settings.keep
         self._rotate_bytes = settings.rotate_bytes
-        self._rotates = settings.rotate_s is not None or settings.rotate_bytes is not None
+        self._rotates = (
+            settings.rotate_s is not None or settings.rotate_bytes is not None
+        )
         self.current = settings.path
 
     def open(
@@ -60,14 +66,20 @@ class FileSeries:
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise FailedError(f"{self._path}: cannot be written: {reason(error)}") from None
+            raise FailedError(
+                f"{self._path}: cannot be written: {reason(error)}"
+            ) from None
         if self._rotates:
             number = max(self._numbers(), default=0) + 1
             if number > 999_999:
-                raise FailedError(f"{self._path}: too many files with this name; choose another")
+                raise FailedError(
+                    f"{self._path}: too many files with this name; choose another"
+                )
             self.current = self._file(number)
         self._check_room("cannot begin")
-        writer = open_writer(self.current, run, slots, utc_minus_monotonic_ns, self._settings.bag)
+        writer = open_writer(
+            self.current, run, slots, utc_minus_monotonic_ns, self._settings.bag
+        )
         self._opened += 1
         self._remove_old()
         return writer
@@ -83,7 +95,9 @@ class FileSeries:
         if self._rotate_bytes is not None or not complete:
             n_bytes = complete * (self._rotate_bytes or 0) + writer.n_bytes
         else:
-            n_bytes = sum(_size(self._file(n)) for n in self._numbers()[-complete - 1 :])
+            n_bytes = sum(
+                _size(self._file(n)) for n in self._numbers()[-complete - 1 :]
+            )
         if n_bytes >= self._settings.max_bytes:
             raise FailedError(
                 f"{self.current}: the recording has ended at {n_bytes / 1e6:.0f} MB, its limit; see"
@@ -104,7 +118,9 @@ class FileSeries:
         return self._rotate_bytes is not None and writer.n_bytes >= self._rotate_bytes
 
     def _file(self, number: int) -> Path:
-        return self._path.with_name(f"{self._path.stem}_{number:04d}{self._path.suffix}")
+        return self._path.with_name(
+            f"{self._path.stem}_{number:04d}{self._path.suffix}"
+        )
 
     def _numbers(self) -> list[int]:
         stem, suffix = re.escape(self._path.stem), re.escape(self._path.suffix)

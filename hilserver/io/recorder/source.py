@@ -14,7 +14,12 @@ from hilserver.image import FrameBatch, ImageReader, read_frames
 from hilserver.image.changes import Changes
 from hilserver.image.layout import REQUEST_SAVE
 from hilserver.image.shared_file import path_of
-from hilserver.image.state_request import ShadowReader, ask_for_state, live_state, take_request
+from hilserver.image.state_request import (
+    ShadowReader,
+    ask_for_state,
+    live_state,
+    take_request,
+)
 from hilserver.io.recorder.marks import Mark
 from hilserver.logs.log import Change, State
 from hilserver.logs.writer import Segmented
@@ -36,7 +41,9 @@ class Source:
         self._fd = os.open(path_of(name), os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
         if self.daemon_is_gone():
             self.close()
-            raise FailedError(f"the daemon of the process image '{name}' is no longer running")
+            raise FailedError(
+                f"the daemon of the process image '{name}' is no longer running"
+            )
         self.description = self._describe()
         self._ring_length = self._reader.control.ring_length
         self._shadow = ShadowReader(self._reader)
@@ -46,7 +53,9 @@ class Source:
         self._last_tick: int | None = None
         self._segment = 0
         self._changes = Changes(self._reader)
-        self._edition = self._reader.region("edition")[0][0] if not self._reader.head else None
+        self._edition = (
+            self._reader.region("edition")[0][0] if not self._reader.head else None
+        )
         self._edition_slot = _slot_of("internal.edition", self.description)
         self._start_without_state: tuple[int, int] | None = None
         self._gap = False
@@ -107,7 +116,9 @@ class Source:
 
     def begin(self) -> None:
         """Begin with the next frame: those from before the file was ready are not recorded."""
-        read_frames(self._reader, max(0, self._reader.head - 1), 1)  # triggers the compilation
+        read_frames(
+            self._reader, max(0, self._reader.head - 1), 1
+        )  # triggers the compilation
         if self.mark is None:
             self._next = max(0, self._reader.head)
 
@@ -129,12 +140,18 @@ class Source:
         editions = batch.values[:, self._edition_slot]
         last_edition = editions[0] if self._edition is None else self._edition
         changed = np.flatnonzero(np.diff(editions, prepend=last_edition) != 0).tolist()
-        found = {at: self._changes.find(int(editions[at]), int(ticks[at])) for at in changed}
+        found = {
+            at: self._changes.find(int(editions[at]), int(ticks[at])) for at in changed
+        }
         jumps[[at for at, packed in found.items() if packed is None]] = True
         segments = self._segment + np.cumsum(jumps)
         changes = [
             Change(
-                int(segments[at]), int(ticks[at]), int(editions[at]), self._named(packed), packed
+                int(segments[at]),
+                int(ticks[at]),
+                int(editions[at]),
+                self._named(packed),
+                packed,
             )
             for at, packed in found.items()
             if packed is not None
@@ -148,9 +165,14 @@ class Source:
 
     def _named(self, packed: NDArray[np.float64]) -> dict[str, float]:
         """Return the values of a change by name."""
-        regions, names = self.description["regions"], self.description["run"]["parameters"]
+        regions, names = (
+            self.description["regions"],
+            self.description["run"]["parameters"],
+        )
         first = regions["parameters"][0] - regions["p"][0]
-        return dict(zip(names, packed[first : first + len(names)].tolist(), strict=True))
+        return dict(
+            zip(names, packed[first : first + len(names)].tolist(), strict=True)
+        )
 
     def state(self) -> State | None:
         """Return the newest state that was saved or restored, None if there is no new one."""
@@ -161,7 +183,9 @@ class Source:
         segment = self._segment
         if kind != REQUEST_SAVE:
             start, self._start_without_state = self._start_without_state, None
-            segment = start[0] if start is not None and start[1] == tick else segment + 1
+            segment = (
+                start[0] if start is not None and start[1] == tick else segment + 1
+            )
         return State(segment, tick, words)
 
     def daemon_is_gone(self) -> bool:
@@ -189,5 +213,7 @@ class Source:
 
 
 def _slot_of(name: str, description: dict[str, Any]) -> int:
-    slots = (signal["slots"] for signal in description["signals"] if signal["name"] == name)
+    slots = (
+        signal["slots"] for signal in description["signals"] if signal["name"] == name
+    )
     return int(next(slots)[0])

@@ -41,7 +41,9 @@ class Thinner:
 
 def _content(frames: FrameBatch, slots: NDArray[np.intp]) -> NDArray[np.int64]:
     """Return bits and status of the signals: as bits, NaN equals itself."""
-    return np.concatenate([frames.values[:, slots].view(np.int64), frames.status[:, slots]], axis=1)
+    return np.concatenate(
+        [frames.values[:, slots].view(np.int64), frames.status[:, slots]], axis=1
+    )
 
 
 def _joined(held: Segmented, batch: Segmented) -> Segmented:

@@ -35,7 +35,11 @@ class WriteBehind:
         buffer_bytes: int,
         check: Callable[[LogWriter], None] = lambda _: None,
     ) -> None:
-        self._next_writer, self._is_full, self._on_new_file = next_writer, is_full, on_new_file
+        self._next_writer, self._is_full, self._on_new_file = (
+            next_writer,
+            is_full,
+            on_new_file,
+        )
         self._check, self._limit_bytes = check, buffer_bytes
         self._items: deque[Item] = deque()
         self._held_bytes = 0
@@ -54,7 +58,11 @@ class WriteBehind:
         """
         size = item.frames.n_bytes if isinstance(item, Segmented) else 0
         with self._news:
-            while wait and self._held_bytes and self._held_bytes + size > self._limit_bytes:
+            while (
+                wait
+                and self._held_bytes
+                and self._held_bytes + size > self._limit_bytes
+            ):
                 if self.error is not None:
                     return False
                 self._news.wait(FLUSH_EVERY_S)

@@ -48,12 +48,18 @@ class DomainWatch:
         for name, endpoint in topics:
             matched += endpoint.matched
             grows = self._grows(f"qos {name}", endpoint.incompatible)
-            if grows and endpoint.subject.topic not in apart:  # else its type is what does not fit
+            if (
+                grows and endpoint.subject.topic not in apart
+            ):  # else its type is what does not fit
                 sentence = f"a node's quality of service for {name} is incompatible: no data flows"
                 self._report(Ros2Fault.INCOMPATIBLE_QOS, name, sentence)
-            if isinstance(endpoint, In) and (more := self._grows(f"lost {name}", endpoint.lost)):
+            if isinstance(endpoint, In) and (
+                more := self._grows(f"lost {name}", endpoint.lost)
+            ):
                 status.sequence_missed += more
-                self._report(Ros2Fault.SAMPLE_LOST, name, f"messages of {name} were lost")
+                self._report(
+                    Ros2Fault.SAMPLE_LOST, name, f"messages of {name} were lost"
+                )
         if bool(matched) != status.connected:
             status.connected = bool(matched)
             status.state = LinkState.CONNECTED if matched else LinkState.CONNECTING
@@ -62,7 +68,9 @@ class DomainWatch:
                 status.last_connect_ns = time.monotonic_ns()
             _log.info("ROS 2 endpoints", matched=matched)
 
-    def _look_at_neighbours(self, topics: Sequence[In | Out], services: Sequence[In | Out]) -> None:
+    def _look_at_neighbours(
+        self, topics: Sequence[In | Out], services: Sequence[In | Out]
+    ) -> None:
         """Tell what of other participants does not fit, and where others are if nobody is here."""
         neighbours, status = self._neighbours, self._status
         written = [endpoint for endpoint in topics if isinstance(endpoint, Out)]

@@ -11,7 +11,10 @@ from hilserver.ros.qos import LATCHED
 from hilserver.ros.types import GID, Types
 
 TOPIC: Final = "ros_discovery_info"
-ENTITIES, NODE = "rmw_dds_common/msg/ParticipantEntitiesInfo", "rmw_dds_common/msg/NodeEntitiesInfo"
+ENTITIES, NODE = (
+    "rmw_dds_common/msg/ParticipantEntitiesInfo",
+    "rmw_dds_common/msg/NodeEntitiesInfo",
+)
 
 
 def announce(
@@ -45,7 +48,11 @@ def announce(
         reader_gid_seq=[gid(one.gid) for one in ours if isinstance(one, In)],
         writer_gid_seq=[gid(one.gid) for one in ours if isinstance(one, Out)],
     )
-    entities = types.make(ENTITIES, gid=gid(participant.gid), node_entities_info_seq=[node])
-    writer = participant.writer(TOPIC, wire.make(ENTITIES), LATCHED, types.hash(ENTITIES))
+    entities = types.make(
+        ENTITIES, gid=gid(participant.gid), node_entities_info_seq=[node]
+    )
+    writer = participant.writer(
+        TOPIC, wire.make(ENTITIES), LATCHED, types.hash(ENTITIES)
+    )
     writer.write(types.encode(entities))
     return writer

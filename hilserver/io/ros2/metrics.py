@@ -40,7 +40,9 @@ METRICS: Final[tuple[Metric[Links], ...]] = (
         "hil_ros2_command_held",
         "1 while a command stands only because its writer is alive (on_stale: hold).",
         (),
-        lambda links: [((), float(link.command is CommandState.HELD)) for link in links],
+        lambda links: [
+            ((), float(link.command is CommandState.HELD)) for link in links
+        ],
     ),
     Metric(
         "hil_ros2_command_age_seconds",

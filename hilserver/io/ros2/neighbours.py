@@ -69,7 +69,9 @@ class Neighbour:
     """Another participant."""
 
     label: str  # for people
-    addresses: tuple[tuple[str, int], ...]  # where its readers listen, by the usual ports
+    addresses: tuple[
+        tuple[str, int], ...
+    ]  # where its readers listen, by the usual ports
     lease_s: float  # it counts as alive for so long after its last sign of life
     since_ns: int
     is_reported: bool = False  # a line of the log says that nothing of it fits
@@ -107,7 +109,11 @@ class Neighbours:
         gid = bytes(sample.key.bytes)
         if sample.sample_info.instance_state != InstanceState.Alive:
             self.known.pop(gid, None)
-        elif gid != self.participant.gid and gid not in self.known and len(self.known) < MOST_KNOWN:
+        elif (
+            gid != self.participant.gid
+            and gid not in self.known
+            and len(self.known) < MOST_KNOWN
+        ):
             self.known[gid] = _neighbour(sample.qos, self.now_ns())
 
     def _note(self, found: dict[int, RemoteEndpoint], sample: Any) -> None:
@@ -118,7 +124,10 @@ class Neighbours:
         owner = bytes(sample.participant_key.bytes)
         if owner == self.participant.gid or len(found) >= MOST_KNOWN:
             return
-        reliability, durability = Policy.Reliability.Reliable, Policy.Durability.Volatile
+        reliability, durability = (
+            Policy.Reliability.Reliable,
+            Policy.Durability.Volatile,
+        )
         found[handle] = RemoteEndpoint(
             sample.topic_name,
             sample.type_name,
@@ -167,7 +176,9 @@ class Neighbours:
                     text = f"{who} as {subject.type} with other fields than here"
                     yield Apart.OTHER_TYPE, subject.topic, f"{text} ({other.type_hash})"
                 elif handle not in partners and self._should_fit(endpoint, other):
-                    text = f"{who}, was discovered, but its type information was refused"
+                    text = (
+                        f"{who}, was discovered, but its type information was refused"
+                    )
                     yield Apart.TYPE_REFUSED, subject.topic, text
 
     def has_our_fields(self, writer: int, subject: TopicInfo) -> bool:
@@ -201,7 +212,9 @@ class Neighbours:
         mine = qos.reliable, qos.latched
         theirs = other.is_reliable, other.is_latched
         offered, requested = (theirs, mine) if isinstance(ours, In) else (mine, theirs)
-        fits = all(has or not asks for has, asks in zip(offered, requested, strict=True))
+        fits = all(
+            has or not asks for has, asks in zip(offered, requested, strict=True)
+        )
         return fits and self.now_ns() - other.since_ns > SETTLED_NS
 
     def strangers(self, ours: Iterable[In | Out]) -> Iterator[Neighbour]:
@@ -256,7 +269,9 @@ def _neighbour(qos: Any, now_ns: int) -> Neighbour:
     label = f"a node of process {number[:20]}" if number else "a node"
     found = _ADDRESS.findall(said.get("__NetworkAddresses", "")[:1000])
     # Discovery comes in at an even place of the domain's ports, data at the next one.
-    addresses = tuple((host, int(port) + 1) for host, port in found if int(port) < LAST_PORT)
+    addresses = tuple(
+        (host, int(port) + 1) for host, port in found if int(port) < LAST_PORT
+    )
     liveliness = qos[Policy.Liveliness]
     lease_s = liveliness.lease_duration * 1e-9 if liveliness is not None else 0.0
     return Neighbour(label, addresses, lease_s, now_ns)

@@ -31,7 +31,14 @@ from hilserver.io.ros2.wire import WireTypes
 from hilserver.io.source import Source
 from hilserver.io.world import Part, World
 from hilserver.ros import incoming
-from hilserver.ros.flavours import DESCRIPTION, FLAVOURS, JOY, Published, Served, Subscribed
+from hilserver.ros.flavours import (
+    DESCRIPTION,
+    FLAVOURS,
+    JOY,
+    Published,
+    Served,
+    Subscribed,
+)
 from hilserver.ros.robot import Odometer, Robot
 from hilserver.ros.types import Types
 from hilserver.signals import State
@@ -64,7 +71,9 @@ class Ros2Node(Part):
             frame_prefix=f"{space}/" if space else "",
         )
         self._names = [signal.name for signal in world.table.scalars]
-        self.status = Ros2Status(NAME, f"{config.flavour} on {config.interface}", mode="dds")
+        self.status = Ros2Status(
+            NAME, f"{config.flavour} on {config.interface}", mode="dds"
+        )
         self._source = Source(
             config.driver._replace(on_stale=self._action),
             "ROS 2",
@@ -94,7 +103,9 @@ class Ros2Node(Part):
         self._announced: Out | None = None
         self._commander = 0  # writer of the newest command
         self._way_back = WayBack(command_enables=config.command_enables)
-        self._taken_over: dict[str, str] = {}  # topic that commands no longer: the one that does
+        self._taken_over: dict[
+            str, str
+        ] = {}  # topic that commands no longer: the one that does
         world.control.on_reset.append(self._taken_over.clear)
 
     @property
@@ -126,7 +137,9 @@ class Ros2Node(Part):
         self._participant = await asyncio.to_thread(self._join)
         self._neighbours = neighbours = Neighbours(self._participant)
         number = self._participant.number
-        self._domain_watch = DomainWatch(self.status, self._source.faults, neighbours, number)
+        self._domain_watch = DomainWatch(
+            self.status, self._source.faults, neighbours, number
+        )
         local = self.config.interface in LOOPBACK
         self._replies = Replies(neighbours, local=local)
         self._participant.listen(self._on_data)
@@ -139,13 +152,21 @@ class Ros2Node(Part):
     def _join(self) -> Participant:
         participant, wire = Participant(self.config), self._wire
 
-        def opened(open_one: Callable[..., Any], topic: Any) -> tuple[str, tuple[Any, Any]]:
+        def opened(
+            open_one: Callable[..., Any], topic: Any
+        ) -> tuple[str, tuple[Any, Any]]:
             name, kind = self.config.full_name(topic.topic), topic.type
-            made = open_one(f"rt{name}", wire.make(kind), topic.qos, self._types.hash(kind))
+            made = open_one(
+                f"rt{name}", wire.make(kind), topic.qos, self._types.hash(kind)
+            )
             return name, (topic, made)
 
-        self._outs = dict(opened(participant.writer, topic) for topic in self.config.published)
-        self._ins = dict(opened(participant.reader, topic) for topic in self._flavour.subscribed)
+        self._outs = dict(
+            opened(participant.writer, topic) for topic in self.config.published
+        )
+        self._ins = dict(
+            opened(participant.reader, topic) for topic in self._flavour.subscribed
+        )
         self._services = [
             Service(served, self.config, self._types, wire, participant)
             for served in (*self._flavour.served, *self._parameter_services())
@@ -154,15 +175,21 @@ class Ros2Node(Part):
             self.real.join(participant, wire)
         space = self.config.full_name(NODE).rpartition("/")[0] or "/"
         ours = [endpoint for _, endpoint in self._endpoints()]
-        ours += [endpoint for service in self._services for endpoint in service.endpoints]
-        self._announced = graph.announce(participant, self._types, wire, (space, NODE), ours)
+        ours += [
+            endpoint for service in self._services for endpoint in service.endpoints
+        ]
+        self._announced = graph.announce(
+            participant, self._types, wire, (space, NODE), ours
+        )
         kinds = [published.type for published, _ in self._outs.values()]
         for kind in kinds + [subscribed.type for subscribed, _ in self._ins.values()]:
             self._types.prepare(kind)
         if self.config.publish.robot_description:
             name, (description, writer) = opened(participant.writer, DESCRIPTION)
             text = self._world.description(self.robot.frame_prefix)
-            writer.write(self._types.encode(self.robot.make(description.type, data=text)))
+            writer.write(
+                self._types.encode(self.robot.make(description.type, data=text))
+            )
             self._outs[name] = description, writer
         return participant
 
@@ -172,7 +199,9 @@ class Ros2Node(Part):
             return ()
         doors = {door.source: door for door in self._world.config.doors}
         may_set = Right.PARAMETERS in doors[NAME].rights
-        return ParameterServices(NAME, parameters, self._types, may_set=may_set).served()
+        return ParameterServices(
+            NAME, parameters, self._types, may_set=may_set
+        ).served()
 
     async def stop(self) -> None:
         """Leave the domain."""
@@ -212,7 +241,9 @@ class Ros2Node(Part):
         robot.values = dict(zip(self._names, frame.values.tolist(), strict=True))
         robot.time_ns = frame.tick * self._world.period_ns
         simulated = self.config.publish.clock
-        robot.stamp_ns = robot.time_ns if simulated else self._world.clock.utc_ns(frame.planned_ns)
+        robot.stamp_ns = (
+            robot.time_ns if simulated else self._world.clock.utc_ns(frame.planned_ns)
+        )
         return True
 
     def _publish(self) -> None:
@@ -241,7 +272,9 @@ class Ros2Node(Part):
         self.status.writes += 1
         for name, out, cdr in batch:
             if not out.write(cdr):
-                sentence = f"a reader of {name} requests a QoS that this writer does not offer"
+                sentence = (
+                    f"a reader of {name} requests a QoS that this writer does not offer"
+                )
                 self._report(Ros2Fault.NOT_TAKEN, name, sentence)
 
     # --- what comes in ----------------------------------------------------------------------------
@@ -254,7 +287,9 @@ class Ros2Node(Part):
         if self.real is not None:
             receivers.extend(self.real.receivers())
         arrived = [
-            (receive, arrival) for reader, receive in receivers for arrival in self._fitting(reader)
+            (receive, arrival)
+            for reader, receive in receivers
+            for arrival in self._fitting(reader)
         ]
         if arrived and not self._line.is_cut:
             self._arriving.put(arrived)
@@ -268,7 +303,9 @@ class Ros2Node(Part):
         if self._neighbours is None:
             return []
         has_our_fields = self._neighbours.has_our_fields
-        return [one for one in reader.take() if has_our_fields(one.writer, reader.subject)]
+        return [
+            one for one in reader.take() if has_our_fields(one.writer, reader.subject)
+        ]
 
     def _receive_due(self) -> None:
         for batch in self._arriving.take():
@@ -286,7 +323,9 @@ class Ros2Node(Part):
             message = self._types.decode(arrival.cdr, subscribed.type)
             values = subscribed.take(self.robot, message)
         except ValueError as error:
-            self._report(Ros2Fault.BAD_MESSAGE, subscribed.topic, f"{subscribed.topic}: {error}")
+            self._report(
+                Ros2Fault.BAD_MESSAGE, subscribed.topic, f"{subscribed.topic}: {error}"
+            )
             return
         if self._news_ns is not None:
             self.status.interval.observe(now_ns - self._news_ns)
@@ -294,7 +333,11 @@ class Ros2Node(Part):
         self.status.sequence_received += 1
         is_command = subscribed.commands and subscribed.topic not in self._taken_over
         if not is_command:
-            values = {name: value for name, value in values.items() if name not in incoming.MOVING}
+            values = {
+                name: value
+                for name, value in values.items()
+                if name not in incoming.MOVING
+            }
         if values:
             self._hand_over(subscribed, values, arrival, now_ns, is_command=is_command)
 
@@ -312,7 +355,9 @@ class Ros2Node(Part):
             values = values | {"drive.enable": True}
         of = f"{subscribed.topic}: "
         by_hand = subscribed.type == JOY
-        wrong = self._source.write(values, now_ns, of=of, renews=is_command, by_hand=by_hand).wrong
+        wrong = self._source.write(
+            values, now_ns, of=of, renews=is_command, by_hand=by_hand
+        ).wrong
         if not is_command or wrong:
             return
         self._source.staleness.renew(now_ns)
@@ -338,7 +383,9 @@ class Ros2Node(Part):
         """Note that silence has disabled the drive, or that this is over."""
         if self._world.control.state is State.SAFE:
             self._way_back.forget()
-        elif self.config.action == "device" and self._world.gate.leases.has_lapsed(NAME):
+        elif self.config.action == "device" and self._world.gate.leases.has_lapsed(
+            NAME
+        ):
             self._way_back.withdraw()
 
     def _serve(self, service: Service, request: Any) -> None:
@@ -350,13 +397,17 @@ class Ros2Node(Part):
         try:
             values, answer = service.understand(self.robot, request)
         except ValueError as error:
-            self._report(Ros2Fault.BAD_MESSAGE, service.name, f"{service.name}: {error}")
+            self._report(
+                Ros2Fault.BAD_MESSAGE, service.name, f"{service.name}: {error}"
+            )
             return
         refusals, came_ns = {}, self._source.came_ns(time.monotonic_ns())
         if values:
             # A service is no command that has to be renewed: who enables by hand may drive later,
             # and who only switches lights does not keep the command of another node alive.
-            refusals = self._world.gate.write(NAME, values, commanded_ns=came_ns, renews=False)
+            refusals = self._world.gate.write(
+                NAME, values, commanded_ns=came_ns, renews=False
+            )
             if "drive.enable" in values and not refusals:
                 self._way_back.forget()
         service.answer(request, number, answer(not refusals), self._replies)
@@ -375,7 +426,9 @@ class Ros2Node(Part):
         if self.real is not None:
             self.real.watch(now_ns)
         if self._domain_watch is not None and self._watched % LOOK_EVERY == 0:
-            services = [endpoint for service in self._services for endpoint in service.endpoints]
+            services = [
+                endpoint for service in self._services for endpoint in service.endpoints
+            ]
             self._domain_watch.look(self._endpoints(), services)
         self._watched += 1
 
@@ -386,7 +439,11 @@ class Ros2Node(Part):
             return
         writer = self._neighbours.participant_of(self._commander)
         status.lease_s = writer.lease_s if writer else None
-        if self.config.action == "hold" and writer is not None and not self._line.is_cut:
+        if (
+            self.config.action == "hold"
+            and writer is not None
+            and not self._line.is_cut
+        ):
             staleness.renew(now_ns)
             self._world.gate.renew(NAME, now_ns)
         if not staleness.stale:
@@ -394,7 +451,9 @@ class Ros2Node(Part):
             status.command = CommandState.HELD if is_late else CommandState.FRESH
 
     def _endpoints(self) -> list[tuple[str, Out | In]]:
-        found: list[tuple[str, Out | In]] = [(name, out) for name, (_, out) in self._outs.items()]
+        found: list[tuple[str, Out | In]] = [
+            (name, out) for name, (_, out) in self._outs.items()
+        ]
         found += [(name, reader) for name, (_, reader) in self._ins.items()]
         return found + (self.real.endpoints if self.real is not None else [])
 

@@ -17,7 +17,9 @@ from hilserver.ros.types import Types
 
 NODE: Final = "hilserver"
 NOT_SET, BOOL, INTEGER, DOUBLE, STRING = range(5)  # of rcl_interfaces/msg/ParameterType
-_NOT_ALLOWED: Final = "setting parameters is not granted here: ros2.grants: [parameters] does"
+_NOT_ALLOWED: Final = (
+    "setting parameters is not granted here: ros2.grants: [parameters] does"
+)
 _SERVICES: Final = (
     ("get_parameters", "GetParameters"),
     ("get_parameter_types", "GetParameterTypes"),
@@ -32,7 +34,12 @@ class ParameterServices:
     """Parameter services of the node."""
 
     def __init__(
-        self, source: str, parameters: LiveParameters, types: Types, *, may_set: bool = True
+        self,
+        source: str,
+        parameters: LiveParameters,
+        types: Types,
+        *,
+        may_set: bool = True,
     ) -> None:
         self._source, self._parameters, self._types = source, parameters, types
         self._may_set = may_set
@@ -61,7 +68,11 @@ class ParameterServices:
     def get_parameter_types(self, request: Any) -> dict[str, Any]:
         """Return double, or not set for an unknown name."""
         known = self._parameters.table
-        return {"types": _array(DOUBLE if name in known else NOT_SET for name in request.names)}
+        return {
+            "types": _array(
+                DOUBLE if name in known else NOT_SET for name in request.names
+            )
+        }
 
     def set_parameters(self, request: Any) -> dict[str, Any]:
         """Change the valid ones; answer for each."""
@@ -89,13 +100,19 @@ class ParameterServices:
         """Return names below prefixes, down to a depth; 0 is no limit."""
         found = [n for n in self._parameters.table if _is_asked_for(n, request)]
         above = dict.fromkeys(n.rpartition(".")[0] for n in found)
-        result = self._make("ListParametersResult", names=found, prefixes=[p for p in above if p])
+        result = self._make(
+            "ListParametersResult", names=found, prefixes=[p for p in above if p]
+        )
         return {"result": result}
 
     def describe_parameters(self, request: Any) -> dict[str, Any]:
         """Return meaning and range."""
         table = self._parameters.table
-        return {"descriptors": [self._descriptor(name, table.get(name)) for name in request.names]}
+        return {
+            "descriptors": [
+                self._descriptor(name, table.get(name)) for name in request.names
+            ]
+        }
 
     # --- parts of the answers ---------------------------------------------------------------------
 
@@ -121,7 +138,11 @@ class ParameterServices:
         ranges = []
         if parameter is not None:
             low, high = parameter.low, parameter.high
-            ranges = [self._make("FloatingPointRange", from_value=low, to_value=high, step=0.0)]
+            ranges = [
+                self._make(
+                    "FloatingPointRange", from_value=low, to_value=high, step=0.0
+                )
+            ]
         return self._make(
             "ParameterDescriptor",
             name=name,

@@ -58,7 +58,9 @@ def domain_of(config: Ros2Config) -> int:
         return config.domain
     text = os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
     if not text.isdecimal() or int(text) > LAST_DOMAIN:
-        raise ConfigError(f"ROS_DOMAIN_ID is '{text}'; a domain is a number 0 .. {LAST_DOMAIN}")
+        raise ConfigError(
+            f"ROS_DOMAIN_ID is '{text}'; a domain is a number 0 .. {LAST_DOMAIN}"
+        )
     return int(text)
 
 
@@ -68,7 +70,9 @@ def settings(interface: str, peers: tuple[str, ...]) -> str:
     place = "address" if interface[:1].isdigit() else "name"
     multicast = ' multicast="false"' if local else ""
     found = ("127.0.0.1", *peers) if local else peers
-    listed = "".join(f"<Peer address={quoteattr(peer)}/>" for peer in dict.fromkeys(found))
+    listed = "".join(
+        f"<Peer address={quoteattr(peer)}/>" for peer in dict.fromkeys(found)
+    )
     return (
         '<CycloneDDS><Domain Id="any"><General>'
         f"<Interfaces><NetworkInterface {place}={quoteattr(interface)}{multicast}/></Interfaces>"
@@ -98,7 +102,10 @@ def _keep_on_loopback(domain: int) -> None:
 def _keep_socket_on_loopback(number: int, first: int) -> None:
     with socket.socket(fileno=os.dup(number)) as found:
         is_udp = found.family == socket.AF_INET and found.type == socket.SOCK_DGRAM
-        if not is_udp or not first <= found.getsockname()[1] < first + PORTS_OF_A_DOMAIN:
+        if (
+            not is_udp
+            or not first <= found.getsockname()[1] < first + PORTS_OF_A_DOMAIN
+        ):
             return
         try:
             found.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")
@@ -234,7 +241,9 @@ class Participant:
         """Return a writer."""
         subject = _subject(topic, data_type, qos, type_hash)
         made = DataWriter(
-            self._participant, Topic(self._participant, topic, data_type), _policies(subject)
+            self._participant,
+            Topic(self._participant, topic, data_type),
+            _policies(subject),
         )
         return Out(made, data_type, subject)
 
@@ -242,7 +251,9 @@ class Participant:
         """Return a reader."""
         subject = _subject(topic, data_type, qos, type_hash)
         made = DataReader(
-            self._participant, Topic(self._participant, topic, data_type), _policies(subject)
+            self._participant,
+            Topic(self._participant, topic, data_type),
+            _policies(subject),
         )
         self._readers.append(made)
         return In(made, subject)
@@ -269,7 +280,9 @@ class _Waiting:
     Listeners would run Python in the receiving threads of DDS, which may then deadlock.
     """
 
-    def __init__(self, participant: Any, readers: list[Any], on_data: Callable[[], None]) -> None:
+    def __init__(
+        self, participant: Any, readers: list[Any], on_data: Callable[[], None]
+    ) -> None:
         self._on_data = on_data
         self._loop = asyncio.get_running_loop()
         self._ended = False
@@ -309,12 +322,16 @@ class _Waiting:
 
 
 def _subject(topic: str, data_type: Any, qos: Qos, type_hash: str) -> TopicInfo:
-    return TopicInfo(topic, data_type.__idl_typename__.replace(".", "::"), type_hash, qos)
+    return TopicInfo(
+        topic, data_type.__idl_typename__.replace(".", "::"), type_hash, qos
+    )
 
 
 def _policies(subject: TopicInfo) -> DdsQos:
     qos = subject.qos
-    reliable = Policy.Reliability.Reliable(duration(seconds=0))  # our event loop does not wait
+    reliable = Policy.Reliability.Reliable(
+        duration(seconds=0)
+    )  # our event loop does not wait
     return DdsQos(
         reliable if qos.reliable else Policy.Reliability.BestEffort,
         Policy.Durability.TransientLocal if qos.latched else Policy.Durability.Volatile,

@@ -49,7 +49,9 @@ class _Topic:
     name: str
     measures: MeasuredType
     staleness: Staleness
-    heard_ns: dict[int, int] = field(default_factory=dict)  # by writer: its last message
+    heard_ns: dict[int, int] = field(
+        default_factory=dict
+    )  # by writer: its last message
     has_values: bool = False
     off_in_a_row: int = 0  # messages whose stamps are out of range
 
@@ -77,7 +79,11 @@ class RealRobot(Part):
             measured.joints,
         )
         self._topics = [
-            _Topic(measured.full_name(name), MEASURED_TYPES[kind], Staleness(self._limit_ns))
+            _Topic(
+                measured.full_name(name),
+                MEASURED_TYPES[kind],
+                Staleness(self._limit_ns),
+            )
             for name, kind in measured.topics.items()
         ]
         self._ins: list[tuple[_Topic, In]] = []
@@ -85,7 +91,9 @@ class RealRobot(Part):
             REAL_ROBOT, ", ".join(topic.name for topic in self._topics), mode="dds"
         )
         self._faults = FaultBook(
-            self.status, world.events.publish, (*MeasuredFault, WrongValue.REFUSED_VALUE)
+            self.status,
+            world.events.publish,
+            (*MeasuredFault, WrongValue.REFUSED_VALUE),
         )
         self._giving: dict[str, _Topic] = {}  # by signal, the topic that it comes from
         self._told: set[str] = set()
@@ -133,7 +141,9 @@ class RealRobot(Part):
 
     def _receive(self, topic: _Topic, arrival: Arrival) -> None:
         now_ns = time.monotonic_ns()
-        if not topic.measures.is_shared and self._is_disputed(topic, arrival.writer, now_ns):
+        if not topic.measures.is_shared and self._is_disputed(
+            topic, arrival.writer, now_ns
+        ):
             sentence = (
                 f"{topic.name}: two nodes publish it, so nothing of it is taken: give each robot a"
                 " namespace of its own (ros2.measured.namespace), or end one of the nodes"
@@ -150,7 +160,9 @@ class RealRobot(Part):
         self._tell_remarks(topic)
         fitting = self._checked(topic, values, now_ns)
         if fitting:
-            self._hand_over(topic, fitting, self._age_ns(topic, message, arrival, now_ns), now_ns)
+            self._hand_over(
+                topic, fitting, self._age_ns(topic, message, arrival, now_ns), now_ns
+            )
 
     def _is_disputed(self, topic: _Topic, writer: int, now_ns: int) -> bool:
         """Whether another writer was heard lately: it may be another robot."""
@@ -162,7 +174,9 @@ class RealRobot(Part):
             for other, heard_ns in topic.heard_ns.items()
         )
 
-    def _checked(self, topic: _Topic, values: dict[str, float], now_ns: int) -> dict[str, float]:
+    def _checked(
+        self, topic: _Topic, values: dict[str, float], now_ns: int
+    ) -> dict[str, float]:
         """Return the values as inputs; none, and a report, if one of them does not fit."""
         gate, table = self._world.gate, self._world.table
         inputs = {MEASURED + signal: value for signal, value in values.items()}
@@ -170,12 +184,18 @@ class RealRobot(Part):
             reason = check_value(table[name], value)
             if isinstance(reason, Refusal):
                 why = gate.explain(topic.source, name, reason)
-                sentence = f"{topic.name}: {name} = {value:g} was refused, and the rest: {why}"
-                self._faults.report(WrongValue.REFUSED_VALUE, topic.name, sentence, now_ns)
+                sentence = (
+                    f"{topic.name}: {name} = {value:g} was refused, and the rest: {why}"
+                )
+                self._faults.report(
+                    WrongValue.REFUSED_VALUE, topic.name, sentence, now_ns
+                )
                 return {}
         return inputs
 
-    def _age_ns(self, topic: _Topic, message: Any, arrival: Arrival, now_ns: int) -> int:
+    def _age_ns(
+        self, topic: _Topic, message: Any, arrival: Arrival, now_ns: int
+    ) -> int:
         """Return how long ago it was measured: by its own stamp, else by that of its writer."""
         utc_ns = self._world.clock.utc_ns(now_ns)
         written_ago_ns = utc_ns - arrival.source_ns if arrival.source_ns > 0 else 0
@@ -197,8 +217,14 @@ class RealRobot(Part):
                 return max(one_ns, 0)
         return 0
 
-    def _hand_over(self, topic: _Topic, inputs: dict[str, float], age_ns: int, now_ns: int) -> None:
-        mine = {n: v for n, v in inputs.items() if self._giving.setdefault(n, topic) is topic}
+    def _hand_over(
+        self, topic: _Topic, inputs: dict[str, float], age_ns: int, now_ns: int
+    ) -> None:
+        mine = {
+            n: v
+            for n, v in inputs.items()
+            if self._giving.setdefault(n, topic) is topic
+        }
         self._first_ns = self._first_ns or now_ns
         topic.staleness.renew(now_ns)
         topic.has_values = True
@@ -220,7 +246,9 @@ class RealRobot(Part):
         self._how.remarks.clear()
 
     def _tell(self, kind: EventKind, severity: int, text: str) -> None:
-        self._world.events.publish(Event(kind, severity, REAL_ROBOT, f"ROS 2, real robot: {text}"))
+        self._world.events.publish(
+            Event(kind, severity, REAL_ROBOT, f"ROS 2, real robot: {text}")
+        )
 
     # --- silence ----------------------------------------------------------------------------------
 
@@ -233,7 +261,9 @@ class RealRobot(Part):
             if transition is Transition.LOST:
                 self._lose(topic)
             elif transition is not None:
-                self._tell(EventKind.PEER_RESTORED, 200, f"{topic.name} delivers values")
+                self._tell(
+                    EventKind.PEER_RESTORED, 200, f"{topic.name} delivers values"
+                )
         self.status.stale = not heard or any(topic.staleness.stale for topic in heard)
         self.status.connected = any(not topic.staleness.stale for topic in heard)
         here = LinkState.CONNECTED if self.status.connected else LinkState.CONNECTING
@@ -248,7 +278,9 @@ class RealRobot(Part):
         text = f"{topic.name}: {topic.staleness.reason}; its last values stay, as Uncertain"
         self._tell(EventKind.PEER_LOST, 800, text)
         self._world.gate.mark_stale(topic.source)
-        self._giving = {name: giver for name, giver in self._giving.items() if giver is not topic}
+        self._giving = {
+            name: giver for name, giver in self._giving.items() if giver is not topic
+        }
 
     def _tell_missing(self) -> None:
         """Say which signals nothing delivers, and by which topics they would come."""

@@ -35,7 +35,9 @@ class Replies:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._asked: Counter[int] = Counter()  # requests by writer
-        self._sent: Counter[bytes] = Counter()  # replies by reader, each of which counts from 1
+        self._sent: Counter[bytes] = (
+            Counter()
+        )  # replies by reader, each of which counts from 1
 
     def number(self, request: Arrival) -> int:
         """Return the number that the client has given to a request; each is to be counted once."""
@@ -57,9 +59,13 @@ class Replies:
         readers = self._neighbours.replies_to(service.subject.topic, client.participant)
         for reader in readers:
             self._sent[reader] += 1
-            message = _message(service.gid, reader, self._sent[reader], client, number, cdr)
+            message = _message(
+                service.gid, reader, self._sent[reader], client, number, cdr
+            )
             for place in places:
-                with contextlib.suppress(OSError):  # not every address of it is within our reach
+                with contextlib.suppress(
+                    OSError
+                ):  # not every address of it is within our reach
                     self._socket.sendto(message, place)
         return bool(readers and places)
 
@@ -69,13 +75,20 @@ class Replies:
 
 
 def _message(
-    writer: bytes, reader: bytes, sequence: int, client: RemoteEndpoint, number: int, cdr: bytes
+    writer: bytes,
+    reader: bytes,
+    sequence: int,
+    client: RemoteEndpoint,
+    number: int,
+    cdr: bytes,
 ) -> bytes:
     """Return an RTPS message with one sample; GUIDs have 16 bytes."""
     seconds, nanoseconds = divmod(time.time_ns(), 10**9)
     stamp = struct.pack("<II", seconds, (nanoseconds << 32) // 10**9)
     related = client.gid + _sequence(number)
-    marks = b"".join(struct.pack("<HH", mark, len(related)) + related for mark in _RELATED)
+    marks = b"".join(
+        struct.pack("<HH", mark, len(related)) + related for mark in _RELATED
+    )
     body = struct.pack("<HH", 0, _TO_INLINE_QOS) + reader[_PREFIX:] + writer[_PREFIX:]
     body += _sequence(sequence) + marks + _SENTINEL + cdr
     return (

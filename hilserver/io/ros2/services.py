@@ -38,11 +38,17 @@ class Service:
         self._served, self._types = served, types
         self._identity = IDENTITY if config.rmw == "cyclonedds" else 0
         parts = f"{served.type}_Request", f"{served.type}_Response"
-        request, response = (wire.make(part, with_identity=bool(self._identity)) for part in parts)
+        request, response = (
+            wire.make(part, with_identity=bool(self._identity)) for part in parts
+        )
         request_hash, response_hash = (types.hash(part) for part in parts)
         asked = Qos(depth=WAITING)
-        self._reader = participant.reader(f"rq{self.name}Request", request, asked, request_hash)
-        self._writer = participant.writer(f"rr{self.name}Reply", response, Qos(), response_hash)
+        self._reader = participant.reader(
+            f"rq{self.name}Request", request, asked, request_hash
+        )
+        self._writer = participant.writer(
+            f"rr{self.name}Reply", response, Qos(), response_hash
+        )
 
     @property
     def endpoints(self) -> tuple[In, Out]:
@@ -62,7 +68,9 @@ class Service:
         message = self._types.decode(body, f"{self._served.type}_Request")
         return self._served.serve(robot, message)
 
-    def answer(self, request: Arrival, number: int, response: Any, replies: Replies) -> None:
+    def answer(
+        self, request: Arrival, number: int, response: Any, replies: Replies
+    ) -> None:
         """Reply to the request that has this number at its client."""
         cdr = self._types.encode(response)
         if self._identity:

@@ -73,7 +73,11 @@ class WireTypes:
         inner, count = rest
         if kind == self._kinds.ARRAY:
             return idl.array[self._type(inner), count]
-        return idl.sequence[self._type(inner), count] if count else idl.sequence[self._type(inner)]
+        return (
+            idl.sequence[self._type(inner), count]
+            if count
+            else idl.sequence[self._type(inner)]
+        )
 
 
 def _struct(name: str, members: dict[str, Any]) -> Any:

@@ -31,14 +31,18 @@ def packed(place: Place, value: float, *, wraps: bool = False) -> bytes:
         return packer.pack(bool(value))
     if place.type == "REAL":
         limit = _LARGEST_REAL
-        return packer.pack(max(-limit, min(limit, value)) if math.isfinite(value) else value)
+        return packer.pack(
+            max(-limit, min(limit, value)) if math.isfinite(value) else value
+        )
     if place.type == "LREAL":
         return packer.pack(value)
     if not math.isfinite(value):
         return bytes(place.size)
     bits, whole = 8 * place.size, round(value)
     signed = FORMS[place.type].code.islower()
-    low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
+    low, high = (
+        (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
+    )
     if wraps:
         whole = (whole - low) % (1 << bits) + low
     return packer.pack(max(low, min(high, whole)))
@@ -103,7 +107,11 @@ class DataBlock:
         byte, bit = divmod(item.bit, 8)
         if byte + item.size > self.size:
             raise RefusedItemError(Code.BEYOND)
-        return bytes((content[byte] >> bit & 1,)) if item.is_bit else content[byte:][: item.size]
+        return (
+            bytes((content[byte] >> bit & 1,))
+            if item.is_bit
+            else content[byte:][: item.size]
+        )
 
     def written(self, item: Item, data: bytes) -> Mapping[str, object]:
         """Return the values that an item writes, by signal.
@@ -122,7 +130,9 @@ class DataBlock:
                 raise RefusedItemError(Code.UNFIT)
             if not signal.writable:
                 raise RefusedItemError(Code.DENIED)
-            values[signal.name] = bool(data[0] & 1) if item.is_bit else unpacked(place, data, byte)
+            values[signal.name] = (
+                bool(data[0] & 1) if item.is_bit else unpacked(place, data, byte)
+            )
         if not values:
             raise RefusedItemError(Code.BEYOND)
         return values

@@ -94,7 +94,9 @@ class Connection:
                 raise LinkLostError(f"its answer {error}") from None
             _check(block, code)
             if len(piece) != item.size:
-                raise LinkLostError("the controller answered a read with the wrong length")
+                raise LinkLostError(
+                    "the controller answered a read with the wrong length"
+                )
             data += piece
         return data
 
@@ -108,7 +110,9 @@ class Connection:
             data = wire.values(part, 0)
             answer = await self._asked(wire.asks(Function.WRITE, items), data)
             if len(answer.data) != len(items):
-                raise LinkLostError("the controller answered a write with the wrong length")
+                raise LinkLostError(
+                    "the controller answered a write with the wrong length"
+                )
             for item, code in zip(items, answer.data, strict=True):
                 _check(item.block, code)
 

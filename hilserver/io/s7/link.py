@@ -27,12 +27,16 @@ class S7Link(Part):
     """Data blocks for controllers and panels."""
 
     section, label = "s7", "S7"
-    status: PeerStatus  # `connected` while there is a client; `writes` counts accepted jobs
+    status: (
+        PeerStatus  # `connected` while there is a client; `writes` counts accepted jobs
+    )
 
     def __init__(self, config: S7Server, world: World) -> None:
         self._config, self._world = config, world
         driver = world.config.s7.driver
-        self.status = PeerStatus("s7", f"s7://{config.host}:{config.port}", mode="put/get")
+        self.status = PeerStatus(
+            "s7", f"s7://{config.host}:{config.port}", mode="put/get"
+        )
         self.status.stale = world.config.s7.drives
         with world.at("s7", "server", "blocks"):
             self._blocks = blocks_of(config, world.table)
@@ -48,7 +52,9 @@ class S7Link(Part):
         self._server = Server(config, self._answers, self._report, world.tasks)
         self._watching: SupervisedTask | None = None
         self._frame: Frame | None = None
-        self._contents: Mapping[int, bytes] = {n: bytes(b.size) for n, b in self._blocks.items()}
+        self._contents: Mapping[int, bytes] = {
+            n: bytes(b.size) for n, b in self._blocks.items()
+        }
 
     @property
     def address(self) -> str:
@@ -61,7 +67,9 @@ class S7Link(Part):
             await self._server.start()
         except OSError as error:
             where = f"{self._config.host} port {self._config.port}"
-            raise address_refused(f"s7.server: cannot listen on {where}", error) from None
+            raise address_refused(
+                f"s7.server: cannot listen on {where}", error
+            ) from None
         self.status.endpoint, self.status.state = self.address, LinkState.CONNECTING
         self._watching = self._world.tasks.every("s7: watch", WATCH_S, self._look)
 
@@ -95,10 +103,16 @@ class S7Link(Part):
     def _newest(self) -> Mapping[int, bytes]:
         """Return all blocks of the newest frame; each frame is packed once."""
         frame = self._world.image.latest()
-        if frame is not None and (self._frame is None or frame.number != self._frame.number):
-            frame.values[self._world.table.slot("sim.state")] = self._world.control.state
+        if frame is not None and (
+            self._frame is None or frame.number != self._frame.number
+        ):
+            frame.values[self._world.table.slot("sim.state")] = (
+                self._world.control.state
+            )
             self._frame = frame
-            self._contents = {n: block.filled(frame) for n, block in self._blocks.items()}
+            self._contents = {
+                n: block.filled(frame) for n, block in self._blocks.items()
+            }
         return self._contents
 
     def _write(self, values: Mapping[str, object]) -> Mapping[str, Code]:
@@ -108,7 +122,9 @@ class S7Link(Part):
             self._source.staleness.renew(now_ns)
             self.status.input_received_ns.update(dict.fromkeys(values, now_ns))
             self.status.writes += 1
-        return {name: CODES.get(why, Code.DENIED) for name, why in outcome.refused.items()}
+        return {
+            name: CODES.get(why, Code.DENIED) for name, why in outcome.refused.items()
+        }
 
     def _report(self, kind: FaultKind, host: str, sentence: str) -> None:
         self._source.faults.report(kind, host, sentence, time.monotonic_ns())

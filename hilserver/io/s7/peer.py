@@ -56,16 +56,23 @@ class S7Peer(Peer):
         self._beat = 0
         for text in config.read:
             for name in config.inputs_of(text):
-                check_type(table[name], self._coming.places[text].type if self._coming else "")
+                check_type(
+                    table[name], self._coming.places[text].type if self._coming else ""
+                )
         self._wraps = {name: table[name].type in COUNTING for name in config.write}
         for name, text in config.write.items():
-            check_type(table[name], self._going.places[text].type if self._going else "")
+            check_type(
+                table[name], self._going.places[text].type if self._going else ""
+            )
 
     async def converse(self) -> None:
         """Serve one connection."""
         async with Connection(Endpoint.parse(self.config.endpoint)) as connection:
             intake, status = self.enter(), self.status
-            status.mode, status.mode_reason = "poll", f"S7, {connection.pdu_bytes} bytes a message"
+            status.mode, status.mode_reason = (
+                "poll",
+                f"S7, {connection.pdu_bytes} bytes a message",
+            )
             self._intake.expect(self.config.read, time.monotonic_ns())
             ways = [self.wait_cut(), intake.run()]
             if self._coming is not None:
@@ -76,25 +83,37 @@ class S7Peer(Peer):
 
     # --- in ---------------------------------------------------------------------------------------
 
-    async def _read_on(self, block: Block, connection: Connection, intake: FaultyIntake) -> None:
+    async def _read_on(
+        self, block: Block, connection: Connection, intake: FaultyIntake
+    ) -> None:
         status, period_s = self.status, self.config.poll_ms / 1000
         pace = Pace(period_s)
 
         async def cycle() -> float | None:
             sent_ns = time.monotonic_ns()
             try:
-                data = await connection.read(block.number, block.start, block.end - block.start)
+                data = await connection.read(
+                    block.number, block.start, block.end - block.start
+                )
             except AnswerError as error:
                 await self._refused(FaultKind.MISSING_NODE, block, error)
                 return None
             now_ns = time.monotonic_ns()
             status.round_trip.observe(now_ns - sent_ns)
-            values = {text: unpacked(p, data, block.start) for text, p in block.places.items()}
+            values = {
+                text: unpacked(p, data, block.start) for text, p in block.places.items()
+            }
             if len({values[end] for end in block.heartbeat}) > 1:
-                sentence = f"DB{block.number} was read while it was being written: dropped"
-                self._faults.report(FaultKind.TORN_READ, f"DB{block.number}", sentence, now_ns)
+                sentence = (
+                    f"DB{block.number} was read while it was being written: dropped"
+                )
+                self._faults.report(
+                    FaultKind.TORN_READ, f"DB{block.number}", sentence, now_ns
+                )
                 return pace.after(None)
-            intake.receive(((text, judge_value(v)) for text, v in values.items()), now_ns)
+            intake.receive(
+                ((text, judge_value(v)) for text, v in values.items()), now_ns
+            )
             return pace.after(values[block.heartbeat[0]]) if block.heartbeat else None
 
         def skipped(count: int) -> None:

@@ -31,7 +31,9 @@ def _blocks(config: Config) -> Iterator[str]:
             written = {text: signal for signal, text in peer.write.items()}
             for block, names in ((coming, _read(peer)), (going, written)):
                 if block is not None:
-                    yield _block(f"{peer.name}_DB{block.number}", _members(block, names))
+                    yield _block(
+                        f"{peer.name}_DB{block.number}", _members(block, names)
+                    )
 
 
 def _read(peer: PeerConfig) -> dict[str, str]:
@@ -40,7 +42,11 @@ def _read(peer: PeerConfig) -> dict[str, str]:
 
 def _members(block: Block, names: dict[str, str]) -> list[Member]:
     return [
-        (place, names.get(text, "heartbeat"), names.get(text, "counts every cycle, at both ends"))
+        (
+            place,
+            names.get(text, "heartbeat"),
+            names.get(text, "counts every cycle, at both ends"),
+        )
         for text, place in block.places.items()
     ]
 

@@ -20,7 +20,14 @@ _READ_LIST: Final = b"\x44\x01"
 """Group of CPU functions, and the function that reads a system status list."""
 COMPONENTS: Final = 0x001C
 NO_INFORMATION: Final = 0xD401
-_TEXTS: Final = {1: "hilserver", 2: "robot", 3: "", 4: "MIT", 5: __version__, 7: "simulated robot"}
+_TEXTS: Final = {
+    1: "hilserver",
+    2: "robot",
+    3: "",
+    4: "MIT",
+    5: __version__,
+    7: "simulated robot",
+}
 """Index of a record: name of the station, of the module, plant, copyright, serial number, type."""
 
 
@@ -73,7 +80,11 @@ class Answers:
     """
 
     def __init__(
-        self, blocks: Mapping[int, DataBlock], pdu_bytes: int, contents: Contents, write: Write
+        self,
+        blocks: Mapping[int, DataBlock],
+        pdu_bytes: int,
+        contents: Contents,
+        write: Write,
     ) -> None:
         self._blocks, self.pdu_bytes = blocks, pdu_bytes
         self._contents, self._write = contents, write
@@ -88,7 +99,9 @@ class Answers:
         if function == Function.SETUP:
             jobs, pdu_bytes = wire.agreed(message.parameters)
             self.pdu_bytes = min(self.pdu_bytes, pdu_bytes)
-            return wire.answer(number, wire.setup(self.pdu_bytes, max(1, min(jobs, JOBS))))
+            return wire.answer(
+                number, wire.setup(self.pdu_bytes, max(1, min(jobs, JOBS)))
+            )
         if function == Function.READ:
             return self._read(number, message.parameters)
         if function == Function.WRITE:
@@ -120,7 +133,9 @@ class Answers:
             group |= values
         refused = self._write(group) if group else {}
         for index, values in enumerate(named):
-            codes[index] = next((refused[n] for n in values if n in refused), codes[index])
+            codes[index] = next(
+                (refused[n] for n in values if n in refused), codes[index]
+            )
         return wire.answer(number, bytes((Function.WRITE, len(items))), bytes(codes))
 
     def _block(self, item: wire.Item) -> DataBlock:
@@ -176,7 +191,9 @@ class Server:
         for job in tuple(self.clients):
             await job.end()
 
-    def _enter(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    def _enter(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
         host = str((writer.get_extra_info("peername") or ["a client"])[0])
         place = self._places.take(host, writer.transport.abort)
         if place is None:
@@ -227,11 +244,15 @@ class Server:
         while True:
             message = wire.taken_apart(await wire.receive(reader, MESSAGE_S))
             writes = message.parameters[:1] == bytes((Function.WRITE,))
-            self._places.progress(place, PlaceUse.DRIVES if writes else PlaceUse.WATCHES)
+            self._places.progress(
+                place, PlaceUse.DRIVES if writes else PlaceUse.WATCHES
+            )
             writer.write(answers.to(message))
             async with time_limit(MESSAGE_S):
                 await writer.drain()
-            await asyncio.sleep(0)  # a client that never waits must not block the others
+            await asyncio.sleep(
+                0
+            )  # a client that never waits must not block the others
 
 
 def _stay_alive(connection: socket.socket) -> None:

@@ -72,7 +72,9 @@ class Item(NamedTuple):
     def packed(self) -> bytes:
         """Its address."""
         at, count = self.bit.to_bytes(3, "big"), self.size // _SIZES[self.kind]
-        return _ADDRESS.pack(0x12, 10, 0x10, self.kind, count, self.block, _DATA_BLOCK, at)
+        return _ADDRESS.pack(
+            0x12, 10, 0x10, self.kind, count, self.block, _DATA_BLOCK, at
+        )
 
 
 class Job(NamedTuple):
@@ -104,7 +106,9 @@ def _handshake(kind: int, to: int, body: bytes) -> bytes:
     return struct.pack(">BBH", 3, 0, 4 + len(head) + len(body)) + head + body
 
 
-async def receive(reader: asyncio.StreamReader, within_s: float | None = None) -> tuple[int, bytes]:
+async def receive(
+    reader: asyncio.StreamReader, within_s: float | None = None
+) -> tuple[int, bytes]:
     """Return kind and payload of the next message.
 
     `within_s`: how long it may take from its first byte to its last. WireError if it is malformed;
@@ -166,7 +170,9 @@ def job(number: int, parameters: bytes, data: bytes = b"") -> bytes:
 
 def answer(number: int, parameters: bytes, data: bytes = b"", error: int = 0) -> bytes:
     """Return the answer to a job, framed."""
-    head = _HEAD.pack(_S7, _ANSWER if parameters else _ERROR, 0, number, len(parameters), len(data))
+    head = _HEAD.pack(
+        _S7, _ANSWER if parameters else _ERROR, 0, number, len(parameters), len(data)
+    )
     return frame(head + struct.pack(">H", error) + parameters + data)
 
 
@@ -228,10 +234,17 @@ def asked(parameters: bytes) -> list[Item]:
         raise WireError("has no items, or too many")
     items = []
     for offset in range(2, len(parameters), _ADDRESS.size):
-        spec, _, syntax, kind, n, block, area, at = _ADDRESS.unpack_from(parameters, offset)
+        spec, _, syntax, kind, n, block, area, at = _ADDRESS.unpack_from(
+            parameters, offset
+        )
         known = (spec, syntax, area) == (0x12, 0x10, _DATA_BLOCK) and kind in _SIZES
         bit = int.from_bytes(at, "big")
-        if not known or n == 0 or (kind == _BIT and n != 1) or (kind != _BIT and bit % 8):
+        if (
+            not known
+            or n == 0
+            or (kind == _BIT and n != 1)
+            or (kind != _BIT and bit % 8)
+        ):
             items.append(Item(0, 0, 0))
         else:
             items.append(Item(block, bit, n * _SIZES[kind], kind))

@@ -6,7 +6,12 @@ from pathlib import Path
 
 from hilserver.image.layout import VERSION
 from hilserver.image.shared_file import path_of
-from hilserver.io.shared_memory.inputs import HEAD_END, inputs_of, layout_number, name_of
+from hilserver.io.shared_memory.inputs import (
+    HEAD_END,
+    inputs_of,
+    layout_number,
+    name_of,
+)
 from hilserver.signals import Signal, SignalTable
 
 
@@ -30,9 +35,13 @@ def to_csharp(table: SignalTable, image: str) -> str:
         table,
         image,
         VALUES=_lines(table.scalars, _csharp_member),
-        STATUS=_lines(table.scalars, lambda signal: f"        public long {_word(signal)};"),
+        STATUS=_lines(
+            table.scalars, lambda signal: f"        public long {_word(signal)};"
+        ),
         WRITTEN=_lines(written, _csharp_member),
-        NOTHING=_lines(written, lambda signal: f"                {_word(signal)} = double.NaN,"),
+        NOTHING=_lines(
+            written, lambda signal: f"                {_word(signal)} = double.NaN,"
+        ),
     )
 
 

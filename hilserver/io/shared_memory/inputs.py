@@ -68,7 +68,9 @@ class Inputs:
             return None
         self._seen = counter
         written = np.flatnonzero(~np.isnan(numbers))
-        return {self._signals[i].name: _typed(self._signals[i], numbers[i]) for i in written}
+        return {
+            self._signals[i].name: _typed(self._signals[i], numbers[i]) for i in written
+        }
 
     def close(self) -> None:
         """Remove the file."""

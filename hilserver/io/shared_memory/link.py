@@ -42,7 +42,11 @@ class SharedMemoryLink(Part):
         self.status.endpoint, self.status.state = str(inputs.path), LinkState.CONNECTING
         every = self._world.tasks.every
         self._jobs = [
-            every("shared memory: read", self._config.poll_ms / 1000.0, lambda: self._take(inputs)),
+            every(
+                "shared memory: read",
+                self._config.poll_ms / 1000.0,
+                lambda: self._take(inputs),
+            ),
             every("shared memory: watch", WATCH_S, self._look),
         ]
 

@@ -66,7 +66,10 @@ class Device:
         self._status.requests[request.name] += 1
         if not request.is_terminated:
             self._report(
-                ShieldFault.UNTERMINATED, request, f"{request.name} ends without EE", request.name
+                ShieldFault.UNTERMINATED,
+                request,
+                f"{request.name} ends without EE",
+                request.name,
             )
             if request.command in MOTION:
                 return
@@ -119,8 +122,12 @@ class Device:
             self._report(ShieldFault.TOO_FAST, request, text)
             speeds = tuple(rpm * self._max_rpm / fastest for rpm in speeds)
         wheels = zip(self._wheels, speeds, strict=True)
-        values: dict[str, object] = {f"wheel.{wheel}.setpoint_rpm": rpm for wheel, rpm in wheels}
-        self._put(request, {"drive.enable": True, "control.mode": MODE_WHEELS, **values})
+        values: dict[str, object] = {
+            f"wheel.{wheel}.setpoint_rpm": rpm for wheel, rpm in wheels
+        }
+        self._put(
+            request, {"drive.enable": True, "control.mode": MODE_WHEELS, **values}
+        )
 
     def _set_pwm(self, request: Request) -> None:
         duties = request.duties_pct
@@ -170,7 +177,9 @@ class Device:
             parameters[name] = float(request.integer)
         elif name == "unknown":
             text = f"command 0x{request.command:02X} is unknown: echoed, without effect"
-            self._report(ShieldFault.UNKNOWN_COMMAND, request, text, f"{request.command:02X}")
+            self._report(
+                ShieldFault.UNKNOWN_COMMAND, request, text, f"{request.command:02X}"
+            )
 
     def _frequency_hz(self, request: Request) -> float:
         if request.integer <= MOST_FREQUENCY_HZ:
@@ -183,12 +192,18 @@ class Device:
         if math.isfinite(request.number):
             return request.number
         self._report(
-            ShieldFault.BAD_NUMBER, request, f"{request.name} is not a finite number", request.name
+            ShieldFault.BAD_NUMBER,
+            request,
+            f"{request.name} is not a finite number",
+            request.name,
         )
         return None
 
     def _use(self, request: Request) -> None:
-        if self._config.parameters == "store" or request.command not in (Command.KP, Command.KI):
+        if self._config.parameters == "store" or request.command not in (
+            Command.KP,
+            Command.KI,
+        ):
             return
         gains = [self._status.parameters.get(name, math.nan) for name in ("kp", "ki")]
         try:

@@ -16,7 +16,14 @@ import numpy as np
 
 from hilserver.compiled import inlined, part
 from hilserver.io.shield import words as w
-from hilserver.io.shield.protocol import CHECKED_BYTES, END, KNOWN, REQUEST_BYTES, START, crc8
+from hilserver.io.shield.protocol import (
+    CHECKED_BYTES,
+    END,
+    KNOWN,
+    REQUEST_BYTES,
+    START,
+    crc8,
+)
 
 NOTHING: Final = 0
 COMPLETE: Final = 1

@@ -34,7 +34,9 @@ def open_pseudo_terminal(link: Path) -> Line:
     FailedError if the link cannot be made, or its name is taken.
     """
     if os.path.lexists(link) and not link.is_symlink():
-        raise FailedError(f"shield.link: {link} exists and is not a link; choose another path")
+        raise FailedError(
+            f"shield.link: {link} exists and is not a link; choose another path"
+        )
     file, host = os.openpty()
     try:
         path = Path(os.ttyname(host))

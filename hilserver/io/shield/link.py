@@ -27,9 +27,15 @@ from hilserver.io.shield.protocol import BYTE_NS, REQUEST_BYTES, RESPONSE_BYTES,
 from hilserver.io.shield.status import NAME, ShieldStatus
 from hilserver.io.source import Source
 from hilserver.io.world import Part, World
-from hilserver.scheduler.realtime import Grant, RealtimeSettings, request_for_this_thread
+from hilserver.scheduler.realtime import (
+    Grant,
+    RealtimeSettings,
+    request_for_this_thread,
+)
 
-PAUSE_NS = 2_000_000  # silence that ends a burst: 23 bytes; hosts keep 8 ms between requests
+PAUSE_NS = (
+    2_000_000  # silence that ends a burst: 23 bytes; hosts keep 8 ms between requests
+)
 REOPEN_S = 0.5
 END_WITHIN_S = 5.0
 
@@ -54,9 +60,13 @@ class Gains:
         k_i = self._loop.k_i if math.isnan(k_i) else k_i
         loop = dataclasses.replace(self._loop, k_p=k_p, k_i=k_i)
         if k_p < 0.0 or k_i < 0.0 or not loop.is_stable(self._period_s):
-            raise ValueError(f"gains are not applied: kp {k_p:g}, ki {k_i:g} are not stable")
+            raise ValueError(
+                f"gains are not applied: kp {k_p:g}, ki {k_i:g} are not stable"
+            )
         values = {"internal.gains": 1.0, "internal.k_p": k_p, "internal.k_i": k_i}
-        self._image.push([Row(self._table.slot(name), value) for name, value in values.items()])
+        self._image.push(
+            [Row(self._table.slot(name), value) for name, value in values.items()]
+        )
 
 
 class ShieldLink(Part):
@@ -83,12 +93,18 @@ class ShieldLink(Part):
             is_exact=True,  # the thread of the line stamps arrivals
         )
         max_rpm, gains = world.table["wheel.fl.setpoint_rpm"].high, Gains(world)
-        self.device = Device(config, status, self._source, max_rpm=max_rpm, apply=gains.apply)
-        self.grants: list[Grant] = []  # what the system granted to the thread of the line
+        self.device = Device(
+            config, status, self._source, max_rpm=max_rpm, apply=gains.apply
+        )
+        self.grants: list[
+            Grant
+        ] = []  # what the system granted to the thread of the line
         self._config, self._world, self._image = config, world, world.image
         mechatronic = world.config.mechatronic
         body = mechatronic.enabled and mechatronic.sensors == "body"
-        self._slots = np.array(places(world.table, config.wheels, body=body), dtype=np.int64)
+        self._slots = np.array(
+            places(world.table, config.wheels, body=body), dtype=np.int64
+        )
         self._received_ns: int | None = None
         self._seen: dict[ShieldFault, int] = {}
         self._thread = threading.Thread(target=self._run, name="shield", daemon=True)
@@ -149,7 +165,11 @@ class ShieldLink(Part):
 
         Without the line's pace a host could keep it busy for ever, so it then has no priority.
         """
-        priority = self._world.config.scheduler.realtime.priority - 1 if self._config.pace else 0
+        priority = (
+            self._world.config.scheduler.realtime.priority - 1
+            if self._config.pace
+            else 0
+        )
         return RealtimeSettings(priority=max(priority, 0))
 
     def _end_thread(self) -> None:
@@ -187,7 +207,9 @@ class ShieldLink(Part):
         self._line = None
         line.close()
         self._tell(f"the line {line.path} is lost")
-        self.status.words[[w.FILL, w.RX_LAST, w.EMPTY, w.MORE]] = 0  # of that line alone
+        self.status.words[[w.FILL, w.RX_LAST, w.EMPTY, w.MORE]] = (
+            0  # of that line alone
+        )
         while not self._stopping.wait(REOPEN_S):
             with contextlib.suppress(FailedError):
                 self._line = self._opened()
@@ -238,9 +260,21 @@ class ShieldLink(Part):
     def _note_counters(self, now_ns: int) -> None:
         """Report what the thread has counted since the last look."""
         for kind, word, text in (
-            (ShieldFault.SKIPPED_BYTES, w.SKIPPED, "bytes that are not part of a request"),
-            (ShieldFault.UNANSWERED, w.UNANSWERED, "requests come too fast for the line to answer"),
-            (ShieldFault.UNHEARD, w.UNHEARD, "requests came too fast to be carried out"),
+            (
+                ShieldFault.SKIPPED_BYTES,
+                w.SKIPPED,
+                "bytes that are not part of a request",
+            ),
+            (
+                ShieldFault.UNANSWERED,
+                w.UNANSWERED,
+                "requests come too fast for the line to answer",
+            ),
+            (
+                ShieldFault.UNHEARD,
+                w.UNHEARD,
+                "requests came too fast to be carried out",
+            ),
         ):
             count = self.status.count(word)
             if count > self._seen.get(kind, 0):

@@ -86,12 +86,16 @@ class Request:
     command: int  # a `Command`, or an unknown number
     payload: bytes  # eight bytes
     received_ns: int = 0  # CLOCK_MONOTONIC at which its last byte had come in
-    is_terminated: bool = True  # False: alone on the line, but its last byte is not `END`
+    is_terminated: bool = (
+        True  # False: alone on the line, but its last byte is not `END`
+    )
 
     @property
     def name(self) -> str:
         """Name in metrics and messages: ``set_rpm``, ``unknown``."""
-        return Command(self.command).name.lower() if self.command in KNOWN else "unknown"
+        return (
+            Command(self.command).name.lower() if self.command in KNOWN else "unknown"
+        )
 
     @property
     def number(self) -> float:

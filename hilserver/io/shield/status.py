@@ -18,11 +18,19 @@ class ShieldStatus(PeerStatus):
     """Everything observed on the serial line."""
 
     # counters of the line's thread, see `words`
-    words: NDArray[np.int64] = field(default_factory=lambda: np.zeros(w.N_WORDS, dtype=np.int64))
-    enabled: bool = False  # the host has enabled the motors and has not been silent since
-    without_effect: int = 0  # requests that are echoed and change nothing in the simulation
+    words: NDArray[np.int64] = field(
+        default_factory=lambda: np.zeros(w.N_WORDS, dtype=np.int64)
+    )
+    enabled: bool = (
+        False  # the host has enabled the motors and has not been silent since
+    )
+    without_effect: int = (
+        0  # requests that are echoed and change nothing in the simulation
+    )
     # name of a command -> number of requests
-    requests: Counter[str] = field(default_factory=lambda: Counter(dict.fromkeys(NAMES, 0)))
+    requests: Counter[str] = field(
+        default_factory=lambda: Counter(dict.fromkeys(NAMES, 0))
+    )
     # values that the host has set and the robot stores
     parameters: dict[str, float] = field(default_factory=dict)
 
@@ -49,7 +57,11 @@ class ShieldStatus(PeerStatus):
             "unterminated": self.count(w.UNTERMINATED),
             "unanswered": self.count(w.UNANSWERED),
             "unread_bytes": self.count(w.UNREAD),
-            "lateness_mean_us": self.count(w.LATE_SUM) / responses * 1e-3 if responses else None,
+            "lateness_mean_us": self.count(w.LATE_SUM) / responses * 1e-3
+            if responses
+            else None,
             "lateness_max_us": self.count(w.LATE_MAX) * 1e-3 if responses else None,
-            "parameters": ", ".join(f"{k} {v:g}" for k, v in sorted(self.parameters.items())),
+            "parameters": ", ".join(
+                f"{k} {v:g}" for k, v in sorted(self.parameters.items())
+            ),
         }

@@ -29,7 +29,9 @@ libc_read: Any = ExternalFunction("read", int64(int32, voidptr, uint64))
 libc_ppoll: Any = ExternalFunction("ppoll", int32(voidptr, uint64, voidptr, voidptr))
 
 LONGEST_WAIT_NS: Final = 50_000_000  # the thread checks its words at least this often
-STOOD_NS: Final = 3 * LONGEST_WAIT_NS // 2  # a thread that is not held up is never later
+STOOD_NS: Final = (
+    3 * LONGEST_WAIT_NS // 2
+)  # a thread that is not held up is never later
 ABSENT_WAIT_NS: Final = 5_000_000  # how often it checks for a host that opens the line
 POLL_IN, POLL_BROKEN = 0x1, 0x8 | 0x10 | 0x20
 IMU_RAW: Final = int(Command.IMU_RAW)
@@ -54,7 +56,9 @@ class Memory(NamedTuple):
 
 
 @part
-def _give(buffer: Any, flags: int, received_ns: int, state: Any, doorbell: int, one: Any) -> None:
+def _give(
+    buffer: Any, flags: int, received_ns: int, state: Any, doorbell: int, one: Any
+) -> None:
     """Hand a request to the event loop and queue its response."""
     state[w.REQUESTS] += 1
     command = int(buffer[1])
@@ -112,7 +116,9 @@ def _prepare(
     if copy_latest(values, words, frame, info) < 0:
         return
     row = w.PENDING_ROWS + 2 * (state[w.PENDING_TAIL] % w.PENDING)
-    state[w.TX_COUNT] = answer(out, state[row], state[w.RAW], state[w.CRC], frame, slots)
+    state[w.TX_COUNT] = answer(
+        out, state[row], state[w.RAW], state[w.CRC], frame, slots
+    )
     begins_ns = max(state[row + 1], state[w.TX_LAST])
     state[w.TX_DUE] = begins_ns + state[w.TX_COUNT] * state[w.BYTE]
     state[w.PENDING_TAIL] += 1
@@ -148,7 +154,13 @@ def _wait(file: int, until_ns: int, now_ns: int, poll: Any, timespec: Any) -> in
 
 @part
 def _listen(
-    file: int, until_ns: int, now_ns: int, chunk: Any, state: Any, poll: Any, timespec: Any
+    file: int,
+    until_ns: int,
+    now_ns: int,
+    chunk: Any,
+    state: Any,
+    poll: Any,
+    timespec: Any,
 ) -> bool:
     """Wait for bytes and read no more than a request lacks; return whether the line is lost."""
     if not _wait(file, 0, 0, poll, timespec) & POLL_IN:
@@ -163,7 +175,9 @@ def _listen(
             # the sender may be gone
             has_stood = 0 < state[w.EMPTY] < now_ns - max(state[w.LIMIT], STOOD_NS)
             begins_ns = max(state[w.EMPTY] if has_stood else now_ns, state[w.RX_LAST])
-            if state[w.MORE]:  # however late they are read, they arrived after the last ones
+            if state[
+                w.MORE
+            ]:  # however late they are read, they arrived after the last ones
                 begins_ns = state[w.RX_LAST]
             state[w.RX_COUNT] = count
             state[w.RX_DUE] = begins_ns + count * state[w.BYTE]
@@ -178,13 +192,25 @@ def _listen(
     return False
 
 
-_TYPES = (_WORDS, _WORDS, *[_BYTES] * 3, _VALUES, _WORDS, _VALUES, _WORDS, _WORDS, types.int32[::1])
+_TYPES = (
+    _WORDS,
+    _WORDS,
+    *[_BYTES] * 3,
+    _VALUES,
+    _WORDS,
+    _VALUES,
+    _WORDS,
+    _WORDS,
+    types.int32[::1],
+)
 
 
 @kernel(int64(int64, int64, RecordType(_TYPES, Memory)))
 def serve(file: int, doorbell: int, memory: Memory) -> int:
     """Answer on a line until `STOP` is set (returns 0) or the line is lost (returns 1)."""
-    state, slots, chunk, request, out, values, words, frame, info, scratch, poll = memory
+    state, slots, chunk, request, out, values, words, frame, info, scratch, poll = (
+        memory
+    )
     scratch[2] = 1
     one = scratch[2:3]
     while load_acquire(state, w.STOP) == 0:

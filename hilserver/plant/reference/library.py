@@ -101,12 +101,20 @@ class ReferencePlant:
         if robot.wheelbase_m is not None:
             ratio, offset = (terms[name] for name in balance)
             factor, shift_m = anisotropy(
-                robot.wheelbase_m, robot.track_m, float(ratio or 0.0), float(offset or 0.0)
+                robot.wheelbase_m,
+                robot.track_m,
+                float(ratio or 0.0),
+                float(offset or 0.0),
             )
             values |= {"aniso_k": factor, "aniso_icr": shift_m}
         values["volts"] = battery_v
         for name, value in values.items():
-            if self._library.plant_set(self._handle, name.encode(), ctypes.c_double(value)) != 0:
+            if (
+                self._library.plant_set(
+                    self._handle, name.encode(), ctypes.c_double(value)
+                )
+                != 0
+            ):
                 raise FailedError(f"plant.c has no field {name!r}")
         self._library.plant_prepare(self._handle, int(extended))
         self.outputs = np.zeros(N_OUTPUTS)
@@ -120,14 +128,22 @@ class ReferencePlant:
     def tick(self, setpoints_rpm: NDArray[np.float64]) -> None:
         """Read the state of t_k, then run one tick."""
         self._library.plant_state(self._handle, _pointer(self.states))
-        self._library.plant_tick(self._handle, _pointer(setpoints_rpm), _pointer(self.outputs))
+        self._library.plant_tick(
+            self._handle, _pointer(setpoints_rpm), _pointer(self.outputs)
+        )
 
     def sense(self) -> None:
         """Run the sensors on the outputs of the last tick."""
-        self._library.plant_sensors(self._handle, _pointer(self.outputs), _pointer(self.sensors))
+        self._library.plant_sensors(
+            self._handle, _pointer(self.outputs), _pointer(self.sensors)
+        )
 
     def run(
-        self, u: NDArray[np.float64], y: NDArray[np.float64], q: NDArray[np.int64], ticks: int
+        self,
+        u: NDArray[np.float64],
+        y: NDArray[np.float64],
+        q: NDArray[np.int64],
+        ticks: int,
     ) -> None:
         """Run whole base ticks with inputs, outputs and status codes, to compare speed."""
         self._library.plant_run(

@@ -42,10 +42,16 @@ def distribution(name: str, margins: Array, unit: str) -> Figure | None:
     for count, a, b in zip(counts.tolist(), edges[:-1], edges[1:], strict=True):
         if count:
             role = "passes" if a + b > 0.0 else "fails"
-            plot.bar(float(a), float(b), count, role, f"{count} machines: {a:.4g} .. {b:.4g}")
+            plot.bar(
+                float(a), float(b), count, role, f"{count} machines: {a:.4g} .. {b:.4g}"
+            )
     plot.upright(0.0)
     failing = int((margins < 0.0).sum())
-    beside = f" {endless} have none: drive too short, or value not a number." if endless else ""
+    beside = (
+        f" {endless} have none: drive too short, or value not a number."
+        if endless
+        else ""
+    )
     caption = f"{failing} of {int((~np.isnan(margins)).sum())} machines fail.{beside}"
     return Figure(picture([plot], f"margins of {name}"), name, caption)
 
@@ -79,7 +85,9 @@ def failing_region(
         "Each dot is a machine; orange ones fail. Background: share of failures there, the"
         " darker the larger."
     )
-    return Figure(picture([plot], f"where {name} fails"), f"Where '{name}' fails", caption)
+    return Figure(
+        picture([plot], f"where {name} fails"), f"Where '{name}' fails", caption
+    )
 
 
 def _shares(plot: Plot, x: Array, y: Array, fails: NDArray[np.bool_]) -> None:
@@ -90,4 +98,9 @@ def _shares(plot: Plot, x: Array, y: Array, fails: NDArray[np.bool_]) -> None:
     failed, _, _ = np.histogram2d(x[fails], y[fails], (x_edges, y_edges))
     for i, j in zip(*np.nonzero(failed), strict=True):
         share = failed[i, j] / (total[i, j] + 1.0)  # one machine alone says little
-        plot.cell((x_edges[i], x_edges[i + 1]), (y_edges[j], y_edges[j + 1]), "fails", 0.5 * share)
+        plot.cell(
+            (x_edges[i], x_edges[i + 1]),
+            (y_edges[j], y_edges[j + 1]),
+            "fails",
+            0.5 * share,
+        )

@@ -86,7 +86,9 @@ def _judged(table: Table, name: str, n: int) -> Judged:
     driven = margins[~np.isnan(margins)]
     met = int((driven >= 0.0).sum())
     low, high = exact_interval(met, n)
-    faults = {f: v for f, v in table.faults.items() if np.ptp(v) > 0.0} if len(table) else {}
+    faults = (
+        {f: v for f, v in table.faults.items() if np.ptp(v) > 0.0} if len(table) else {}
+    )
     finite = np.where(np.isneginf(margins), np.nan, margins)
     return Judged(
         name,
@@ -103,15 +105,21 @@ def _judged(table: Table, name: str, n: int) -> Judged:
 
 def _worst(table: Table) -> list[dict[str, Any]]:
     """Return machines to drive again."""
-    size = table.worst_margin  # NaN if the controller failed: these have their own table
+    size = (
+        table.worst_margin
+    )  # NaN if the controller failed: these have their own table
     order = np.argsort(size, kind="stable")
     rows = [row for row in order.tolist() if not np.isnan(size[row])]
     return [
         {
             "index": int(table.index[row]),
-            "margins": [(name, float(values[row])) for name, values in table.margins.items()],
+            "margins": [
+                (name, float(values[row])) for name, values in table.margins.items()
+            ],
             "message": table.message[row],
-            "parameters": [(name, float(values[row])) for name, values in table.parameters.items()],
+            "parameters": [
+                (name, float(values[row])) for name, values in table.parameters.items()
+            ],
         }
         for row in rows[:N_WORST]
     ]
@@ -133,9 +141,16 @@ def _environment() -> Environment:
     """Return the template environment: that of the diagnosis, with this room's templates."""
     made = environment().overlay(
         loader=ChoiceLoader(
-            [PackageLoader("hilserver.sweep.report"), PackageLoader("hilserver.diagnosis.report")]
+            [
+                PackageLoader("hilserver.sweep.report"),
+                PackageLoader("hilserver.diagnosis.report"),
+            ]
         )
     )
-    own = files("hilserver.sweep.report").joinpath("sweep.css").read_text(encoding="utf-8")
+    own = (
+        files("hilserver.sweep.report")
+        .joinpath("sweep.css")
+        .read_text(encoding="utf-8")
+    )
     made.globals = {**made.globals, "own_style": Markup(own), "infinity": math.inf}  # noqa: S704
     return made

@@ -31,7 +31,9 @@ VIEWS: Final[Mapping[str, View]] = {
     "fused_yaw": AgainstHeading(),
     "on_a_frame": DutyOverSpeed(),
     "rates": AsRecorded(SPEEDS[0], "speed, front left", "rpm", 1.5, at_rows=True),
-    "interpolated": AsRecorded(SPEEDS[0], "speed, front left", "rpm", 1.5, at_rows=True),
+    "interpolated": AsRecorded(
+        SPEEDS[0], "speed, front left", "rpm", 1.5, at_rows=True
+    ),
     "signs_units": AsRecorded(GYRO, "turn rate", "rad/s", 20.0),
     "slow_slice": OverTime(SPEEDS[0], "speed, front left", 0.5, with_setpoint=True),
 }

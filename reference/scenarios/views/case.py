@@ -54,7 +54,12 @@ class View(Protocol):
 
 
 def axes(
-    t: Array, values: Sequence[Array], x_label: str, y_label: str, height: float, top: float
+    t: Array,
+    values: Sequence[Array],
+    x_label: str,
+    y_label: str,
+    height: float,
+    top: float,
 ) -> Plot:
     """Return a plot over the range of `t`, high enough for all values."""
     x, y = span_of(t, margin=0.0), span_of(*values)

@@ -40,7 +40,9 @@ class OverTime:
         """Draw the values above what the models leave of them."""
         s = case.series(self.channel)
         other = s.measured if s.extended is None else s.extended
-        begin, end = stretch(case, self.channel, s.t_s, other - s.simulated, self.length_s)
+        begin, end = stretch(
+            case, self.channel, s.t_s, other - s.simulated, self.length_s
+        )
         part = (s.t_s >= begin) & (s.t_s <= end)
         t, measured, simulated = s.t_s[part], s.measured[part], s.simulated[part]
         extended = None if s.extended is None else s.extended[part]
@@ -50,7 +52,9 @@ class OverTime:
             curves.append(("extended", extended))
             rest.append(("after", measured - extended))
         legend = list(MODELS[: len(curves)])
-        setpoint = _steps(case.log, self.channel, begin, end) if self.with_setpoint else None
+        setpoint = (
+            _steps(case.log, self.channel, begin, end) if self.with_setpoint else None
+        )
         if setpoint is not None:
             legend.append(("setpoint", "set-point"))
         spans = [y for _, y in curves] + ([setpoint[1]] if setpoint is not None else [])
@@ -105,7 +109,9 @@ class AsRecorded:
         if rows is not None:
             ranges.append(rows[1])
             legend.append(("setpoint", "recorded set-point"))
-        plot = axes(x, ranges, "time [s]", f"{self.words} [{self.unit}]", HEIGHT, HEAD_HEIGHT)
+        plot = axes(
+            x, ranges, "time [s]", f"{self.words} [{self.unit}]", HEIGHT, HEAD_HEIGHT
+        )
         if rows is not None:
             plot.line(*rows, "setpoint", "recorded set-point", points=POINTS)
             plot.dots(*rows, "row", [f"{v:.4g} {self.unit}" for v in rows[1]])
@@ -118,16 +124,22 @@ class AsRecorded:
             s = case.series(self.channel)
             return s.t_s, s.simulated
         stage = DriveStage(case.log, case.robot, block_s=5.0)
-        return stage.segments.times(0), stage.simulate({})[1][:, SPEEDS.index(self.channel)]
+        return stage.segments.times(0), stage.simulate({})[1][
+            :, SPEEDS.index(self.channel)
+        ]
 
 
-def _rows(log: MeasuredLog, channel: str, begin: float, end: float) -> tuple[Array, Array]:
+def _rows(
+    log: MeasuredLog, channel: str, begin: float, end: float
+) -> tuple[Array, Array]:
     setpoint = log[SETPOINTS[SPEEDS.index(channel)]]
     shown = (setpoint.t_s >= begin) & (setpoint.t_s <= end)
     return setpoint.t_s[shown], setpoint.values[shown]
 
 
-def _steps(log: MeasuredLog, channel: str, begin: float, end: float) -> tuple[Array, Array]:
+def _steps(
+    log: MeasuredLog, channel: str, begin: float, end: float
+) -> tuple[Array, Array]:
     """Return the set-points of a stretch as stairs."""
     t, v = _rows(log, channel, begin, end)
     return np.repeat(t, 2)[1:], np.repeat(v, 2)[:-1]

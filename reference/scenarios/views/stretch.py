@@ -35,7 +35,9 @@ def stretch(
         if sums[k] > best:
             best = float(sums[k])
             around = slice(max(k - n, 0), k + n)
-            k = around.start + int(np.median(np.flatnonzero(sums[around] >= NEARLY_LARGEST * best)))
+            k = around.start + int(
+                np.median(np.flatnonzero(sums[around] >= NEARLY_LARGEST * best))
+            )
             last = rows[min(k + n, len(rows)) - 1]
             found = (float(t_s[rows[k]]), float(t_s[last]))
     return found

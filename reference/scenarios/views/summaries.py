@@ -11,7 +11,14 @@ from hilserver.diagnosis.report.svg import Plot, span_of
 from hilserver.identify.rotation import identify_rotation
 from hilserver.measured.channels import DUTIES, SPEEDS, YAW
 from hilserver.measured.data import MeasuredLog
-from reference.scenarios.views.case import HEIGHT, MODELS, PICTURE_WIDTH, Case, Legend, axes
+from reference.scenarios.views.case import (
+    HEIGHT,
+    MODELS,
+    PICTURE_WIDTH,
+    Case,
+    Legend,
+    axes,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +52,10 @@ class AgainstHeading:
         for role, mean in means.items():
             plot.line(middle, mean, role, role)
             plot.dots(middle, mean, role, [f"{v:.4f} rad" for v in mean])
-        words = {"simulated": "measured minus simulated", "extended": "measured minus extended"}
+        words = {
+            "simulated": "measured minus simulated",
+            "extended": "measured minus extended",
+        }
         return [plot], [(role, words[role]) for role in means]
 
 
@@ -96,7 +106,8 @@ class TurnGains:
         found = [identify_rotation(log, case.robot).unsteady for log in runs]
         value = np.array([e.value for e in found])
         low, high = (
-            np.array([e.value if e.ci95 is None else e.ci95[i] for e in found]) for i in (0, 1)
+            np.array([e.value if e.ci95 is None else e.ci95[i] for e in found])
+            for i in (0, 1)
         )
         x = np.arange(1.0, len(runs) + 1.0)
         model = np.full(2, case.robot.k_om) if self.with_model else None
@@ -113,16 +124,24 @@ class TurnGains:
         if model is not None:
             plot.line(np.array(plot.x), model, "simulated", "configured")
         first = len(case.logs)
-        for rows, role in ((slice(0, first), "measured"), (slice(first, None), "extended")):
+        for rows, role in (
+            (slice(0, first), "measured"),
+            (slice(first, None), "extended"),
+        ):
             plot.whiskers(x[rows], low[rows], high[rows], role)
             plot.dots(x[rows], value[rows], role, [f"{v:.3f} 1/m" for v in value[rows]])
             mean = float(value[rows].mean())
-            plot.line(x[rows], np.full(len(x[rows]), mean), role, f"mean {mean:.3f} 1/m")
+            plot.line(
+                x[rows], np.full(len(x[rows]), mean), role, f"mean {mean:.3f} 1/m"
+            )
         legend = [
             ("measured", f"measured, {self.groups[0]}, and mean"),
             ("extended", f"measured, {self.groups[1]}, and mean"),
         ]
-        return [plot], [*legend, ("simulated", "simulated")] if self.with_model else legend
+        return [plot], [
+            *legend,
+            ("simulated", "simulated"),
+        ] if self.with_model else legend
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +178,9 @@ class DutyOverSpeed:
 
     def _measured(self, log: MeasuredLog) -> tuple[Array, Array]:
         speed, duty = log[SPEEDS[0]], log[DUTIES[0]]
-        return self._means(speed.t_s, speed.values, np.interp(speed.t_s, duty.t_s, duty.values))
+        return self._means(
+            speed.t_s, speed.values, np.interp(speed.t_s, duty.t_s, duty.values)
+        )
 
     def _simulated(self, case: Case) -> tuple[Array, Array]:
         stage = DriveStage(case.log, case.robot, block_s=5.0)

@@ -22,8 +22,12 @@ class Way:
         """Draw x and y of one stretch whose start is free."""
         tracks = self._tracks(case)
         height = 520.0
-        x, y = (span_of(*(track[:, i] for track in tracks), margin=0.05) for i in (0, 1))
-        plot = Plot(x, y, "x [m]", "y [m]", width=PICTURE_WIDTH, height=height, top=HEAD_HEIGHT)
+        x, y = (
+            span_of(*(track[:, i] for track in tracks), margin=0.05) for i in (0, 1)
+        )
+        plot = Plot(
+            x, y, "x [m]", "y [m]", width=PICTURE_WIDTH, height=height, top=HEAD_HEIGHT
+        )
         per_x = (x[1] - x[0]) / abs(plot.to_x.last - plot.to_x.first)
         per_y = (y[1] - y[0]) / abs(plot.to_y.last - plot.to_y.first)
         scale = max(per_x, per_y)

@@ -65,7 +65,9 @@ class Flood(Attack):
     def __init__(self, robot, name):
         super().__init__(robot)
         doors = robot.doors
-        self._process = processes.Process(target=_flood, args=(name, doors.opcua, doors.foxglove))
+        self._process = processes.Process(
+            target=_flood, args=(name, doors.opcua, doors.foxglove)
+        )
         self._process.start()
         self.off()
 
@@ -123,7 +125,9 @@ async def _translate(url):
 
 async def _event_filter(url):
     elements = [
-        ua.ContentFilterElement(ua.FilterOperator.Or, [ua.ElementOperand(index + 1)] * 2)
+        ua.ContentFilterElement(
+            ua.FilterOperator.Or, [ua.ElementOperand(index + 1)] * 2
+        )
         for index in range(DEPTH - 1)
     ]
     never = ua.LiteralOperand(ua.Variant(False))
@@ -134,7 +138,9 @@ async def _event_filter(url):
         ua.AttributeIds.Value,
     )
     item = ua.MonitoredItemCreateRequest(
-        ItemToMonitor=ua.ReadValueId(ua.NodeId(ua.ObjectIds.Server), ua.AttributeIds.EventNotifier),
+        ItemToMonitor=ua.ReadValueId(
+            ua.NodeId(ua.ObjectIds.Server), ua.AttributeIds.EventNotifier
+        ),
         MonitoringMode=ua.MonitoringMode.Reporting,
         RequestedParameters=ua.MonitoringParameters(
             Filter=ua.EventFilter([message], ua.ContentFilter(elements)), QueueSize=10
@@ -153,8 +159,15 @@ async def _event_filter(url):
 async def _unknown_names(url):
     import aiohttp  # noqa: PLC0415 - the attacks are named where there is none
 
-    names = json.dumps({f"no.such.signal.{i}.x": i for i in range(UNKNOWN_NAMES)}).encode()
-    channel = {"id": 1, "topic": "/hilserver/set", "encoding": "json", "schemaName": "Set"}
+    names = json.dumps(
+        {f"no.such.signal.{i}.x": i for i in range(UNKNOWN_NAMES)}
+    ).encode()
+    channel = {
+        "id": 1,
+        "topic": "/hilserver/set",
+        "encoding": "json",
+        "schemaName": "Set",
+    }
     async with (
         aiohttp.ClientSession() as session,
         session.ws_connect(url, protocols=["foxglove.sdk.v1"]) as socket,

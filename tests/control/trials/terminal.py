@@ -26,11 +26,16 @@ class TerminalRobot(Robot):
         finally:
             os.close(theirs)
         log.touch()
-        threading.Thread(target=self._read, args=(self._terminal, log), daemon=True).start()
+        threading.Thread(
+            target=self._read, args=(self._terminal, log), daemon=True
+        ).start()
         return process
 
     def _read(self, terminal, log):
-        with contextlib.suppress(OSError), log.open("ab") as file:  # at its end all have closed it
+        with (
+            contextlib.suppress(OSError),
+            log.open("ab") as file,
+        ):  # at its end all have closed it
             while data := os.read(terminal, 1 << 16):
                 file.write(data)
                 file.flush()

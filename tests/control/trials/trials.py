@@ -125,7 +125,11 @@ class Trials:
     def _stop(self, head):
         self._attack.strike(LOCK_S)
         # With the event loop dead only the page's door is open.
-        by = "opcua" if self.source == "opcua" and self._attack_name != "lock" else "operator"
+        by = (
+            "opcua"
+            if self.source == "opcua" and self._attack_name != "lock"
+            else "operator"
+        )
         self.clients[by].ask("press")
         falls_ns = self._falls_ns(head, 0.0)
         pressed_ns = self.clients[by].answer()
@@ -147,7 +151,9 @@ class Trials:
 
     def _is_at_speed(self):
         wheel = self.robot.eye.now().wheel_rpm
-        return len(wheel) > 0 and abs(wheel[-1] - SPEEDS_RPM[self.source]) < STANDING_RPM
+        return (
+            len(wheel) > 0 and abs(wheel[-1] - SPEEDS_RPM[self.source]) < STANDING_RPM
+        )
 
     def _bring_to_speed(self):
         """Reset and take control as often as it needs."""

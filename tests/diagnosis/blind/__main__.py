@@ -17,9 +17,15 @@ parser = argparse.ArgumentParser(
     description=campaign.__doc__,
     formatter_class=argparse.RawDescriptionHelpFormatter,
 )
-parser.add_argument("--results", type=Path, required=True, help="one line of JSON per answer")
-parser.add_argument("--rounds", type=int, default=1, metavar="N", help="default %(default)s")
-parser.add_argument("--first", type=int, default=0, metavar="N", help="first round; default 0")
+parser.add_argument(
+    "--results", type=Path, required=True, help="one line of JSON per answer"
+)
+parser.add_argument(
+    "--rounds", type=int, default=1, metavar="N", help="default %(default)s"
+)
+parser.add_argument(
+    "--first", type=int, default=0, metavar="N", help="first round; default 0"
+)
 parser.add_argument("--classes", type=words, default=campaign.CLASSES, metavar="A,B")
 parser.add_argument("--makers", type=words, default=MAKERS, metavar="A,B")
 args = parser.parse_args()

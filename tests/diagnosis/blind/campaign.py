@@ -62,7 +62,9 @@ def wanted(made, maker, classes):
     ]  # fmt: skip
     picked = [both[k] for k in rng.choice(len(both), PAIRS, replace=False)]
     if "pair" in classes:
-        for one, other in (tuple(made.hidden(cause, "pair") for cause in two) for two in picked):
+        for one, other in (
+            tuple(made.hidden(cause, "pair") for cause in two) for two in picked
+        ):
             if one is not None and other is not None:
                 yield "pair", pair(one, other)
     if "fault" in classes:
@@ -71,7 +73,10 @@ def wanted(made, maker, classes):
             if log is not None and cause not in UNNAMED:
                 yield "fault", log
     if "outside" in classes:
-        drive, seed = made.drive_of("rotation_gain"), seed_of(made.secret, maker, "outside")
+        drive, seed = (
+            made.drive_of("rotation_gain"),
+            seed_of(made.secret, maker, "outside"),
+        )
         for case in outside(seed):
             effect = case.recipe.causes
             if drive.can_hide(effect):
@@ -83,7 +88,11 @@ def run(file, rounds=1, makers=MAKERS, classes=CLASSES, first=0, say=print):
     results = Results(file, "blind", secret())
     keys = []
     for number, maker in itertools.product(range(first, first + rounds), makers):
-        kinds = {kind: maker for kind in LENGTH_S if maker == FIRST or kind in ("drive", "bench")}
+        kinds = {
+            kind: maker
+            for kind in LENGTH_S
+            if maker == FIRST or kind in ("drive", "bench")
+        }
         made = Round(f"{secret()}/{number}/{maker}", kinds, LENGTH_S)
         keys += _nulls(made, maker, number, results)
         todo = []
@@ -103,7 +112,9 @@ def run(file, rounds=1, makers=MAKERS, classes=CLASSES, first=0, say=print):
 def _nulls(made, maker, number, results):
     """Judge the round's drives with nothing hidden, or take what an earlier run was told."""
     able = [made.drive_of(cause) for cause in CAUSES if made.can_hide(cause)]
-    drives = {f"{number}/{maker}/null/{drive.kind}": drive for drive in dict.fromkeys(able)}
+    drives = {
+        f"{number}/{maker}/null/{drive.kind}": drive for drive in dict.fromkeys(able)
+    }
     for key in drives.keys() & results.records.keys():
         made.shown[drives[key]] = Shown(**results.records[key]["shown"])
     for log, said in made.measure(drives.values()):
@@ -124,10 +135,14 @@ def _record(key, group, maker, log, said):
 def table(records):
     """The campaign in a table, and every log in which something was missed or wrong."""
     how = [*NAMED, "vague", "unknown", "missed"]
-    lines = [f"| logs | class | number | {' | '.join(how)} | wrong name, 95 % below | value near |"]
+    lines = [
+        f"| logs | class | number | {' | '.join(how)} | wrong name, 95 % below | value near |"
+    ]
     lines.append("|---" * (len(how) + 5) + "|")
     for maker, group in itertools.product((*MAKERS, "both"), CLASSES):
-        mine = [r for r in records if r["group"] == group and maker in (r["maker"], "both")]
+        mine = [
+            r for r in records if r["group"] == group and maker in (r["maker"], "both")
+        ]
         if not mine:
             continue
         counted = Counter(r["how"] for r in mine)
@@ -138,7 +153,14 @@ def table(records):
         if group in ("null", "outside"):
             good = counted["silent"] + counted["flagged"]
             counts = f"{good} right |" + " |" * (len(how) - 1)
-        cells = [maker, group, len(mine), counts, f"{wrong}, {most:.1f} %", f"{near} of {values}"]
+        cells = [
+            maker,
+            group,
+            len(mine),
+            counts,
+            f"{wrong}, {most:.1f} %",
+            f"{near} of {values}",
+        ]
         lines.append(f"| {' | '.join(map(str, cells))} |")
     lines.append("")
     for one in records:

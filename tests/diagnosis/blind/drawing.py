@@ -124,7 +124,9 @@ class Hidden:
 class Shown:
     """What a drive shows: known from a log of it with nothing hidden."""
 
-    sizes: Mapping[str, float]  # that a diagnosis states: the smallest detectable one of each cause
+    sizes: Mapping[
+        str, float
+    ]  # that a diagnosis states: the smallest detectable one of each cause
     middle_m: tuple[float, float]  # medians of x and y; NaN on the bench
 
 
@@ -166,7 +168,9 @@ def size(cause, shown, rng):
     if least >= most:
         return None
     values = one.draw(rng, math.exp(rng.uniform(math.log(least), math.log(most))))
-    if cause == "surface_change":  # a robot that never crosses the edge has another constant
+    if (
+        cause == "surface_change"
+    ):  # a robot that never crosses the edge has another constant
         for axis, middle in zip("xy", shown.middle_m, strict=True):
             edges = [f"{cause}.{axis}_min", f"{cause}.{axis}_max"]
             values |= {edge: middle for edge in edges if abs(values[edge]) < FAR_M}
@@ -182,9 +186,14 @@ def hidden(cause, drive, shown, seed, fault=False):
     if values is None:
         return None
     scored = {CAUSES[cause].parameter: values[CAUSES[cause].parameter]}
-    if cause in {"nav_lever_arm", "floor_slope"}:  # of a small part of them one can say little
+    if cause in {
+        "nav_lever_arm",
+        "floor_slope",
+    }:  # of a small part of them one can say little
         largest = max(map(abs, values.values()))
-        scored = {name: value for name, value in values.items() if abs(value) > 0.5 * largest}
+        scored = {
+            name: value for name, value in values.items() if abs(value) > 0.5 * largest
+        }
     names = frozenset({cause})
     twin = TOGETHER.get(cause)
     verdict = "named" if twin is None else "named_group"
@@ -195,7 +204,12 @@ def hidden(cause, drive, shown, seed, fault=False):
 
 
 OF_WHEELS = ("sign of a wheel", "rpm as rad/s")
-OF_MOTION = ("swapped sides", "sign of the gyro", "sign of the heading", "deg/s as rad/s")
+OF_MOTION = (
+    "swapped sides",
+    "sign of the gyro",
+    "sign of the heading",
+    "deg/s as rad/s",
+)
 """Faults that leave everything in the log, so that a cause shows as well as without them. On the
 bench both sides may do the same, and nobody sees that they are swapped."""
 

@@ -35,14 +35,27 @@ def diagnosed(logs, machine="skid"):
             table.write_csv(Path(file))
         config = Path(folder, "config.yaml")
         config.write_text(f"plant: {{drive: {machine}}}\n", encoding="utf-8")
-        words = ["diagnose", *files, "--each", "--jobs", "1", "-c", str(config), "-o", folder]
+        words = [
+            "diagnose",
+            *files,
+            "--each",
+            "--jobs",
+            "1",
+            "-c",
+            str(config),
+            "-o",
+            folder,
+        ]
         run = subprocess.run(
             [sys.executable, "-c", PROGRAM, *words], capture_output=True, text=True, check=False,
             cwd=ROOT, timeout=LONGEST_S, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
         )  # fmt: skip
         assert run.returncode == 0, run.stderr
         found = [Path(file).with_suffix("") / "findings.json" for file in files]
-        return [Findings.model_validate_json(file.read_text(encoding="utf-8")) for file in found]
+        return [
+            Findings.model_validate_json(file.read_text(encoding="utf-8"))
+            for file in found
+        ]
 
 
 @dataclass(frozen=True)
@@ -52,7 +65,9 @@ class Told:
     # one of NAMED; or missed, unknown (a structure instead of a name), vague; where no cause of the
     # library is hidden: silent, flagged, or false_alarm
     how: str
-    wrong: tuple[str, ...]  # names of what is not there, and of signs that are not the true ones
+    wrong: tuple[
+        str, ...
+    ]  # names of what is not there, and of signs that are not the true ones
     values: int  # parameters that have a value
     near: int  # of them: within 20 % of the truth, or the truth within their interval
     said: tuple[str, ...]

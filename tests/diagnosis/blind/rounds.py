@@ -2,7 +2,15 @@
 
 from hilserver_injector import CAUSES
 
-from tests.diagnosis.blind.drawing import Drive, Shown, hidden, kind_of, middle_m, null, seed_of
+from tests.diagnosis.blind.drawing import (
+    Drive,
+    Shown,
+    hidden,
+    kind_of,
+    middle_m,
+    null,
+    seed_of,
+)
 from tests.diagnosis.blind.judging import diagnosed, told
 
 
@@ -35,7 +43,9 @@ class Round:
         """The drive that shows a cause."""
         kind = kind_of(cause)
         maker = self.makers[kind]
-        return Drive(maker, kind, seed_of(self.secret, kind, maker), self.lengths_s[kind])
+        return Drive(
+            maker, kind, seed_of(self.secret, kind, maker), self.lengths_s[kind]
+        )
 
     def measure(self, drives):
         """Judge a log of each drive with nothing hidden; return logs and answers of new drives."""

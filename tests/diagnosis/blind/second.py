@@ -17,7 +17,16 @@ def _folder():
     """The folder of the program, as long as this process lives."""
     made = TemporaryDirectory(prefix="second-generator-")
     warnings = ["-Wall", "-Wextra", "-Werror"]
-    words = ["cc", "-std=c11", "-D_GNU_SOURCE", "-O2", *warnings, str(SOURCE), "-lm", "-o"]
+    words = [
+        "cc",
+        "-std=c11",
+        "-D_GNU_SOURCE",
+        "-O2",
+        *warnings,
+        str(SOURCE),
+        "-lm",
+        "-o",
+    ]
     subprocess.run([*words, f"{made.name}/second"], check=True)
     return made
 
@@ -36,7 +45,13 @@ def _source():
 def written(kind, duration_s, drive_seed, noise_seed, causes):
     """The text of a log: CSV as the log contract has it."""
     hidden = [f"{name}={value!r}" for name, value in causes.items()]
-    words = [f"{_folder().name}/second", kind, str(duration_s), str(drive_seed), str(noise_seed)]
+    words = [
+        f"{_folder().name}/second",
+        kind,
+        str(duration_s),
+        str(drive_seed),
+        str(noise_seed),
+    ]
     run = subprocess.run(
         [*words, *hidden], capture_output=True, text=True, check=True, timeout=LONGEST_S
     )
@@ -49,4 +64,6 @@ def make(*log):
     cells = [[float(cell or "nan") for cell in line.split(",")] for line in lines]
     rows = np.array(cells)
     names = head.split(",")
-    return Table(rows[:, 0], {name: rows[:, k].copy() for k, name in enumerate(names) if k > 0})
+    return Table(
+        rows[:, 0], {name: rows[:, k].copy() for k, name in enumerate(names) if k > 0}
+    )

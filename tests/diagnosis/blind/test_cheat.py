@@ -29,7 +29,11 @@ def cheat(log, seed, seeds=range(SEEDS_TRIED)):
     It tries all numbers that it is handed and all small ones; a seed shows in the rows' instants,
     so it need not make the logs of wrong ones.
     """
-    given = [int(number) for source in log.sources for number in re.findall(r"\d+", str(source))]
+    given = [
+        int(number)
+        for source in log.sources
+        for number in re.findall(r"\d+", str(source))
+    ]
     wheel = log["wheel.fl.speed_rpm"]
     for one in dict.fromkeys([seed, *given, *seeds]):
         made = replace(nothing("drive", one), duration_s=round(log.spans[0].end_s))
@@ -63,7 +67,9 @@ def handed(monkeypatch):
 @pytest.mark.parametrize("cause", HIDDEN)
 def test_a_cheat_gets_nothing_right_in_the_campaign(handed, cause):
     made = replace(single(cause, 9900), duration_s=DURATION_S)
-    diagnose_worker.work(Case("single", cause, made, Answer(causes=(frozenset({cause}),))))
+    diagnose_worker.work(
+        Case("single", cause, made, Answer(causes=(frozenset({cause}),)))
+    )
     ((log, seed),) = handed
     assert cheat(log, seed) is None
     assert cheat(log, 9900) == (cause, dict(made.causes)), "with the seed it would know"
@@ -72,5 +78,7 @@ def test_a_cheat_gets_nothing_right_in_the_campaign(handed, cause):
 @pytest.mark.parametrize("cause", HIDDEN)
 def test_a_cheat_gets_nothing_right_in_blind_logs(cause):
     drive = Drive(FIRST, "drive", seed_of("a secret", "drive"), DURATION_S)
-    log = diagnose_worker.measured(drive.log(single(cause, 1).causes, seed_of("a secret", cause)))
+    log = diagnose_worker.measured(
+        drive.log(single(cause, 1).causes, seed_of("a secret", cause))
+    )
     assert cheat(log, diagnose_worker.ENGINE_SEED) is None

@@ -14,7 +14,9 @@ BESIDE_A_FAULT = 2
 def rotation(secret):
     """A round, and what it hides: drives of one generator and benches of the other."""
     rng = np.random.default_rng(seed_of(secret, "rotation"))
-    makers = dict(zip(("drive", "bench"), rng.permutation((FIRST, SECOND)).tolist(), strict=True))
+    makers = dict(
+        zip(("drive", "bench"), rng.permutation((FIRST, SECOND)).tolist(), strict=True)
+    )
     made = Round(secret, {"mecanum": FIRST} | makers, SHORT_S)
     order = rng.permutation(sorted(CAUSES.keys() - UNNAMED)).tolist()
     left = [cause for cause in order if made.can_hide(cause)]
@@ -34,7 +36,9 @@ def test_fifteen_hidden_causes_have_their_names():
     assert not [(log.drive, said) for log, said in nulls if said.how != "silent"]
     answers = [said for said, _ in judged(logs)]
     for log, said in zip(logs, answers, strict=True):
-        print(f"{log.name} ({log.drive.maker}, {log.drive.kind}): {said}, {dict(log.causes)}")
+        print(
+            f"{log.name} ({log.drive.maker}, {log.drive.kind}): {said}, {dict(log.causes)}"
+        )
     wrong = [log.name for log, said in zip(logs, answers, strict=True) if said.wrong]
     for cause in wrong:
         again = [made.hidden(cause, number) for number in range(1, FURTHER + 1)]

@@ -32,7 +32,11 @@ def without():
 
 
 def test_it_hides_all_but_three_causes_of_the_library():
-    assert CAUSES.keys() - set(ABLE) == {"roller_slip", "backlash", "friction_anisotropy"}
+    assert CAUSES.keys() - set(ABLE) == {
+        "roller_slip",
+        "backlash",
+        "friction_anisotropy",
+    }
 
 
 @pytest.mark.parametrize("cause", ABLE)
@@ -51,8 +55,12 @@ def test_seeds_make_the_log_and_nothing_else_does(without):
     assert not differ(again, without["drive"])
     noisy = second.make("drive", LENGTH_S["drive"], SEEDS[0], SEEDS[1] + 1, {})
     at_rest = slice(0, 35)
-    left = [noisy.columns[name][at_rest] - again.columns[name][at_rest] for name in SPEEDS]
-    assert 0.1 < np.nanstd(left) / np.sqrt(2.0) < 0.14, "another noise on the same drive"
+    left = [
+        noisy.columns[name][at_rest] - again.columns[name][at_rest] for name in SPEEDS
+    ]
+    assert 0.1 < np.nanstd(left) / np.sqrt(2.0) < 0.14, (
+        "another noise on the same drive"
+    )
 
 
 def test_what_it_does_not_know_it_refuses():

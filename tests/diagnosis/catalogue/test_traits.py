@@ -3,7 +3,13 @@
 import pytest
 
 from hilserver.diagnosis.catalogue.library import drive_candidates, pose_candidates
-from hilserver.diagnosis.catalogue.traits import TRAITS, Need, Traits, lacking, traits_of
+from hilserver.diagnosis.catalogue.traits import (
+    TRAITS,
+    Need,
+    Traits,
+    lacking,
+    traits_of,
+)
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES, cause_of, part_of
 
 CANDIDATES = [*drive_candidates(), *pose_candidates((-2.0, 2.0, -2.0, 2.0))]

@@ -29,11 +29,17 @@ def parameter(value, unit="1"):
 
 
 def test_the_vocabulary_is_the_terms_and_the_faults_of_data():
-    assert {c for c, cause in CAUSES.items() if cause.physical} == {t.cause for t in TERMS.values()}
+    assert {c for c, cause in CAUSES.items() if cause.physical} == {
+        t.cause for t in TERMS.values()
+    }
     assert {c for c, cause in CAUSES.items() if not cause.physical} == DATA
     for term in TERMS.values():
         part = part_of(term.name)
-        assert (part.unit, part.null, part.reference) == (term.unit, term.null, term.reference)
+        assert (part.unit, part.null, part.reference) == (
+            term.unit,
+            term.null,
+            term.reference,
+        )
 
 
 def test_names_of_parts_and_signals_lead_to_their_cause():
@@ -67,7 +73,10 @@ def test_a_sentence_tells_the_direction():
 
 def test_a_group_names_every_member_and_the_experiment():
     group = ["icr_offset", "nav_lever_arm"]
-    values = {"icr_offset": parameter(0.06, "m"), "nav_lever_arm.x": parameter(-0.06, "m")}
+    values = {
+        "icr_offset": parameter(0.06, "m"),
+        "nav_lever_arm.x": parameter(-0.06, "m"),
+    }
     text = explain(group, values)
     assert "turns about a point" in text
     assert "tag" in text
@@ -76,7 +85,9 @@ def test_a_group_names_every_member_and_the_experiment():
 
 def test_three_causes_get_the_experiment_of_all_three():
     text = separating_experiment(["wheel_radius", "nav_scale", "rotation_gain"])
-    assert text == experiments()[frozenset({"wheel_radius", "nav_scale", "rotation_gain"})]
+    assert (
+        text == experiments()[frozenset({"wheel_radius", "nav_scale", "rotation_gain"})]
+    )
 
 
 def test_a_pair_without_an_experiment_of_its_own_is_sent_to_plan():
@@ -96,7 +107,10 @@ def test_a_comparison_names_both_values():
 
 def test_structure_outside_the_library_names_what_it_depends_on():
     finding = Finding(
-        verdict="structure_not_in_library", causes=(), block="kinematics", regressors=("t_s",)
+        verdict="structure_not_in_library",
+        causes=(),
+        block="kinematics",
+        regressors=("t_s",),
     )
     assert "t_s" in explain_finding(finding)
 

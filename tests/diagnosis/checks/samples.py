@@ -29,12 +29,17 @@ def drive(
     v = np.repeat(rng.uniform(-0.1, 0.5, n // every + 1), every)[:n]
     om = np.repeat(rng.uniform(-0.8, 0.8, n // every + 1), every)[:n]
     wanted = np.stack(
-        [v / 0.085 - om / (2 * 0.085 * ROBOT.k_om), v / 0.085 + om / (2 * 0.085 * ROBOT.k_om)]
+        [
+            v / 0.085 - om / (2 * 0.085 * ROBOT.k_om),
+            v / 0.085 + om / (2 * 0.085 * ROBOT.k_om),
+        ]
     )
     sent = np.zeros((2, n))
     for k in range(1, n):
         step = 2.0 / rate_hz
-        sent[:, k] = sent[:, k - 1] + np.clip(wanted[:, k] - sent[:, k - 1], -10 * step, 10 * step)
+        sent[:, k] = sent[:, k - 1] + np.clip(
+            wanted[:, k] - sent[:, k - 1], -10 * step, 10 * step
+        )
     if sent_hz is not None:
         group = np.floor(t * sent_hz + 0.3)
         sent = sent[:, np.searchsorted(group, group)]
@@ -46,7 +51,10 @@ def drive(
     speed = 0.085 * (left + right) / 2.0
     turn = k_om * 0.085 * ROBOT.k_om * (right - left)
     yaw = rng.uniform(-3, 3) + np.cumsum(turn) / rate_hz
-    x, y = np.cumsum(speed * np.cos(yaw)) / rate_hz, np.cumsum(speed * np.sin(yaw)) / rate_hz
+    x, y = (
+        np.cumsum(speed * np.cos(yaw)) / rate_hz,
+        np.cumsum(speed * np.sin(yaw)) / rate_hz,
+    )
     wobble = lambda sd, tau: noise * sd * _correlated(rng, n, tau * rate_hz)  # noqa: E731
     columns = {}
     for name, side, sign in zip(WHEELS, (0, 0, 1, 1), (1, 1, -1, -1), strict=True):
@@ -81,5 +89,8 @@ def log_of(t, columns, spans=1, **how):
         there = np.isfinite(values)
         channels[name] = Channel(t[there], values[there], span[there])
     return MeasuredLog(
-        (), channels, tuple(Span(i, None, t[a], t[b]) for i, (a, b) in enumerate(bounds)), **how
+        (),
+        channels,
+        tuple(Span(i, None, t[a], t[b]) for i, (a, b) in enumerate(bounds)),
+        **how,
     )

@@ -35,7 +35,9 @@ def test_wild_positions_do_not_move_it():
     seen = np.isfinite(x)
     x[seen] = with_wild(x[seen], 300.0, 0.01, 1)
     (finding,) = check(turned(54.0, **{"nav.x_m": x}), ROBOT).findings
-    assert finding.parameters["nav_frame_yaw"].value == pytest.approx(np.radians(54.0), abs=0.02)
+    assert finding.parameters["nav_frame_yaw"].value == pytest.approx(
+        np.radians(54.0), abs=0.02
+    )
 
 
 @pytest.mark.parametrize("degrees", [0.0, 6.0, -10.0])

@@ -34,14 +34,18 @@ def pushed(table, *, stalled=False, noise=1.0):
     return t, columns
 
 
-@pytest.mark.parametrize("stalled", [False, True], ids=["the wheels slip", "the wheels stall"])
+@pytest.mark.parametrize(
+    "stalled", [False, True], ids=["the wheels slip", "the wheels stall"]
+)
 @pytest.mark.parametrize("spans", [1, 3])
 def test_a_blocked_spell_is_said_and_left_out(table, stalled, spans):
     log = log_of(*pushed(table, stalled=stalled), spans)
     kept, found = blocked.find(log, ROBOT)
     assert found == []
     (note,) = kept.notices
-    assert note.startswith("the robot stood still once although its wheels were turning")
+    assert note.startswith(
+        "the robot stood still once although its wheels were turning"
+    )
     assert len(kept.spans) == spans + 1
     for channel in kept.channels.values():
         assert not ((channel.t_s > BEGIN_S) & (channel.t_s < END_S)).any()

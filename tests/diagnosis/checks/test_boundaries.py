@@ -33,12 +33,16 @@ ROW_S = 0.02
 
 def channel(values, row_s=ROW_S):
     values = np.asarray(values, float)
-    return Channel(np.arange(len(values)) * row_s, values, np.zeros(len(values), dtype=np.int64))
+    return Channel(
+        np.arange(len(values)) * row_s, values, np.zeros(len(values), dtype=np.int64)
+    )
 
 
 def log(columns, n=400):
     t = np.arange(n) * ROW_S
-    return log_of(t, {name: np.broadcast_to(v, n).astype(float) for name, v in columns.items()})
+    return log_of(
+        t, {name: np.broadcast_to(v, n).astype(float) for name, v in columns.items()}
+    )
 
 
 def noise(n, seed=0):
@@ -102,12 +106,16 @@ def at_a_limit(readings):
 def spell(windows):
     begin = np.arange(20) * 1.0
     is_blocked = (begin >= 5.0) & (begin < 5.0 + windows)
-    return bool(blocked._spells(is_blocked, SimpleNamespace(begin=begin, end=begin + 2.0)))
+    return bool(
+        blocked._spells(is_blocked, SimpleNamespace(begin=begin, end=begin + 2.0))
+    )
 
 
 def blocked_way(way_m):
     """After a drive the wheels ask for a way in every 2 s, and the robot stays."""
-    speed = np.concatenate([np.full(2500, 0.3), np.full(300, 0.5 * way_m), np.zeros(200)])
+    speed = np.concatenate(
+        [np.full(2500, 0.3), np.full(300, 0.5 * way_m), np.zeros(200)]
+    )
     x = np.minimum(np.arange(3000), 2500) * ROW_S * 0.3
     rpm = speed / (ROBOT.wheel_radius_m * RAD_S)
     wheels = {**dict.fromkeys(SPEEDS[:2], rpm), **dict.fromkeys(SPEEDS[2:], -rpm)}
@@ -121,13 +129,18 @@ def lag(offset_s=0.0, offset_sd_s=1e-4, drift=0.0, drift_sd=1e-9):
 
 def one_drifting_clock(sd):
     """Heading and position drift apart by so many deviations; both say the clock is off."""
-    drifts, _ = clocks._judge([lag(0.07, drift=4e-4), lag(0.07, 8e-3, 4e-4 - sd * 1e-4, 1e-4)])
+    drifts, _ = clocks._judge(
+        [lag(0.07, drift=4e-4), lag(0.07, 8e-3, 4e-4 - sd * 1e-4, 1e-4)]
+    )
     return drifts
 
 
 def clock_line(chunks):
     n = round(chunks)
-    return late._line_through(np.arange(n) * 30.0, np.full(n, 0.2), 600.0, 0.06) is not None
+    return (
+        late._line_through(np.arange(n) * 30.0, np.full(n, 0.2), 600.0, 0.06)
+        is not None
+    )
 
 
 def factor_known(ratio=1e3, correlation=0.99):
@@ -144,7 +157,12 @@ def against(correlation):
 
 def need_not_turn(rad_s):
     """Its position tells of its kinematics, unless it should have turned."""
-    return frame.unidentified(asked_of(rad_s, 0.0, {"nav.x_m": 0.0, "nav.y_m": 0.0}), ROBOT) is None
+    return (
+        frame.unidentified(
+            asked_of(rad_s, 0.0, {"nav.x_m": 0.0, "nav.y_m": 0.0}), ROBOT
+        )
+        is None
+    )
 
 
 def combed(samples):

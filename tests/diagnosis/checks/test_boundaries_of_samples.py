@@ -15,12 +15,16 @@ ROW_S = 0.02
 
 def channel(values, row_s=ROW_S):
     values = np.asarray(values, float)
-    return Channel(np.arange(len(values)) * row_s, values, np.zeros(len(values), dtype=np.int64))
+    return Channel(
+        np.arange(len(values)) * row_s, values, np.zeros(len(values), dtype=np.int64)
+    )
 
 
 def log(columns, n=400):
     t = np.arange(n) * ROW_S
-    return log_of(t, {name: np.broadcast_to(v, n).astype(float) for name, v in columns.items()})
+    return log_of(
+        t, {name: np.broadcast_to(v, n).astype(float) for name, v in columns.items()}
+    )
 
 
 def noise(n, seed=0):
@@ -114,7 +118,10 @@ def set_points(number):
 def set_points_too_soon(share):
     rows = np.full(1000, 10)
     rows[:: round(1.0 / share)] = 5
-    return setpoint_runs.sent_rate(channel(np.repeat(np.cumsum(noise(1000)), rows))) is not None
+    return (
+        setpoint_runs.sent_rate(channel(np.repeat(np.cumsum(noise(1000)), rows)))
+        is not None
+    )
 
 
 def sent_together(share):
@@ -131,7 +138,9 @@ def copied_steps(rpm):
 
 def held_quanta(steps):
     """Stairs of one quantum more or less each."""
-    rises = np.where(noise(400) > 0.0, steps, steps + 1) * np.where(noise(400, 1) > 0.0, 1, -1)
+    rises = np.where(noise(400) > 0.0, steps, steps + 1) * np.where(
+        noise(400, 1) > 0.0, 1, -1
+    )
     return held_rate(channel(np.repeat(np.cumsum(rises), 5)))
 
 
@@ -149,7 +158,9 @@ def missing(share):
     for begin in range(100, 19_900, round(5 / share)):
         keep[begin : begin + 5] = False
     values[~keep] = np.nan
-    return bool(dropouts.find_missing(log_of(t, {"nav.x_m": values}, has_stamps=True), ROBOT)[1])
+    return bool(
+        dropouts.find_missing(log_of(t, {"nav.x_m": values}, has_stamps=True), ROBOT)[1]
+    )
 
 
 @pytest.mark.parametrize(

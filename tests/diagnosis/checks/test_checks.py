@@ -37,7 +37,10 @@ def fault(t, columns, **how):
 
 
 def scaled(columns, names, factor):
-    return {name: values * (factor if name in names else 1) for name, values in columns.items()}
+    return {
+        name: values * (factor if name in names else 1)
+        for name, values in columns.items()
+    }
 
 
 def quantised(columns, step):
@@ -60,12 +63,24 @@ NULL = {
     "two decimals": lambda rng, t, c: (t, {n: np.round(v, 2) for n, v in c.items()}),
     "outliers": lambda rng, t, c: (
         t,
-        {n: v + (rng.random(len(t)) < 0.04) * 1.5 if n in NAV[:2] else v for n, v in c.items()},
+        {
+            n: v + (rng.random(len(t)) < 0.04) * 1.5 if n in NAV[:2] else v
+            for n, v in c.items()
+        },
     ),
-    "no navigation": lambda rng, t, c: (t, {n: v for n, v in c.items() if n not in NAV}),
-    "no set-points": lambda rng, t, c: (t, {n: v for n, v in c.items() if n not in SENT}),
+    "no navigation": lambda rng, t, c: (
+        t,
+        {n: v for n, v in c.items() if n not in NAV},
+    ),
+    "no set-points": lambda rng, t, c: (
+        t,
+        {n: v for n, v in c.items() if n not in SENT},
+    ),
     "half the K_om": lambda rng, t, c: drive(3, k_om=0.53),
-    "gyro of half the scale": lambda rng, t, c: (t, scaled(c, ("imu.gyro_z_rad_s",), 0.53)),
+    "gyro of half the scale": lambda rng, t, c: (
+        t,
+        scaled(c, ("imu.gyro_z_rad_s",), 0.53),
+    ),
     "loaded wheels": lambda rng, t, c: (t, scaled(c, SPEEDS, 0.4)),
     "noise-free": lambda rng, t, c: drive(4, noise=0.0),
     "noise-free, coarse": lambda rng, t, c: quantised_drive(),
@@ -75,8 +90,13 @@ NULL = {
     "set-points sent at 12.5 Hz, agile wheels": lambda rng, t, c: drive(
         7, sent_hz=12.5, lag_s=2e-3
     ),
-    "set-points sent at 5 Hz, slow wheels": lambda rng, t, c: drive(8, sent_hz=5.0, lag_s=0.2),
-    "tag looks a little left": lambda rng, t, c: (t, {**c, NAV[2]: wrapped(c[NAV[2]] + 0.2)}),
+    "set-points sent at 5 Hz, slow wheels": lambda rng, t, c: drive(
+        8, sent_hz=5.0, lag_s=0.2
+    ),
+    "tag looks a little left": lambda rng, t, c: (
+        t,
+        {**c, NAV[2]: wrapped(c[NAV[2]] + 0.2)},
+    ),
     "late tag": lambda rng, t, c: (
         t,
         {n: late(v, 10) if n in NAV[:2] else v for n, v in c.items()},
@@ -165,11 +185,17 @@ def test_all_wheels_and_setpoints_in_the_speed_of_the_rim_are_converted(table):
 
 def test_a_position_in_degrees_is_left_out_with_the_remedy(table):
     t, columns = table
-    degrees = {NAV[0]: 9.1 + columns[NAV[0]] / 73_470.0, NAV[1]: 48.7 + columns[NAV[1]] / 111_320.0}
+    degrees = {
+        NAV[0]: 9.1 + columns[NAV[0]] / 73_470.0,
+        NAV[1]: 48.7 + columns[NAV[1]] / 111_320.0,
+    }
     checked = check(log_of(t, {**columns, **degrees}), ROBOT)
     assert not checked.findings
     assert not {NAV[0], NAV[1]} & set(checked.log.channels)
-    assert "nav.x_m, nav.y_m are latitude and longitude in degrees" in checked.log.notices[0]
+    assert (
+        "nav.x_m, nav.y_m are latitude and longitude in degrees"
+        in checked.log.notices[0]
+    )
 
 
 def test_units_of_a_heading(table):
@@ -218,7 +244,11 @@ def test_a_side_that_runs_backward_is_told_by_the_tag(table):
 def test_one_wheel_that_runs_backward_is_told_by_the_tag(table, wheel):
     """Without set-points; beside it the mean of its side would stand still."""
     t, columns = table
-    one = {n: v for n, v in scaled(columns, SPEEDS[wheel : wheel + 1], -1).items() if n not in SENT}
+    one = {
+        n: v
+        for n, v in scaled(columns, SPEEDS[wheel : wheel + 1], -1).items()
+        if n not in SENT
+    }
     cause, _, channels, log = fault(t, one)
     assert (cause, channels) == ("sign_flip", {SPEEDS[wheel]})
     assert log[SPEEDS[wheel]].values == pytest.approx(columns[SPEEDS[wheel]])
@@ -254,7 +284,9 @@ def test_swapped_sides(table, sign):
     assert log[SPEEDS[2]].values == pytest.approx(columns[SPEEDS[2]])
 
 
-@pytest.mark.parametrize(("names", "rate_hz"), [(SPEEDS, 4.0), (("imu.gyro_z_rad_s",), 10.0)])
+@pytest.mark.parametrize(
+    ("names", "rate_hz"), [(SPEEDS, 4.0), (("imu.gyro_z_rad_s",), 10.0)]
+)
 def test_held_samples(table, names, rate_hz):
     t, columns = table
     group = np.floor(t * rate_hz + 0.3)
@@ -311,7 +343,10 @@ def test_setpoints_held_in_the_log_alone(rate_hz):
     assert finding.parameters["held_samples"].value == pytest.approx(rate_hz, rel=0.02)
     assert checked.lost_setpoints
     name = SENT[0]
-    error, as_logged = checked.log[name].values - columns[name], spoilt[name] - columns[name]
+    error, as_logged = (
+        checked.log[name].values - columns[name],
+        spoilt[name] - columns[name],
+    )
     assert np.abs(error).mean() < 0.4 * np.abs(as_logged).mean()
 
 
@@ -320,7 +355,8 @@ def test_interpolated_setpoints_are_held_again(table, rate_hz):
     t, columns = table
     every = round(50 / rate_hz)
     spoilt = {
-        n: np.interp(t, t[::every], v[::every]) if n in SENT else v for n, v in columns.items()
+        n: np.interp(t, t[::every], v[::every]) if n in SENT else v
+        for n, v in columns.items()
     }
     cause, value, channels, log = fault(t, spoilt)
     assert (cause, channels) == ("interpolated_setpoint", set(SENT))
@@ -336,7 +372,9 @@ def test_setpoints_recorded_as_measurement_are_left_out(table, rows, noise_rpm):
     spoilt = dict(columns)
     added = noise_rpm * np.random.default_rng(1).uniform(-1, 1, len(t))
     for sent, speed in zip(SENT, SPEEDS, strict=True):
-        spoilt[speed] = np.concatenate([np.zeros(rows), columns[sent]])[: len(t)] + added
+        spoilt[speed] = (
+            np.concatenate([np.zeros(rows), columns[sent]])[: len(t)] + added
+        )
     cause, value, channels, log = fault(t, spoilt)
     assert (cause, channels) == ("setpoint_as_measurement", set(SPEEDS))
     assert value.value == pytest.approx(0.02 * rows)
@@ -356,7 +394,9 @@ def test_repeated_samples_are_dropouts_and_left_out(table):
     assert (cause, channels) == ("dropouts", set(SPEEDS))
     assert value.value == pytest.approx(lost.mean(), rel=0.05)
     kept = np.isin(t, log[SPEEDS[0]].t_s)
-    assert np.mean(kept == ~lost) > 0.999  # of two bursts in one the second may be short
+    assert (
+        np.mean(kept == ~lost) > 0.999
+    )  # of two bursts in one the second may be short
 
 
 @pytest.mark.parametrize(("share", "found"), [(0.1, True), (0.002, False)])
@@ -378,7 +418,9 @@ def test_single_samples_that_repeat_the_one_before_are_dropouts(table, share, fo
 @pytest.mark.parametrize("seed", range(3))
 def test_rounded_noise_that_repeats_itself_now_and_then_is_no_dropout(seed):
     t, columns = drive(seed, length_s=600.0)
-    columns["imu.gyro_z_rad_s"] = 0.0011 * np.round(columns["imu.gyro_z_rad_s"] / 0.0011)
+    columns["imu.gyro_z_rad_s"] = 0.0011 * np.round(
+        columns["imu.gyro_z_rad_s"] / 0.0011
+    )
     assert not check(log_of(t, columns), ROBOT).findings
 
 
@@ -432,8 +474,14 @@ def test_without_stamps_clocks_are_not_judged(table):
 @given(
     st.lists(
         st.tuples(
-            st.sampled_from([*SPEEDS, *SENT, *NAV, "imu.gyro_z_rad_s", "wheel.fl.angle_rad"]),
-            st.lists(st.sampled_from([0.0, 1.0, -1.0, 3.2, 1e-9, 700.0]), min_size=1, max_size=40),
+            st.sampled_from(
+                [*SPEEDS, *SENT, *NAV, "imu.gyro_z_rad_s", "wheel.fl.angle_rad"]
+            ),
+            st.lists(
+                st.sampled_from([0.0, 1.0, -1.0, 3.2, 1e-9, 700.0]),
+                min_size=1,
+                max_size=40,
+            ),
         ),
         min_size=1,
         max_size=8,
@@ -446,7 +494,9 @@ def test_no_log_is_too_odd_to_be_checked(channels, spans):
     columns = {name: np.array(values * 3)[:100] for name, values in channels}
     log = log_of(np.arange(120) / 50, {n: pad(v) for n, v in columns.items()}, spans)
     checked = check(log, ROBOT)
-    made = {n.replace("angle_rad", "speed_rpm"): n for n in log.channels if "angle_rad" in n}
+    made = {
+        n.replace("angle_rad", "speed_rpm"): n for n in log.channels if "angle_rad" in n
+    }
     assert set(checked.log.channels) <= {*log.channels, *made}
     for name, channel in checked.log.channels.items():
         assert np.isfinite(channel.values).all()
@@ -460,7 +510,9 @@ def pad(values):
 
 
 def move(channel, offset_s, drift):
-    return type(channel)(channel.t_s * (1 + drift) + offset_s, channel.values, channel.span)
+    return type(channel)(
+        channel.t_s * (1 + drift) + offset_s, channel.values, channel.span
+    )
 
 
 @pytest.mark.parametrize("size", [2 * math.pi, 50.0, 6.4, 6.0, 5.5])
@@ -476,7 +528,9 @@ def test_wheel_angles_that_wrap_are_made_continuous(table, size):
 
 
 @pytest.mark.parametrize(("ticks", "bits"), [(8000, 16), (1024, 8)])
-def test_counters_that_flicker_about_zero_at_rest_are_made_continuous(table, ticks, bits):
+def test_counters_that_flicker_about_zero_at_rest_are_made_continuous(
+    table, ticks, bits
+):
     t, columns = table
     rng = np.random.default_rng(5)
     turns = np.cumsum(np.where(t < 40.0, 0.0, columns[SPEEDS[0]])) * 0.02 / 60
@@ -494,7 +548,9 @@ def test_the_size_of_a_counter_is_measured_to_its_noise(table, size):
     t = np.arange(6000) * 0.02
     angle = np.cumsum(rng.normal(0.15, 0.01, len(t))) + rng.normal(0.0, 0.001, len(t))
     for seen in (angle % size, np.round(angle % size / 0.01) * 0.01):
-        checked = check(log_of(t, {"wheel.fl.angle_rad": seen, SPEEDS[0]: 0 * t + 1}), ROBOT)
+        checked = check(
+            log_of(t, {"wheel.fl.angle_rad": seen, SPEEDS[0]: 0 * t + 1}), ROBOT
+        )
         found = checked.log["wheel.fl.angle_rad"].values
         assert found[-1] - found[0] == pytest.approx(angle[-1] - angle[0], rel=1e-3)
 
@@ -516,8 +572,13 @@ def test_angles_of_wheels_alone_are_differentiated(table, size):
 
 def test_setpoints_above_the_top_speed_are_told(table):
     t, columns = table
-    log = log_of(t, {**columns, SENT[1]: np.where(t > 10.0, 1.5 * ROBOT.max_rpm, columns[SENT[1]])})
+    log = log_of(
+        t,
+        {**columns, SENT[1]: np.where(t > 10.0, 1.5 * ROBOT.max_rpm, columns[SENT[1]])},
+    )
     (note,) = check(log, ROBOT).log.notices
     assert f"{SENT[1]} reaches 135 rpm, but plant.max_rpm is 90" in note
     assert not check(log, replace(ROBOT, max_rpm=140.0)).log.notices
-    assert not check(replace(log, plant={"track_m": 0.5}), ROBOT).log.notices, "not replayed"
+    assert not check(replace(log, plant={"track_m": 0.5}), ROBOT).log.notices, (
+        "not replayed"
+    )

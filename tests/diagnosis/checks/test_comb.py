@@ -20,7 +20,9 @@ def speeds(seed, n=20_000):
 def test_the_step_of_rounded_values_comes_out(about, seed):
     true, rng = speeds(seed)
     step = about * rng.uniform(1.0, 1.2)
-    measured = [np.round(v / step) * step + rng.normal(scale=0.12, size=len(v)) for v in true]
+    measured = [
+        np.round(v / step) * step + rng.normal(scale=0.12, size=len(v)) for v in true
+    ]
     assert coarse_step(measured, true) == pytest.approx(step, rel=1e-3)
 
 

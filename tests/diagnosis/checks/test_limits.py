@@ -21,7 +21,9 @@ def test_a_limited_gyro_is_reported_with_the_ends_that_it_reached(table, ends):
     there = readings > ends.get("low", -0.399) - 1e-6
     limited = {**columns, GYRO: np.where(there, readings, np.nan)}
     (finding,) = [
-        f for f in check(log_of(t, limited), ROBOT).findings if f.causes == ("limited_channel",)
+        f
+        for f in check(log_of(t, limited), ROBOT).findings
+        if f.causes == ("limited_channel",)
     ]
     wanted = {f"limited_channel.{end}": value for end, value in ends.items()}
     found = {name: p.value for name, p in finding.parameters.items()}

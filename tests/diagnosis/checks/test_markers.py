@@ -19,8 +19,12 @@ def table():
 @pytest.mark.parametrize("name", ["nav.x_m", "nav.yaw_rad", "imu.gyro_z_rad_s"])
 def test_a_far_value_that_comes_again_is_left_out_with_a_sentence(table, name):
     t, columns = table
-    marked = np.isfinite(columns[name]) & (np.random.default_rng(3).random(len(t)) < 0.01)
-    checked = check(log_of(t, {**columns, name: np.where(marked, -9999.0, columns[name])}), ROBOT)
+    marked = np.isfinite(columns[name]) & (
+        np.random.default_rng(3).random(len(t)) < 0.01
+    )
+    checked = check(
+        log_of(t, {**columns, name: np.where(marked, -9999.0, columns[name])}), ROBOT
+    )
     assert not checked.findings
     assert len(checked.log[name]) == np.isfinite(columns[name]).sum() - marked.sum()
     assert checked.log[name].values.min() > -100.0
@@ -45,7 +49,9 @@ def test_segments_whose_poses_begin_at_zero_lose_nothing(table):
     valid = t[np.isfinite(columns["nav.x_m"])]
     begins_s = [float(valid[valid > at_s][0]) for at_s in (0.0, 20.0, 40.0, 60.0)]
     far = {n: np.where(np.isin(t, begins_s), 0.0, columns[n] + 9.0) for n in NAV[:2]}
-    log = cut(log_of(t, {**columns, **far}), [[(at_s, at_s + 19.0) for at_s in begins_s]])
+    log = cut(
+        log_of(t, {**columns, **far}), [[(at_s, at_s + 19.0) for at_s in begins_s]]
+    )
     assert markers.find(log, ROBOT) == (log, [])
 
 

@@ -37,7 +37,9 @@ def test_a_source_without_a_rhythm_is_a_slow_one(table):
     log = check(log_of(t, repeated(t, columns, NAV, came)), ROBOT).log
     assert finding.causes == ("held_samples",)
     assert set(finding.regressors) == set(NAV)
-    assert finding.parameters["held_samples"].value == pytest.approx(came.sum() / t[-1], rel=0.02)
+    assert finding.parameters["held_samples"].value == pytest.approx(
+        came.sum() / t[-1], rel=0.02
+    )
     assert all(np.array_equal(log[name].t_s, t[came]) for name in NAV)
 
 
@@ -49,15 +51,22 @@ def test_messages_that_fail_to_come_are_dropouts(table, share):
     checked = check(log_of(t, repeated(t, columns, WHEELS, came)), ROBOT)
     (finding,) = checked.findings
     assert finding.causes == ("dropouts",)
-    assert finding.parameters["dropouts"].value == pytest.approx((~came).mean(), rel=0.01)
+    assert finding.parameters["dropouts"].value == pytest.approx(
+        (~came).mean(), rel=0.01
+    )
     assert all(np.array_equal(checked.log[name].t_s, t[came]) for name in WHEELS)
 
 
 def test_a_tag_at_rest_whose_readings_stay_is_left_as_it_is(table):
     t, columns = table
     there = np.isfinite(columns["nav.x_m"])
-    rest = np.where((t > 20.0) & (t < 40.0), np.searchsorted(t, 20.0 + 0.05), np.arange(len(t)))
-    still = {n: np.where(there, v[rest], np.nan) if n in NAV else v for n, v in columns.items()}
+    rest = np.where(
+        (t > 20.0) & (t < 40.0), np.searchsorted(t, 20.0 + 0.05), np.arange(len(t))
+    )
+    still = {
+        n: np.where(there, v[rest], np.nan) if n in NAV else v
+        for n, v in columns.items()
+    }
     log, found = messages.find(log_of(t, still), ROBOT)
     assert not found
     assert len(log["nav.x_m"]) == there.sum()
@@ -67,33 +76,46 @@ def stop_and_go(length_s=120.0):
     """The table of a drive with a stop of 0.4 to 1 s every few seconds; its stops."""
     t, columns = drive(8, length_s=length_s)
     there = np.isfinite(columns["nav.x_m"])
-    columns = {n: np.interp(t, t[there], v[there]) if n in NAV else v for n, v in columns.items()}
+    columns = {
+        n: np.interp(t, t[there], v[there]) if n in NAV else v
+        for n, v in columns.items()
+    }
     for name in NAV:
         columns[name] += 0.01 * np.random.default_rng(len(name)).standard_normal(len(t))
     rng = np.random.default_rng(9)
-    at = np.cumsum(np.column_stack([rng.uniform(2.0, 4.0, 60), rng.uniform(0.4, 1.0, 60)]))
+    at = np.cumsum(
+        np.column_stack([rng.uniform(2.0, 4.0, 60), rng.uniform(0.4, 1.0, 60)])
+    )
     stands = np.searchsorted(at, t) % 2 == 1
     for name in WHEELS:
         setpoint = name.replace("speed_rpm", "setpoint_rpm")
         columns[setpoint] = np.where(stands, 0.0, columns[setpoint])
-        columns[name] = np.where(stands, 0.1 * rng.standard_normal(len(t)), columns[name])
+        columns[name] = np.where(
+            stands, 0.1 * rng.standard_normal(len(t)), columns[name]
+        )
     return t, columns, stands
 
 
 def zero(columns, stands):
-    return {n: np.where(stands, 0.0, v) if n in WHEELS else v for n, v in columns.items()}
+    return {
+        n: np.where(stands, 0.0, v) if n in WHEELS else v for n, v in columns.items()
+    }
 
 
 def no_duty(columns, stands):
     noise = np.random.default_rng(5).standard_normal((4, len(stands)))
     duties = zip(DUTIES, WHEELS, noise, strict=True)
-    return columns | {d: np.where(stands, 0.0, 0.6 * columns[w] + n) for d, w, n in duties}
+    return columns | {
+        d: np.where(stands, 0.0, 0.6 * columns[w] + n) for d, w, n in duties
+    }
 
 
 def all_at_the_limit(columns, stands):
     noise = np.random.default_rng(5).standard_normal((4, len(stands)))
     duties = zip(DUTIES, WHEELS, noise, strict=True)
-    return columns | {d: np.where(~stands, 0.6 * columns[w] + n, 100.0) for d, w, n in duties}
+    return columns | {
+        d: np.where(~stands, 0.6 * columns[w] + n, 100.0) for d, w, n in duties
+    }
 
 
 def still_pose(columns, stands):
@@ -117,7 +139,9 @@ def test_messages_that_fail_to_come_are_seen_beside_short_stops():
     came[0] = True
     (finding,) = check(log_of(t, repeated(t, columns, NAV, came)), ROBOT).findings
     assert finding.causes == ("dropouts",)
-    assert finding.parameters["dropouts"].value == pytest.approx((~came).mean(), rel=0.1)
+    assert finding.parameters["dropouts"].value == pytest.approx(
+        (~came).mean(), rel=0.1
+    )
 
 
 def test_a_long_rest_has_no_part_in_the_rate_of_a_slow_source(table):

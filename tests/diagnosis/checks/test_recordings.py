@@ -23,7 +23,9 @@ def causes(result):
     return {(f.causes[0], r) for f in result.findings for r in f.regressors}
 
 
-@pytest.mark.parametrize("path", sorted(MAPPINGS.glob("*.yaml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", sorted(MAPPINGS.glob("*.yaml")), ids=lambda path: path.stem
+)
 def test_the_mappings_of_the_how_to_are_valid(path):
     keys = load_mapping(path).plant_keys
     assert (keys["wheelbase_m"] is None) == (keys["drive"] == "skid")

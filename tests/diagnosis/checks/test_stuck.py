@@ -47,7 +47,11 @@ def test_a_stuck_channel_is_named_and_left_out(table, names, value):
 
 def test_a_robot_that_stands_has_no_stuck_channel(table):
     t, columns = table
-    still = [name for name in columns if name.startswith("wheel.") or name == "imu.gyro_z_rad_s"]
+    still = [
+        name
+        for name in columns
+        if name.startswith("wheel.") or name == "imu.gyro_z_rad_s"
+    ]
     assert check(log_of(t, held(columns, still, 0.0)), ROBOT).findings == ()
 
 

@@ -23,7 +23,9 @@ def with_wild(values, size, share=0.009, in_a_row=4, seed=5):
 def without_position(**changed):
     t, columns = drive(rate_hz=10.0)
     kept = {name: v for name, v in columns.items() if "speed" in name or name == GYRO}
-    return log_of(t, {**kept, **{name: change(columns) for name, change in changed.items()}})
+    return log_of(
+        t, {**kept, **{name: change(columns) for name, change in changed.items()}}
+    )
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0], ids=["up", "down"])
@@ -82,7 +84,9 @@ def test_wild_positions_turn_no_heading(mirrored):
     columns = {
         **columns,
         "nav.x_m": np.where(
-            np.isfinite(columns["nav.x_m"]), with_wild(columns["nav.x_m"], 300.0, 0.004, 1), np.nan
+            np.isfinite(columns["nav.x_m"]),
+            with_wild(columns["nav.x_m"], 300.0, 0.004, 1),
+            np.nan,
         ),
         "nav.yaw_rad": sign * columns["nav.yaw_rad"],
     }

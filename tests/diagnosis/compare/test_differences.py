@@ -24,5 +24,7 @@ CANDIDATES = {c.label: c for c in (*drive_candidates(), *pose_candidates(None))}
 )
 def test_values_that_no_machine_can_have_explain_nothing(label, values, possible):
     """A load on the floor looks a little like a battery whose voltage made the drive faster."""
-    difference = Difference(CANDIDATES[label], "drive", 0, values, (0.01, 0.01), 1e-9, 1e6, 30.0)
+    difference = Difference(
+        CANDIDATES[label], "drive", 0, values, (0.01, 0.01), 1e-9, 1e6, 30.0
+    )
     assert difference.is_possible == possible

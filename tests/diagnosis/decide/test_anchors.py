@@ -17,7 +17,9 @@ SIDES_M = [(-4.0, 3.0), (-1.0, 2.5)]
 def anchors_m():
     """The four places where anchors are taken to stand, against the clock."""
     (x0, x1), (y0, y1) = [
-        (low - m, high + m) for low, high in SIDES_M for m in [ANCHORS_OUTSIDE * (high - low) + 0.5]
+        (low - m, high + m)
+        for low, high in SIDES_M
+        for m in [ANCHORS_OUTSIDE * (high - low) + 0.5]
     ]
     return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
 
@@ -51,6 +53,8 @@ def test_the_field_is_what_least_squares_of_the_ranges_makes(x, y, wrong, side):
 
 
 def test_a_range_too_long_pushes_away_from_its_anchor():
-    motion = SimpleNamespace(x=np.array([0.0, *SIDES_M[0]]), y=np.array([0.0, *SIDES_M[1]]))
+    motion = SimpleNamespace(
+        x=np.array([0.0, *SIDES_M[0]]), y=np.array([0.0, *SIDES_M[1]])
+    )
     for field, anchor in zip(anchor_fields(motion), anchors_m(), strict=True):
         assert field[0] @ (np.zeros(2) - anchor) > 0.0

@@ -44,7 +44,9 @@ def test_what_is_no_longer_there_or_does_not_show_is_left_out(running):
 
 
 def test_a_term_without_a_cause_here_is_left_out():
-    assert searched({"a": 0.6}, {"a": 0.6, "nav_latency": 0.1}).point.model.causes == ("a",)
+    assert searched({"a": 0.6}, {"a": 0.6, "nav_latency": 0.1}).point.model.causes == (
+        "a",
+    )
 
 
 def test_without_a_cause_the_beginning_is_the_configuration():
@@ -61,7 +63,9 @@ def totals(fitted):
 
 VALUES = st.floats(0.01, 0.4)
 SINGLES = st.dictionaries(
-    st.sampled_from(["rotation_gain", "nav_latency", "actuation_delay", "saturation_limit"]),
+    st.sampled_from(
+        ["rotation_gain", "nav_latency", "actuation_delay", "saturation_limit"]
+    ),
     VALUES,
     min_size=1,
 )
@@ -92,4 +96,6 @@ REGION = {"x_min": -1000.0, "x_max": 0.123, "y_min": -1000.0, "y_max": 1000.0}
 )
 def test_a_shape_stays_as_it_runs(terms):
     made = totals(causes_of(LIBRARY, terms))
-    assert made == pytest.approx({n: v for n, v in terms.items() if n != "no_such_term"})
+    assert made == pytest.approx(
+        {n: v for n, v in terms.items() if n != "no_such_term"}
+    )

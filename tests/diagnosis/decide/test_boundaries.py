@@ -33,7 +33,9 @@ def point_of(*fitted):
 
 
 def of_a_machine(deviations):
-    return not trial.implausible(Fitted(toy.candidate("a", prior=0.1), (0.1 * deviations,)))
+    return not trial.implausible(
+        Fitted(toy.candidate("a", prior=0.1), (0.1 * deviations,))
+    )
 
 
 def rival(cosine=0.99, worse=0.0, z=0.0, *, gross=False):
@@ -114,7 +116,10 @@ def substitute(cosine):
     values = 10.0 * (cosine * own + np.sqrt(1.0 - cosine**2) * other)
     problem = toy.problem(values, {"a": own})
     point = fit(problem, toy.model("a"), problem.point(Model(), NONE))
-    return structure.imitated(problem, point, [Family("t", ("t_s",), values[:, None])]) is not None
+    return (
+        structure.imitated(problem, point, [Family("t", ("t_s",), values[:, None])])
+        is not None
+    )
 
 
 def possible(beyond_sd=0.0, beyond_share=0.0):
@@ -124,7 +129,9 @@ def possible(beyond_sd=0.0, beyond_share=0.0):
     if beyond_share:
         value = 1.0 / (1.0 - beyond_share)
     error = 0.1 if beyond_sd else 0.0
-    return Difference(c, "drive", 0, (0.0, value), (error, error), 0.001, 50.0, 9.0).is_possible
+    return Difference(
+        c, "drive", 0, (0.0, value), (error, error), 0.001, 50.0, 9.0
+    ).is_possible
 
 
 def scrubbing_tyres(gain):

@@ -19,7 +19,9 @@ CHANNEL_OF = {"nav_latency": 0, "yaw_latency": 1}
 
 def signal(t_s):
     """It swings about once in 0.4 s: from a delay of zero the slope leads away from 0.3 s."""
-    return sum(2.0 * np.sin(2.0 * np.pi * t_s / period_s) for period_s in (0.4, 0.37, 0.53))
+    return sum(
+        2.0 * np.sin(2.0 * np.pi * t_s / period_s) for period_s in (0.4, 0.37, 0.53)
+    )
 
 
 class LateStage(toy.LinearStage):
@@ -105,7 +107,11 @@ def test_a_late_source_and_a_slip_take_the_place_of_the_latency_that_explains_a_
 ):
     rng = np.random.default_rng(6)
     clock, slip, aside = (30.0 * toy.smooth(rng, N) for _ in range(3))
-    columns = {"nav_latency": clock + slip + 0.3 * aside, "clock_offset": clock, "side_slip": slip}
+    columns = {
+        "nav_latency": clock + slip + 0.3 * aside,
+        "clock_offset": clock,
+        "side_slip": slip,
+    }
     values = 0.5 * sum(columns[name] for name in hidden) + rng.normal(size=N)
     problem = toy.problem(values, columns)
     library, base = toy.library(problem)

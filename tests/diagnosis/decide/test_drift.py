@@ -74,7 +74,9 @@ def test_a_cause_that_stands_in_for_one_that_drifts_gives_way_to_it():
     for seed in range(5):
         rng = np.random.default_rng(seed)
         columns = columns_of(rng, "true", "other")
-        columns["late"] = np.where(TIME > 0.2, 1.0, 0.0) * columns["true"]  # part of the way only
+        columns["late"] = (
+            np.where(TIME > 0.2, 1.0, 0.0) * columns["true"]
+        )  # part of the way only
         values = (0.5 + 0.5 * TIME) * columns["true"] + rng.normal(size=N)
         found = judged(toy.problem(values, columns), "late")
         assert found.point.model.causes == ("true",)

@@ -23,7 +23,9 @@ CAUSE = "process_gain"
 @pytest.fixture(autouse=True)
 def no_families(monkeypatch):
     """A sum of columns has no motion that an unknown structure could depend on."""
-    monkeypatch.setattr("hilserver.diagnosis.decide.revision.families_of", lambda *_: [])
+    monkeypatch.setattr(
+        "hilserver.diagnosis.decide.revision.families_of", lambda *_: []
+    )
 
 
 def drawn(size, much, seed=3):
@@ -38,7 +40,9 @@ def judged(values, column, **how):
     library, base = toy.library(problem)
     library.candidates[:] = [replace(library.candidates[0], **how)]
     rng = np.random.default_rng(3)
-    return revised(Prepared(problem, library, base), select(problem, library, base, rng), rng)
+    return revised(
+        Prepared(problem, library, base), select(problem, library, base, rng), rng
+    )
 
 
 def test_what_leaves_much_error_is_effective_and_in_the_patch():

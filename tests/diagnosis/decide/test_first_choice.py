@@ -8,7 +8,13 @@ import pytest
 from hilserver.diagnosis.decide.delays import beginning_for
 from hilserver.diagnosis.decide.identifiability import Rival
 from hilserver.diagnosis.decide.revision import _weighed, no_name
-from hilserver.diagnosis.decide.selection import Selected, _detour, _plausible, _simpler, select
+from hilserver.diagnosis.decide.selection import (
+    Selected,
+    _detour,
+    _plausible,
+    _simpler,
+    select,
+)
 from hilserver.diagnosis.decide.trial import not_alone
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.stages import Prepared
@@ -104,9 +110,13 @@ def test_only_a_choice_of_the_search_is_in_doubt_and_only_where_wheels_stick(thr
     chosen = Selected(point, p, near={"coulomb_friction": [], "time_constant": []})
     assert _detour(chosen) == {"coulomb_friction"}
     running = Selected(point, p, near={"time_constant": [], "viscous_load": []})
-    assert not _detour(running), "the friction runs already; what was chosen acts smoothly"
+    assert not _detour(running), (
+        "the friction runs already; what was chosen acts smoothly"
+    )
     assert not _detour(Selected(point, p)), "the search has chosen nothing"
-    assert not _detour(replace(chosen, point=fitted("coulomb_friction", "time_constant")))
+    assert not _detour(
+        replace(chosen, point=fitted("coulomb_friction", "time_constant"))
+    )
 
 
 def test_fewer_causes_that_predict_held_out_blocks_worse_are_not_simpler(three):
@@ -140,7 +150,11 @@ def test_a_cause_at_its_bound_explains_nothing(drawn, others_help):
 def test_one_block_is_no_evidence_and_hides_none(elsewhere, own, names):
     """`whole` explains more than `part`, nearly all of it in one block; `aside` is part's alone."""
     rng = np.random.default_rng(3)
-    shape, burst, aside = 3.0 * toy.smooth(rng, N), np.zeros(N), 3.0 * toy.smooth(rng, N)
+    shape, burst, aside = (
+        3.0 * toy.smooth(rng, N),
+        np.zeros(N),
+        3.0 * toy.smooth(rng, N),
+    )
     burst[110:140] = 40.0
     part = shape * (elsewhere + 0.3 * burst) + 0.3 * aside
     columns = {"whole": shape * (elsewhere + burst), "part": part}
@@ -165,14 +179,23 @@ def test_a_delay_in_the_place_of_another_begins_with_its_value():
         ([0.0, 0.0], [1, 1]),
     ],
 )
-def test_a_block_with_more_information_than_all_others_does_not_count(information, used):
+def test_a_block_with_more_information_than_all_others_does_not_count(
+    information, used
+):
     assert not_alone(np.array(information)).tolist() == [bool(u) for u in used]
 
 
 def rival(problem, point, name, theta, prior):
     """A cause in the place of the only one of a model, which it cannot be told from."""
     other = Model().plus(toy.candidate(name, prior=prior), (theta,))
-    return Rival(other.fitted[0].candidate, replace(point, model=other), 1.0, 0.0, 0.0, gross=False)
+    return Rival(
+        other.fitted[0].candidate,
+        replace(point, model=other),
+        1.0,
+        0.0,
+        0.0,
+        gross=False,
+    )
 
 
 @pytest.mark.parametrize(
@@ -185,12 +208,20 @@ def rival(problem, point, name, theta, prior):
         (0.19, 0.19, np.inf, False),
     ],
 )
-def test_a_size_that_no_machine_has_is_no_finding_alone(drawn, theta, high, rival_prior, stays):
+def test_a_size_that_no_machine_has_is_no_finding_alone(
+    drawn, theta, high, rival_prior, stays
+):
     """Four prior deviations are 0.2; behind a plausible cause it may stand in a group."""
     noise, columns = drawn
     problem = toy.problem(theta * columns["lure"] + noise, columns)
     made = replace(toy.candidate("lure", prior=0.05), high=(high,))
-    point = replace(problem.point(Model(), np.zeros((0, 3))), model=Model().plus(made, (theta,)))
-    ties = {} if rival_prior is None else {"lure": [rival(problem, point, "a", theta, rival_prior)]}
+    point = replace(
+        problem.point(Model(), np.zeros((0, 3))), model=Model().plus(made, (theta,))
+    )
+    ties = (
+        {}
+        if rival_prior is None
+        else {"lure": [rival(problem, point, "a", theta, rival_prior)]}
+    )
     why = no_name(problem, point.model.fitted[0], ties)
     assert (why is None) == stays, why

@@ -38,8 +38,12 @@ def no_order_decides():
     problem, library, *models = common_noise.two_models(common_noise.SHORT)
     leads = []
     for first in models:
-        for _ in range(2):  # the first time the columns are fitted under the other's weights
-            selection.with_noise_anew(problem, library, problem.point(first.model, first.poses))
+        for _ in range(
+            2
+        ):  # the first time the columns are fitted under the other's weights
+            selection.with_noise_anew(
+                problem, library, problem.point(first.model, first.poses)
+            )
         leads.append(common_noise.prefers_the_first(problem, *models))
     assert leads[0] == pytest.approx(leads[1], abs=10.0), "the first one is preferred"
 
@@ -52,11 +56,17 @@ def no_shape_takes_the_name_of_a_simple_cause():
         simple, x = 20.0 * toy.smooth(rng, N), toy.smooth(rng, N, 200)
         edges = np.linspace(-0.9, -0.3, 30) * np.abs(x).max()
         parts = {f"beyond {e:.3f}": np.where(x > e, simple, 0.0) for e in edges}
-        problem = toy.problem(0.8 * simple + rng.normal(size=N), {"simple": simple, **parts})
+        problem = toy.problem(
+            0.8 * simple + rng.normal(size=N), {"simple": simple, **parts}
+        )
         base = problem.point(toy.model(), np.zeros((0, 3)))
-        regions = [replace(toy.candidate(name, hidden=1), cause="region") for name in parts]
+        regions = [
+            replace(toy.candidate(name, hidden=1), cause="region") for name in parts
+        ]
         candidates = [toy.candidate("simple"), *regions]
-        library = Library(problem, candidates, [problem.column(base, c) for c in candidates])
+        library = Library(
+            problem, candidates, [problem.column(base, c) for c in candidates]
+        )
         library.rewhiten(base)
         found = selection.select(problem, library, base, rng).point
         names.append(found.model.causes[0])

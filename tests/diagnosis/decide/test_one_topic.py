@@ -23,7 +23,10 @@ def recorded(as_sent, *, gain=1.0, changes=True):
     turned = [np.interp(t, ticks_s, speed[:, wheel]) for wheel in range(4)]
     turn = RAD_S * ROBOT.wheel_radius_m * ROBOT.k_om * (turned[0] + turned[2])
     shown = sent.values() if as_sent else turned
-    both = {**dict(zip(SETPOINTS, shown, strict=True)), **dict(zip(SPEEDS, shown, strict=True))}
+    both = {
+        **dict(zip(SETPOINTS, shown, strict=True)),
+        **dict(zip(SPEEDS, shown, strict=True)),
+    }
     noise = 0.006 * rng.standard_normal(len(t))
     return log_of(t, {**both, GYRO: gain * ROBOT.yaw_sign * turn + noise})
 

@@ -38,7 +38,9 @@ def fitted(edge):
 def test_it_is_the_square_of_twice_a_share_of_what_the_cause_explains():
     problem, point, before = fitted(np.inf)
     explained = before - point.deviance
-    assert own_error(problem, point, before) == pytest.approx(4 * SHARE**2 * explained, rel=0.05)
+    assert own_error(problem, point, before) == pytest.approx(
+        4 * SHARE**2 * explained, rel=0.05
+    )
 
 
 def test_where_a_small_share_decides_whether_wheels_stick_it_is_what_that_makes():

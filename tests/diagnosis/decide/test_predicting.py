@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 
 from hilserver.diagnosis.decide import predicting
-from hilserver.diagnosis.decide.predicting import before_settling, halfway, with_nameless
+from hilserver.diagnosis.decide.predicting import (
+    before_settling,
+    halfway,
+    with_nameless,
+)
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.stages import Prepared
 from tests.diagnosis import toy
@@ -34,7 +38,12 @@ def test_what_held_out_blocks_confirm_predicts():
 
 @pytest.mark.parametrize(
     "how",
-    [{"size": 0.0}, {"size": 0.6}, {"size": 1.0, "memoryless": True}, {"size": 1.0, "prior": 0.1}],
+    [
+        {"size": 0.0},
+        {"size": 0.6},
+        {"size": 1.0, "memoryless": True},
+        {"size": 1.0, "prior": 0.1},
+    ],
     ids=["not there", "less than a hundredth", "of the drive", "implausibly large"],
 )
 def test_nothing_else_does(how):
@@ -52,7 +61,9 @@ def test_where_nothing_is_found_nothing_predicts():
 def test_a_column_stays_without_its_name_where_held_out_errors_would_grow():
     p, _ = prepared(0.0)
     both = fit(p.problem, toy.model("large", "idle"), p.base)
-    only, none = (fit(p.problem, toy.model(*names), p.base) for names in (("large",), ()))
+    only, none = (
+        fit(p.problem, toy.model(*names), p.base) for names in (("large",), ())
+    )
     rows = []
     assert before_settling(p.problem, only, [both], rows) is only
     assert rows == []
@@ -67,6 +78,8 @@ def test_ends_of_runs_count_where_the_noise_is_not_known(short, monkeypatch):
     p, named = prepared(1.0)
     monkeypatch.setattr(type(p.problem), "is_short", property(lambda problem: short))
     other = fit(p.problem, toy.model("large"), p.base, iterations=0)
-    monkeypatch.setattr(predicting, "fit_by_ends", lambda problem, point, horizon_s: other)
+    monkeypatch.setattr(
+        predicting, "fit_by_ends", lambda problem, point, horizon_s: other
+    )
     theta = halfway(p.problem, named).model.theta()
     assert theta == pytest.approx(named.model.theta() / (1.0 + short))

@@ -27,7 +27,9 @@ def pair(more, scatter):
     [(0.1, 0.05, True), (0.1, 1.0, False), (0.005, 0.001, False), (-0.1, 0.05, False)],
     ids=["clear", "by chance", "less than 1 %", "falls"],
 )
-def test_an_error_grows_if_it_does_so_clearly_and_by_more_than_a_hundredth(more, scatter, grows):
+def test_an_error_grows_if_it_does_so_clearly_and_by_more_than_a_hundredth(
+    more, scatter, grows
+):
     assert _grows(pair(more, scatter)) is grows
 
 
@@ -58,7 +60,9 @@ def test_an_extension_that_makes_a_quantity_worse_is_refused():
 def test_no_cause_goes_for_unknown_structure_where_held_out_errors_would_grow():
     rng = np.random.default_rng(4)
     needed, idle = (toy.smooth(rng, 2000) for _ in range(2))
-    problem = toy.problem(3.0 * needed + rng.normal(size=2000), {"needed": needed, "idle": idle})
+    problem = toy.problem(
+        3.0 * needed + rng.normal(size=2000), {"needed": needed, "idle": idle}
+    )
     _, base = toy.library(problem)
     point = fit(problem, toy.model("needed", "idle"), base)
     assert _harmless(problem, point, [0, 1]) == {1}
@@ -87,12 +91,16 @@ def test_no_cause_stays_beside_unknown_structure_that_makes_a_prediction_worse(
 
 
 @pytest.mark.parametrize("harms", [True, False])
-def test_a_rival_with_larger_errors_on_held_out_blocks_takes_no_place(harms, monkeypatch):
+def test_a_rival_with_larger_errors_on_held_out_blocks_takes_no_place(
+    harms, monkeypatch
+):
     """It leaves less all the same; whether errors grow is decided by blocks, see above."""
     rng = np.random.default_rng(4)
     good = toy.smooth(rng, 2000)
     poor = good + 0.6 * toy.smooth(rng, 2000)
-    problem = toy.problem(5.0 * good + rng.normal(size=2000), {"good": good, "poor": poor})
+    problem = toy.problem(
+        5.0 * good + rng.normal(size=2000), {"good": good, "poor": poor}
+    )
     library, base = toy.library(problem)
     point = fit(problem, toy.model("poor"), base)
     monkeypatch.setattr(Step, "harms", property(lambda step: harms))

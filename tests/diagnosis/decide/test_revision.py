@@ -17,11 +17,15 @@ N = 4000
 def judged(monkeypatch, rng, values, column, structure, **how):
     """What is made of a cause and of a family of one column."""
     family = Family("turn", ("t_s",), structure[:, None])
-    monkeypatch.setattr("hilserver.diagnosis.decide.revision.families_of", lambda *_: [family])
+    monkeypatch.setattr(
+        "hilserver.diagnosis.decide.revision.families_of", lambda *_: [family]
+    )
     problem = toy.problem(values, {"c": column})
     library, base = toy.library(problem)
     library.candidates[:] = [replace(library.candidates[0], **how)]
-    return revised(Prepared(problem, library, base), select(problem, library, base, rng), rng)
+    return revised(
+        Prepared(problem, library, base), select(problem, library, base, rng), rng
+    )
 
 
 @pytest.mark.parametrize(
@@ -47,7 +51,9 @@ def test_a_cause_too_small_for_its_name_is_no_unknown_structure(
 def test_structure_beside_a_cause_too_small_for_its_name_is_reported(monkeypatch):
     rng = np.random.default_rng(4)
     column, other = 5.0 * toy.smooth(rng, N), 5.0 * toy.smooth(rng, N)
-    found = judged(monkeypatch, rng, column + other + rng.normal(size=N), column, other, least=1.5)
+    found = judged(
+        monkeypatch, rng, column + other + rng.normal(size=N), column, other, least=1.5
+    )
     assert found.point.model.causes == ()
     assert [u.family.name for u in found.unknown] == ["turn"]
 
@@ -72,6 +78,8 @@ def test_a_cause_that_is_none_excuses_no_structure_by_its_own_inexactness(monkey
     rng = np.random.default_rng(6)
     column = np.where(np.arange(N) < N // 2, 60.0, 2.5) * toy.smooth(rng, N)
     faint = np.where(np.arange(N) < N // 2, 0.0, column)
-    found = judged(monkeypatch, rng, column + rng.normal(size=N), column, faint, prior=0.01)
+    found = judged(
+        monkeypatch, rng, column + rng.normal(size=N), column, faint, prior=0.01
+    )
     assert found.point.model.causes == ()
     assert [u.family.name for u in found.unknown] == ["turn"]

@@ -19,7 +19,9 @@ N = 4000
 def region(edge_m):
     """A region whose true edge is at 0.6 m."""
     name = "region" if round(edge_m, 2) == 0.6 else "beside"
-    return replace(toy.candidate(name), cause="region", moved=lambda m: region(edge_m + m))
+    return replace(
+        toy.candidate(name), cause="region", moved=lambda m: region(edge_m + m)
+    )
 
 
 @pytest.mark.parametrize(("left", "best"), [(1.4, "region"), (1.02, "imitation")])

@@ -20,7 +20,9 @@ def residuals(*lengths, rate_hz=20.0, at_hz=0.7):
     return names, problem
 
 
-@pytest.mark.parametrize("lengths", [(4000, 4000), (4000, 3900), (3900, 4000), (50, 4000)])
+@pytest.mark.parametrize(
+    "lengths", [(4000, 4000), (4000, 3900), (3900, 4000), (50, 4000)]
+)
 def test_the_strongest_frequency_of_channels_that_end_at_different_times(lengths):
     names, problem = residuals(*lengths)
     found = peaks(problem, SimpleNamespace(predicted=None), names)

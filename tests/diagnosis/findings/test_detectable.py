@@ -11,7 +11,9 @@ N = 3000
 
 
 @pytest.mark.parametrize(
-    ("shown", "says"), [(0.3, "hardly excited: below"), (1e-4, UNSEEN)], ids=["hardly", "not"]
+    ("shown", "says"),
+    [(0.3, "hardly excited: below"), (1e-4, UNSEEN)],
+    ids=["hardly", "not"],
 )
 def test_no_size_is_said_that_no_machine_has(shown, says):
     """It used to say: below 1.23e+09 1 it would not be detected."""

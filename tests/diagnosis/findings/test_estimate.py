@@ -40,7 +40,9 @@ def test_one_covariance_says_what_the_intervals_say(alike):
     assert found.parameters == ("a", "b", "c")
     assert found.value == pytest.approx(point.model.theta())
     shown = parameters(problem, point)
-    half = [np.ptp(shown[i][name].ci95) / 2.0 for i, name in enumerate(found.parameters)]
+    half = [
+        np.ptp(shown[i][name].ci95) / 2.0 for i, name in enumerate(found.parameters)
+    ]
     deviation = np.sqrt(np.diag(found.covariance))
     assert half == pytest.approx(deviation * (half[0] / deviation[0]))
     assert 1.9 < half[0] / deviation[0] < 2.2
@@ -59,7 +61,10 @@ def test_stages_are_fitted_apart(alike):
 
 def test_what_the_data_leave_open_is_as_wide_as_the_prior(alike):
     _, point = alike
-    known = [replace(f, candidate=replace(f.candidate, prior=0.05)) for f in point.model.fitted]
+    known = [
+        replace(f, candidate=replace(f.candidate, prior=0.05))
+        for f in point.model.fitted
+    ]
     wide = Estimate.of(Model(tuple(known)), np.diag([1e9, 1e-8, 0.0025]))
     assert np.sqrt(np.diag(wide.covariance)) == pytest.approx(
         [0.05, 1e-4, 0.05 / np.sqrt(2.0)], rel=1e-3

@@ -12,6 +12,9 @@ def test_a_robot_with_two_wheels_has_a_left_encoder():
     text = explain(["encoder_scale"], parameters)
     assert "front left or rear left" in text
     finding = Finding(
-        verdict=Verdict.NAMED, causes=("encoder_scale",), block="drive", explanation=text
+        verdict=Verdict.NAMED,
+        causes=("encoder_scale",),
+        block="drive",
+        explanation=text,
     )
     assert "encoder of one wheel (left) reads" in of_two_wheels(finding).explanation

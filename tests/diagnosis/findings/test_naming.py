@@ -3,10 +3,20 @@
 import numpy as np
 import pytest
 
-from hilserver.diagnosis.decide.identifiability import Rival, cosines, prune, with_best_rivals
+from hilserver.diagnosis.decide.identifiability import (
+    Rival,
+    cosines,
+    prune,
+    with_best_rivals,
+)
 from hilserver.diagnosis.decide.revision import with_fewer
 from hilserver.diagnosis.decide.selection import select
-from hilserver.diagnosis.decide.structure import holds_out, imitated, joint_gain, remaining
+from hilserver.diagnosis.decide.structure import (
+    holds_out,
+    imitated,
+    joint_gain,
+    remaining,
+)
 from hilserver.diagnosis.decide.trial import cost
 from hilserver.diagnosis.decide.unknown import Family
 from hilserver.diagnosis.regression.fitting import fit
@@ -46,7 +56,9 @@ def test_nothing_is_selected_from_noise():
         assert found.point.model.causes == ()
 
 
-@pytest.mark.parametrize(("cause", "taken"), [("coulomb_friction", 0), ("process_gain", 1)])
+@pytest.mark.parametrize(
+    ("cause", "taken"), [("coulomb_friction", 0), ("process_gain", 1)]
+)
 def test_what_friction_leaves_by_its_own_form_is_no_further_cause(cause, taken):
     """A column explains 1 % of the effect's size: of an exact cause's remainder that is much."""
     rng = np.random.default_rng(3)
@@ -66,7 +78,9 @@ def test_of_two_that_explain_alike_the_one_without_a_shape_is_taken():
     library, base = toy.library(problem, hidden={"region": 1})
     found = select(problem, library, base, rng)
     assert found.point.model.causes[0] == "simple"
-    assert cost(library.candidates[1], 1000.0) > cost(library.candidates[0], 1000.0) + 4.0
+    assert (
+        cost(library.candidates[1], 1000.0) > cost(library.candidates[0], 1000.0) + 4.0
+    )
     exchanged, _ = with_best_rivals(library, found.point)
     assert exchanged.model.causes[0] == "simple"
 
@@ -92,7 +106,9 @@ def test_exact_twins_tie_and_others_do_not():
         assert ties["true"][0].cosine == pytest.approx(1.0, abs=1e-3)
         assert abs(ties["true"][0].worse) < 0.1
         library, point = twins(seed, 0.9)
-        assert with_best_rivals(library, point)[1]["true"] == [], "below 0.95 and clearly worse"
+        assert with_best_rivals(library, point)[1]["true"] == [], (
+            "below 0.95 and clearly worse"
+        )
 
 
 def test_a_wrong_name_is_swapped_for_the_right_one():
@@ -200,7 +216,9 @@ def test_an_effect_of_the_smallest_visible_size_is_usually_seen():
         library, base = toy.library(problem)
         scores = library.scores(base)
         limit = critical(null_maxima([scores], rng, flips=999))
-        size = (limit + DETECTABLE_POWER_SD) * scores.deviation[0] / scores.information[0]
+        size = (
+            (limit + DETECTABLE_POWER_SD) * scores.deviation[0] / scores.information[0]
+        )
         values = problem.stack.values + size * columns["a"]
         library, base = toy.library(toy.problem(values, columns))
         scores = library.scores(base)
@@ -229,7 +247,9 @@ def test_a_cause_yields_to_a_column_of_unknown_structure_that_explains_more():
         history = Family("history", ("velocity.linear_m_s",), truth[:, None])
         aside = Family("time", ("t_s",), columns["aside"][:, None])
         for values, wanted in ((truth, 0), (columns["named"], None)):
-            problem = toy.problem(0.5 * values + rng.normal(size=N), {"named": columns["named"]})
+            problem = toy.problem(
+                0.5 * values + rng.normal(size=N), {"named": columns["named"]}
+            )
             base = problem.point(Model(), np.zeros((0, 3)))
             point = fit(problem, toy.model("named"), base)
             assert imitated(problem, point, [aside, history]) == wanted
@@ -261,5 +281,7 @@ def test_a_gross_misfit_is_never_left_without_a_word():
     loud.stage.follows_setpoints = False
     found = remaining(loud, loud.point(Model(), none), rng, [family], 0.0)
     assert [u.family.name for u in found] == ["turn"]
-    loud.stage.follows_setpoints = True  # of which one may have come and gone between two rows
+    loud.stage.follows_setpoints = (
+        True  # of which one may have come and gone between two rows
+    )
     assert remaining(loud, loud.point(Model(), none), rng, [family], 0.0) == []

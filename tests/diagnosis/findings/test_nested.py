@@ -24,7 +24,9 @@ SEED = 3
 @pytest.fixture(autouse=True)
 def no_families(monkeypatch):
     """A sum of columns has no motion that an unknown structure could depend on."""
-    monkeypatch.setattr("hilserver.diagnosis.decide.revision.families_of", lambda *_: [])
+    monkeypatch.setattr(
+        "hilserver.diagnosis.decide.revision.families_of", lambda *_: []
+    )
 
 
 def judged(values, columns):
@@ -38,7 +40,9 @@ def judged(values, columns):
 def drawn(sizes=(1.0, 1.0)):
     rng = np.random.default_rng(SEED)
     columns = {f"c{k}": 20.0 * toy.smooth(rng, N) for k in range(6)}
-    effects = sum(size * column for size, column in zip(sizes, columns.values(), strict=False))
+    effects = sum(
+        size * column for size, column in zip(sizes, columns.values(), strict=False)
+    )
     return effects + rng.normal(size=N), columns
 
 
@@ -55,12 +59,16 @@ def no_prediction_saw_its_half():
     for half in (0, 1):
         rows = stack.half[stack.block] == half
         spoilt = values.copy()
-        spoilt[rows] += 0.3 * columns["c3"][rows] + 0.3 * np.random.default_rng(9).normal(
-            size=rows.sum()
-        )
+        spoilt[rows] += 0.3 * columns["c3"][rows] + 0.3 * np.random.default_rng(
+            9
+        ).normal(size=rows.sum())
         again = after(judged(spoilt, columns))
-        assert np.allclose(again[rows], first[rows], rtol=0.0, atol=1e-9), "saw its own half"
-        assert not np.allclose(again[~rows], first[~rows], rtol=0.0, atol=1e-3), "nothing was fed"
+        assert np.allclose(again[rows], first[rows], rtol=0.0, atol=1e-9), (
+            "saw its own half"
+        )
+        assert not np.allclose(again[~rows], first[~rows], rtol=0.0, atol=1e-3), (
+            "nothing was fed"
+        )
 
 
 def test_a_half_is_predicted_by_what_was_selected_and_fitted_without_it():
@@ -111,7 +119,9 @@ def test_no_noise_and_no_free_run_crosses_what_was_held_out(seconds):
 def test_a_stage_without_samples_of_one_half_says_nothing():
     values, columns = drawn()
     j = judged(values, columns)
-    stack = replace(j.prepared.problem.stack, half=np.zeros(j.prepared.problem.stack.n_blocks, int))
+    stack = replace(
+        j.prepared.problem.stack, half=np.zeros(j.prepared.problem.stack.n_blocks, int)
+    )
     p = replace(j.prepared, problem=Problem(j.prepared.problem.stage.on(stack)))
     assert without(p, 0) is None
     assert without(p, 1) is None
@@ -137,7 +147,9 @@ def test_what_corrects_the_log_is_no_gain_of_the_patch():
     clock, turn = columns.pop("c0"), columns["c1"]
     j = judged(values, {"shift.nav": clock, **columns})
     assert set(j.point.model.causes) == {"shift.nav", "c1"}
-    explained = cross_validated(j, judged_by_halves({"drive": j}, SEED, 1)["drive"], np.zeros(N))
+    explained = cross_validated(
+        j, judged_by_halves({"drive": j}, SEED, 1)["drive"], np.zeros(N)
+    )
     (part,) = explained.parts
     assert not part.before.any(), "the configured plant"
     assert np.allclose(part.corrected, clock, atol=0.1), "the same, the clock corrected"
@@ -154,7 +166,9 @@ def test_where_only_the_log_is_corrected_a_patch_gains_nothing():
     values, columns = drawn((1.0,))
     j = judged(values, {"shift.nav": columns.pop("c0"), **columns})
     assert j.point.model.causes == ("shift.nav",)
-    explained = cross_validated(j, judged_by_halves({"drive": j}, SEED, 1)["drive"], np.zeros(N))
+    explained = cross_validated(
+        j, judged_by_halves({"drive": j}, SEED, 1)["drive"], np.zeros(N)
+    )
     assert np.array_equal(explained.parts[0].corrected, explained.parts[0].after)
     (alone,) = explained.without(frozenset({0}))
     gain = explained.gains(5.0, np.random.default_rng(0), (alone,))["speed_rpm"]
@@ -166,5 +180,10 @@ def test_a_finding_says_how_many_halves_show_it():
     j = judged(values, columns)
     blind = replace(j, whole=j.prepared.base)
     finding = Finding(verdict=Verdict.NAMED, causes=("c0",), block="drive")
-    for halves, shown in (((j, j), 2), ((j, blind), 1), ((None, j), 1), ((None, blind), 0)):
+    for halves, shown in (
+        ((j, j), 2),
+        ((j, blind), 1),
+        ((None, j), 1),
+        ((None, blind), 0),
+    ):
         assert nested.in_halves(finding, halves).halves == shown

@@ -18,13 +18,18 @@ from hilserver.diagnosis.findings import outcome
         ((14, 2000), ["lost", "unknown"]),
     ],
 )
-def test_only_many_lost_set_points_explain_what_else_is_unknown(monkeypatch, late, said):
+def test_only_many_lost_set_points_explain_what_else_is_unknown(
+    monkeypatch, late, said
+):
     """One event of four wheels is four late steps."""
     problem = SimpleNamespace(stage=SimpleNamespace(block="drive"))
     family = Family("speed", ("wheel.fl.speed_rpm",), None)
     prepared = SimpleNamespace(problem=problem, coarse_rpm=None)
     judged = SimpleNamespace(
-        prepared=prepared, point=None, anchor=None, unknown=[Unknown(family, 9.0, 9.0, 1e-4, 99.0)]
+        prepared=prepared,
+        point=None,
+        anchor=None,
+        unknown=[Unknown(family, 9.0, 9.0, 1e-4, 99.0)],
     )
     monkeypatch.setattr(outcome, "outliers", lambda *_: None)
     monkeypatch.setattr(outcome, "deviating", lambda *_: {})

@@ -52,19 +52,30 @@ class Case:
     def draw(cls, number):
         """Draw a case: sizes of 1.5 to 2.5 times the reference, and as much between the floors."""
         rng = np.random.default_rng(77_000 + number)
-        names = [str(rng.choice(list(OF_THE_FLOOR))), str(rng.choice(list(OF_THE_MACHINE)))]
+        names = [
+            str(rng.choice(list(OF_THE_FLOOR))),
+            str(rng.choice(list(OF_THE_MACHINE))),
+        ]
         differs, shared = names if number % 2 == 0 else names[::-1]
         reference = OF_THE_FLOOR | OF_THE_MACHINE
-        signs = {name: 1.0 if name in ONE_SIGN else rng.choice([-1.0, 1.0]) for name in names}
-        first = {n: float(signs[n] * rng.uniform(1.5, 2.5) * reference[n]) for n in names}
+        signs = {
+            name: 1.0 if name in ONE_SIGN else rng.choice([-1.0, 1.0]) for name in names
+        }
+        first = {
+            n: float(signs[n] * rng.uniform(1.5, 2.5) * reference[n]) for n in names
+        }
         step = float(signs[differs] * rng.uniform(1.5, 2.5) * reference[differs])
         second = first | {differs: first[differs] + step}
-        return cls(number, differs, shared, dict(zip(GROUPS, (first, second), strict=True)))
+        return cls(
+            number, differs, shared, dict(zip(GROUPS, (first, second), strict=True))
+        )
 
     def logs(self):
         """Return both logs."""
         recipes = {
-            name: Recipe(seed=2 * (77_000 + self.number) + k, causes=causes, duration_s=SECONDS)
+            name: Recipe(
+                seed=2 * (77_000 + self.number) + k, causes=causes, duration_s=SECONDS
+            )
             for k, (name, causes) in enumerate(self.truth.items())
         }
         return {name: measured(make(one)[0]) for name, one in recipes.items()}
@@ -87,7 +98,10 @@ def holds_truth(case, joint):
     if joint is None:
         return None
     first = case.truth[GROUPS[0]]
-    truth = {f"{case.differs}@{name}": causes[case.differs] for name, causes in case.truth.items()}
+    truth = {
+        f"{case.differs}@{name}": causes[case.differs]
+        for name, causes in case.truth.items()
+    }
     truth[case.shared] = first[case.shared]
     if set(joint.parameters) != set(truth):
         return None
@@ -99,8 +113,12 @@ def holds_truth(case, joint):
 def main():
     """Run the open cases; say how many are right."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--results", type=Path, required=True, help="one line of JSON per case")
-    parser.add_argument("--cases", type=int, default=40, metavar="N", help="default %(default)s")
+    parser.add_argument(
+        "--results", type=Path, required=True, help="one line of JSON per case"
+    )
+    parser.add_argument(
+        "--cases", type=int, default=40, metavar="N", help="default %(default)s"
+    )
     args = parser.parse_args()
     lines = args.results.read_text().splitlines() if args.results.exists() else []
     done = {record["case"]: record for record in map(json.loads, lines)}
@@ -124,7 +142,9 @@ def main():
             out.flush()
             print(f"{case.number + 1} of {args.cases}: {record}", file=sys.stderr)
     records = [done[number] for number in range(args.cases)]
-    held = [record["ellipsoid"] for record in records if record["ellipsoid"] is not None]
+    held = [
+        record["ellipsoid"] for record in records if record["ellipsoid"] is not None
+    ]
     print(f"{sum(record['right'] for record in records)} of {len(records)} right")
     print(f"{sum(held)} of {len(held)} joint ellipsoids of {SHARE:.0%} hold the truth")
 

@@ -27,7 +27,9 @@ def diagnosed(*, differ: bool):
     logs = {}
     for number, (name, floor) in enumerate(FLOORS.items()):
         causes = MACHINE | (floor if differ else FLOORS["sand"])
-        made = replace(recipe("nothing drive", 31 + number, 40.0), causes=causes, recorder=POSE)
+        made = replace(
+            recipe("nothing drive", 31 + number, 40.0), causes=causes, recorder=POSE
+        )
         logs[name] = measured(make(made)[0])
     return diagnose_groups(logs, assembly(), jobs=1)
 
@@ -39,7 +41,9 @@ def fitted(found):
 
 def test_on_equal_floors_all_is_shared():
     found = diagnosed(differ=False)
-    assert set(fitted(found)) == {"rotation_gain", "wheel_radius_difference"}, said(found.findings)
+    assert set(fitted(found)) == {"rotation_gain", "wheel_radius_difference"}, said(
+        found.findings
+    )
     for name, truth in (FLOORS["sand"] | MACHINE).items():
         parameter = fitted(found)[name].parameters[name]
         assert parameter.groups is None
@@ -49,8 +53,12 @@ def test_on_equal_floors_all_is_shared():
 
 def test_what_differs_by_floor_is_free_and_what_does_not_is_shared():
     found = diagnosed(differ=True)
-    assert set(fitted(found)) == {"rotation_gain", "wheel_radius_difference"}, said(found.findings)
-    shared = fitted(found)["wheel_radius_difference"].parameters["wheel_radius_difference"]
+    assert set(fitted(found)) == {"rotation_gain", "wheel_radius_difference"}, said(
+        found.findings
+    )
+    shared = fitted(found)["wheel_radius_difference"].parameters[
+        "wheel_radius_difference"
+    ]
     free = fitted(found)["rotation_gain"].parameters["rotation_gain"]
     assert shared.groups is None
     assert shared.ci95[0] <= 0.02 <= shared.ci95[1]

@@ -20,12 +20,16 @@ def groups(rng, values, *, blocks=60, logs=None):
         known = np.linalg.inv(columns.T @ columns)
         own = np.cov(rng.multivariate_normal(np.zeros(K), known, size=blocks + 1).T)
         drawn = rng.multivariate_normal(np.asarray(value, float), known)
-        fits.append(GroupFit(drawn, np.ones(K, bool), own, np.full(K, float(logs or blocks))))
+        fits.append(
+            GroupFit(drawn, np.ones(K, bool), own, np.full(K, float(logs or blocks)))
+        )
     return fits
 
 
 def freed(fits, **options):
-    return free_parameters(fits, UNITS, options.pop("least", NO_LEAST), LEVEL, **options)
+    return free_parameters(
+        fits, UNITS, options.pop("least", NO_LEAST), LEVEL, **options
+    )
 
 
 def test_what_is_equal_is_shared_and_known_better():
@@ -63,7 +67,9 @@ def test_a_difference_below_the_least_is_none():
 def test_what_one_group_does_not_show_is_judged_by_the_others():
     rng = np.random.default_rng(3)
     first, second, third = groups(rng, [[1.0, 0, 0, 0], [2.5, 0, 0, 0], [9e9, 0, 0, 0]])
-    blind = GroupFit(third.value, np.array([False, True, True, True]), third.covariance, third.dof)
+    blind = GroupFit(
+        third.value, np.array([False, True, True, True]), third.covariance, third.dof
+    )
     free = freed([first, second, blind])
     assert free.tolist() == [True, False, False, False]
     whole = together([first, second, blind], free)

@@ -40,5 +40,7 @@ def diagnosis(cause: str, seed: int, duration_s: float) -> Diagnosis:
 def prepared(made: Recipe, robot: RobotParameters) -> dict[str, Prepared]:
     """Make a log and return its stages, ready to be judged: hundreds of megabytes if it is long."""
     stages = stages_of(measured(make(made)[0]), robot)
-    found = {name: prepare(stage, 1, lambda *_: None)[0] for name, stage in stages.items()}
+    found = {
+        name: prepare(stage, 1, lambda *_: None)[0] for name, stage in stages.items()
+    }
     return {name: p for name, p in found.items() if p is not None}

@@ -27,20 +27,26 @@ def stages_of(kind, rate_hz, duration_s, *causes, channels=None, **how):
     recorder = replace(made.taken, rate_hz=rate_hz)
     if channels is not None:
         recorder = replace(recorder, channels=channels)
-    made = replace(made, duration_s=duration_s, recorder=recorder, causes=dict(causes), **how)
+    made = replace(
+        made, duration_s=duration_s, recorder=recorder, causes=dict(causes), **how
+    )
     return prepared(made, assembly().robot)
 
 
 def ratios(rows, cut, *parts):
     """Residual by expected noise of the channels of one cut whose name holds one of the parts."""
     found = [
-        r.rms / r.expected for r in rows if r.cut == cut and any(p in r.channel for p in parts)
+        r.rms / r.expected
+        for r in rows
+        if r.cut == cut and any(p in r.channel for p in parts)
     ]
     assert found, (cut, parts)
     return np.array(found)
 
 
-@pytest.mark.parametrize(("cause", "size"), [("process_gain", 0.05), ("time_constant", 0.2)])
+@pytest.mark.parametrize(
+    ("cause", "size"), [("process_gain", 0.05), ("time_constant", 0.2)]
+)
 def test_a_fault_of_the_process_shows_from_the_measured_duty(cause, size):
     rows = cuts(stages_of(*BENCH, (cause, size)).values())
     assert ratios(rows, "duty", "speed").min() > 5.0
@@ -120,11 +126,17 @@ def test_a_course_follows_a_parameter_that_drifts(log, stage, cause, course):
 
 def unknown(stage):
     problem, base = stage.problem, stage.base
-    return remaining(problem, base, np.random.default_rng(0), families_of(problem, base), 0.0)
+    return remaining(
+        problem, base, np.random.default_rng(0), families_of(problem, base), 0.0
+    )
 
 
 def test_what_swings_is_folded_over_its_period():
-    periodic = (("periodic.turn", 0.05), ("periodic.period", 8.0), ("periodic.phase", 0.3))
+    periodic = (
+        ("periodic.turn", 0.05),
+        ("periodic.period", 8.0),
+        ("periodic.phase", 0.3),
+    )
     one = stages_of(*DRIVE, *periodic)["pose"]
     found = dependences(one.problem, one.base, unknown(one))
     (d,) = (d for d in found if d.regressor.startswith("t_s mod"))
@@ -141,13 +153,21 @@ def test_what_goes_astray_is_told_as_a_speed():
     one = stages_of("drive", 50.0, 240.0, *drag)["pose"]
     found = dependences(one.problem, one.base, unknown(one))
     d = found[0]
-    assert (d.channel, d.unit, d.regressor) == ("velocity.linear_m_s", "m/s", "nav.yaw_rad")
+    assert (d.channel, d.unit, d.regressor) == (
+        "velocity.linear_m_s",
+        "m/s",
+        "nav.yaw_rad",
+    )
     assert (d.low > 0.0).any()
     assert (d.high < 0.0).any()
 
 
 def test_of_the_drive_the_disturbed_wheel_is_drawn():
-    talk = (("cross_talk.share", 0.12), ("cross_talk.from", 0.0), ("cross_talk.to", 3.0))
+    talk = (
+        ("cross_talk.share", 0.12),
+        ("cross_talk.from", 0.0),
+        ("cross_talk.to", 3.0),
+    )
     one = stages_of("bench", 100.0, 60.0, *talk)["drive"]
     assert dependences(one.problem, one.base, []) == []
     d = dependences(one.problem, one.base, unknown(one))[0]

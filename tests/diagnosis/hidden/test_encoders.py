@@ -39,7 +39,8 @@ def test_an_encoder_that_its_loop_believes_is_named_with_its_wheel(wheel, scale)
 
 
 @pytest.mark.parametrize(
-    "cause", ["encoder_scale", pytest.param("wheel_radius_difference", marks=pytest.mark.long)]
+    "cause",
+    ["encoder_scale", pytest.param("wheel_radius_difference", marks=pytest.mark.long)],
 )
 def test_without_duty_and_setpoints_the_pose_judges_encoders_and_radii_alike(cause):
     """The truth is named, alone or with its twin; of two wheels on a side none is preferred."""
@@ -54,13 +55,17 @@ def test_without_duty_and_setpoints_the_pose_judges_encoders_and_radii_alike(cau
     assert cause in finding.causes
     assert set(finding.causes) <= set(hidden)
     if cause == "encoder_scale":
-        assert finding.parameters["encoder_scale.a"].value == pytest.approx(0.1, rel=0.2)
+        assert finding.parameters["encoder_scale.a"].value == pytest.approx(
+            0.1, rel=0.2
+        )
         assert finding.parameters["encoder_scale.wheel"].ci95 == (2.0, 3.0)
         assert "front right or rear right" in finding.explanation
 
 
 def test_a_motor_that_another_wheel_drives_is_no_encoder_that_the_pose_disproves():
     causes = {"cross_talk.share": 0.12, "cross_talk.from": 2.0, "cross_talk.to": 3.0}
-    (finding,) = judged(replace(recipe("nothing drive", 52, 60.0), causes=causes)).findings.findings
+    (finding,) = judged(
+        replace(recipe("nothing drive", 52, 60.0), causes=causes)
+    ).findings.findings
     assert finding.verdict == Verdict.STRUCTURE_NOT_IN_LIBRARY
     assert finding.regressors[0].startswith("wheel.fr.")

@@ -80,12 +80,16 @@ async def driven(folder, table, patch=None, seconds=SECONDS):
                 shown = now
             if np.isfinite(measured[k]).all():
                 there = measured[k].tolist()
-                hil.write({f"measured.{n}": v for n, v in zip(POSE, there, strict=True)})
+                hil.write(
+                    {f"measured.{n}": v for n, v in zip(POSE, there, strict=True)}
+                )
                 if aligned_s is None or t_s - aligned_s >= HORIZON_S:
                     await hil.step(1)
                     last += 1
                     if aligned_s is not None:
-                        gap = model_gap(daemon.gate, daemon.table, daemon.image.latest())
+                        gap = model_gap(
+                            daemon.gate, daemon.table, daemon.image.latest()
+                        )
                         gaps.append([gap.get(n, np.nan) for n in POSE])
                     daemon.control.set_pose(*there)
                     aligned_s = t_s
@@ -100,7 +104,9 @@ async def driven(folder, table, patch=None, seconds=SECONDS):
 async def on_the_page(daemon, metric):
     """Values of a metric by channel, as Prometheus would scrape them."""
     await asyncio.sleep(1.2)  # the gap is watched once a second
-    rows = re.findall(rf'^{metric}{{channel="(.+?)"}} (\S+)$', await scrape(daemon), re.M)
+    rows = re.findall(
+        rf'^{metric}{{channel="(.+?)"}} (\S+)$', await scrape(daemon), re.M
+    )
     return {channel: float(value) for channel, value in rows}
 
 
@@ -135,7 +141,9 @@ async def test_the_gap_on_another_log_shrinks_by_the_ratio_that_was_told(folder,
     assert low > 1.0
 
 
-async def test_without_the_patch_the_outputs_are_the_old_ones_bit_for_bit(folder, other):
+async def test_without_the_patch_the_outputs_are_the_old_ones_bit_for_bit(
+    folder, other
+):
     first, old = await driven(folder, other, seconds=12.0)
     _, extended = await driven(folder, other, folder / "model_patch.yaml", seconds=12.0)
     second, again = await driven(folder, other, seconds=12.0)
@@ -147,6 +155,16 @@ async def test_without_the_patch_the_outputs_are_the_old_ones_bit_for_bit(folder
 
 def test_run_takes_the_patch(folder, monkeypatch, capfd):
     monkeypatch.chdir(folder)
-    words = ["run", "-c", "config.yaml", "--patch", "model_patch.yaml", "--duration", "0.2"]
+    words = [
+        "run",
+        "-c",
+        "config.yaml",
+        "--patch",
+        "model_patch.yaml",
+        "--duration",
+        "0.2",
+    ]
     assert main(words) == 0
-    assert "another configuration" in capfd.readouterr().err, "it was fitted without a file"
+    assert "another configuration" in capfd.readouterr().err, (
+        "it was fitted without a file"
+    )

@@ -35,7 +35,10 @@ def written(folder, name, *log, **changes):
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
-    return [written(folder, "friction.csv", *FRICTION), written(folder, "sound.csv", *NOTHING)]
+    return [
+        written(folder, "friction.csv", *FRICTION),
+        written(folder, "sound.csv", *NOTHING),
+    ]
 
 
 @pytest.fixture
@@ -73,7 +76,10 @@ def test_a_log_with_an_effect(logs, folder, capsys):
 def test_a_log_without_an_effect_and_without_a_patch(logs, folder):
     assert main(["diagnose", logs[1], "-o", "out"]) == 0
     nothing_is_found(read(folder / "out"))
-    assert {p.name for p in (folder / "out").iterdir()} == {"findings.json", "report.html"}
+    assert {p.name for p in (folder / "out").iterdir()} == {
+        "findings.json",
+        "report.html",
+    }
 
 
 def test_a_log_that_cannot_be_read_is_one_sentence_and_exit_2(folder, capsys):
@@ -99,7 +105,11 @@ def test_each_log_alone_whoever_does_the_work(logs, folder):
     nothing_is_found(read(folder / "one" / "sound"))
     assert each(logs, folder / "two", "--jobs", "2") == alone
     distributed = pytest.importorskip("distributed")
-    options = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
+    options = {
+        "n_workers": 1,
+        "threads_per_worker": 1,
+        "dashboard_address": "127.0.0.1:0",
+    }
     with distributed.LocalCluster(processes=False, **options) as cluster:
         found = each(logs, folder / "dask", "--dask", cluster.scheduler_address)
     for name, text in found.items():
@@ -129,12 +139,16 @@ def test_two_halves_of_one_recording_do_not_differ(folder):
     assert found.verdict == "no_difference"
     assert found.findings == ()
     sizes = {d.cause: d.size for d in found.smallest_detectable}
-    assert 0.0 < sizes["rotation_gain"] < 0.1, "a difference of this size would have been seen"
+    assert 0.0 < sizes["rotation_gain"] < 0.1, (
+        "a difference of this size would have been seen"
+    )
 
 
 def test_worn_tyres_are_seen_between_two_days(folder):
     a = written(folder, "a.csv", "nothing drive", 6, 150.0)
-    b = written(folder, "b.csv", "nothing drive", 7, 150.0, causes={"wheel_radius": -0.04})
+    b = written(
+        folder, "b.csv", "nothing drive", 7, 150.0, causes={"wheel_radius": -0.04}
+    )
     found = compared(folder, a, b)
     assert found.verdict == "differs"
     assert found.findings
@@ -147,6 +161,7 @@ def test_worn_tyres_are_seen_between_two_days(folder):
     assert high < 0.0
     assert np.isclose(
         change.value,
-        finding.parameters["wheel_radius.b"].value - finding.parameters["wheel_radius.a"].value,
+        finding.parameters["wheel_radius.b"].value
+        - finding.parameters["wheel_radius.a"].value,
     )
     assert abs(finding.parameters["wheel_radius.a"].value) < 0.01

@@ -9,7 +9,12 @@ from reference.scenarios.judging import judge
 
 @pytest.mark.parametrize(
     ("name", "seed"),
-    [("surface_real", 0), ("surface_real", 1), ("surface_real", 10), ("surface_null", 10)],
+    [
+        ("surface_real", 0),
+        ("surface_real", 1),
+        ("surface_real", 10),
+        ("surface_null", 10),
+    ],
 )
 def test_the_floors_differ_where_they_do(name, seed):
     """At seed 0 all runs restart the clock; at seed 1 the runs on one floor hardly scatter."""

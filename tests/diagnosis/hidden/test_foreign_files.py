@@ -34,8 +34,12 @@ def with_one_wheel_turned(table):
 
 
 def once_a_second_and_filled_forward(table):
-    there = np.flatnonzero(np.isfinite([table.columns[n] for n in NAV]).all(axis=0))[::20]
-    last = np.clip(np.searchsorted(there, np.arange(len(table.t_s)), side="right") - 1, 0, None)
+    there = np.flatnonzero(np.isfinite([table.columns[n] for n in NAV]).all(axis=0))[
+        ::20
+    ]
+    last = np.clip(
+        np.searchsorted(there, np.arange(len(table.t_s)), side="right") - 1, 0, None
+    )
     for name in NAV:
         table.columns[name] = table.columns[name][there[last]]
 
@@ -55,9 +59,13 @@ def in_rows_of_their_own(table):
         (in_rows_of_their_own, set()),
     ],
 )
-def test_the_cause_comes_out_of_a_foreign_table(drive, tmp_path, monkeypatch, spoil, faults):
+def test_the_cause_comes_out_of_a_foreign_table(
+    drive, tmp_path, monkeypatch, spoil, faults
+):
     monkeypatch.chdir(tmp_path)
-    table = replace(drive, columns={name: v.copy() for name, v in drive.columns.items()})
+    table = replace(
+        drive, columns={name: v.copy() for name, v in drive.columns.items()}
+    )
     more = spoil(table) or ""
     columns = {name: name.upper().replace(".", " ") for name in table.columns}
     mapped = [
@@ -67,13 +75,19 @@ def test_the_cause_comes_out_of_a_foreign_table(drive, tmp_path, monkeypatch, sp
     lines = ["time: {column: T, unit: ms}", "channels:", *mapped]
     (tmp_path / "map.yaml").write_text("\n".join(lines), encoding="utf-8")
     rows = np.column_stack([1e3 * table.t_s, *table.columns.values()])
-    body = "\n".join(",".join("" if v != v else f"{v:.7g}" for v in row) for row in rows.tolist())
+    body = "\n".join(
+        ",".join("" if v != v else f"{v:.7g}" for v in row) for row in rows.tolist()
+    )
     head = ",".join(["T", *columns.values()])
     (tmp_path / "log.csv").write_text(f"{head}\n{body}\n", encoding="utf-8")
     assert main(["diagnose", "log.csv", "--mapping", "map.yaml", "-o", "out"]) == 0
     found = json.loads((tmp_path / "out" / "findings.json").read_text())["findings"]
     causes = [f["causes"] for f in found]
     assert {c for (c,) in causes} == faults | HIDDEN.keys(), causes
-    (turn,) = (f["parameters"]["rotation_gain"] for f in found if f["causes"] == ["rotation_gain"])
+    (turn,) = (
+        f["parameters"]["rotation_gain"]
+        for f in found
+        if f["causes"] == ["rotation_gain"]
+    )
     low, high = turn["ci95"]
     assert low - 0.003 <= HIDDEN["rotation_gain"] <= high + 0.003

@@ -26,7 +26,10 @@ from tests.diagnosis.assertions import (
 from tests.diagnosis.hidden.logs import diagnosis, judged, recipe
 
 NULL = [("nothing drive", 103, 60.0), ("nothing bench", 101, 15.0)]
-NAMED = [("rotation_gain", 1, 120.0, "yaw_rad"), ("coulomb_friction", 2, 20.0, "duty_pct")]
+NAMED = [
+    ("rotation_gain", 1, 120.0, "yaw_rad"),
+    ("coulomb_friction", 2, 20.0, "duty_pct"),
+]
 MISALIGNED = ("wheel_misalignment", 1, 120.0)
 NORMAL = math.sqrt(2.0 / math.pi)
 """Mean size of a normal variable of deviation 1."""
@@ -65,7 +68,9 @@ def test_where_nothing_is_hidden_nothing_is_found(log):
     judged_there = "rotation_gain" if "drive" in log[0] else "coulomb_friction"
     assert 0.0 < sizes[judged_there] < np.inf
     if "drive" in log[0]:
-        assert sizes["setpoint_rate_limit"] >= 150.0, "a limit of which a weaker one shows, shows"
+        assert sizes["setpoint_rate_limit"] >= 150.0, (
+            "a limit of which a weaker one shows, shows"
+        )
     told = {n.cause for n in findings.not_judged}
     assert not told & set(sizes), "judged and not judged at once"
 
@@ -79,11 +84,15 @@ def test_the_name_comes_out_with_size_and_sign(cause, seed, duration_s, gains):
     assert finding.p_adjusted is not None
     assert finding.p_adjusted <= 0.01
     assert finding.explanation
-    assert [term.name for term in found.evidence.extension] == [hidden(cause, seed, duration_s)[0]]
+    assert [term.name for term in found.evidence.extension] == [
+        hidden(cause, seed, duration_s)[0]
+    ]
     assert found.findings.joint.parameters == tuple(
         name for name, p in finding.parameters.items() if p.ci95 is not None
     )
-    assert found.findings.joint.value[0] == next(iter(finding.parameters.values())).value
+    assert (
+        found.findings.joint.value[0] == next(iter(finding.parameters.values())).value
+    )
     assert max(one.alone for one in finding.matters.values()) > 1.0
     noise = found.findings.noise
     assert noise["wheel.fl.speed_rpm"].white_sd == pytest.approx(0.12, rel=0.2)
@@ -144,11 +153,15 @@ def test_tyres_that_scrub_are_told_beside_the_rotation_gain():
     """Four radii on tyres with mass: the turn is smaller than the wheels say, and comes late."""
     ratio = 1.9
     causes = {"friction_anisotropy.ratio": ratio, "friction_anisotropy.inertia": 1.0}
-    made = replace(recipe("rotation_gain", 31, 180.0), manoeuvre="circles", causes=causes)
+    made = replace(
+        recipe("rotation_gain", 31, 180.0), manoeuvre="circles", causes=causes
+    )
     findings = judged(made).findings
     (finding,) = [f for f in findings.findings if f.causes]
     assert finding.causes == ("rotation_gain", "friction_anisotropy")
-    assert finding.parameters["friction_anisotropy.ratio"].value == pytest.approx(ratio, rel=0.03)
+    assert finding.parameters["friction_anisotropy.ratio"].value == pytest.approx(
+        ratio, rel=0.03
+    )
     assert finding.separating_experiment is not None
 
 
@@ -165,9 +178,13 @@ def test_what_tyres_bend_is_no_further_cause():
     [pytest.param(27, 360.0, marks=pytest.mark.long), (41, 180.0), (73, 360.0)],
     ids=str,
 )
-def test_a_ranging_anchor_that_is_off_is_named_and_no_scale_of_the_navigation(seed, duration_s):
+def test_a_ranging_anchor_that_is_off_is_named_and_no_scale_of_the_navigation(
+    seed, duration_s
+):
     """Seeds 27 and 73: a scale explains much of it; 41: too weak for the screen of all causes."""
-    drawn = replace(SCENARIOS["radio"].draw(seed).logs["drive.csv"], duration_s=duration_s)
+    drawn = replace(
+        SCENARIOS["radio"].draw(seed).logs["drive.csv"], duration_s=duration_s
+    )
     error_m = drawn.causes["nav_anchor_off"]
     found = judged(drawn)
     (finding,) = found.findings.findings

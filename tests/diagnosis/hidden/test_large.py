@@ -33,5 +33,7 @@ def test_large_effects_keep_their_name_and_size(cause, seed, duration_s, causes)
 @pytest.mark.long
 def test_every_eleventh_position_thrown_aside_is_outliers_and_nothing_else():
     made = recipe("nav_outliers", 31, 180.0)
-    findings = judged(replace(made, causes={**made.causes, "nav_outliers.share": 0.09})).findings
+    findings = judged(
+        replace(made, causes={**made.causes, "nav_outliers.share": 0.09})
+    ).findings
     the_cause_is_named(findings, "nav_outliers")

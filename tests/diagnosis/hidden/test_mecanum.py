@@ -22,7 +22,11 @@ def test_what_has_no_meaning_for_them_is_not_judged():
     findings = found({}, 62, 60.0)
     assert findings.findings == ()
     reasons = {row.cause: row.reason for row in findings.not_judged}
-    assert reasons["icr_offset"] == reasons["side_slip"] == "has no meaning for mecanum wheels"
+    assert (
+        reasons["icr_offset"]
+        == reasons["side_slip"]
+        == "has no meaning for mecanum wheels"
+    )
 
 
 @pytest.mark.long

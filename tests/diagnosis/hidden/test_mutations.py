@@ -76,7 +76,9 @@ def a_fit_follows_the_curve():
     made.noise = toy.problem(truth, columns).noise
     model = toy.model("angle")
     found = fitting.fit(made, model, made.point(model, np.zeros((0, 3))))
-    assert found.model.theta() == pytest.approx([1.35], abs=0.01), "stopped short of the bottom"
+    assert found.model.theta() == pytest.approx([1.35], abs=0.01), (
+        "stopped short of the bottom"
+    )
 
 
 @pytest.mark.parametrize(
@@ -136,7 +138,9 @@ def test_naive_variance_instead_of_the_robust_one():
 
 def test_flips_that_are_not_fitted_anew():
     line = "rest**2).sum(axis=0), (own**2).sum(axis=0)"
-    changed = "rest**2).sum(axis=0), (own**2).sum(axis=0) * 0.0\n        own = own * 0.0"
+    changed = (
+        "rest**2).sum(axis=0), (own**2).sum(axis=0) * 0.0\n        own = own * 0.0"
+    )
     with (
         mutated(screen.null_maxima, line, changed),
         pytest.raises(AssertionError, match="logs without an effect"),
@@ -145,7 +149,9 @@ def test_flips_that_are_not_fitted_anew():
 
 
 def test_twin_check_off():
-    the_twins_are_one_group(diagnosis(*TWINS).findings, "wheel_misalignment", "nav_frame_yaw")
+    the_twins_are_one_group(
+        diagnosis(*TWINS).findings, "wheel_misalignment", "nav_frame_yaw"
+    )
     with mutated(identifiability.with_best_rivals, "if r.ties]", "if False]"):
         findings = judged(recipe(*TWINS)).findings
     assert len(findings.findings) == 1
@@ -156,13 +162,18 @@ def test_twin_check_off():
 def test_held_out_blocks_shuffled():
     held_out_means_held_out()
     line = "fold = problem.stack.fold[problem.stack.block]"
-    shuffled = f"fold = np.random.default_rng(0).permutation({line.removeprefix('fold = ')})"
+    shuffled = (
+        f"fold = np.random.default_rng(0).permutation({line.removeprefix('fold = ')})"
+    )
     everything = "train = problem.stack.fold >= 0"
     for function, right, wrong in (
         (gain.held_out, line, shuffled),
         (gain.crossed, "train = problem.stack.fold != test", everything),
     ):
-        with mutated(function, right, wrong), pytest.raises(AssertionError, match="its own block"):
+        with (
+            mutated(function, right, wrong),
+            pytest.raises(AssertionError, match="its own block"),
+        ):
             held_out_means_held_out()
     held_out_means_held_out()
 

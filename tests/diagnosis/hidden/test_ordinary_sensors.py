@@ -9,7 +9,11 @@ from hilserver_injector.ordinary import ordinary
 from tests.diagnosis.assertions import said, the_cause_is_named
 from tests.diagnosis.hidden.logs import judged, recipe
 
-SHORTER_S = {"sensors/drive/1401": 90.0, "sensors/bench/701": 15.0, "sensors/stand/700": 30.0}
+SHORTER_S = {
+    "sensors/drive/1401": 90.0,
+    "sensors/bench/701": 15.0,
+    "sensors/stand/700": 30.0,
+}
 NULL = {case.key: case for case in cases("sensors", range(700, 706))}
 ON_A_STAND = {
     case.key: case for case in cases("sensors", (9003, 9004)) if case.name == "stand"
@@ -27,7 +31,10 @@ IN_ANY_RUN = {("coulomb_friction", 2, 20.0)}
 
 
 def some(logs, quick):
-    return [pytest.param(log, marks=[] if log in quick else [pytest.mark.long]) for log in logs]
+    return [
+        pytest.param(log, marks=[] if log in quick else [pytest.mark.long])
+        for log in logs
+    ]
 
 
 def only_faults_are_found(case, recipe):
@@ -48,7 +55,9 @@ def test_wheels_in_the_air_tell_nothing_but_their_drive(key):
 
 @pytest.mark.parametrize("key", SHORTER_S)
 def test_ordinary_sensors_are_no_effect_in_a_short_log(key):
-    only_faults_are_found(NULL[key], replace(NULL[key].recipe, duration_s=SHORTER_S[key]))
+    only_faults_are_found(
+        NULL[key], replace(NULL[key].recipe, duration_s=SHORTER_S[key])
+    )
 
 
 @pytest.mark.parametrize("log", some(BESIDE, IN_ANY_RUN), ids=str)

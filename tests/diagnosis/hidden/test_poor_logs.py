@@ -46,7 +46,9 @@ def judged(log):
 def moved(log, by_s):
     """The log with other stamps."""
     channels = {name: replace(c, t_s=c.t_s + by_s) for name, c in log.channels.items()}
-    spans = tuple(replace(s, start_s=s.start_s + by_s, end_s=s.end_s + by_s) for s in log.spans)
+    spans = tuple(
+        replace(s, start_s=s.start_s + by_s, end_s=s.end_s + by_s) for s in log.spans
+    )
     return replace(log, channels=channels, spans=spans)
 
 
@@ -62,7 +64,9 @@ def held_at(log, words, value):
 
 def only(log, *words):
     """The log without the channels that have none of these words in their names."""
-    return log.without([n for n in log.channels if not any(word in n for word in words)])
+    return log.without(
+        [n for n in log.channels if not any(word in n for word in words)]
+    )
 
 
 @pytest.mark.parametrize(
@@ -90,15 +94,21 @@ def pooled(*logs):
     channels = {}
     for name in dict.fromkeys(name for log in logs for name in log.channels):
         parts = [
-            replace(log[name], span=log[name].span + k) for k, log in enumerate(logs) if name in log
+            replace(log[name], span=log[name].span + k)
+            for k, log in enumerate(logs)
+            if name in log
         ]
-        columns = [[getattr(part, f) for part in parts] for f in ("t_s", "values", "span")]
+        columns = [
+            [getattr(part, f) for part in parts] for f in ("t_s", "values", "span")
+        ]
         channels[name] = Channel(*map(np.concatenate, columns))
     spans = tuple(replace(log.spans[0], number=k) for k, log in enumerate(logs))
     return replace(logs[0], channels=channels, spans=spans)
 
 
-@pytest.mark.parametrize("later_s", [0.0, 3e7], ids=["both from zero", "a later year first"])
+@pytest.mark.parametrize(
+    "later_s", [0.0, 3e7], ids=["both from zero", "a later year first"]
+)
 def test_the_stamps_of_two_logs_are_not_mixed(later_s):
     first = moved(sound(), later_s)
     both = diagnose(pooled(first, sound()), assembly(), jobs=1)
@@ -129,7 +139,9 @@ def test_set_points_that_begin_while_the_machine_drives_were_no_standstill():
 def lone_steps(values):
     """The rows before large steps with no other within half a second."""
     steps = np.abs(np.diff(values))
-    return np.flatnonzero((steps > 20.0) & (np.convolve(steps, np.ones(25), "same") == steps))
+    return np.flatnonzero(
+        (steps > 20.0) & (np.convolve(steps, np.ones(25), "same") == steps)
+    )
 
 
 def late_once(log, events=1):
@@ -149,7 +161,9 @@ def lost_in(log):
 
 
 def test_lost_steps_are_looked_for_within_each_log():
-    alone, both = (lost_in(log) for log in (sound(), pooled(moved(sound(), 1000.0), sound())))
+    alone, both = (
+        lost_in(log) for log in (sound(), pooled(moved(sound(), 1000.0), sound()))
+    )
     assert alone[1] > 0
     assert both == (2 * alone[0], 2 * alone[1])
 
@@ -188,7 +202,9 @@ def test_an_old_sample_at_a_step_is_no_lost_set_point():
     for name in (n for n in log.channels if "speed" in n):
         rows = np.arange(len(log[name]))
         last = np.maximum.accumulate(np.where(rng.random(len(rows)) < 0.1, 0, rows))
-        stale[name] = log[name].with_values(0.5 * np.round(2.0 * log[name].values)[last])
+        stale[name] = log[name].with_values(
+            0.5 * np.round(2.0 * log[name].values)[last]
+        )
     late, judged_steps = lost_in(log.with_channels(stale))
     assert judged_steps > 0
     assert late < FEWEST_EVENTS

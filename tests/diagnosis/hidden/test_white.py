@@ -47,8 +47,14 @@ def correlations(problem, left, channel):
 def test_the_noise_is_the_injectors(log, stages):
     """What the sensors add is known: the fitted noise is that, and no error of the replay."""
     noise = Noise()
-    wanted = {"speed_rpm": noise.speed_rpm, "duty_pct": noise.duty_pct, "gyro_z": noise.gyro_rad_s}
-    fitted = {name: m for stage in stages.values() for name, m in stage.problem.noise.items()}
+    wanted = {
+        "speed_rpm": noise.speed_rpm,
+        "duty_pct": noise.duty_pct,
+        "gyro_z": noise.gyro_rad_s,
+    }
+    fitted = {
+        name: m for stage in stages.values() for name, m in stage.problem.noise.items()
+    }
     for name, model in fitted.items():
         for part, sd in wanted.items():
             if part in name:
@@ -71,7 +77,11 @@ def test_whitened_residuals_have_unit_size_and_no_memory(log, stages):
         for channel in problem.stack.channels:
             mine = left[problem.stack.edges[channel]]
             kept = mine[problem.weights[problem.stack.edges[channel]] > 0.0]
-            kind = channel if stage.problem.stage.name == "pose" else channel.rpartition(".")[2]
+            kind = (
+                channel
+                if stage.problem.stage.name == "pose"
+                else channel.rpartition(".")[2]
+            )
             squares.setdefault(kind, []).append(np.mean(kept**2))
             rho, total = correlations(problem, left, channel)
             assert np.abs(rho).max() < 4.5 / np.sqrt(len(mine)), (channel, rho)
@@ -88,8 +98,12 @@ def test_from_every_cut_point_all_residuals_are_the_sensors_noise(log, stages):
     rows = cuts(stages.values())
     assert len(rows) == (12 + 4 + 4 if log[0] == "drive" else 8 + 4)
     for row in rows:
-        slow = row.channel.startswith("nav.")  # few independent samples, and noise that is fitted
-        assert row.rms / row.expected == pytest.approx(1.0, abs=0.2 if slow else 0.06), row
+        slow = row.channel.startswith(
+            "nav."
+        )  # few independent samples, and noise that is fitted
+        assert row.rms / row.expected == pytest.approx(
+            1.0, abs=0.2 if slow else 0.06
+        ), row
     assert where(rows) == ""
 
 

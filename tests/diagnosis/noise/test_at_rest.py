@@ -16,12 +16,16 @@ from hilserver.plant.parameters import RobotParameters
 
 @pytest.mark.parametrize("seed", [700, 3003])
 def test_no_reading_is_truer_than_its_rounding(seed):
-    (recipe,) = [c.recipe for c in cases("sensors", range(seed, seed + 1)) if c.name == "stand"]
+    (recipe,) = [
+        c.recipe for c in cases("sensors", range(seed, seed + 1)) if c.name == "stand"
+    ]
     log = measured(make(recipe)[0]).without([*DUTIES, *SETPOINTS])
     still = {name: log[name].with_values(np.zeros(len(log[name]))) for name in SPEEDS}
     log = log.with_channels(still)
     problem = Problem(stages_of(log, RobotParameters())["pose"])
-    problem.estimate_noise(problem.residual(problem.predict({}, problem.start_poses({}))))
+    problem.estimate_noise(
+        problem.residual(problem.predict({}, problem.start_poses({})))
+    )
     step, true_sd = recipe.sensors["gyro_z"].step, recipe.noise.gyro_rad_s
     whole = math.hypot(true_sd, step / math.sqrt(12.0))
     assert problem.noise[GYRO].sd == pytest.approx(whole, rel=0.2)

@@ -39,7 +39,10 @@ def rounded_noise_known(samples):
     exact = np.zeros(round(samples) + 1)
     read = np.rint(rng.normal(size=len(exact)))
     reading = Reading(1.0, 0.0, np.inf)
-    return noise_of_readings([(np.arange(len(exact)) * 0.02, exact, read)], reading) is not None
+    return (
+        noise_of_readings([(np.arange(len(exact)) * 0.02, exact, read)], reading)
+        is not None
+    )
 
 
 def calm(share):
@@ -47,7 +50,9 @@ def calm(share):
     exact = share * np.arange(400.0)
     read = np.rint(exact + np.random.default_rng(8).normal(size=400))
     reading = Reading(1.0, 0.0, np.inf)
-    return noise_of_readings([(np.arange(400) * 0.02, exact, read)], reading) is not None
+    return (
+        noise_of_readings([(np.arange(400) * 0.02, exact, read)], reading) is not None
+    )
 
 
 def knows_correlation(length_s):

@@ -50,7 +50,9 @@ def test_whitened_noise_is_white(model):
     white = whitened(model, t_s, simulated(model, t_s, rng))
     n = len(white)
     assert white.var() == pytest.approx(1.0, abs=4.0 * math.sqrt(2.0 / n))
-    rho = np.array([white[:-k] @ white[k:] for k in range(1, lags + 1)]) / (white @ white)
+    rho = np.array([white[:-k] @ white[k:] for k in range(1, lags + 1)]) / (
+        white @ white
+    )
     ljung_box = n * (n + 2) * np.sum(rho**2 / (n - np.arange(1, lags + 1)))
     assert ljung_box < 45.3  # 99.9 % of chi-square with 20 degrees of freedom
 
@@ -60,7 +62,9 @@ def test_operator_is_the_inverse_root_of_the_covariance(model):
     t_s = stamps(60, 0.05, np.random.default_rng(4))
     operator = whitened(model, t_s, np.eye(len(t_s)))
     expected = covariance(model, t_s)
-    np.testing.assert_allclose(operator.T @ operator @ expected, np.eye(len(t_s)), atol=1e-7)
+    np.testing.assert_allclose(
+        operator.T @ operator @ expected, np.eye(len(t_s)), atol=1e-7
+    )
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -78,7 +82,10 @@ def test_skipped_samples_leave_no_trace(model, spoilt):
 def test_stretches_of_several_channels_are_whitened_each_by_itself():
     rng = np.random.default_rng(6)
     t_s, weights = rng.random(90).cumsum(), rng.uniform(0.0, 2.0, 90)
-    columns, parts = rng.normal(size=(90, 3)), [slice(0, 40), slice(40, 60), slice(60, 90)]
+    columns, parts = (
+        rng.normal(size=(90, 3)),
+        [slice(0, 40), slice(40, 60), slice(60, 90)],
+    )
     every, models = Filter.empty(90), [NAVIGATION, NoiseModel(0.006), NAVIGATION]
     for model, part in zip(models, parts, strict=True):
         every.prepare(part, model, t_s, weights)
@@ -110,10 +117,14 @@ def test_linear_in_the_columns(seed, factor, white_sd, ou_sd, tau_s):
 
 
 def test_weights_keep_the_variance_and_bound_an_outlier():
-    z = np.random.default_rng(6).standard_t(SHORT_DOF, 400_000) * math.sqrt(1.0 - 2.0 / SHORT_DOF)
+    z = np.random.default_rng(6).standard_t(SHORT_DOF, 400_000) * math.sqrt(
+        1.0 - 2.0 / SHORT_DOF
+    )
     weights = robust_weights(z)
     assert np.mean(weights * z**2) == pytest.approx(1.0, abs=0.02)
-    assert math.sqrt(robust_weights(np.array([1e6]))[0]) * 1e6 <= math.sqrt(SHORT_DOF + 1.0)
+    assert math.sqrt(robust_weights(np.array([1e6]))[0]) * 1e6 <= math.sqrt(
+        SHORT_DOF + 1.0
+    )
 
 
 def test_nothing_to_whiten_with_is_refused():
@@ -211,7 +222,8 @@ def test_short_spans_do_not_become_a_random_walk():
     rng = np.random.default_rng(11)
     model = NoiseModel(0.01, 0.05, 0.6)
     spans = [
-        (t_s, simulated(model, t_s, rng)) for t_s in [np.arange(40) * 0.05 for _ in range(200)]
+        (t_s, simulated(model, t_s, rng))
+        for t_s in [np.arange(40) * 0.05 for _ in range(200)]
     ]
     found = fit_noise(spans)
     assert found.sd == pytest.approx(model.sd, rel=0.25)

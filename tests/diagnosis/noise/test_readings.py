@@ -5,7 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from hilserver.diagnosis.noise.readings import FLOOR_SD, Reading, lasting, noise_of_readings
+from hilserver.diagnosis.noise.readings import (
+    FLOOR_SD,
+    Reading,
+    lasting,
+    noise_of_readings,
+)
 from hilserver.diagnosis.noise.whitening import NoiseModel
 from tests.diagnosis.toy import whitened
 
@@ -45,7 +50,11 @@ def test_the_mean_reading_at_a_limit_is_that_of_many(step, beyond):
 def test_without_noise_a_reading_at_the_limit_is_the_limit():
     exact = np.array([99.0, 100.0, 130.0])
     for noise in (None, NoiseModel(FLOOR_SD)):
-        assert Reading(0.0, 0.0, 100.0).mean(exact, noise).tolist() == [99.0, 100.0, 100.0]
+        assert Reading(0.0, 0.0, 100.0).mean(exact, noise).tolist() == [
+            99.0,
+            100.0,
+            100.0,
+        ]
 
 
 def test_far_from_a_limit_a_reading_is_the_quantity():
@@ -69,7 +78,9 @@ def test_the_noise_is_told_whatever_its_share_of_a_step(noise_sd, step):
     noise = noise_of_readings([(t_s, exact, readings)], Reading(step))
     assert noise is not None
     assert noise.sd == pytest.approx(np.std(readings - exact), rel=0.05)
-    assert noise.ou_sd**2 == pytest.approx(lasting(noise_sd, step), abs=0.25 * noise.sd**2)
+    assert noise.ou_sd**2 == pytest.approx(
+        lasting(noise_sd, step), abs=0.25 * noise.sd**2
+    )
 
 
 def test_an_effect_is_no_noise():
@@ -89,7 +100,8 @@ def test_what_lasts_is_whitened():
     white = whitened(noise, t_s, readings - exact)
     plain = (readings - exact) / noise.sd
     spread = [
-        len(r[0]) * np.var(r.mean(axis=1)) for r in (white.reshape(-1, 100), plain.reshape(-1, 100))
+        len(r[0]) * np.var(r.mean(axis=1))
+        for r in (white.reshape(-1, 100), plain.reshape(-1, 100))
     ]
     assert spread[1] > 10.0
     assert spread[0] < 2.5

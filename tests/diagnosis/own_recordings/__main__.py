@@ -37,7 +37,9 @@ def is_right(findings, cause):
 def main():
     """Run the open cases; say how many are right."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--results", type=Path, required=True, help="one line of JSON per case")
+    parser.add_argument(
+        "--results", type=Path, required=True, help="one line of JSON per case"
+    )
     parser.add_argument("--only", default="", help="only cases whose name holds this")
     args = parser.parse_args()
     lines = args.results.read_text().splitlines() if args.results.exists() else []
@@ -58,7 +60,12 @@ def main():
                 made.pop(key).unlink()
             seconds = round(time.monotonic() - begun, 1)
             right = is_right(findings, cause)
-            record = {"case": name, "right": right, "found": said(findings), "seconds": seconds}
+            record = {
+                "case": name,
+                "right": right,
+                "found": said(findings),
+                "seconds": seconds,
+            }
             done[name] = record
             out.write(json.dumps(record) + "\n")
             out.flush()

@@ -38,7 +38,13 @@ class Hidden:
 
 def _hidden(cause: str, terms: dict[str, float], number: int) -> Hidden:
     bench = cause in BENCH
-    drive = Drive("bench" if bench else "long", 120.0 if bench else 360.0, 10 + number, True, terms)
+    drive = Drive(
+        "bench" if bench else "long",
+        120.0 if bench else 360.0,
+        10 + number,
+        True,
+        terms,
+    )
     return Hidden(cause, drive, Rows(whole=True))
 
 
@@ -62,7 +68,10 @@ DRIVEN = {
     "floor_slope": {"floor_slope.x": 0.02},
     "nav_outliers": {"nav_outliers.share": 0.03, "nav_outliers.size": 1.5},
     "surface_change": {"surface_change.k_om": 0.3, "surface_change.x_min": 0.2},
-    "heading_distortion": {"heading_distortion.a1": 0.1, "heading_distortion.phase1": 0.7},
+    "heading_distortion": {
+        "heading_distortion.a1": 0.1,
+        "heading_distortion.phase1": 0.7,
+    },
     "rotation_gain_radius": {"rotation_gain_radius": 0.2},
     "actuation_delay": {"actuation_delay": 0.04},
     "setpoint_rate_limit": {"setpoint_rate_limit": 150.0},

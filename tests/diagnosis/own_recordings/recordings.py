@@ -68,12 +68,16 @@ def twist(v: float, w: float) -> dict[str, object]:
     return {"control.mode": 1, "twist.linear_m_s": v, "twist.angular_rad_s": w}
 
 
-def steps(seconds: float, seed: int, write=wheels, size=(55.0, 25.0), ms=(400, 2000)) -> Scenario:
+def steps(
+    seconds: float, seed: int, write=wheels, size=(55.0, 25.0), ms=(400, 2000)
+) -> Scenario:
     """Return set-points that jump at any tick, each piece driven back the way it came."""
     rng = np.random.default_rng(seed)
     at_ms, found = 500, []
     while at_ms < 1e3 * seconds:
-        v, w = size * rng.uniform(-1.0, 1.0, 2) * rng.choice([(1, 0.2), (1, 1), (0.1, 1)])
+        v, w = (
+            size * rng.uniform(-1.0, 1.0, 2) * rng.choice([(1, 0.2), (1, 1), (0.1, 1)])
+        )
         for sign in (1.0, -1.0):
             found.append({"at_s": at_ms * 1e-3, "write": write(sign * v, sign * w)})
             lasts_ms = int(rng.integers(*ms))
@@ -117,7 +121,9 @@ class Drive:
         """Write every tick into a file of the recorder's."""
         config = configuration(noisy=self.noisy, seed=self.seed, terms=self.terms)
         play = Play(DRIVES[self.drive](self.seconds, self.seed))
-        asyncio.run(_record(path, assemble_config(config), play, round(1e3 * self.seconds)))
+        asyncio.run(
+            _record(path, assemble_config(config), play, round(1e3 * self.seconds))
+        )
         return path
 
 
@@ -133,7 +139,9 @@ class RealDrive:
     def record(self, path):
         """Record from the first tick to the last."""
         config = configuration(noisy=self.noisy, seed=self.seed)
-        text = yaml.safe_dump(config.model_dump(mode="json", include={"sensors", "plant"}))
+        text = yaml.safe_dump(
+            config.model_dump(mode="json", include={"sensors", "plant"})
+        )
         words = ["--duration", str(self.seconds), "--record", path.name]
         if self.drive is None:
             words.append("--demo")
@@ -145,8 +153,18 @@ class RealDrive:
         free = "opcua: {endpoint: 'opc.tcp://127.0.0.1:0/h'}\nmetrics: {port: 0}\n"
         image = f"image: {{name: {image_name()}}}\npage: {{enabled: false}}\n"
         (path.parent / "config.yaml").write_text(free + image + text, encoding="utf-8")
-        command = [sys.executable, "-m", "hilserver", "run", "-c", "config.yaml", *words]
-        done = subprocess.run(command, cwd=path.parent, capture_output=True, text=True, check=False)
+        command = [
+            sys.executable,
+            "-m",
+            "hilserver",
+            "run",
+            "-c",
+            "config.yaml",
+            *words,
+        ]
+        done = subprocess.run(
+            command, cwd=path.parent, capture_output=True, text=True, check=False
+        )
         assert done.returncode == 0, done.stderr
         return path
 
@@ -165,7 +183,10 @@ def thinned(source, path, rows: Rows):
     """Write some rows of a recording as a plain table."""
     log = read_log(source)
     columns = {"t_s": log.t_s, **log.columns}
-    kept = {name: values[rows.first :: rows.every].copy() for name, values in columns.items()}
+    kept = {
+        name: values[rows.first :: rows.every].copy()
+        for name, values in columns.items()
+    }
     if rows.nav_empty:
         for name in (name for name in kept if name.startswith("nav.")):
             kept[name][np.diff(kept[name], prepend=np.nan) == 0.0] = np.nan
@@ -182,7 +203,9 @@ def read(source, folder, rows: Rows):
     sampling = Sampling.of(configuration(noisy=True))
     if rows.whole:
         return read_measured([source], None, sampling)
-    table = thinned(source, folder / f"{source.stem}-{rows.every}-{rows.first}.csv", rows)
+    table = thinned(
+        source, folder / f"{source.stem}-{rows.every}-{rows.first}.csv", rows
+    )
     assert not meta_path(table).exists()
     return read_measured([table], None, sampling)
 

@@ -49,11 +49,15 @@ def test_nothing_is_found_in_a_short_recording(drive, rows, recorded, tmp_path):
     nothing_is_found_in(recorded(short), rows, tmp_path)
 
 
-def test_between_their_rows_wheels_turn_as_the_drive_that_was_found(tmp_path, monkeypatch):
+def test_between_their_rows_wheels_turn_as_the_drive_that_was_found(
+    tmp_path, monkeypatch
+):
     """Of a long recording not every row of the wheels is used; the pose needs those between."""
     monkeypatch.setattr("hilserver.measured.frames.ENOUGH_ROWS", 600)
     late = Drive("wheels", 12.0, 21, terms={"actuation_delay": 0.04})
-    found = found_in(read(late.record(tmp_path / "run.mcap"), tmp_path, Rows(whole=True)))
+    found = found_in(
+        read(late.record(tmp_path / "run.mcap"), tmp_path, Rows(whole=True))
+    )
     the_cause_is_named(found, "actuation_delay")
 
 

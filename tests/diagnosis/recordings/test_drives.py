@@ -18,7 +18,11 @@ MAPPINGS = Path(__file__).parents[3] / "docs" / "how-to" / "mappings"
 
 
 def diagnosed(names, mapping, test=()):
-    read = [read_measured(files, MAPPINGS / f"{mapping}.yaml") for files in (names, test) if files]
+    read = [
+        read_measured(files, MAPPINGS / f"{mapping}.yaml")
+        for files in (names, test)
+        if files
+    ]
     return judge(read[0], RobotParameters(), test=read[1] if test else None).findings
 
 
@@ -79,7 +83,9 @@ def part(log, first, of=4):
 @pytest.mark.long
 def test_differential_drive_learns_from_squares_for_circles():
     folder = recording("diffdrive_umbmark")
-    squares, circles = (sorted(folder.glob(f"{kind}_*.csv")) for kind in ("square", "circular"))
+    squares, circles = (
+        sorted(folder.glob(f"{kind}_*.csv")) for kind in ("square", "circular")
+    )
     found = diagnosed(squares, "diffdrive", circles)
     assert found.total_gain["position_m"].ratio >= 2.4
     assert {"rotation_gain", "wheel_radius_difference"} <= causes(found)

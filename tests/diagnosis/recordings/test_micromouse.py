@@ -66,7 +66,9 @@ def test_update_rates_come_out_in_the_right_order(folder, mapping):
 
 @pytest.mark.parametrize(("ms", "left_ms"), [(1, 91), (2, 84), (5, 150), (10, 231)])
 def test_rise_to_63_percent(folder, mapping, ms, left_ms):
-    left, right = identify_update_rate(read_measured([log_of(folder, ms)], mapping)).rises
+    left, right = identify_update_rate(
+        read_measured([log_of(folder, ms)], mapping)
+    ).rises
     assert left.rise_s.value == pytest.approx(left_ms * 1e-3, abs=0.004)
     assert right.rise_s.value < left.rise_s.value
     assert left.rise_s.ci95[0] <= left.rise_s.value <= left.rise_s.ci95[1]
@@ -89,7 +91,9 @@ def test_dead_zone_of_the_left_motor(folder, tmp_path, file, unit, step):
     path.write_text(SWEEP.replace("UNIT", unit))
     log = read_measured([folder / f"wheelSpeedCalibration{file}.csv"], path)
     left = identify_dead_zone(log)[0]
-    lower, upper = (zone.value * PWM_FULL / 100 for zone in (left.lower_pct, left.upper_pct))
+    lower, upper = (
+        zone.value * PWM_FULL / 100 for zone in (left.lower_pct, left.upper_pct)
+    )
     assert lower == pytest.approx(-39, abs=step)
     assert upper == pytest.approx(65, abs=step)
 

@@ -44,8 +44,13 @@ def showing(problem, values):
 
 def bent(prepared):
     """The yaw goes astray for some seconds, in a way that no cause does."""
-    values, edge = prepared.problem.stack.values.copy(), prepared.problem.stack.edges[YAW]
-    values[edge] += 0.3 * np.sin(2.0 * np.pi * prepared.problem.stack.t_s[edge] / HORIZON_S)
+    values, edge = (
+        prepared.problem.stack.values.copy(),
+        prepared.problem.stack.edges[YAW],
+    )
+    values[edge] += 0.3 * np.sin(
+        2.0 * np.pi * prepared.problem.stack.t_s[edge] / HORIZON_S
+    )
     return showing(prepared.problem, values)
 
 
@@ -80,7 +85,9 @@ def test_a_run_that_goes_wrong_altogether_does_not_steer(prepared):
         edge = problem.stack.edges[name]
         values[edge] += problem.stack.t_s[edge] > 60.0
     (at,), (moved,) = (
-        fit_by_ends(p, fit(p, start.model, start, iterations=0), HORIZON_S).model.theta()
+        fit_by_ends(
+            p, fit(p, start.model, start, iterations=0), HORIZON_S
+        ).model.theta()
         for p in (problem, showing(problem, values))
     )
     assert moved == pytest.approx(at, abs=0.01)

@@ -19,5 +19,11 @@ def test_two_parameters_are_looked_at_from_four_sides():
     unit = pair / np.linalg.norm(pair, axis=0)
     for angle in np.linspace(0.0, np.pi, 9):
         mixed = unit @ [np.cos(angle), np.sin(angle)]
-        cosine = np.abs(four.T @ mixed) / np.linalg.norm(four, axis=0) / np.linalg.norm(mixed)
-        assert cosine.max() > 0.9, "no direction of the plane is further than 22.5 degrees"
+        cosine = (
+            np.abs(four.T @ mixed)
+            / np.linalg.norm(four, axis=0)
+            / np.linalg.norm(mixed)
+        )
+        assert cosine.max() > 0.9, (
+            "no direction of the plane is further than 22.5 degrees"
+        )

@@ -46,7 +46,9 @@ def test_weights_of_a_model_take_its_side_and_those_of_no_model_take_none():
     assert by_other < -20.0
     fair = []
     for point in (one, other):
-        for _ in range(2):  # the first time the columns are fitted under the other's weights
+        for _ in range(
+            2
+        ):  # the first time the columns are fitted under the other's weights
             with_noise_anew(problem, library, problem.point(point.model, point.poses))
         fair.append(prefers_the_first(problem, one, other))
     assert fair[0] == pytest.approx(fair[1], abs=0.05 * (by_one - by_other))

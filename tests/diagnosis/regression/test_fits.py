@@ -10,7 +10,11 @@ from hilserver.diagnosis.noise.quick_noise import isolated
 from hilserver.diagnosis.regression import intervals as of_intervals
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.gain import Errors, compare, crossed, held_out
-from hilserver.diagnosis.regression.intervals import covariance, limits, whole_covariance
+from hilserver.diagnosis.regression.intervals import (
+    covariance,
+    limits,
+    whole_covariance,
+)
 from hilserver.diagnosis.replay.model import Fitted, Model, robot_with
 from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
@@ -32,7 +36,9 @@ def drawn(seed, *, tau_s=None, n_columns=2, theta=(0.7, -1.2), noise_sd=1.0):
     """A regression with known parameters; its noise may be correlated, which nobody is told."""
     rng = np.random.default_rng(seed)
     columns = columns_of(rng, n_columns)
-    noise = rng.normal(size=N) if tau_s is None else toy.ornstein_uhlenbeck(rng, N, tau_s)
+    noise = (
+        rng.normal(size=N) if tau_s is None else toy.ornstein_uhlenbeck(rng, N, tau_s)
+    )
     signal = sum(t * c for t, c in zip(theta, columns.values(), strict=False))
     return toy.problem(signal + noise_sd * noise, columns)
 
@@ -60,17 +66,23 @@ def test_rows_that_do_not_count_change_nothing():
     first = fitted(problem, "c0", rows=train).model.theta()
     values[~train[problem.stack.block]] += 100.0
     spoilt = toy.problem(values, problem.stage.columns)
-    assert fitted(spoilt, "c0", rows=train).model.theta() == pytest.approx(first, abs=1e-9)
+    assert fitted(spoilt, "c0", rows=train).model.theta() == pytest.approx(
+        first, abs=1e-9
+    )
     assert fitted(spoilt, "c0").model.theta() != pytest.approx(first, abs=1e-2)
 
 
 @pytest.mark.parametrize("tau_s", [None, 0.15])
-def test_the_intervals_hold_the_truth_even_if_the_noise_is_not_what_it_is_said_to_be(tau_s):
+def test_the_intervals_hold_the_truth_even_if_the_noise_is_not_what_it_is_said_to_be(
+    tau_s,
+):
     theta, held = (0.02, -0.03), []
     for seed in range(150):
         problem = drawn(seed, tau_s=tau_s, theta=theta)
         limits = intervals(problem, fitted(problem, "c0", "c1"))
-        held += [low <= true <= high for (low, high), true in zip(limits, theta, strict=True)]
+        held += [
+            low <= true <= high for (low, high), true in zip(limits, theta, strict=True)
+        ]
     assert 0.90 <= np.mean(held) <= 0.995, f"{np.mean(held):.1%} of {len(held)}"
 
 
@@ -88,7 +100,9 @@ def test_what_acts_in_whole_ticks_is_known_no_better_than_its_rounding(monkeypat
     problem = drawn(3)
     point = fitted(problem, "c0", "c1")
     wide = np.ptp(intervals(problem, point), axis=1)
-    monkeypatch.setattr(of_intervals, "traits_of", lambda cause: Traits(whole_ticks=cause == "c0"))
+    monkeypatch.setattr(
+        of_intervals, "traits_of", lambda cause: Traits(whole_ticks=cause == "c0")
+    )
     monkeypatch.setattr(of_intervals, "ROUNDED", 0.5 / problem.stage.robot.period_s)
     rounded = np.ptp(intervals(problem, point), axis=1)
     assert rounded[0] > 1.9 > wide[0]
@@ -96,11 +110,15 @@ def test_what_acts_in_whole_ticks_is_known_no_better_than_its_rounding(monkeypat
 
 
 @pytest.mark.parametrize("n", [200, 600])
-def test_away_from_the_fit_to_all_samples_an_interval_reaches_there_in_short_segments(n):
+def test_away_from_the_fit_to_all_samples_an_interval_reaches_there_in_short_segments(
+    n,
+):
     """There parameters are halfway to another fit; elsewhere they are where all samples say."""
     rng = np.random.default_rng(6)
     columns = columns_of(rng, n=n)
-    problem = toy.problem(sum(columns.values()) + rng.normal(size=n), columns, block_s=0.1)
+    problem = toy.problem(
+        sum(columns.values()) + rng.normal(size=n), columns, block_s=0.1
+    )
     at = fitted(problem, "c0", "c1")
     sd = np.ptp(intervals(problem, at), axis=1) / 4.0
     away = at.model.with_theta(at.model.theta() + 10.0 * sd * [1.0, 0.0])
@@ -112,7 +130,9 @@ def test_away_from_the_fit_to_all_samples_an_interval_reaches_there_in_short_seg
 def test_away_from_the_fit_to_all_samples_parameters_are_no_more_alike():
     rng = np.random.default_rng(6)
     columns = columns_of(rng, n=200)
-    problem = toy.problem(sum(columns.values()) + rng.normal(size=200), columns, block_s=0.1)
+    problem = toy.problem(
+        sum(columns.values()) + rng.normal(size=200), columns, block_s=0.1
+    )
     at = fitted(problem, "c0", "c1")
     there = problem.point(at.model.with_theta(at.model.theta() + 5.0), at.poses)
     whole, _ = whole_covariance(problem, there)
@@ -128,7 +148,8 @@ def test_the_covariance_is_never_smaller_than_the_noise_model_says():
     design = np.stack(list(problem.stage.columns.values()), axis=1)
     naive = np.diag(np.linalg.inv(design.T @ design))
     assert np.all(
-        np.diag(covariance(problem, point, problem.accepted(point))[0]) >= naive * (1.0 - 1e-6)
+        np.diag(covariance(problem, point, problem.accepted(point))[0])
+        >= naive * (1.0 - 1e-6)
     )
 
 
@@ -192,7 +213,9 @@ def test_the_intervals_of_ratios_hold_the_truth():
 def test_three_blocks_are_too_few_for_an_interval():
     rng = np.random.default_rng(7)
     block = np.repeat(np.arange(3), 10)
-    assert compare(errors(rng, 2.0, block), errors(rng, 1.0, block), 5.0, rng).ci95 is None
+    assert (
+        compare(errors(rng, 2.0, block), errors(rng, 1.0, block), 5.0, rng).ci95 is None
+    )
 
 
 # --- model ----------------------------------------------------------------------------------------
@@ -220,8 +243,14 @@ def test_no_effect_is_no_change_of_the_plant():
     base = pack(RobotParameters())
     for candidate in drive_candidates():
         terms = candidate.terms(candidate.null)
-        if candidate.linear and len(terms) == 1 and not terms.keys() & OF_THE_LOG.keys():
-            assert np.array_equal(pack(robot_with(RobotParameters(), terms)), base), candidate
+        if (
+            candidate.linear
+            and len(terms) == 1
+            and not terms.keys() & OF_THE_LOG.keys()
+        ):
+            assert np.array_equal(pack(robot_with(RobotParameters(), terms)), base), (
+                candidate
+            )
 
 
 def test_only_few_far_samples_in_a_row_are_outliers():

@@ -17,7 +17,10 @@ from hilserver.diagnosis.regression.free_poses import FreePoses
 def test_every_segment_is_solved_by_itself(counts, silent, seed):
     rng = np.random.default_rng(seed)
     segment = rng.permutation(np.repeat(np.arange(len(counts)), counts))
-    columns, white = rng.normal(size=(len(segment), 3)), rng.normal(size=(len(segment), 2))
+    columns, white = (
+        rng.normal(size=(len(segment), 3)),
+        rng.normal(size=(len(segment), 2)),
+    )
     if silent is not None:
         columns[:, silent] = 0.0
     bases = FreePoses.of(segment, len(counts)).bases(columns)
@@ -26,8 +29,12 @@ def test_every_segment_is_solved_by_itself(counts, silent, seed):
     for number in range(len(counts)):
         mine = segment == number
         solved, *_ = np.linalg.lstsq(columns[mine], white[mine], rcond=1e-9)
-        assert left[mine] == pytest.approx(white[mine] - columns[mine] @ solved, abs=1e-7)
-        assert step[number] == pytest.approx(solved[:, 0], abs=1e-6 * (1 + np.abs(solved).max()))
+        assert left[mine] == pytest.approx(
+            white[mine] - columns[mine] @ solved, abs=1e-7
+        )
+        assert step[number] == pytest.approx(
+            solved[:, 0], abs=1e-6 * (1 + np.abs(solved).max())
+        )
 
 
 def test_what_is_taken_out_of_one_column_is_taken_out_of_many():

@@ -38,17 +38,23 @@ def test_what_is_saved_is_what_the_projection_takes(columns, rng):
     target = rng.normal(size=400)
     left = linear.orthogonal(target, columns)
     assert np.abs(columns.T @ left / LENGTHS).max() < 1e-10
-    assert linear.saved(columns, target, 1e-12) == pytest.approx(target @ target - left @ left)
+    assert linear.saved(columns, target, 1e-12) == pytest.approx(
+        target @ target - left @ left
+    )
     assert linear.orthogonal(target, None) is target
     assert linear.basis(columns[:, :0]).shape == (400, 0)
 
 
-def test_the_covariance_is_that_of_white_noise_or_of_blocks_that_scatter_more(columns, rng):
+def test_the_covariance_is_that_of_white_noise_or_of_blocks_that_scatter_more(
+    columns, rng
+):
     noise = rng.normal(size=400)
     block = np.repeat(np.arange(40), 10)
 
     def of(left):
-        sums = np.stack([np.bincount(block, columns[:, j] * left) for j in range(3)], axis=1)
+        sums = np.stack(
+            [np.bincount(block, columns[:, j] * left) for j in range(3)], axis=1
+        )
         return np.diag(linear.covariance(columns, sums, 40, float(np.mean(left**2))))
 
     white = np.diag(linear.inverse_gram(columns))

@@ -53,7 +53,9 @@ def test_sensitivities_are_whitened_once_for_a_point_and_a_noise(replayed):
     point = made.point(toy.model("a"), NO_POSES)
     first = made.accepted(point)
     assert made.accepted(point) is first
-    made.noise = {name: toy.NoiseModel(2.0 * m.white_sd) for name, m in made.noise.items()}
+    made.noise = {
+        name: toy.NoiseModel(2.0 * m.white_sd) for name, m in made.noise.items()
+    }
     terms.clear()
     assert made.accepted(point) == pytest.approx(0.5 * first)
     assert not terms  # nor are they replayed again
@@ -73,4 +75,6 @@ def test_after_its_last_step_a_fit_asks_for_no_sensitivities(replayed, monkeypat
     terms.clear()
     found = fit(made, model, start, iterations=1)
     assert found.model.theta() == pytest.approx([1.0], abs=0.05)
-    assert len(terms) == 2  # the whole step, which leads too far, and half of it: not as expected
+    assert (
+        len(terms) == 2
+    )  # the whole step, which leads too far, and half of it: not as expected

@@ -31,7 +31,9 @@ def null_draws(n, *, tau_s=0.6, seed=1, scale=lambda rng, m: 1.0):
     block = np.repeat(np.arange(N_BLOCKS), PER_BLOCK)
     for _ in range(n):
         base = [smooth(rng, m) for _ in range(COLUMNS // 2)]
-        mixed = [c + 0.2 * smooth(rng, m) for c in base]  # confusable with the first half
+        mixed = [
+            c + 0.2 * smooth(rng, m) for c in base
+        ]  # confusable with the first half
         parts = [ornstein_uhlenbeck(rng, PER_BLOCK, tau_s) for _ in range(N_BLOCKS)]
         left = np.concatenate(parts) * scale(rng, m)
         yield np.stack([*base, *mixed], axis=1), left, block
@@ -58,7 +60,9 @@ def test_an_effect_is_found_and_its_size_too():
         s = score(columns, left + 6.0 * columns[:, k], blocks)
         limit = critical(null_maxima([s], rng, flips=999))
         found.append(abs(s.t[k]) > limit)
-        assert s.size[k] == pytest.approx(6.0, abs=5.0 * s.deviation[k] / s.information[k])
+        assert s.size[k] == pytest.approx(
+            6.0, abs=5.0 * s.deviation[k] / s.information[k]
+        )
     assert np.mean(found) > 0.9
 
 
@@ -67,7 +71,9 @@ def test_what_is_accepted_speaks_no_more():
     blocks = Blocks.of(block, N_BLOCKS)
     strong = left + 5.0 * columns[:, 0]
     alone = score(columns, strong, blocks)
-    fitted = strong - columns[:, 0] * (columns[:, 0] @ strong) / (columns[:, 0] @ columns[:, 0])
+    fitted = strong - columns[:, 0] * (columns[:, 0] @ strong) / (
+        columns[:, 0] @ columns[:, 0]
+    )
     after = score(columns, fitted, blocks, columns[:, :1])
     assert abs(alone.t[0]) > 3.0
     assert after.t[0] == 0.0, "inside the accepted column only rounding is left"
@@ -118,13 +124,17 @@ def test_blocks_keep_every_sample_once_in_any_order():
 
 def test_p_values_count_the_flips_that_reach_as_far():
     maxima = np.array([1.0, 2.0, 3.0, 4.0])
-    assert adjusted(np.array([0.5, 2.0, -3.5, 9.0]), maxima) == pytest.approx([1.0, 0.8, 0.4, 0.2])
+    assert adjusted(np.array([0.5, 2.0, -3.5, 9.0]), maxima) == pytest.approx(
+        [1.0, 0.8, 0.4, 0.2]
+    )
     assert critical(np.arange(1001.0), 0.01) == pytest.approx(990.0)
     assert SCREEN_LEVEL <= 0.01, "the family-wise error of a whole log"
 
 
 @hypothesis.given(st.floats(0.1, 8.0), st.floats(2.0, 200.0))
-def test_a_t_of_few_blocks_is_told_as_the_normal_deviation_of_equal_probability(z, freedom):
+def test_a_t_of_few_blocks_is_told_as_the_normal_deviation_of_equal_probability(
+    z, freedom
+):
     t = float(student(z, np.array(freedom)))
     assert normal(np.array(t), np.array(freedom)) == pytest.approx(z, rel=1e-6)
     assert normal(np.array(-t), np.array(freedom)) == pytest.approx(-z, rel=1e-6)
@@ -144,7 +154,9 @@ def test_a_direction_that_shows_in_few_blocks_costs_the_others_no_power():
     blocks = Blocks.of(block, N_BLOCKS)
     even = rng.normal(size=(len(block), 6))
     rare = np.where(block < 3, 30.0, 0.0)[:, None] * rng.normal(size=(len(block), 1))
-    left = rng.normal(size=len(block)) + 2.0 * rare[:, 0] * np.where(block == 1, -1.0, 1.0)
+    left = rng.normal(size=len(block)) + 2.0 * rare[:, 0] * np.where(
+        block == 1, -1.0, 1.0
+    )
     alone = critical(null_maxima([score(even, left, blocks)], np.random.default_rng(0)))
     both = critical(null_maxima([score(np.hstack([even, rare]), left, blocks)],
                                 np.random.default_rng(0)))  # fmt: skip

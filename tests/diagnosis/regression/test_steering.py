@@ -41,7 +41,9 @@ class WorseEverywhere(toy.LinearStage):
     def predict(self, terms, poses=None, *, keep=False):
         self.predictions += 1
         size = terms.get("turn", 0.0)
-        return super().predict({"turn": size if abs(size) <= 0.1 else -size}, poses, keep=keep)
+        return super().predict(
+            {"turn": size if abs(size) <= 0.1 else -size}, poses, keep=keep
+        )
 
 
 def test_a_step_that_fails_alike_in_all_blocks_is_not_tried_again():
@@ -55,7 +57,9 @@ def test_a_step_that_fails_alike_in_all_blocks_is_not_tried_again():
     assert problem.stage.predictions - before == at_start + sensitivity + shares
 
 
-@pytest.mark.parametrize(("far_off", "same"), [(3.0, True), (30.0, False), (3000.0, False)])
+@pytest.mark.parametrize(
+    ("far_off", "same"), [(3.0, True), (30.0, False), (3000.0, False)]
+)
 def test_a_few_blocks_that_are_far_off_count_as_three(far_off, same):
     loss = np.array([0.0, 1.0, 1.0, 1.0, 1.0, far_off])
     blank = np.zeros(1)

@@ -15,7 +15,9 @@ def test_the_simulations_battery_holds_its_voltage_from_the_tick_behind_its_samp
     values = 20.0 - 0.01 * np.arange(len(at))
     channel = Channel(at * PERIOD_S, values, np.zeros(len(at), dtype=np.int64))
     spans = (Span(0, None, 0.0, 2.0),)
-    log = MeasuredLog((Source("run.mcap", "0" * 64),), {VOLTAGE: channel}, spans, on_ticks=True)
+    log = MeasuredLog(
+        (Source("run.mcap", "0" * 64),), {VOLTAGE: channel}, spans, on_ticks=True
+    )
     segments = cut(log, PERIOD_S, None)
     volts = voltage(log, segments, np.zeros(segments.ticks))
     held = np.repeat(values, 100)

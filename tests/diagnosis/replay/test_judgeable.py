@@ -20,7 +20,10 @@ from tests.diagnosis.checks.samples import ROBOT, drive, log_of
 @pytest.mark.parametrize(
     ("lacks", "line"),
     [
-        ((), "This log shows the drive and the motion by position, heading, turn rate."),
+        (
+            (),
+            "This log shows the drive and the motion by position, heading, turn rate.",
+        ),
         (
             ("setpoint",),
             "This log shows the motion by position, heading, turn rate; not judged: the drive (no"
@@ -40,7 +43,11 @@ from tests.diagnosis.checks.samples import ROBOT, drive, log_of
 )
 def test_a_line_says_beforehand_what_a_log_can_show(lacks, line):
     t, columns = drive(length_s=20.0)
-    kept = {name: v for name, v in columns.items() if not any(part in name for part in lacks)}
+    kept = {
+        name: v
+        for name, v in columns.items()
+        if not any(part in name for part in lacks)
+    }
     assert foretold(log_of(t, kept), ROBOT) == line
 
 
@@ -51,14 +58,17 @@ def test_reasons_stand_in_one_order_however_they_were_gathered(seed, judged):
     random.Random(seed).shuffle(names)
     reasons = dict.fromkeys(names[: len(names) // 2], "no channel")
     found = vocabulary_reasons(judged, reasons, {"drive", "pose"})
-    places = [list(CAUSES).index(name) if name in CAUSES else len(CAUSES) for name in found]
+    places = [
+        list(CAUSES).index(name) if name in CAUSES else len(CAUSES) for name in found
+    ]
     assert places == sorted(places)
     assert not found.keys() & judged
     assert reasons.keys() - judged <= found.keys()
 
 
 @hypothesis.given(
-    st.sets(st.sampled_from(sorted(CAUSES))), st.sets(st.sampled_from(["drive", "pose"]))
+    st.sets(st.sampled_from(sorted(CAUSES))),
+    st.sets(st.sampled_from(["drive", "pose"])),
 )
 def test_every_cause_is_either_judged_or_not(judged, stages):
     found = vocabulary_reasons(judged, {}, stages, NO_STAGE, UNSEEN)

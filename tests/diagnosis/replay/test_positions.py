@@ -45,7 +45,9 @@ def test_no_coordinate_is_made_up_where_the_other_was_away():
     even, odd = np.arange(0, N, 2), np.arange(1, N, 2)
     away = (odd > 60) & (odd < 140)
     both = paired(log(even, odd[~away], spans=1))
-    assert set(both["nav.x_m"].t_s) == set(0.05 * even[(even > 0) & ((even < 60) | (even > 140))])
+    assert set(both["nav.x_m"].t_s) == set(
+        0.05 * even[(even > 0) & ((even < 60) | (even > 140))]
+    )
 
 
 @pytest.mark.parametrize("missing", ["nav.x_m", "nav.y_m"])

@@ -5,7 +5,9 @@ import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from importlib.resources import files
 
-STYLE = files("hilserver.diagnosis.report").joinpath("plot.css").read_text(encoding="utf-8")
+STYLE = (
+    files("hilserver.diagnosis.report").joinpath("plot.css").read_text(encoding="utf-8")
+)
 RULE = re.compile(r"svg ((?:\.[\w.]+(?:, svg )?)+) \{([^}]*)\}")
 DECLARATION = re.compile(r"([\w-]+): ([^;]+);")
 MOVE = re.compile(r"M(-?[\d.]+) (-?[\d.]+)")
@@ -31,7 +33,9 @@ class Mark:
     @property
     def style(self):
         """All declarations that hold for it: more classes win, then the later rule."""
-        held = [(len(of), i, own) for i, (of, own) in enumerate(RULES) if of <= self.classes]
+        held = [
+            (len(of), i, own) for i, (of, own) in enumerate(RULES) if of <= self.classes
+        ]
         merged = {}
         for _, _, own in sorted(held, key=lambda one: one[:2]):
             merged |= own
@@ -55,7 +59,9 @@ class Mark:
 
     @property
     def points(self):
-        return [(float(x), float(y)) for x, y in POINT.findall(self.element.get("d", ""))]
+        return [
+            (float(x), float(y)) for x, y in POINT.findall(self.element.get("d", ""))
+        ]
 
     @property
     def at(self):

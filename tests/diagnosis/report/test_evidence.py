@@ -72,7 +72,9 @@ def test_the_interval_of_a_bin_counts_blocks_not_samples():
     inside = []
     for _ in range(300):
         block = np.repeat(np.arange(20), 50)
-        residual = np.repeat(rng.standard_normal(20), 50) + 0.1 * rng.standard_normal(1000)
+        residual = np.repeat(rng.standard_normal(20), 50) + 0.1 * rng.standard_normal(
+            1000
+        )
         for _, mean, half in binned(rng.uniform(0.0, 1.0, 1000), residual, block, 4):
             inside.append(abs(mean) <= half)
     assert np.mean(inside) == pytest.approx(0.95, abs=0.03)

@@ -12,16 +12,25 @@ from tests.diagnosis.sample import findings, nothing_found
 FAULT = findings().findings[3]
 CAUSE = findings().findings[0]
 LACKING = (
-    NotJudged(cause="process_gain", reason="no set-points in the log, no wheel speed in the log"),
+    NotJudged(
+        cause="process_gain",
+        reason="no set-points in the log, no wheel speed in the log",
+    ),
     NotJudged(cause="rotation_gain", reason="no wheel speed on both sides"),
     NotJudged(cause="missed_ticks", reason="the log has no tick counter"),
 )
-EXCITED = (NotJudged(cause="side_slip", reason="hardly excited: this drive cannot show it"),)
+EXCITED = (
+    NotJudged(cause="side_slip", reason="hardly excited: this drive cannot show it"),
+)
 
 
 def said(*found, not_judged=LACKING, judged=True, verdict="findings"):
     sizes = findings().smallest_detectable if judged else ()
-    changed = {"smallest_detectable": sizes, "not_judged": not_judged, "verdict": verdict}
+    changed = {
+        "smallest_detectable": sizes,
+        "not_judged": not_judged,
+        "verdict": verdict,
+    }
     given = nothing_found().model_copy(update={"findings": found, **changed})
     assert summary(given).replace("\n  ", " ").startswith(headline(given))
     return headline(given)
@@ -30,9 +39,14 @@ def said(*found, not_judged=LACKING, judged=True, verdict="findings"):
 @pytest.mark.parametrize("faults", [0, 1, 2])
 def test_where_nothing_was_judged_the_robot_is_not_said_to_be_sound(faults):
     text = said(*[FAULT] * faults, judged=False, verdict="not_judged")
-    assert "othing about the robot could be judged (no set-points, no wheel speed on both" in text
+    assert (
+        "othing about the robot could be judged (no set-points, no wheel speed on both"
+        in text
+    )
     assert "none in" not in text
-    assert (f"{('', 'One fault', 'Two faults')[faults]} in the rec" in text) == (faults > 0)
+    assert (f"{('', 'One fault', 'Two faults')[faults]} in the rec" in text) == (
+        faults > 0
+    )
 
 
 @pytest.mark.parametrize("faults", [1, 2])
@@ -55,7 +69,9 @@ def test_a_simulation_matches_what_was_judged():
 
 
 def differing(*found, **more):
-    return said(*found, verdict="differs" if DIFFERENCE in found else "no_difference", **more)
+    return said(
+        *found, verdict="differs" if DIFFERENCE in found else "no_difference", **more
+    )
 
 
 DIFFERENCE = Finding(
@@ -69,7 +85,10 @@ DIFFERENCE = Finding(
 def test_faults_of_two_sets_are_no_difference():
     assert "0.1 after" in differing(DIFFERENCE, FAULT)
     assert "in two ways" in differing(DIFFERENCE, DIFFERENCE, FAULT, FAULT)
-    assert differing(FAULT, not_judged=EXCITED) == "The two sets of recordings do not differ."
+    assert (
+        differing(FAULT, not_judged=EXCITED)
+        == "The two sets of recordings do not differ."
+    )
     assert differing(FAULT).startswith("In what could be judged (no set-points")
 
 

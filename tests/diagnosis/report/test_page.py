@@ -72,7 +72,10 @@ def test_all_sections_are_there_in_their_order(page):
 
 def test_words_come_first_and_say_how_much_better(page):
     text = Reader(page).text
-    assert "Three things differ from the simulation, and the recording has one fault." in text
+    assert (
+        "Three things differ from the simulation, and the recording has one fault."
+        in text
+    )
     assert "turns 47\u00a0% less" in text
     assert "0.31\u00a0rad to 0.04\u00a0rad" in text
     assert "tape" in text
@@ -102,7 +105,16 @@ def test_nothing_found_says_so_and_shows_what_would_have_been_seen():
 
 def test_without_evidence_what_the_findings_hold_stands_alone():
     ids = Reader(render(findings(), Evidence())).ids
-    assert ids == ["found", "data", "do", "selection", "noise", "sizes", "unjudged", "origin"]
+    assert ids == [
+        "found",
+        "data",
+        "do",
+        "selection",
+        "noise",
+        "sizes",
+        "unjudged",
+        "origin",
+    ]
 
 
 @pytest.mark.parametrize("verdict", ["differs", "no_difference"])
@@ -123,7 +135,9 @@ def test_hundred_segments_that_all_begin_at_zero_follow_each_other():
 
 
 def test_channels_that_do_not_change_are_folded_away(page):
-    before, _, folded = page.partition("Channels that the extended model leaves unchanged")
+    before, _, folded = page.partition(
+        "Channels that the extended model leaves unchanged"
+    )
     assert "<h3>The navigation&#39;s heading</h3>" in before
     assert "<h3>The speed of the front left wheel</h3>" not in before
     assert "<h3>The speed of the front left wheel</h3>" in folded
@@ -136,13 +150,24 @@ def test_the_contents_lead_to_every_section(page):
 
 
 def test_what_stands_behind_the_findings_is_folded(page):
-    for name in ("cuts", "screen", "selection", "twins", "noise", "sizes", "unjudged", "origin"):
+    for name in (
+        "cuts",
+        "screen",
+        "selection",
+        "twins",
+        "noise",
+        "sizes",
+        "unjudged",
+        "origin",
+    ):
         assert f'<section id="{name}"><details><summary><h2>' in page
     assert '<section id="found"><h2>' in page
 
 
 def test_the_gain_over_horizons_is_one_plot(page):
-    section = page[page.index('<section id="gain">') : page.index('<section id="courses">')]
+    section = page[
+        page.index('<section id="gain">') : page.index('<section id="courses">')
+    ]
     assert section.count('<svg viewBox="0 0 720') == 1
     for place in (0, 1):
         assert f'class="line quantity q{place}"' in section
@@ -151,14 +176,22 @@ def test_the_gain_over_horizons_is_one_plot(page):
 def test_intervals_have_numbers_on_their_axes(page):
     values = page[page.index('<div class="values">') :]
     drawn = values[values.index("<svg") : values.index("</svg>")]
-    assert re.findall(r"<text[^>]*>([^<]*)</text>", drawn) == [f"{MINUS}0.4", f"{MINUS}0.2", "0"]
+    assert re.findall(r"<text[^>]*>([^<]*)</text>", drawn) == [
+        f"{MINUS}0.4",
+        f"{MINUS}0.2",
+        "0",
+    ]
 
 
 def test_a_size_that_nothing_can_have_is_not_shown():
     given = evidence(500)
-    absurd = replace(given.screen[0], size=None, standard_error=1.0, cause="setpoint_rate_limit")
+    absurd = replace(
+        given.screen[0], size=None, standard_error=1.0, cause="setpoint_rate_limit"
+    )
     page = render(findings(), replace(given, screen=(absurd,)))
-    row = page[page.index("<code>setpoint_rate_limit</code></td>") :].partition("</tr>")[0]
+    row = page[page.index("<code>setpoint_rate_limit</code></td>") :].partition(
+        "</tr>"
+    )[0]
     assert '<td data-head="size alone" class="n"></td>' in row
 
 
@@ -166,13 +199,24 @@ def test_an_error_that_grows_is_called_larger():
     worse = findings(total_gain={"speed_rpm": gain(1.0, 2.0, 0.4, 0.8)})
     page = render(worse, Evidence())
     assert "2&times; <small>worse, 1.2 to 2.5</small>" in page
-    assert str(Change.of(gain(1.0, 2.0, 0.4, 0.8))) == "2 times larger, 95\u00a0% 1.2 to 2.5"
-    assert str(Change.of(gain(3.0, 1.0, 2.0, 4.0))) == "3 times smaller, 95\u00a0% 2 to 4"
-    assert str(Change.of(gain(1.0, 1e-14, 9e13, 1.1e14))) == "more than 1000 times smaller"
-    assert str(Change.of(gain(1.0, 1.004, 0.9, 1.1))).startswith("unchanged, 95\u00a0% 0.91 to")
+    assert (
+        str(Change.of(gain(1.0, 2.0, 0.4, 0.8)))
+        == "2 times larger, 95\u00a0% 1.2 to 2.5"
+    )
+    assert (
+        str(Change.of(gain(3.0, 1.0, 2.0, 4.0))) == "3 times smaller, 95\u00a0% 2 to 4"
+    )
+    assert (
+        str(Change.of(gain(1.0, 1e-14, 9e13, 1.1e14))) == "more than 1000 times smaller"
+    )
+    assert str(Change.of(gain(1.0, 1.004, 0.9, 1.1))).startswith(
+        "unchanged, 95\u00a0% 0.91 to"
+    )
 
 
-@pytest.mark.parametrize("name", [signal.name for signal in robot_table(Ranges(90.0, 1.0, 4.0))])
+@pytest.mark.parametrize(
+    "name", [signal.name for signal in robot_table(Ranges(90.0, 1.0, 4.0))]
+)
 def test_no_headline_names_a_signal(name):
     said = plain(f"In the log {name} has the wrong sign.")
     assert name not in said
@@ -208,8 +252,12 @@ def test_missing_samples_and_constant_channels_are_drawn():
     first = given.series[0]
     gap = first.measured.copy()
     gap[100:200] = np.nan
-    flat = replace(first, measured=np.ones(1000), simulated=np.ones(1000), extended=None)
-    page = render(findings(), replace(given, series=(replace(first, measured=gap), flat)))
+    flat = replace(
+        first, measured=np.ones(1000), simulated=np.ones(1000), extended=None
+    )
+    page = render(
+        findings(), replace(given, series=(replace(first, measured=gap), flat))
+    )
     assert "nan" not in page.lower().replace("nano", "")
     assert MINUS in page
 
@@ -223,7 +271,11 @@ def test_the_page_begins_with_where_the_robot_is_not_with_the_largest_ratio(page
     lede = text[text.index("With the extended model") :].partition("falls")[0]
     assert lede.split()[5:] == ["error", "in", "position", "after", "5", "s"]
     tiles = re.findall(r'<div class="what">([^<]*)</div><div class="ratio">', page)
-    assert tiles == ["Position after 5\u00a0s", "Heading after 5\u00a0s", "Wheel speed on average"]
+    assert tiles == [
+        "Position after 5\u00a0s",
+        "Heading after 5\u00a0s",
+        "Wheel speed on average",
+    ]
 
 
 def test_what_is_not_clearly_better_is_not_the_headline():
@@ -240,7 +292,10 @@ def test_a_decision_stands_beside_what_was_found_in_the_end(page):
     section = page[page.index('<section id="selection">') :].partition("</section>")[0]
     assert "Both therefore differ from the single test above" in section
     taken, refused = re.findall(r"<tr>\s*<td.*?</tr>", section, re.DOTALL)
-    assert re.findall(r"<td[^>]*>(?:<code>)?([^<]*)", taken)[-2:] == ["0.001", f"{MINUS}0.47"]
+    assert re.findall(r"<td[^>]*>(?:<code>)?([^<]*)", taken)[-2:] == [
+        "0.001",
+        f"{MINUS}0.47",
+    ]
     assert re.findall(r"<td[^>]*>(?:<code>)?([^<]*)", refused)[-2:] == ["", ""]
 
 
@@ -296,7 +351,9 @@ def as_halves_show(*halves):
 def test_what_no_half_shows_is_not_called_unchanged():
     """The headline says that it turns less: its gain is not known, which is not none."""
     text = Reader(
-        render(as_halves_show(0, 0), Evidence()).partition("</head>")[2].removesuffix("</html>")
+        render(as_halves_show(0, 0), Evidence())
+        .partition("</head>")[2]
+        .removesuffix("</html>")
     ).text
     for said in (text, summary(as_halves_show(0, 0))):
         assert "unchanged" not in said.lower()
@@ -309,11 +366,15 @@ def test_a_gain_that_one_half_lacks_says_so():
     said = " ".join(summary(as_halves_show(1, 2)).split())
     assert "rotation gain (by one alone)" in said
     assert "icr offset" not in said.partition("Not shown by both")[2]
-    assert "one half of the recording does not show it" in render(as_halves_show(1, 2), Evidence())
+    assert "one half of the recording does not show it" in render(
+        as_halves_show(1, 2), Evidence()
+    )
 
 
 def test_a_gain_on_other_logs_leaves_nothing_out():
-    there = as_halves_show(0, 0).model_copy(update={"notices": (f"{ON_OTHER_LOGS}b.csv",)})
+    there = as_halves_show(0, 0).model_copy(
+        update={"notices": (f"{ON_OTHER_LOGS}b.csv",)}
+    )
     text = Reader(render(there, Evidence())).text
     assert "by neither" not in text
     assert "Unchanged: heading" in text

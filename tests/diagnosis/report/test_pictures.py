@@ -40,7 +40,9 @@ def test_nothing_on_the_page_is_drawn_without_a_colour(given):
     seen = set()
     for svg in SVG.findall(page):
         for mark in Drawing(svg).marks:
-            for kind in mark.classes & set(kinds) - ({"begin"} if "dot" in mark.classes else set()):
+            for kind in mark.classes & set(kinds) - (
+                {"begin"} if "dot" in mark.classes else set()
+            ):
                 seen.add(kind)
                 assert mark.colour(kinds[kind]), mark.classes
     assert seen == set(kinds) - {"begin"}  # the sample has one run only
@@ -70,7 +72,9 @@ def test_a_gain_without_an_interval_is_a_ring_and_the_caption_says_why():
     drawn = figures.horizons(rows(4.0, 2.0))
     rings = Drawing(drawn.svg).of("dot", "ring")
     assert len(rings) == 2
-    assert all(r.colour("fill") == "card" and r.colour("stroke") != "card" for r in rings)
+    assert all(
+        r.colour("fill") == "card" and r.colour("stroke") != "card" for r in rings
+    )
     assert "Rings: too few runs" in drawn.caption
     assert "Rings" not in figures.horizons(rows(4.0, 2.0)[:4]).caption
 
@@ -90,7 +94,9 @@ def track(n):
 
 
 def test_a_path_shows_where_its_models_begin_anew():
-    drawn = figures.path(Path(2, track(90), track(90) + 0.1, track(90) + 0.02, begins=(30, 60)))
+    drawn = figures.path(
+        Path(2, track(90), track(90) + 0.1, track(90) + 0.02, begins=(30, 60))
+    )
     picture = Drawing(drawn.svg)
     (measured,) = picture.of("line", "measured")
     assert measured.pieces == 1
@@ -102,7 +108,12 @@ def test_a_path_shows_where_its_models_begin_anew():
         assert {r.colour("stroke") for r in rings} == {role}
     assert "starts of the 3 model runs" in drawn.caption
     assert drawn.title == "Path, segment 2"
-    assert len({m.colour("stroke") for role, _ in MODELS for m in picture.of("line", role)}) == 3
+    assert (
+        len(
+            {m.colour("stroke") for role, _ in MODELS for m in picture.of("line", role)}
+        )
+        == 3
+    )
 
 
 def test_a_path_is_drawn_to_scale():
@@ -121,7 +132,11 @@ def test_a_channel_has_its_models_above_and_their_residuals_below(given):
     ]  # fmt: skip
     tops = [min(y for _, y in m.points) for m in picture.of("line")]
     assert max(tops[:3]) < min(tops[3:])
-    assert picture.texts("axis-label")[1:] == ["value [rad]", "time [s]", "residual [rad]"]
+    assert picture.texts("axis-label")[1:] == [
+        "value [rad]",
+        "time [s]",
+        "residual [rad]",
+    ]
     assert not picture.of("begin")
 
 

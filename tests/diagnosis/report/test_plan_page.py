@@ -28,8 +28,13 @@ def document(*, better=True):
     proposed = Proposed(
         duration_s=60.0,
         score=2.0,
-        causes=(visible("icr_offset", 0.01, shows=True), visible("side_slip", 0.3, shows=False)),
-        groups=(Group(causes=("a", "b"), cosine=0.99, separating_experiment="Use a tape."),),
+        causes=(
+            visible("icr_offset", 0.01, shows=True),
+            visible("side_slip", 0.3, shows=False),
+        ),
+        groups=(
+            Group(causes=("a", "b"), cosine=0.99, separating_experiment="Use a tape."),
+        ),
         not_judged=(NotJudged(cause="backlash", reason="not planned"),),
         better=better,
         pieces=("circle left", "straight", "straight"),
@@ -46,7 +51,9 @@ def document(*, better=True):
         room_m=(5.0, 5.0),
         as_planned=planned,
         proposed=proposed,
-        missing_channels=(Missing(channel="imu", signals=(), shows=("gyro_bias",), separates=()),),
+        missing_channels=(
+            Missing(channel="imu", signals=(), shows=("gyro_bias",), separates=()),
+        ),
         notices=("drive.yaml leaves 5 m x 5 m",),
     )
 
@@ -58,7 +65,13 @@ def test_the_page_says_what_the_plan_says():
     assert {f"#{name}" for name in reader.ids} == set(reader.references)
     assert reader.ids == ["drive", "seen", "groups", "missing", "unjudged"]
     assert "shows 0 causes; the proposed manoeuvre shows 1." in reader.text
-    for words in ("straight, 2 times", "Use a tape.", "gyro_bias", "backlash", "not at all"):
+    for words in (
+        "straight, 2 times",
+        "Use a tape.",
+        "gyro_bias",
+        "backlash",
+        "not at all",
+    ):
         assert words in reader.text
     assert "<b>0.01\u00a0m</b>" in page
     assert "<3>" not in page

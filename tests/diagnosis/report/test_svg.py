@@ -7,7 +7,15 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from hilserver.diagnosis.report.svg import Plot, Scale, decimate, label, path_data, picture, span_of
+from hilserver.diagnosis.report.svg import (
+    Plot,
+    Scale,
+    decimate,
+    label,
+    path_data,
+    picture,
+    span_of,
+)
 
 FINITE = st.floats(-1e6, 1e6)
 
@@ -31,7 +39,9 @@ def test_ticks_are_few_and_inside(low, width):
 
 def test_ticks_are_round():
     assert Scale(0.3, 6.2, 0, 1).ticks(6) == [1, 2, 3, 4, 5, 6]
-    assert Scale(0.4, 25, 0, 1, is_log=True).ticks() == pytest.approx([0.5, 1, 2, 5, 10, 20])
+    assert Scale(0.4, 25, 0, 1, is_log=True).ticks() == pytest.approx(
+        [0.5, 1, 2, 5, 10, 20]
+    )
 
 
 def test_decimation_keeps_the_extremes():
@@ -61,7 +71,12 @@ def test_the_range_leaves_room_and_is_never_empty():
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(0.0, "0"), (-0.5, "\N{MINUS SIGN}0.5"), (1e-6, "10\N{SUPERSCRIPT MINUS}⁶"), (2e6, "2·10⁶")],
+    [
+        (0.0, "0"),
+        (-0.5, "\N{MINUS SIGN}0.5"),
+        (1e-6, "10\N{SUPERSCRIPT MINUS}⁶"),
+        (2e6, "2·10⁶"),
+    ],
 )
 def test_labels(value, text):
     assert label(value) == text

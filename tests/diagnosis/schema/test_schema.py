@@ -37,16 +37,23 @@ EXAMPLE = json.loads("""
 """)
 
 
-@pytest.mark.parametrize(("name", "made"), [("findings", FINDINGS), ("model_patch", PATCH)])
+@pytest.mark.parametrize(
+    ("name", "made"), [("findings", FINDINGS), ("model_patch", PATCH)]
+)
 def test_the_shipped_schemas_are_up_to_date(name, made):
     shipped = ROOT / "hilserver" / "diagnosis" / "schema" / f"{name}.schema.json"
-    assert json.loads(shipped.read_text(encoding="utf-8")) == made, "run: make reference"
+    assert json.loads(shipped.read_text(encoding="utf-8")) == made, (
+        "run: make reference"
+    )
     jsonschema.Draft202012Validator.check_schema(made)
 
 
 def test_the_example_of_the_specification_fits_schema_and_model():
     jsonschema.validate(EXAMPLE, FINDINGS)
-    assert json.loads(findings_text(Findings.model_validate(EXAMPLE))).items() >= EXAMPLE.items()
+    assert (
+        json.loads(findings_text(Findings.model_validate(EXAMPLE))).items()
+        >= EXAMPLE.items()
+    )
 
 
 @pytest.mark.parametrize("found", [findings(), nothing_found()])
@@ -58,7 +65,12 @@ def test_what_is_written_fits_its_schema(found):
 
 @pytest.mark.parametrize(
     "change",
-    [{"verdict": "perhaps"}, {"schema": "hilserver.diagnosis/1"}, {"more": 1}, {"seed": "none"}],
+    [
+        {"verdict": "perhaps"},
+        {"schema": "hilserver.diagnosis/1"},
+        {"more": 1},
+        {"seed": "none"},
+    ],
 )
 def test_the_schema_refuses_what_is_wrong(change):
     with pytest.raises(jsonschema.ValidationError):

@@ -65,13 +65,17 @@ def null(seed: int) -> Iterator[Case]:
     yield Case("null", "bench", nothing("bench", seed), answer)
 
 
-def singles(seed: int, scale: float = 1.0, names: tuple[str, ...] = REQUIRED) -> Iterator[Case]:
+def singles(
+    seed: int, scale: float = 1.0, names: tuple[str, ...] = REQUIRED
+) -> Iterator[Case]:
     """Every cause alone."""
     for name in names:
         recipe = single(name, seed, scale)
         values = {CAUSES[name].parameter: recipe.causes[CAUSES[name].parameter]}
         if name in {"nav_lever_arm", "floor_slope"}:
-            values = {key: value for key, value in recipe.causes.items() if abs(value) > 0.01}
+            values = {
+                key: value for key, value in recipe.causes.items() if abs(value) > 0.01
+            }
         yield Case("single", name, recipe, Answer(causes=_only(name), values=values))
 
 
@@ -87,8 +91,13 @@ def pairs(seed: int) -> Iterator[Case]:
         a, b = able[pick]
         first, second = single(a, seed), single(b, seed)
         recipe = replace(first, causes={**first.causes, **second.causes})
-        values = {CAUSES[name].parameter: recipe.causes[CAUSES[name].parameter] for name in (a, b)}
-        yield Case("pair", f"{a}+{b}", recipe, Answer(causes=_only(a, b), values=values))
+        values = {
+            CAUSES[name].parameter: recipe.causes[CAUSES[name].parameter]
+            for name in (a, b)
+        }
+        yield Case(
+            "pair", f"{a}+{b}", recipe, Answer(causes=_only(a, b), values=values)
+        )
 
 
 def _twin(
@@ -97,7 +106,9 @@ def _twin(
     recipe = replace(Recipe(seed=seed, causes=causes), **how)  # type: ignore[arg-type]
     truth = next(iter(causes)).partition(".")[0]
     answer = Answer(
-        verdict="named_group", causes=_only(truth), together=frozenset(together | {truth})
+        verdict="named_group",
+        causes=_only(truth),
+        together=frozenset(together | {truth}),
     )
     return Case("twin", name, recipe, answer)
 
@@ -109,11 +120,19 @@ def twins(seed: int) -> Iterator[Case]:
     no_duty = Recorder(rate_hz=500.0, row_jitter_s=0.0, channels=("setpoint", "speed"))
     yield _twin(seed, "icr_offset", {"icr_offset": 0.06 * sign}, {"nav_lever_arm"})
     yield _twin(seed, "nav_lever_arm", {"nav_lever_arm.x": 0.08 * sign}, {"icr_offset"})
-    yield _twin(seed, "misalignment", {"wheel_misalignment": 0.03 * sign}, {"nav_frame_yaw"})
-    yield _twin(seed, "frame_yaw", {"nav_frame_yaw": 0.05 * sign}, {"wheel_misalignment"})
+    yield _twin(
+        seed, "misalignment", {"wheel_misalignment": 0.03 * sign}, {"nav_frame_yaw"}
+    )
+    yield _twin(
+        seed, "frame_yaw", {"nav_frame_yaw": 0.05 * sign}, {"wheel_misalignment"}
+    )
     for name in ("rotation_gain", "gyro_scale"):
         others = {"rotation_gain", "gyro_scale", "wheel_radius"}
-        how: dict[str, object] = {"manoeuvre": "spins", "recorder": on_spot, "duration_s": 180.0}
+        how: dict[str, object] = {
+            "manoeuvre": "spins",
+            "recorder": on_spot,
+            "duration_s": 180.0,
+        }
         yield _twin(seed, f"spins {name}", {name: 0.05 * sign}, others, **how)
     bench = {"kind": "bench", "recorder": no_duty, "manoeuvre": "flat_out"}
     yield _twin(seed, "gain", {"process_gain": -0.3}, {"saturation_limit"}, **bench)
@@ -136,7 +155,12 @@ def outside(seed: int) -> Iterator[Case]:
         for w in alike
         for what in ("duty_pct", "speed_rpm", "setpoint_rpm")
     }
-    of_turning = {"velocity.angular_rad_s", "imu.gyro_z_rad_s", "velocity.linear_m_s", "history"}
+    of_turning = {
+        "velocity.angular_rad_s",
+        "imu.gyro_z_rad_s",
+        "velocity.linear_m_s",
+        "history",
+    }
     sent = {f"wheel.{wheel}.setpoint_rpm" for wheel in wheels}
     heading = {"nav.yaw_rad", "pose.yaw_rad", "imu.yaw_rad"}
     period = float(rng.uniform(6.0, 25.0))
@@ -167,7 +191,9 @@ def outside(seed: int) -> Iterator[Case]:
         "hysteresis": ({"hysteresis": 0.12 * sign}, of_turning),
     }
     for name, (causes, regressors) in hidden.items():
-        answer = Answer(verdict="structure_not_in_library", regressors=frozenset(regressors))
+        answer = Answer(
+            verdict="structure_not_in_library", regressors=frozenset(regressors)
+        )
         yield Case("outside", name, Recipe(seed=seed, causes=causes), answer)
 
 
@@ -181,17 +207,31 @@ def faults(seed: int) -> Iterator[Case]:
         ("sign_flip", "sign of a wheel", {"sign_flip": "wheel.rr.speed"}),
         ("swapped_sides", "swapped sides", {"swapped_sides": "speed_rpm"}),
         ("unit_error", "rpm as rad/s", {"unit_error": ("speed_rpm", math.pi / 30.0)}),
-        ("unit_error", "deg/s as rad/s", {"unit_error": ("imu.gyro_z", 180.0 / math.pi)}),
+        (
+            "unit_error",
+            "deg/s as rad/s",
+            {"unit_error": ("imu.gyro_z", 180.0 / math.pi)},
+        ),
         ("held_samples", "held speed", {"held_samples": ("speed_rpm", 4.0)}),
         ("held_samples", "held gyro", {"held_samples": ("imu.gyro_z", 10.0)}),
-        ("interpolated_setpoint", "interpolated set-point", {"interpolated_setpoint": 10.0}),
-        ("setpoint_as_measurement", "set-point as speed", {"setpoint_as_measurement": True}),
+        (
+            "interpolated_setpoint",
+            "interpolated set-point",
+            {"interpolated_setpoint": 10.0},
+        ),
+        (
+            "setpoint_as_measurement",
+            "set-point as speed",
+            {"setpoint_as_measurement": True},
+        ),
         ("dropouts", "dropouts", {"dropouts": ("speed_rpm", 0.05)}),
         ("clock_offset", "clock of the tag", {"clock": ("nav.", offset, 0.0)}),
         ("clock_drift", "drifting clock of the tag", {"clock": ("nav.", 0.0, drift)}),
     )
     for cause, name, what in spoilt:
-        names = {cause} | ({"nav_latency", "yaw_latency"} if cause == "clock_offset" else set())
+        names = {cause} | (
+            {"nav_latency", "yaw_latency"} if cause == "clock_offset" else set()
+        )
         answer = Answer(verdict="data_fault", causes=(frozenset(names),))
         yield Case("fault", name, Recipe(seed=seed, faults=what), answer)
 
@@ -209,7 +249,9 @@ def sensors(seed: int) -> Iterator[Case]:
         if name == "drive" and recipe.sensors["gyro_z"].limit < math.inf:
             hidden.append("limited_channel")
         verdict = "data_fault" if hidden else "nothing_found"
-        yield Case("sensors", name, recipe, Answer(verdict=verdict, causes=_only(*hidden)))
+        yield Case(
+            "sensors", name, recipe, Answer(verdict=verdict, causes=_only(*hidden))
+        )
 
 
 _DRIFTS = {
@@ -225,7 +267,10 @@ def drifts(seed: int) -> Iterator[Case]:
     """A parameter that moves during the log, slowly or at once in the middle."""
     for name, (first, last) in _DRIFTS.items():
         recipe = Recipe(
-            seed=seed, causes={name: last}, drift_from={name: first}, drift_step=seed % 2 == 1
+            seed=seed,
+            causes={name: last},
+            drift_from={name: first},
+            drift_step=seed % 2 == 1,
         )
         yield Case("drift", name, recipe, Answer(verdict="drift", causes=_only(name)))
 

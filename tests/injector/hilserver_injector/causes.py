@@ -61,7 +61,10 @@ def _half_floor(rng: np.random.Generator, scale: float) -> dict[str, float]:
 def _lever(rng: np.random.Generator, scale: float) -> dict[str, float]:
     turn = rng.uniform(-math.pi, math.pi)
     size = 0.08 * scale
-    return {"nav_lever_arm.x": size * math.cos(turn), "nav_lever_arm.y": size * math.sin(turn)}
+    return {
+        "nav_lever_arm.x": size * math.cos(turn),
+        "nav_lever_arm.y": size * math.sin(turn),
+    }
 
 
 def _slope(rng: np.random.Generator, scale: float) -> dict[str, float]:

@@ -25,9 +25,9 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     before = config.CACHE_DIR
     config.CACHE_DIR = str(_cache_dir())
     try:
-        compiled: Callable[..., Any] = numba.njit(nogil=True, cache=True, error_model="numpy")(
-            function
-        )
+        compiled: Callable[..., Any] = numba.njit(
+            nogil=True, cache=True, error_model="numpy"
+        )(function)
     finally:
         config.CACHE_DIR = before
     return compiled

@@ -33,7 +33,10 @@ def _swapped_sides(table: Table, channel: Any, rng: np.random.Generator) -> None
     """Left columns hold the right wheels and the other way round."""
     for a, b in (("fl", "fr"), ("rl", "rr")):
         left, right = f"wheel.{a}.{channel}", f"wheel.{b}.{channel}"
-        table.columns[left], table.columns[right] = -table.columns[right], -table.columns[left]
+        table.columns[left], table.columns[right] = (
+            -table.columns[right],
+            -table.columns[left],
+        )
 
 
 def _held(table: Table, given: Any, rng: np.random.Generator) -> None:
@@ -58,7 +61,9 @@ def _interpolated(table: Table, rate_hz: Any, rng: np.random.Generator) -> None:
         table.columns[name] = np.interp(table.t_s, table.t_s[::every], few)
 
 
-def _setpoint_as_measurement(table: Table, given: Any, rng: np.random.Generator) -> None:
+def _setpoint_as_measurement(
+    table: Table, given: Any, rng: np.random.Generator
+) -> None:
     for wheel in WHEELS:
         copied = table.columns[f"wheel.{wheel}.setpoint_rpm"].copy()
         table.columns[f"wheel.{wheel}.speed_rpm"] = copied
@@ -82,7 +87,9 @@ def _clock(table: Table, given: Any, rng: np.random.Generator) -> None:
     n = len(moved)
     times = np.concatenate([table.t_s, moved])
     order = np.argsort(times, kind="stable")
-    keep = np.concatenate([np.ones(n, bool), np.isfinite(table.columns[names[0]])])[order]
+    keep = np.concatenate([np.ones(n, bool), np.isfinite(table.columns[names[0]])])[
+        order
+    ]
     empty = np.full(n, np.nan)
     for name, values in table.columns.items():
         both = [empty, values] if name in names else [values, empty]

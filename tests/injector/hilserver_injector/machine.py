@@ -35,7 +35,9 @@ def open_voltage(charge: float) -> float:
 
 
 @kernel
-def _rate(p: Any, flat: Any, i: int, x: float, n: float, duty: float, gain: float) -> float:
+def _rate(
+    p: Any, flat: Any, i: int, x: float, n: float, duty: float, gain: float
+) -> float:
     """Return x' of the slow lag of wheel `i` for the duty [%] that its amplifier gives out."""
     u = duty
     if p.dead_zone != 0.0:
@@ -188,7 +190,9 @@ def run(
             gain *= max(1.0 + p.sag * (voltage / 19.2 - 1.0), 0.0)
         extra = 0.0
         if p.wave_duty != 0.0:
-            extra = p.wave_duty * math.sin(2.0 * math.pi * t / p.wave_period + p.wave_phase)
+            extra = p.wave_duty * math.sin(
+                2.0 * math.pi * t / p.wave_period + p.wave_phase
+            )
         for i in range(4):
             u = duty[i] + extra
             if p.talk != 0.0 and i == int(p.talk_to):
@@ -201,7 +205,9 @@ def run(
             x[i] += 0.5 * STEP_S * (slope[i] + after)
             n[i] += 0.5 * STEP_S * (n_slope + (ahead_x[i] - ahead_n[i]) / T2_S)
             if p.filter_s > 0.0:
-                filtered[i] += (1.0 - math.exp(-STEP_S / p.filter_s)) * (n[i] - filtered[i])
+                filtered[i] += (1.0 - math.exp(-STEP_S / p.filter_s)) * (
+                    n[i] - filtered[i]
+                )
             wheel[i] = n[i] if p.backlash == 0.0 else _behind_play(p, gap, i, n[i])
         left, right = 0.5 * (wheel[0] + wheel[1]), 0.5 * (wheel[2] + wheel[3])
         angle += left * RAD_S * STEP_S
@@ -209,7 +215,11 @@ def run(
         v_was, vy_was, om_was = v, vy, om
         if p.tyres != 0.0:
             dv, dvy, dom = tyre_rates(p, left, right, v, vy + p.icr * om, om)
-            v_on, vy_on, om_on = v + STEP_S * dv, vy + p.icr * om + STEP_S * dvy, om + STEP_S * dom
+            v_on, vy_on, om_on = (
+                v + STEP_S * dv,
+                vy + p.icr * om + STEP_S * dvy,
+                om + STEP_S * dom,
+            )
             ev, evy, eom = tyre_rates(p, left, right, v_on, vy_on, om_on)
             lateral = vy + p.icr * om + 0.5 * STEP_S * (dvy + evy)
             v += 0.5 * STEP_S * (dv + ev)
@@ -218,7 +228,11 @@ def run(
         else:
             accel = 0.0
             if p.accel_slip != 0.0:
-                accel = 0.25 * (x[0] - n[0] + x[1] - n[1] - x[2] + n[2] - x[3] + n[3]) / T2_S
+                accel = (
+                    0.25
+                    * (x[0] - n[0] + x[1] - n[1] - x[2] + n[2] - x[3] + n[3])
+                    / T2_S
+                )
             inside = p.x_min <= px <= p.x_max and p.y_min <= py <= p.y_max
             made_v, made_om = kinematic(p, left, right, accel, angle, inside)
             if p.lag_s > 0.0:
@@ -238,7 +252,9 @@ def run(
                 om *= 1.0 + p.memory * memory
         turning = (abs(left) + abs(right)) * RAD_S > TURNS_RAD_S
         if p.wave_turn != 0.0 and turning:
-            om += p.wave_turn * math.sin(2.0 * math.pi * t / p.wave_period + p.wave_phase)
+            om += p.wave_turn * math.sin(
+                2.0 * math.pi * t / p.wave_period + p.wave_phase
+            )
         mv, mvy, mom = 0.5 * (v + v_was), 0.5 * (vy + vy_was), 0.5 * (om + om_was)
         middle = yaw + 0.5 * mom * STEP_S
         c, d = math.cos(middle), math.sin(middle)

@@ -37,7 +37,9 @@ def _row_steps(recipe: Recipe) -> NDArray[np.int64]:
     rng = recipe.generator("rows")
     nominal = np.arange(0.0, recipe.length_s, 1.0 / taken.rate_hz)
     most = 0.2 / taken.rate_hz
-    jitter = np.clip(taken.row_jitter_s * rng.standard_normal(len(nominal)), -most, most)
+    jitter = np.clip(
+        taken.row_jitter_s * rng.standard_normal(len(nominal)), -most, most
+    )
     ticks = np.round((nominal + jitter) * 1e3).astype(np.int64)
     ticks[0] = 0
     return ticks * round(1e-3 / true_machine.STEP_S)
@@ -50,7 +52,9 @@ def _course(recipe: Recipe, times: Array) -> Array:
     return (share > 0.5).astype(float) if recipe.drift_step else share
 
 
-def _drive(recipe: Recipe, steps: NDArray[np.int64], course: Array) -> tuple[Array, Array]:
+def _drive(
+    recipe: Recipe, steps: NDArray[np.int64], course: Array
+) -> tuple[Array, Array]:
     rng = recipe.generator("manoeuvre")
     charge = float(recipe.generator("charge").uniform(0.45, 0.97))
     last = machine(recipe.causes, charge, recipe.drive)
@@ -64,9 +68,13 @@ def _drive(recipe: Recipe, steps: NDArray[np.int64], course: Array) -> tuple[Arr
         table = TABLES[recipe.manoeuvre](rng, steps * true_machine.STEP_S)
     else:
         moves = DRIVES[recipe.manoeuvre](rng, recipe.length_s)
-    start = np.array([*rng.uniform(-HALL_START_M, HALL_START_M, 2), rng.uniform(-np.pi, np.pi)])
+    start = np.array(
+        [*rng.uniform(-HALL_START_M, HALL_START_M, 2), rng.uniform(-np.pi, np.pi)]
+    )
     rows = np.zeros((len(steps), true_machine.N_ROW))
-    dense = np.zeros((int(steps[-1]) // true_machine.DENSE_STEPS + 1, true_machine.N_DENSE))
+    dense = np.zeros(
+        (int(steps[-1]) // true_machine.DENSE_STEPS + 1, true_machine.N_DENSE)
+    )
     constants = np.zeros(1, dtype=RECORD)
     lost, stalled = _interruptions(recipe, len(steps))
     true_machine.run(
@@ -79,7 +87,9 @@ def _drive(recipe: Recipe, steps: NDArray[np.int64], course: Array) -> tuple[Arr
     return rows, dense
 
 
-def _interruptions(recipe: Recipe, n: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _interruptions(
+    recipe: Recipe, n: int
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return which set-points do not arrive and when the controller stands still."""
     rng = recipe.generator("interruptions")
     lost, stalled = np.zeros((n, 4), dtype=np.bool_), np.zeros(n, dtype=np.bool_)
@@ -90,7 +100,9 @@ def _interruptions(recipe: Recipe, n: int) -> tuple[NDArray[np.bool_], NDArray[n
     which = slice(None) if wheel is None else int(wheel)
     for k in np.flatnonzero(rng.random(n) < rate * per_s):
         lost[k : k + length, which] = True
-    for k in np.flatnonzero(rng.random(n) < recipe.causes.get("missed_ticks", 0.0) * per_s):
+    for k in np.flatnonzero(
+        rng.random(n) < recipe.causes.get("missed_ticks", 0.0) * per_s
+    ):
         stalled[k : k + max(round(0.06 / per_s), 1)] = True
     every = recipe.causes.get("command_period")
     if every is not None:
@@ -149,7 +161,9 @@ def _with_gaps(recipe: Recipe, table: Table) -> Table:
         if not name.endswith("setpoint_rpm"):
             values[rng.random(len(values)) < taken.missing] = np.nan
     if taken.stamp_jitter_s > 0.0:
-        table.t_s = table.t_s + taken.stamp_jitter_s * rng.standard_normal(len(table.t_s))
+        table.t_s = table.t_s + taken.stamp_jitter_s * rng.standard_normal(
+            len(table.t_s)
+        )
         table.t_s = np.maximum.accumulate(table.t_s + 1e-9 * np.arange(len(table.t_s)))
     keep = rng.random(len(table.t_s)) >= taken.missing_rows
     table.t_s = table.t_s[keep]

@@ -13,7 +13,12 @@ TOP_RPM = 90.0
 
 
 def _move(
-    kind: int, left: float, right: float, until: float, slew: float, rng: np.random.Generator
+    kind: int,
+    left: float,
+    right: float,
+    until: float,
+    slew: float,
+    rng: np.random.Generator,
 ) -> list[float]:
     x, y = rng.uniform(-0.7 * HALL_M, 0.7 * HALL_M, 2)
     return [kind, left, right, until, slew, x, y]
@@ -47,14 +52,18 @@ def _spin(rng: np.random.Generator) -> list[list[float]]:
 
 
 def _visit(rng: np.random.Generator) -> list[list[float]]:
-    move = _move(GO_TO, rng.uniform(30.0, 85.0), rng.uniform(20.0, 45.0), 0.0, _slew(rng), rng)
+    move = _move(
+        GO_TO, rng.uniform(30.0, 85.0), rng.uniform(20.0, 45.0), 0.0, _slew(rng), rng
+    )
     move[5], move[6] = rng.uniform(-HALL_M, HALL_M, 2)
     return [move]
 
 
 def mixed(rng: np.random.Generator, duration_s: float) -> Array:
     """Return moves for a drive with everything in it, more than the duration takes."""
-    moves: list[list[float]] = [_move(STOP, 0, 0, rng.uniform(0.5, 1.5), STEP_SLEW, rng)]
+    moves: list[list[float]] = [
+        _move(STOP, 0, 0, rng.uniform(0.5, 1.5), STEP_SLEW, rng)
+    ]
     kinds = (_straight, _arc, _spin, _visit)
     while len(moves) < 20 + duration_s:
         for pick in rng.permutation(len(kinds)):
@@ -92,7 +101,9 @@ def circles(rng: np.random.Generator, duration_s: float) -> Array:
         for share in rng.permutation([0.75, 0.5, 0.25, 0.0]):
             outer = rng.uniform(40.0, 80.0)
             left, right = (outer, outer * share)[:: int(rng.choice([-1, 1]))]
-            moves.append(_move(DRIVE, left, right, rng.uniform(5.0, 9.0), STEP_SLEW, rng))
+            moves.append(
+                _move(DRIVE, left, right, rng.uniform(5.0, 9.0), STEP_SLEW, rng)
+            )
             if rng.random() < 0.5:
                 moves += _visit(rng)
     return np.array(moves)
@@ -150,7 +161,9 @@ def _level(rng: np.random.Generator, now: float) -> float:
     if pick < 0.30:
         return float(rng.uniform(20.0, TOP_RPM) * rng.choice([-1.0, 1.0]))
     if pick < 0.50:
-        return float(np.clip(now + rng.uniform(1.0, 5.0) * rng.choice([-1.0, 1.0]), -90.0, 90.0))
+        return float(
+            np.clip(now + rng.uniform(1.0, 5.0) * rng.choice([-1.0, 1.0]), -90.0, 90.0)
+        )
     if pick < 0.65:
         return float(rng.uniform(0.3, 5.0) * rng.choice([-1.0, 1.0]))
     if pick < 0.85:
@@ -213,9 +226,16 @@ def one_way(rng: np.random.Generator, times: Array) -> Array:
     return table * np.array([1.0, 1.0, -1.0, -1.0])
 
 
-BENCHES = {"mixed": steps, "small_steps": small_steps, "flat_out": flat_out, "one_way": one_way}
+BENCHES = {
+    "mixed": steps,
+    "small_steps": small_steps,
+    "flat_out": flat_out,
+    "one_way": one_way,
+}
 
-OF_WHEELS = np.array([[1.0, -1.0, -1.0], [1.0, 1.0, -1.0], [-1.0, -1.0, -1.0], [-1.0, 1.0, -1.0]])
+OF_WHEELS = np.array(
+    [[1.0, -1.0, -1.0], [1.0, 1.0, -1.0], [-1.0, -1.0, -1.0], [-1.0, 1.0, -1.0]]
+)
 """Mecanum wheels fl, rl, fr, rr by what each of ahead, left and turning left asks of them."""
 
 
@@ -231,7 +251,9 @@ def omni(rng: np.random.Generator, times: Array) -> Array:
     """Return a drive on mecanum wheels: ahead, to the sides and turning, there and back again."""
     table, at = np.zeros((len(times), 4)), 1.0
     while at < times[-1]:
-        legs = [(_twist(rng), rng.uniform(3.0, 8.0)) for _ in range(int(rng.integers(1, 3)))]
+        legs = [
+            (_twist(rng), rng.uniform(3.0, 8.0)) for _ in range(int(rng.integers(1, 3)))
+        ]
         back = [(-rpm, lasts) for rpm, lasts in reversed(legs)]
         turn = np.array([0.0, 0.0, rng.uniform(-60.0, 60.0)]), rng.uniform(0.5, 3.0)
         rest = np.zeros(3), rng.uniform(0.3, 1.0)

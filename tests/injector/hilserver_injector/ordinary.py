@@ -18,12 +18,16 @@ RANGES: Mapping[str, tuple[float, float]] = MappingProxyType({
     "held_by_row": (0.1, 0.5),
 })  # fmt: skip
 """What each log's sensors are drawn from; sealed: changed, no figure compares with an older one."""
-HELD: Mapping[str, str] = MappingProxyType({"speed_rpm": "speed", "gyro_z": "gyro", "nav.": "nav"})
+HELD: Mapping[str, str] = MappingProxyType(
+    {"speed_rpm": "speed", "gyro_z": "gyro", "nav.": "nav"}
+)
 """What may be slower than the rows in every third log, by what its recorder takes."""
 DUTY_STEPS_PCT = (0.0, 0.4, 1.0)
 POSITION_STEPS_M = (0.0, 0.01, 0.02)
 ON_A_STAND = Recorder(
-    rate_hz=100.0, row_jitter_s=0.0, channels=("setpoint", "speed", "duty", "gyro", "battery")
+    rate_hz=100.0,
+    row_jitter_s=0.0,
+    channels=("setpoint", "speed", "duty", "gyro", "battery"),
 )
 
 
@@ -37,7 +41,8 @@ def ordinary(recipe: Recipe) -> Recipe:
 
     limited = rng.random() < 0.5
     gyro = Sensor(
-        step=drawn("gyro_step_rad_s"), limit=drawn("gyro_limit_rad_s") if limited else math.inf
+        step=drawn("gyro_step_rad_s"),
+        limit=drawn("gyro_limit_rad_s") if limited else math.inf,
     )
     sensors = {
         "speed_rpm": Sensor(step=drawn("speed_step_rpm")),
@@ -58,7 +63,9 @@ def held(recipe: Recipe) -> Recipe:
     rng, taken = recipe.generator("held sensors"), recipe.taken
     if rng.random() >= 1.0 / 3.0:
         return recipe
-    channel = str(rng.choice([name for name, part in HELD.items() if part in taken.channels]))
+    channel = str(
+        rng.choice([name for name, part in HELD.items() if part in taken.channels])
+    )
     low, high = np.log(RANGES["held_by_row"])
     rate_hz = float(np.exp(rng.uniform(low, high))) * taken.rate_hz
     if channel == "nav.":

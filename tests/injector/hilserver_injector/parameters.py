@@ -160,7 +160,11 @@ def machine(causes: Mapping[str, float], charge: float, drive: str = "skid") -> 
     values = dict(NOMINAL)
     values["charge"] = charge
     if drive == "mecanum":
-        values |= {"radius_left": MECANUM_RADIUS_M, "radius_right": MECANUM_RADIUS_M, "icr": 0.0}
+        values |= {
+            "radius_left": MECANUM_RADIUS_M,
+            "radius_right": MECANUM_RADIUS_M,
+            "icr": 0.0,
+        }
         values |= {"k_om": YAW_SIGN * MECANUM_K_OM, "rollers": 1.0}
     values["rollers"] *= 1.0 - causes.get("roller_slip", 0.0)
     for name, value in causes.items():

@@ -34,7 +34,10 @@ def kinematic(
     om = k * (rim_l + rim_r)
     v *= 1.0 - p.slip * abs(om)
     if p.accel_slip != 0.0:
-        v *= max(0.0, 1.0 - p.accel_slip * abs(0.5 * (r_left + p.radius_right) * accel * RAD_S))
+        v *= max(
+            0.0,
+            1.0 - p.accel_slip * abs(0.5 * (r_left + p.radius_right) * accel * RAD_S),
+        )
     return v, om
 
 
@@ -53,7 +56,9 @@ def rolled_aside(p: Any, wheel: Any) -> float:
 
 
 @kernel
-def tyre_rates(p: Any, left: float, right: float, v: float, vy: float, om: float) -> Any:
+def tyre_rates(
+    p: Any, left: float, right: float, v: float, vy: float, om: float
+) -> Any:
     """Return dv, dvy, dom of the body on four tyres (friction anisotropic, regularised).
 
     Each tyre pulls against its slip with ``mu N s / sqrt(s^2 + s0^2)``; the friction across the

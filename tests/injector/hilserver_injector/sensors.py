@@ -22,7 +22,9 @@ def correlated(
     fresh = rng.standard_normal(len(times)) * np.sqrt(1.0 - keep**2)
     fresh[0] = rng.standard_normal()
     state, series = 0.0, np.empty(len(times))
-    for k, (k_keep, k_fresh) in enumerate(zip(keep.tolist(), fresh.tolist(), strict=True)):
+    for k, (k_keep, k_fresh) in enumerate(
+        zip(keep.tolist(), fresh.tolist(), strict=True)
+    ):
         state = k_keep * state + k_fresh
         series[k] = state
     return deviation * series
@@ -42,17 +44,23 @@ def as_read(recipe: Recipe, columns: Mapping[str, Array]) -> dict[str, Array]:
     for part, sensor in recipe.sensors.items():
         for name in (name for name in columns if part in name):
             exact = readings[name]
-            rounded = sensor.step * np.round(exact / sensor.step) if sensor.step else exact
+            rounded = (
+                sensor.step * np.round(exact / sensor.step) if sensor.step else exact
+            )
             readings[name] = np.clip(rounded, -sensor.limit, sensor.limit)
     return readings
 
 
-def yaw_rate(recipe: Recipe, causes: Mapping[str, Array], dense: Array, times: Array) -> Array:
+def yaw_rate(
+    recipe: Recipe, causes: Mapping[str, Array], dense: Array, times: Array
+) -> Array:
     """Return the gyro's reading [rad/s]; `causes` hold a value per instant."""
     n = len(times)
     rng = recipe.generator("gyro")
     rate = _at(dense, OM, times - _value(causes, "imu_latency", n))
-    rate = rate * (1.0 + _value(causes, "gyro_scale", n)) + _value(causes, "gyro_bias", n)
+    rate = rate * (1.0 + _value(causes, "gyro_scale", n)) + _value(
+        causes, "gyro_bias", n
+    )
     return rate + recipe.noise.gyro_rad_s * rng.standard_normal(n)
 
 
@@ -63,7 +71,10 @@ def tag(
     n = len(times)
     aged = times - _value(causes, "nav_latency", n)
     x, y, yaw = _at(dense, X, aged), _at(dense, Y, aged), _at(dense, YAW, aged)
-    arm_x, arm_y = _value(causes, "nav_lever_arm.x", n), _value(causes, "nav_lever_arm.y", n)
+    arm_x, arm_y = (
+        _value(causes, "nav_lever_arm.x", n),
+        _value(causes, "nav_lever_arm.y", n),
+    )
     x, y = (
         x + arm_x * np.cos(yaw) - arm_y * np.sin(yaw),
         y + arm_x * np.sin(yaw) + arm_y * np.cos(yaw),
@@ -73,12 +84,17 @@ def tag(
     wave = 2.0 * math.pi / (_value(causes, "nav_position_bias.wavelength", n) + 1e-12)
     shown_x, shown_y = scale * x, scale * y
     if np.any(bias):
-        shown_x, shown_y = shown_x + bias * np.cos(wave * y), shown_y + bias * np.cos(wave * x)
+        shown_x, shown_y = (
+            shown_x + bias * np.cos(wave * y),
+            shown_y + bias * np.cos(wave * x),
+        )
     pushed_x, pushed_y = _anchor_off(x, y, _value(causes, "nav_anchor_off", n))
     shown_x, shown_y = shown_x + pushed_x, shown_y + pushed_y
     noise_x, noise_y = _position_noise(recipe, times)
     thrown_x, thrown_y = _outliers(recipe, causes, times)
-    shown_yaw = _heading(causes, _at(dense, YAW, times - _value(causes, "yaw_latency", n)))
+    shown_yaw = _heading(
+        causes, _at(dense, YAW, times - _value(causes, "yaw_latency", n))
+    )
     rng = recipe.generator("heading")
     shown_yaw = shown_yaw + correlated(
         rng, times, recipe.noise.yaw_rad, recipe.noise.yaw_correlation_s
@@ -109,7 +125,8 @@ def _position_noise(recipe: Recipe, times: Array) -> tuple[Array, Array]:
         return blocks_of_residuals(rng, times)
     white = noise.position_white_m * rng.standard_normal((2, len(times)))
     slow = [
-        correlated(rng, times, noise.position_m, noise.position_correlation_s) for _ in range(2)
+        correlated(rng, times, noise.position_m, noise.position_correlation_s)
+        for _ in range(2)
     ]
     return white[0] + slow[0], white[1] + slow[1]
 
@@ -121,11 +138,15 @@ def _anchor_off(x: Array, y: Array, error_m: Array) -> tuple[Array, Array]:
     away = np.stack([x, y], axis=1)[:, None, :] - CORNERS_M
     away /= np.linalg.norm(away, axis=2, keepdims=True)
     normal = np.einsum("nki,nkj->nij", away, away)
-    moved = np.linalg.solve(normal, (error_m[:, None] * away[:, 0, :])[:, :, None])[:, :, 0]
+    moved = np.linalg.solve(normal, (error_m[:, None] * away[:, 0, :])[:, :, None])[
+        :, :, 0
+    ]
     return moved[:, 0], moved[:, 1]
 
 
-def _outliers(recipe: Recipe, causes: Mapping[str, Array], times: Array) -> tuple[Array, Array]:
+def _outliers(
+    recipe: Recipe, causes: Mapping[str, Array], times: Array
+) -> tuple[Array, Array]:
     """Return samples far off, one by one or in bursts (no line of sight)."""
     n, rng = len(times), recipe.generator("outliers")
     share = _value(causes, "nav_outliers.share", n)

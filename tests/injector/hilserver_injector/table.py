@@ -55,4 +55,6 @@ class Truth:
     def write_json(self, path: Path) -> None:
         """Write recipe and notes."""
         document = {"recipe": asdict(self.recipe), **self.notes}
-        path.write_text(json.dumps(document, indent=1, default=str) + "\n", encoding="utf-8")
+        path.write_text(
+            json.dumps(document, indent=1, default=str) + "\n", encoding="utf-8"
+        )

@@ -48,7 +48,9 @@ def blocks_of_residuals(rng: np.random.Generator, times: Array) -> tuple[Array, 
         inside = (times >= at) & (times < at + BLOCK_S)
         begin = rng.uniform(known[0], known[-1] - BLOCK_S)
         for axis in range(2):
-            result[axis, inside] = np.interp(times[inside] - at + begin, known, errors[axis])
+            result[axis, inside] = np.interp(
+                times[inside] - at + begin, known, errors[axis]
+            )
         at += BLOCK_S
     return result[0], result[1]
 
@@ -73,13 +75,16 @@ def residuals(folder: str) -> tuple[Array, Array]:
         ]
     )
     true_ranges = np.sqrt(
-        ((place.T[:, None, :] - ANCHORS) ** 2).sum(axis=2) + (z[:, None] - ANCHOR_Z) ** 2
+        ((place.T[:, None, :] - ANCHORS) ** 2).sum(axis=2)
+        + (z[:, None] - ANCHOR_Z) ** 2
     )
     errors = ranges - true_ranges
     errors = errors - np.median(errors, axis=0)
     away = (place.T[:, None, :] - ANCHORS) / np.maximum(true_ranges, 0.3)[:, :, None]
     normal = np.einsum("nki,nkj->nij", away, away)
-    moved = np.linalg.solve(normal, np.einsum("nki,nk->ni", away, errors)[:, :, None])[:, :, 0]
+    moved = np.linalg.solve(normal, np.einsum("nki,nk->ni", away, errors)[:, :, None])[
+        :, :, 0
+    ]
     moved = moved - moved.mean(axis=0)
     return stamps, moved.T
 
@@ -88,9 +93,13 @@ def _columns(path: Path, which: slice, header: int) -> tuple[Array, Array]:
     stamps, rows = [], []
     for line in path.read_text(encoding="utf-8").splitlines()[header:]:
         words = line.split(",")
-        stamps.append(np.datetime64(words[0].replace(" ", "T").replace("T9:", "T09:"), "ns"))
+        stamps.append(
+            np.datetime64(words[0].replace(" ", "T").replace("T9:", "T09:"), "ns")
+        )
         rows.append([float(word or "nan") for word in words[which]])
-    seconds = (np.array(stamps) - np.datetime64("2022-08-15T00:00:00", "ns")).astype(float) * 1e-9
+    seconds = (np.array(stamps) - np.datetime64("2022-08-15T00:00:00", "ns")).astype(
+        float
+    ) * 1e-9
     table = np.array(rows)
     good = np.isfinite(table).all(axis=1)
     return seconds[good], table[good]

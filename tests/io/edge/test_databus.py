@@ -26,7 +26,13 @@ GROUPS = [
 
 @asynccontextmanager
 async def daemon_at(port, folder, **settings):
-    section = {"enabled": True, "host": "127.0.0.1", "port": port, "id": "agv", "groups": GROUPS}
+    section = {
+        "enabled": True,
+        "host": "127.0.0.1",
+        "port": port,
+        "id": "agv",
+        "groups": GROUPS,
+    }
     edge = section | settings
     config = configuration(edge=edge, opcua={"enabled": False}, page={"enabled": False})
     async with Daemon(assemble_config(config, folder)) as daemon:
@@ -52,7 +58,10 @@ def points(collection):
 async def test_the_metadata_alone_say_how_to_read_and_to_drive(tmp_path):
     port = free_port()
     with broker(tmp_path, port, "allow_anonymous true"):
-        async with daemon_at(port, tmp_path, qos=1) as daemon, reading(port) as (reader, described):
+        async with (
+            daemon_at(port, tmp_path, qos=1) as daemon,
+            reading(port) as (reader, described),
+        ):
             (connection,) = described["connections"]
             wheels, drive = connection["dataPoints"]
             assert (wheels["publishType"], wheels.get("pubTopic")) == ("bulk", None)
@@ -62,18 +71,24 @@ async def test_the_metadata_alone_say_how_to_read_and_to_drive(tmp_path):
             reader.subscribe(described["statustopic"])
             assert (await reader.next(STATUS))["connector"] == {"status": "available"}
 
-            setpoints = {n: p["id"] for n, p in points(drive).items() if n.startswith("wheel")}
+            setpoints = {
+                n: p["id"] for n, p in points(drive).items() if n.startswith("wheel")
+            }
             assert len(setpoints) == 4
 
             async def turns():
                 side = {"fl": 30.0, "rl": 30.0, "fr": -30.0, "rr": -30}
-                values = [(i, side[name.split(".")[1]]) for name, i in setpoints.items()]
+                values = [
+                    (i, side[name.split(".")[1]]) for name, i in setpoints.items()
+                ]
                 reader.write(drive["pubTopic"], *values)
                 message = await reader.next(wheels["topic"])
                 values = {point["id"]: point for point in message["vals"]}
                 tick = values[known["sim.tick"]["id"]]
                 assert isinstance(tick["val"], str)
-                assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z", tick["ts"])
+                assert re.fullmatch(
+                    r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z", tick["ts"]
+                )
                 speed = values[known["wheel.fl.speed_rpm"]["id"]]
                 return speed["val"] > 20 and speed["qc"] == 3
 
@@ -82,7 +97,9 @@ async def test_the_metadata_alone_say_how_to_read_and_to_drive(tmp_path):
             assert daemon.part("edge").status.state is LinkState.CONNECTED
 
 
-@pytest.mark.parametrize("count", [10_000, pytest.param(100_000, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "count", [10_000, pytest.param(100_000, marks=pytest.mark.long)]
+)
 async def test_malformed_writes_lose_nothing(tmp_path, count):
     port = free_port()
     bad = [
@@ -91,7 +108,10 @@ async def test_malformed_writes_lose_nothing(tmp_path, count):
         b'{"vals":[{"id":"9999","val":1}]}', b'{"vals":[{"id":[],"val":1}]}', b"x" * 70_000,
     ]  # fmt: skip
     with broker(tmp_path, port, "allow_anonymous true", "max_queued_messages 0"):
-        async with daemon_at(port, tmp_path) as daemon, reading(port) as (reader, described):
+        async with (
+            daemon_at(port, tmp_path) as daemon,
+            reading(port) as (reader, described),
+        ):
             status = daemon.part("edge").status
             drive = described["connections"][0]["dataPoints"][1]
             target = points(drive)["wheel.fl.setpoint_rpm"]["id"]
@@ -126,7 +146,9 @@ async def test_what_the_broker_has_kept_does_not_drive(tmp_path):
                     return daemon.image.frame_values[slot] == 12.5
 
                 await wait_until(drives)
-                assert status.fault_counts["bad_write"] == 1, "what comes as it is written drives"
+                assert status.fault_counts["bad_write"] == 1, (
+                    "what comes as it is written drives"
+                )
 
 
 async def test_a_broker_that_is_killed_and_comes_back_gets_the_newest_values(tmp_path):
@@ -193,7 +215,9 @@ async def test_the_last_will_speaks_where_we_cannot(tmp_path, monkeypatch):
         await is_unavailable(port)
 
 
-async def test_the_last_will_speaks_where_the_connection_does_not_end(tmp_path, monkeypatch):
+async def test_the_last_will_speaks_where_the_connection_does_not_end(
+    tmp_path, monkeypatch
+):
     port = free_port()
     monkeypatch.setattr(EdgeLink, "_send", _not_at_once)
     with broker(tmp_path, port, "allow_anonymous true"):
@@ -204,7 +228,9 @@ async def test_the_last_will_speaks_where_the_connection_does_not_end(tmp_path, 
 
 
 @pytest.mark.parametrize("trusted", [True, False])
-async def test_a_broker_is_known_by_its_certificate_and_we_by_our_password(tmp_path, trusted):
+async def test_a_broker_is_known_by_its_certificate_and_we_by_our_password(
+    tmp_path, trusted
+):
     make_secrets(tmp_path)
     port, plain = free_port(), free_port()
     tls = [f"certfile {tmp_path}/broker.pem", f"keyfile {tmp_path}/broker.key"]
@@ -242,7 +268,9 @@ def make_certificate(folder, name):
 
 def test_a_pattern_that_fits_nothing_is_named(tmp_path):
     groups = [{"name": "a", "signals": ["wheel.*.speed"]}]
-    config = configuration(edge={"enabled": True, "groups": groups}, opcua={"enabled": False})
+    config = configuration(
+        edge={"enabled": True, "groups": groups}, opcua={"enabled": False}
+    )
     with pytest.raises(
         ConfigError, match=r"edge.*: group 'a': no signal matches 'wheel\.\*\.speed'"
     ):

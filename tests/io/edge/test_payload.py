@@ -10,9 +10,15 @@ from hilserver.image import Frame
 from hilserver.io.edge import payload
 from tests.fakes import make_table
 
-GROUP = {"name": "a", "signals": ["wheel.fl.*", "sim.tick", "control.mode"], "writable": True}
+GROUP = {
+    "name": "a",
+    "signals": ["wheel.fl.*", "sim.tick", "control.mode"],
+    "writable": True,
+}
 TABLE = make_table()
-(COLLECTION,) = payload.collections_of(EdgeConfig.model_validate({"groups": [GROUP]}), TABLE)
+(COLLECTION,) = payload.collections_of(
+    EdgeConfig.model_validate({"groups": [GROUP]}), TABLE
+)
 SETPOINT = str(TABLE.slot("wheel.fl.setpoint_rpm"))
 
 
@@ -28,12 +34,19 @@ def test_quality_and_types_follow_status_and_signal():
     assert message["seq"] == 7
     stamp = "2001-09-09T01:46:40.000Z"
     assert points[str(speed)] == {"id": str(speed), "val": 1.5, "ts": stamp, "qc": 1}
-    assert points[str(tick)] == {"id": str(tick), "val": str(2**53), "ts": stamp, "qc": 0}
+    assert points[str(tick)] == {
+        "id": str(tick),
+        "val": str(2**53),
+        "ts": stamp,
+        "qc": 0,
+    }
     assert points[SETPOINT]["qc"] == 3
 
 
 def test_a_write_is_read_by_name():
-    data = json.dumps({"seq": 1, "vals": [{"id": SETPOINT, "val": 3, "qc": 3}]}).encode()
+    data = json.dumps(
+        {"seq": 1, "vals": [{"id": SETPOINT, "val": 3, "qc": 3}]}
+    ).encode()
     assert payload.written(COLLECTION, data) == {"wheel.fl.setpoint_rpm": 3}
 
 
@@ -57,4 +70,6 @@ def test_what_is_no_write_is_refused_in_words(data, reason):
 def test_an_output_cannot_be_written():
     speed = TABLE.slot("wheel.fl.speed_rpm")
     with pytest.raises(ValueError, match="is not an input"):
-        payload.written(COLLECTION, json.dumps({"vals": [{"id": speed, "val": 1}]}).encode())
+        payload.written(
+            COLLECTION, json.dumps({"vals": [{"id": speed, "val": 1}]}).encode()
+        )

@@ -46,7 +46,9 @@ class Viewer:
 
     async def __aenter__(self):
         self._session = aiohttp.ClientSession()
-        self._socket = await self._session.ws_connect(self._url, protocols=["foxglove.sdk.v1"])
+        self._socket = await self._session.ws_connect(
+            self._url, protocols=["foxglove.sdk.v1"]
+        )
         self._reading = asyncio.create_task(self._read())
         await wait_until(lambda: len(self.channels) >= 3 and self.info, PATIENCE_S)
         return self
@@ -62,7 +64,9 @@ class Viewer:
             if message.type is aiohttp.WSMsgType.TEXT:
                 data = json.loads(message.data)
                 if data["op"] == "advertise":
-                    self.channels |= {channel["topic"]: channel for channel in data["channels"]}
+                    self.channels |= {
+                        channel["topic"]: channel for channel in data["channels"]
+                    }
                 elif data["op"] == "serverInfo":
                     self.info = data
             elif message.data[0] == MESSAGE_DATA:
@@ -76,7 +80,12 @@ class Viewer:
         return self.received[number]
 
     async def advertise(self, number, topic, encoding, schema=""):
-        channel = {"id": number, "topic": topic, "encoding": encoding, "schemaName": schema}
+        channel = {
+            "id": number,
+            "topic": topic,
+            "encoding": encoding,
+            "schemaName": schema,
+        }
         await self._socket.send_json({"op": "advertise", "channels": [channel]})
 
     @property
@@ -139,7 +148,9 @@ async def test_what_is_published_obeys_control_and_the_dead_man(caplog):
         held.cancel()
         await wait_until(lambda: value(daemon, "twist.linear_m_s") == 0.0, PATIENCE_S)
 
-        await viewer.publish(2, json.dumps({"lights.command": 4, "control.mode": 0}).encode())
+        await viewer.publish(
+            2, json.dumps({"lights.command": 4, "control.mode": 0}).encode()
+        )
         await wait_until(lambda: value(daemon, "lights.command") == 4.0, PATIENCE_S)
         assert value(daemon, "control.mode") == 0.0
         make, vector = known_types().make, "geometry_msgs/msg/Vector3"
@@ -149,7 +160,16 @@ async def test_what_is_published_obeys_control_and_the_dead_man(caplog):
         await wait_until(lambda: value(daemon, "control.mode") == 1.0, PATIENCE_S)
         digits = b'{"wheel.fl.setpoint_rpm": 1%s}' % (b"0" * 400)
         nested = b"[" * 50_000, b'{"linear": ' * 5_000
-        for wrong in (b"", b"[]", b'{"linear": []}', b"{", b"\xff", digits, *nested, NOT_A_NUMBER):
+        for wrong in (
+            b"",
+            b"[]",
+            b'{"linear": []}',
+            b"{",
+            b"\xff",
+            digits,
+            *nested,
+            NOT_A_NUMBER,
+        ):
             await viewer.publish(2, wrong)
             await viewer.publish(1, wrong)
         await wait_until(lambda: rejected["page", "not_finite"] == 2, PATIENCE_S)
@@ -201,7 +221,9 @@ async def test_a_flood_of_unknown_names_holds_nobody_up():
         while loop.time() - begun_s < 1.5:
             wanted, asked_s = float(1 + len(served_s) % 4), loop.time()
             await honest.publish(1, json.dumps({"lights.command": wanted}).encode())
-            await wait_until(lambda wanted=wanted: value(daemon, "lights.command") == wanted, 5.0)
+            await wait_until(
+                lambda wanted=wanted: value(daemon, "lights.command") == wanted, 5.0
+            )
             served_s.append(loop.time() - asked_s)
         for task in tasks:
             task.cancel()
@@ -307,7 +329,10 @@ async def test_a_viewer_that_takes_nothing_gives_its_place_back(monkeypatch):
 
     server = await asyncio.start_server(behind, "127.0.0.1", 0)
     await door.open("127.0.0.1", 0, server.sockets[0].getsockname())
-    with capture_logs() as lines, socket.create_connection(("127.0.0.1", door.port)) as viewer:
+    with (
+        capture_logs() as lines,
+        socket.create_connection(("127.0.0.1", door.port)) as viewer,
+    ):
         viewer.sendall(b"GET / HTTP/1.1\r\n\r\n")
         async with asyncio.timeout(PATIENCE_S):
             await has_ended.wait()
@@ -319,12 +344,19 @@ async def test_a_viewer_that_takes_nothing_gives_its_place_back(monkeypatch):
 
 
 async def test_once_strangers_only_watch_a_viewer_writes_nothing():
-    async with robot(anonymous="observer") as daemon, Viewer(daemon.part("foxglove").url) as viewer:
+    async with (
+        robot(anonymous="observer") as daemon,
+        Viewer(daemon.part("foxglove").url) as viewer,
+    ):
         daemon.gate.take("page")
         await viewer.advertise(1, "/hilserver/set", "json")
         name = "measured.wheel.fl.speed_rpm"
-        await viewer.publish(1, json.dumps({name: 12.5, "wheel.fl.setpoint_rpm": 30.0}).encode())
-        await wait_until(lambda: daemon.gate.rejected["page", "not_granted"] == 2, PATIENCE_S)
+        await viewer.publish(
+            1, json.dumps({name: 12.5, "wheel.fl.setpoint_rpm": 30.0}).encode()
+        )
+        await wait_until(
+            lambda: daemon.gate.rejected["page", "not_granted"] == 2, PATIENCE_S
+        )
         assert value(daemon, "wheel.fl.setpoint_rpm") == 0.0
         assert value(daemon, name) != 12.5
 
@@ -333,7 +365,11 @@ async def test_the_door_is_before_the_server():
     async with robot() as daemon, aiohttp.ClientSession() as session:
         url, protocols = daemon.part("foxglove").url, ["foxglove.sdk.v1"]
         with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
-            await session.ws_connect(url, origin="https://evil.example", protocols=protocols)
+            await session.ws_connect(
+                url, origin="https://evil.example", protocols=protocols
+            )
         assert refused.value.status == 403
         origin = "https://app.foxglove.dev"
-        await (await session.ws_connect(url, origin=origin, protocols=protocols)).close()
+        await (
+            await session.ws_connect(url, origin=origin, protocols=protocols)
+        ).close()

@@ -79,7 +79,9 @@ class RecordingGate:
     @property
     def all_finite(self) -> bool:
         return all(
-            isinstance(v, int | float) and math.isfinite(v) for g in self.groups for v in g.values()
+            isinstance(v, int | float) and math.isfinite(v)
+            for g in self.groups
+            for v in g.values()
         )
 
 
@@ -100,7 +102,9 @@ class Harness:
     @property
     def restored(self) -> list[str]:
         """Who delivered again after it had been lost."""
-        found = [e.source for e in self.events.recent if e.kind is EventKind.PEER_RESTORED]
+        found = [
+            e.source for e in self.events.recent if e.kind is EventKind.PEER_RESTORED
+        ]
         return found[1:]
 
     def heard(self, text: str) -> bool:
@@ -148,7 +152,9 @@ def peer_config(port: int, **changes: object) -> PeerConfig:
 class Peer:
     """An asyncua server that offers set-points as the IOT2050 does."""
 
-    def __init__(self, port: int, *, namespaces_before: int = 0, leave_out: tuple[str, ...] = ()):
+    def __init__(
+        self, port: int, *, namespaces_before: int = 0, leave_out: tuple[str, ...] = ()
+    ):
         self.port = port
         self._before = namespaces_before
         self._leave_out = leave_out
@@ -182,7 +188,9 @@ class Peer:
         await node.set_writable()
         self.nodes[name] = node
 
-    async def set(self, name: str, value: object, *, stamp: datetime | None = None, status=0):
+    async def set(
+        self, name: str, value: object, *, stamp: datetime | None = None, status=0
+    ):
         kind = {"seq": ua.VariantType.UInt32, "light": ua.VariantType.Byte}.get(name)
         data = ua.DataValue(
             ua.Variant(value, kind),
@@ -209,7 +217,11 @@ class Peer:
         await self.server.stop()
         # asyncua's server forgets two tasks for every session that it ends itself.
         forgotten = ("InternalSession.", "InternalSubscription.")
-        left = [t for t in asyncio.all_tasks() if t.get_coro().__qualname__.startswith(forgotten)]
+        left = [
+            t
+            for t in asyncio.all_tasks()
+            if t.get_coro().__qualname__.startswith(forgotten)
+        ]
         for task in left:
             task.cancel()
         await asyncio.gather(*left, return_exceptions=True)

@@ -41,12 +41,18 @@ class Station:
         self.password("otto")
 
     def password(self, user: str, text: str | None = None) -> None:
-        write_private(self.folder / "password", (text or PASSWORDS[user]).encode() + b"\n")
+        write_private(
+            self.folder / "password", (text or PASSWORDS[user]).encode() + b"\n"
+        )
 
     def put(self, folder: str, certificate: x509.Certificate) -> None:
-        write_private(self.trust.folder / folder / file_name(certificate), to_der(certificate))
+        write_private(
+            self.trust.folder / folder / file_name(certificate), to_der(certificate)
+        )
 
-    def link(self, url: str, nodes: dict[str, Any] | None = None, **security: Any) -> Harness:
+    def link(
+        self, url: str, nodes: dict[str, Any] | None = None, **security: Any
+    ) -> Harness:
         log_in = {"user": "otto", "password_file": "password"}
         config = PeerConfig.model_validate(
             {
@@ -59,7 +65,9 @@ class Station:
             }
             | (nodes or {})
         )
-        harness = make_harness(config, security=LinkSecurity(config, OpcUaConfig(), self.folder))
+        harness = make_harness(
+            config, security=LinkSecurity(config, OpcUaConfig(), self.folder)
+        )
         harness.outputs["wheel.fl.speed_rpm"] = (7.5, 0)
         return harness
 
@@ -139,8 +147,12 @@ def showing(rig: Rig, certificate: x509.Certificate, key: Any = None) -> Iterato
         use(*before)
 
 
-def certificate_of(pki: Pki, hosts: Any = ("127.0.0.1",), **more: Any) -> x509.Certificate:
-    return make_certificate(pki.server.key, SERVER_URI, hosts, common_name="robot", **more)
+def certificate_of(
+    pki: Pki, hosts: Any = ("127.0.0.1",), **more: Any
+) -> x509.Certificate:
+    return make_certificate(
+        pki.server.key, SERVER_URI, hosts, common_name="robot", **more
+    )
 
 
 @contextlib.asynccontextmanager

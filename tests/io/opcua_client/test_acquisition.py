@@ -29,7 +29,8 @@ async def test_what_is_too_slow(publishing, sampling, says):
 
 
 @pytest.mark.parametrize(
-    ("received", "missed", "slow"), [(0, 0, False), (95, 5, False), (94, 6, True), (1, 99, True)]
+    ("received", "missed", "slow"),
+    [(0, 0, False), (95, 5, False), (94, 6, True), (1, 99, True)],
 )
 async def test_too_many_missed(received, missed, slow):
     assert bool(too_many_missed(received, missed)) == slow
@@ -85,10 +86,14 @@ async def test_a_failing_gate_ends_the_session_instead_of_being_swallowed(peer):
     harness.gate.write = failing
     await harness.link.start()
     try:
-        await wait_until(lambda: harness.status.last_error == "RuntimeError: the gate is broken")
+        await wait_until(
+            lambda: harness.status.last_error == "RuntimeError: the gate is broken"
+        )
         broken = False
         await peer.cycle(rpm_set_FL=8.0)
-        await wait_until(lambda: harness.gate.latest.get("wheel.fl.setpoint_rpm") == 8.0)
+        await wait_until(
+            lambda: harness.gate.latest.get("wheel.fl.setpoint_rpm") == 8.0
+        )
     finally:
         await harness.link.stop()
 

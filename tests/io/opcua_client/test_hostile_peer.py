@@ -51,7 +51,9 @@ async def endless(reader, writer):
         await asyncio.sleep(0.008)
 
 
-@pytest.mark.parametrize("behaviour", [silent, hangs_up, garbage, error_message, endless])
+@pytest.mark.parametrize(
+    "behaviour", [silent, hangs_up, garbage, error_message, endless]
+)
 async def test_link_survives(behaviour):
     connections = 0
 

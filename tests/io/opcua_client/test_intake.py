@@ -38,7 +38,9 @@ class Bench:
 
     def receive(self, *samples):
         self.now_ns += 10_000_000
-        self.intake.receive([(n, judge(ua.DataValue(v))) for n, v in samples], self.now_ns)
+        self.intake.receive(
+            [(n, judge(ua.DataValue(v))) for n, v in samples], self.now_ns
+        )
         self.staleness.check(self.now_ns)
 
 
@@ -59,7 +61,10 @@ def test_only_finite_numbers_reach_the_gate_and_the_latest_wins(batches):
         newest |= dict(batch)
         group = bench.gate.groups[-1]
         assert group["input.sequence"] == number
-        for node, signal in ((FL, "wheel.fl.setpoint_rpm"), (RR, "wheel.rr.setpoint_rpm")):
+        for node, signal in (
+            (FL, "wheel.fl.setpoint_rpm"),
+            (RR, "wheel.rr.setpoint_rpm"),
+        ):
             value = newest.get(node)
             usable = isinstance(value, int | float) and math.isfinite(value)
             assert (group[signal] == value) if usable else (signal not in group)
@@ -131,7 +136,9 @@ def test_what_the_peer_has_not_sampled_anew_is_no_sample():
     bench.receive((FL, 3.0))  # its number follows
     bench.receive((SEQ, 3))
     assert [group["measured.nav.x_m"] for group in bench.gate.groups] == [5.0] * 3
-    assert [sorted(news) for news in bench.gate.news] == [sorted(read.values())] + [[read[FL]]] * 2
+    assert [sorted(news) for news in bench.gate.news] == [sorted(read.values())] + [
+        [read[FL]]
+    ] * 2
 
 
 def test_how_old_samples_are_follows_from_the_stamp_of_the_number():
@@ -142,7 +149,9 @@ def test_how_old_samples_are_follows_from_the_stamp_of_the_number():
     for k, stamp_ns in enumerate((*stamps, -5_000_000_000, 500_000_000)):
         bench.now_ns += 10_000_000
         verdict = Verdict(value=k, stamp_ns=1_000_000 + stamp_ns)
-        bench.intake.receive([(FL, Verdict(value=float(k))), (SEQ, verdict)], bench.now_ns)
+        bench.intake.receive(
+            [(FL, Verdict(value=float(k))), (SEQ, verdict)], bench.now_ns
+        )
     # the first proves nothing, then 10, 15 and 20 ms; one is older, the last one from the future
     assert bench.gate.ages_ns == [0, 10_000_000, 15_000_000, 20_000_000, 0, 0]
 

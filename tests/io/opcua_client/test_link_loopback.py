@@ -78,7 +78,9 @@ async def test_a_lying_peer_is_named_and_never_reaches_the_gate(peer, mode, bad)
     async with running(harness, peer):
         await wait_until(lambda: not harness.status.stale)
         await peer.set("rpm_set_RR", bad)
-        await wait_until(lambda: any("rpm_set_RR" in key for key in harness.status.faults))
+        await wait_until(
+            lambda: any("rpm_set_RR" in key for key in harness.status.faults)
+        )
         await wait_until(lambda: harness.stale == ["peer:iot2050"])
         await peer.set("rpm_set_RR", 1.0)
         await wait_until(lambda: harness.restored == ["iot2050"])
@@ -197,8 +199,14 @@ async def test_outputs_are_written_as_good_where_the_peer_wants_it_so(peer):
     act = {w: f"nsu={URI};s=rpm_act_{w.upper()}" for w in ("fl", "fr")}
     write = {f"wheel.{w}.speed_rpm": node for w, node in act.items()}
     harness = make_harness(peer_config(peer.port, write=write, write_status="good"))
-    harness.outputs["wheel.fl.speed_rpm"] = (12.5, ua.StatusCodes.UncertainLastUsableValue)
-    harness.outputs["wheel.fr.speed_rpm"] = (9.0, ua.StatusCodes.BadWaitingForInitialData)
+    harness.outputs["wheel.fl.speed_rpm"] = (
+        12.5,
+        ua.StatusCodes.UncertainLastUsableValue,
+    )
+    harness.outputs["wheel.fr.speed_rpm"] = (
+        9.0,
+        ua.StatusCodes.BadWaitingForInitialData,
+    )
     async with running(harness, peer):
         await wait_until(lambda: harness.status.writes > 2)
         written = await peer.read("rpm_act_FL")
@@ -233,13 +241,17 @@ async def test_a_node_that_comes_later_is_found(mode):
     harness = make_harness(peer_config(peer.port, mode=mode))
     try:
         async with running(harness, peer):
-            await wait_until(lambda: any("rpm_set_RR" in k for k in harness.status.faults))
+            await wait_until(
+                lambda: any("rpm_set_RR" in k for k in harness.status.faults)
+            )
             await wait_until(lambda: harness.status.sequence_received > 20)
             assert harness.gate.groups == []
             assert not harness.heard("delivers fresh values")
             assert harness.stale == []
             await peer.add("rpm_set_RR", 4.0, ua.VariantType.Double)
-            await wait_until(lambda: harness.gate.latest.get("wheel.rr.setpoint_rpm") == 4.0)
+            await wait_until(
+                lambda: harness.gate.latest.get("wheel.rr.setpoint_rpm") == 4.0
+            )
     finally:
         await peer.stop()
 
@@ -252,7 +264,9 @@ async def test_restarts_with_other_namespace_numbers_leave_nothing_behind():
     try:
         for number, before in enumerate((0, 3, 1), start=1):
             peer = await Peer(port, namespaces_before=before).start()
-            for _ in range(number):  # the number of a message that was read already says nothing
+            for _ in range(
+                number
+            ):  # the number of a message that was read already says nothing
                 await peer.cycle(rpm_set_FL=float(number))
             await wait_until(
                 lambda: harness.gate.latest.get("wheel.fl.setpoint_rpm") == number  # noqa: B023
@@ -262,7 +276,9 @@ async def test_restarts_with_other_namespace_numbers_leave_nothing_behind():
             await wait_until(lambda: len(harness.stale) >= number)  # noqa: B023
             tasks = tasks or len(asyncio.all_tasks())
             await wait_until(lambda: len(asyncio.all_tasks()) <= tasks)  # noqa: B023
-        assert harness.status.reconnects >= 2, "a busy computer may lose a connection besides"
+        assert harness.status.reconnects >= 2, (
+            "a busy computer may lose a connection besides"
+        )
         assert len(harness.restored) >= 2
     finally:
         await harness.link.stop()

@@ -29,7 +29,22 @@ LIMITS = {
     "Boolean": (0, 1),
 }
 VALUES = (
-    *(0.0, 1.0, -1.0, -40.4, 0.5, 127.6, 255.5, 1e3, 65535.6, -40000.0, 1e10, -1e10, 1e19, -1e19),
+    *(
+        0.0,
+        1.0,
+        -1.0,
+        -40.4,
+        0.5,
+        127.6,
+        255.5,
+        1e3,
+        65535.6,
+        -40000.0,
+        1e10,
+        -1e10,
+        1e19,
+        -1e19,
+    ),
     *(1e30, 3.4028235677973366e38, -1e39, 1e308, -1.7976931348623157e308, 5e-324),
     *(math.nan, math.inf, -math.inf),
 )
@@ -40,7 +55,11 @@ SIGNALS = ("wheel.fl.speed_rpm", "wheel.fr.speed_rpm")
 @pytest.mark.parametrize("value", VALUES)
 def test_a_value_is_packed_or_said_not_to_fit(kind, value):
     type_, (low, high) = ua.VariantType[kind], LIMITS[kind]
-    is_whole = type_ not in (ua.VariantType.Float, ua.VariantType.Double, ua.VariantType.Boolean)
+    is_whole = type_ not in (
+        ua.VariantType.Float,
+        ua.VariantType.Double,
+        ua.VariantType.Boolean,
+    )
     fits = math.isfinite(value) and (
         kind == "Boolean" or low <= (round(value) if is_whole else value) <= high
     )
@@ -73,7 +92,9 @@ def taken(monkeypatch):
                 continue
             arrived.append((data.StatusCode, data.SourceTimestamp, data.Value.Value))
             if any(rule(data) for rule in refuse):
-                results.append(ua.StatusCode(ua.UInt32(ua.StatusCodes.BadWriteNotSupported)))
+                results.append(
+                    ua.StatusCode(ua.UInt32(ua.StatusCodes.BadWriteNotSupported))
+                )
                 continue
             item.Value = ua.DataValue(
                 data.Value,
@@ -148,7 +169,9 @@ async def test_one_output_that_does_not_fit_is_a_fault_and_the_rest_goes_on(peer
 
 
 FORMS = {
-    "values only": lambda data: data.StatusCode is not None or data.SourceTimestamp is not None,
+    "values only": lambda data: (
+        data.StatusCode is not None or data.SourceTimestamp is not None
+    ),
     "values with stamps": lambda data: data.StatusCode is not None,
     "values with status": lambda data: data.SourceTimestamp is not None,
 }
@@ -171,4 +194,6 @@ async def test_a_peer_gets_what_it_takes(peer, taken, takes):
         begun = time.monotonic()
         await wait_until(lambda: time.monotonic() - begun > 0.1)
         values = [value for *_, value in arrived]
-        assert (9.0 in values) == (takes == "values with status")  # bad never looks like good
+        assert (9.0 in values) == (
+            takes == "values with status"
+        )  # bad never looks like good

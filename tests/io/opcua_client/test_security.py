@@ -57,7 +57,9 @@ def station(pki: Pki, tmp_path: Path) -> Station:
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def ours(pki: Pki, tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Rig]:
+async def ours(
+    pki: Pki, tmp_path_factory: pytest.TempPathFactory
+) -> AsyncIterator[Rig]:
     async with robot(pki, tmp_path_factory.mktemp("snapshots")) as rig:
         yield rig
 
@@ -93,7 +95,9 @@ async def test_reads_and_writes_with_every_policy(
     assert log_ins == [b"drive"]
 
 
-async def test_the_channel_is_really_encrypted(ours: Rig, pki: Pki, station: Station) -> None:
+async def test_the_channel_is_really_encrypted(
+    ours: Rig, pki: Pki, station: Station
+) -> None:
     station.put("trusted", pki.server.certificate)
     async with relay(ours.server._server.bserver.port) as (url, seen):
         harness = station.link(url)
@@ -104,12 +108,16 @@ async def test_the_channel_is_really_encrypted(ours: Rig, pki: Pki, station: Sta
 
 
 async def test_trusted_by_its_file_alone(ours: Rig, pki: Pki, station: Station) -> None:
-    harness = station.link(ours.server.url, peer_certificate=str(pki.server.certificate_path))
+    harness = station.link(
+        ours.server.url, peer_certificate=str(pki.server.certificate_path)
+    )
     async with running(harness):
         await wait_until(lambda: harness.status.connected)
 
 
-async def test_trusted_through_its_authority(ours: Rig, pki: Pki, station: Station) -> None:
+async def test_trusted_through_its_authority(
+    ours: Rig, pki: Pki, station: Station
+) -> None:
     authority = pki.authority()
     station.put("trusted", authority[0])
     with showing(ours, certificate_of(pki, issuer=authority)):
@@ -123,7 +131,9 @@ async def test_reached_by_an_address_that_the_certificate_does_not_name(
     certificate = certificate_of(pki, ["robot.example"])
     station.put("trusted", certificate)
     with showing(ours, certificate):
-        async with running(station.link(ours.server.url, peer_host="robot.example")) as harness:
+        async with running(
+            station.link(ours.server.url, peer_host="robot.example")
+        ) as harness:
             await wait_until(lambda: harness.status.connected)
 
 
@@ -147,8 +157,14 @@ async def test_own_certificate_key_and_trust_of_one_peer(
 
 
 BAD: dict[str, tuple[dict[str, Any], str]] = {
-    "expired": ({"not_before": NOW - timedelta(days=3), "days": 2}, "BadCertificateTimeInvalid"),
-    "not yet valid": ({"not_before": NOW + timedelta(days=2)}, "BadCertificateTimeInvalid"),
+    "expired": (
+        {"not_before": NOW - timedelta(days=3), "days": 2},
+        "BadCertificateTimeInvalid",
+    ),
+    "not yet valid": (
+        {"not_before": NOW + timedelta(days=2)},
+        "BadCertificateTimeInvalid",
+    ),
     "another host": ({"hosts": ["192.0.2.7"]}, "names 192.0.2.7, not 127.0.0.1"),
 }
 
@@ -265,7 +281,9 @@ async def test_reconnects_to_a_restarted_peer_with_a_renewed_certificate(
             await rig.server.stop()
             await wait_until(lambda: not harness.status.connected)
             key = make_key()
-            renewed = make_certificate(key, SERVER_URI, ["127.0.0.1"], common_name="renewed")
+            renewed = make_certificate(
+                key, SERVER_URI, ["127.0.0.1"], common_name="renewed"
+            )
             write_private(folder / "own" / "certificate.der", to_der(renewed))
             write_private(folder / "own" / "key.pem", key_to_pem(key))
             rig.server = rig.make_server(endpoint=url)
@@ -273,7 +291,9 @@ async def test_reconnects_to_a_restarted_peer_with_a_renewed_certificate(
             rig.set("pose.x_m", 2.5)
             await wait_until(lambda: harness.heard("is not trusted"))
             station.put("trusted", renewed)
-            await wait_until(lambda: harness.gate.latest == {"wheel.fl.setpoint_rpm": 2.5})
+            await wait_until(
+                lambda: harness.gate.latest == {"wheel.fl.setpoint_rpm": 2.5}
+            )
             assert harness.status.reconnects == 1
 
 
@@ -283,10 +303,15 @@ async def test_reconnects_to_a_restarted_peer_with_a_renewed_certificate(
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def signing(pki: Pki) -> AsyncIterator[Stock]:
     """A stock server that offers no encryption."""
-    offered = [ua.SecurityPolicyType.NoSecurity, ua.SecurityPolicyType.Basic256Sha256_Sign]
+    offered = [
+        ua.SecurityPolicyType.NoSecurity,
+        ua.SecurityPolicyType.Basic256Sha256_Sign,
+    ]
     stock, choose = Stock(), Server.set_security_policy
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Server, "set_security_policy", lambda server, _: choose(server, offered))
+        patch.setattr(
+            Server, "set_security_policy", lambda server, _: choose(server, offered)
+        )
         await stock.start(pki)
     yield stock
     await stock.stop()
@@ -307,7 +332,9 @@ async def test_no_fall_back_to_less_protection(
     offers = "the server offers: None (None_), Basic256Sha256 (Sign);"
     assert f"no endpoint with Basic256Sha256 and sign_and_encrypt; {offers}" in sentence
     assert was_sent(seen, "GetEndpoints")
-    assert not any(was_sent(seen, request) for request in ("CreateSession", "ActivateSession"))
+    assert not any(
+        was_sent(seen, request) for request in ("CreateSession", "ActivateSession")
+    )
     assert b"drive" not in seen
 
 
@@ -321,19 +348,29 @@ async def test_our_own_server_offers_no_mere_signing(
     assert "Aes256Sha256RsaPss (SignAndEncrypt)" in sentence
 
 
-async def test_mode_sign_where_it_is_offered(pki: Pki, signing: Stock, station: Station) -> None:
+async def test_mode_sign_where_it_is_offered(
+    pki: Pki, signing: Stock, station: Station
+) -> None:
     station.put("trusted", pki.server.certificate)
     anonymous = {"user": None, "password_file": None}
     async with relay(signing.server.bserver.port) as (url, seen):
         harness = station.link(url, STOCK_NODES, mode="sign", **anonymous)
         async with running(harness):
-            await wait_until(lambda: harness.gate.latest == {"wheel.fl.setpoint_rpm": 0.0})
+            await wait_until(
+                lambda: harness.gate.latest == {"wheel.fl.setpoint_rpm": 0.0}
+            )
     assert was_sent(seen, "ActivateSession")
 
 
-@pytest.mark.parametrize("uri", ["http://opcfoundation.org/UA/SecurityPolicy#None", "urn:weak"])
+@pytest.mark.parametrize(
+    "uri", ["http://opcfoundation.org/UA/SecurityPolicy#None", "urn:weak"]
+)
 async def test_no_password_that_others_can_read_over_a_signed_link(
-    pki: Pki, signing: Stock, station: Station, monkeypatch: pytest.MonkeyPatch, uri: str
+    pki: Pki,
+    signing: Stock,
+    station: Station,
+    monkeypatch: pytest.MonkeyPatch,
+    uri: str,
 ) -> None:
     quick(monkeypatch)
     station.put("trusted", pki.server.certificate)
@@ -355,7 +392,9 @@ async def test_a_wrong_password_is_named_and_not_tried_in_haste(
     station.password("otto", "wrong")
     harness = station.link(ours.server.url)
     async with running(harness):
-        await wait_until(lambda: harness.heard("refuses user 'otto': check user and password_file"))
+        await wait_until(
+            lambda: harness.heard("refuses user 'otto': check user and password_file")
+        )
         await asyncio.sleep(1.0)
         assert log_ins == [b"wrong"]
     attempts_per_minute = 60 / peer_errors.LOG_IN_PAUSE_S
@@ -404,25 +443,35 @@ async def test_files_that_are_missing_or_open_are_one_sentence(
     url = "opc.tcp://127.0.0.1:4840/"
     secret = station.folder / "password"
     secret.chmod(0o644)
-    with pytest.raises(ConfigError, match=r"peer 'iot2050': .*password can be read by others: run"):
+    with pytest.raises(
+        ConfigError, match=r"peer 'iot2050': .*password can be read by others: run"
+    ):
         station.link(url)
     monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(station.folder))
-    station.link(url)  # systemd guards the folder; the bits of a file there show an access list
+    station.link(
+        url
+    )  # systemd guards the folder; the bits of a file there show an access list
     monkeypatch.delenv("CREDENTIALS_DIRECTORY")
     for text, message in ((b"", "must be a password"), (b"\xff\n", "contains no text")):
         write_private(secret, text)
         with pytest.raises(ConfigError, match=message):
             station.link(url)
     secret.unlink()
-    with pytest.raises(ConfigError, match=r"password_file .* cannot be read: No such file"):
+    with pytest.raises(
+        ConfigError, match=r"password_file .* cannot be read: No such file"
+    ):
         station.link(url)
     station.password("otto")
-    with pytest.raises(ConfigError, match=r"peer 'iot2050': .*none\.der cannot be read"):
+    with pytest.raises(
+        ConfigError, match=r"peer 'iot2050': .*none\.der cannot be read"
+    ):
         station.link(url, peer_certificate="none.der")
     with pytest.raises(ConfigError, match="password is not a certificate"):
         station.link(url, peer_certificate="password")
     (station.trust.folder / "own" / "certificate.der").unlink()
-    with pytest.raises(ConfigError, match="make a certificate with 'hilserver certs make'"):
+    with pytest.raises(
+        ConfigError, match="make a certificate with 'hilserver certs make'"
+    ):
         station.link(url)
 
 

@@ -14,8 +14,12 @@ from hilserver.io.peer_link.link import Backoff
 from hilserver.io.peer_link.samples import FaultKind, LinkLostError, SequenceWatch
 
 
-def sample(value: object, kind: ua.VariantType | None = None, status: int = 0) -> ua.DataValue:
-    return ua.DataValue(ua.Variant(value, kind), StatusCode=ua.StatusCode(ua.UInt32(status)))
+def sample(
+    value: object, kind: ua.VariantType | None = None, status: int = 0
+) -> ua.DataValue:
+    return ua.DataValue(
+        ua.Variant(value, kind), StatusCode=ua.StatusCode(ua.UInt32(status))
+    )
 
 
 @given(st.floats(allow_nan=True, allow_infinity=True))
@@ -37,7 +41,10 @@ def test_only_finite_numbers_pass(number):
         (sample(None), FaultKind.NO_VALUE),
         (ua.DataValue(None), FaultKind.NO_VALUE),
         (sample(1.0, status=ua.StatusCodes.BadSensorFailure), FaultKind.BAD_STATUS),
-        (sample(1.0, status=ua.StatusCodes.UncertainLastUsableValue), FaultKind.BAD_STATUS),
+        (
+            sample(1.0, status=ua.StatusCodes.UncertainLastUsableValue),
+            FaultKind.BAD_STATUS,
+        ),
         (sample(None, status=ua.StatusCodes.BadNodeIdUnknown), FaultKind.MISSING_NODE),
     ],
 )
@@ -74,7 +81,11 @@ def test_a_counter_that_starts_anew_is_a_jump_not_a_loss():
     watch = SequenceWatch()
     watch.observe(5000)
     step = watch.observe(1)
-    assert (step.advanced, step.missed, step.fault) == (True, 0, FaultKind.SEQUENCE_JUMP)
+    assert (step.advanced, step.missed, step.fault) == (
+        True,
+        0,
+        FaultKind.SEQUENCE_JUMP,
+    )
 
 
 def test_backoff_doubles_up_to_its_limit_and_begins_anew():

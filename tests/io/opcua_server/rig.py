@@ -92,8 +92,14 @@ class Rig:
             reset_statistics=self.pacing.reset_statistics,
         )
         self.clock = UtcClock()
-        self.tables: dict[str, dict[str, dict[str, Any]]] = {"slices": {}, "peers": {}, "audit": {}}
-        self.config = OpcUaConfig(**{"endpoint": "opc.tcp://127.0.0.1:0/hilserver", **config})
+        self.tables: dict[str, dict[str, dict[str, Any]]] = {
+            "slices": {},
+            "peers": {},
+            "audit": {},
+        }
+        self.config = OpcUaConfig(
+            **{"endpoint": "opc.tcp://127.0.0.1:0/hilserver", **config}
+        )
         self.server = self.make_server()
 
     def make_server(self, **config: Any) -> OpcUaServer:
@@ -107,7 +113,9 @@ class Rig:
             control=self.control,
             events=self.events,
             clock=self.clock,
-            tables={name: partial(self.tables.__getitem__, name) for name in self.tables},
+            tables={
+                name: partial(self.tables.__getitem__, name) for name in self.tables
+            },
             faults=None,
             parameters=None,
             files=None,
@@ -115,7 +123,9 @@ class Rig:
         )
         return OpcUaServer(world)
 
-    def tick(self, change: Callable[[Any, Any], None] | None = None, n: int = 1) -> None:
+    def tick(
+        self, change: Callable[[Any, Any], None] | None = None, n: int = 1
+    ) -> None:
         """Run `n` ticks; `change(values, status)` may alter the working frame of the last."""
         for _ in range(n):
             self._tick(change)
@@ -125,12 +135,16 @@ class Rig:
 
     def _tick(self, change: Callable[[Any, Any], None] | None) -> None:
         image = self.image
-        self.pacing.tick = serve(image.control.request, self.pacing.tick, image.words) + 1
+        self.pacing.tick = (
+            serve(image.control.request, self.pacing.tick, image.words) + 1
+        )
         latch_rows(self.pacing.tick, image.values, image.words)
         show_outcome(image.values, image.words)
         values, status, slot = image.frame_values, image.frame_status, self.table.slot
         for wheel in WHEELS:
-            values[slot(f"wheel.{wheel}.speed_rpm")] = values[slot(f"wheel.{wheel}.setpoint_rpm")]
+            values[slot(f"wheel.{wheel}.speed_rpm")] = values[
+                slot(f"wheel.{wheel}.setpoint_rpm")
+            ]
         values[slot("sim.tick")] = self.pacing.tick
         values[slot("sim.time_s")] = self.pacing.tick * 1e-3
         values[slot("sim.state")] = image.control.state
@@ -186,7 +200,9 @@ class RobotClient(Client):
     async def write_doubles(self, **values: float) -> list[str]:
         """Write doubles; ``__`` in a keyword stands for a dot."""
         kind = ua.VariantType.Double
-        return await self.write(*((k.replace("__", "."), v, kind) for k, v in values.items()))
+        return await self.write(
+            *((k.replace("__", "."), v, kind) for k, v in values.items())
+        )
 
     async def call(self, name: str, *arguments: ua.Variant) -> ua.CallMethodResult:
         request = ua.CallMethodRequest()

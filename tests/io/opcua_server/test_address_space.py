@@ -43,7 +43,9 @@ async def test_robot_is_found_from_objects_by_way_of_di(client: RobotClient) -> 
     assert device_set.nodeid == ua.NodeId(5001, di)
 
 
-async def test_the_robot_has_a_nameplate_where_asset_tools_look(client: RobotClient) -> None:
+async def test_the_robot_has_a_nameplate_where_asset_tools_look(
+    client: RobotClient,
+) -> None:
     di = await client.get_namespace_index(DI_NAMESPACE_URI)
     robot = client.path("robot")
     found = {}
@@ -57,7 +59,13 @@ async def test_the_robot_has_a_nameplate_where_asset_tools_look(client: RobotCli
     assert found["SoftwareRevision"] == hilserver.__version__
     assert re.fullmatch("[0-9a-f]{12}", found["SerialNumber"])
     assert found["ProductInstanceUri"].endswith(found["SerialNumber"])
-    mandatory = {"Manufacturer", "Model", "HardwareRevision", "SoftwareRevision", "DeviceRevision"}
+    mandatory = {
+        "Manufacturer",
+        "Model",
+        "HardwareRevision",
+        "SoftwareRevision",
+        "DeviceRevision",
+    }
     mandatory |= {"DeviceManual", "SerialNumber", "RevisionCounter"}
     assert found.keys() >= mandatory
     group = await robot.get_child(f"{di}:Identification")
@@ -70,11 +78,17 @@ async def test_namespaces_have_fixed_order(client: RobotClient) -> None:
     assert uris[2:] == ["urn:hilserver:robot", DI_NAMESPACE_URI]
 
 
-async def test_our_namespaces_are_described_where_clients_look(client: RobotClient) -> None:
+async def test_our_namespaces_are_described_where_clients_look(
+    client: RobotClient,
+) -> None:
     found = {}
-    for node in await client.get_node(ua.NodeId(ua.ObjectIds.Server_Namespaces)).get_children():
+    for node in await client.get_node(
+        ua.NodeId(ua.ObjectIds.Server_Namespaces)
+    ).get_children():
         properties = await node.get_properties()
-        values = {(await p.read_browse_name()).Name: await p.read_value() for p in properties}
+        values = {
+            (await p.read_browse_name()).Name: await p.read_value() for p in properties
+        }
         assert values["NamespaceUri"] == (await node.read_browse_name()).Name
         found[values["NamespaceUri"]] = values
     ours, di = found["urn:hilserver:robot"], found[DI_NAMESPACE_URI]
@@ -91,7 +105,9 @@ async def test_every_signal_is_a_variable_of_its_type(client: RobotClient) -> No
         )  # fmt: skip
         assert name.Name == signal.name.rpartition(".")[2]
         assert ua.VariantType(data_type.Identifier).name == signal.type.value
-        assert (rank, dims) == ((1, [len(signal.slots)]) if signal.is_array else (-1, None))
+        assert (rank, dims) == (
+            (1, [len(signal.slots)]) if signal.is_array else (-1, None)
+        )
         assert access == (3 if signal.writable else 1), signal.name
         assert description.Text == signal.description
 
@@ -102,7 +118,10 @@ async def test_analog_variables_have_range_and_unit(client: RobotClient) -> None
         kind = await client.path(name).read_type_definition()
         assert kind == ua.NodeId(ua.ObjectIds.AnalogUnitRangeType)
         found = await properties(client, name)
-        assert (found["EURange"].Low, found["EURange"].High) == (signal.low, signal.high)
+        assert (found["EURange"].Low, found["EURange"].High) == (
+            signal.low,
+            signal.high,
+        )
         assert found["EngineeringUnits"].UnitId == UNECE[signal.unit].unit_id
         assert found["EngineeringUnits"].DisplayName.Text == signal.unit
 
@@ -111,7 +130,13 @@ async def test_enumerations_name_their_values(client: RobotClient) -> None:
     kind = await client.path("sim.state").read_type_definition()
     assert kind == ua.NodeId(ua.ObjectIds.MultiStateDiscreteType)
     states = (await properties(client, "sim.state"))["EnumStrings"]
-    assert [text.Text for text in states] == ["starting", "running", "paused", "safe", "stopping"]
+    assert [text.Text for text in states] == [
+        "starting",
+        "running",
+        "paused",
+        "safe",
+        "stopping",
+    ]
     lights = (await properties(client, "lights.command"))["EnumStrings"]
     assert len(lights) == TABLE["lights.command"].high + 1
     enable = await properties(client, "drive.enable")
@@ -140,17 +165,23 @@ async def test_hidden_signals_are_not_shown(client: RobotClient) -> None:
 async def test_methods_describe_their_arguments(client: RobotClient) -> None:
     for method in METHODS:
         node = client.path(method.node_id)
-        found = {(await n.read_browse_name()).Name: n for n in await node.get_properties()}
+        found = {
+            (await n.read_browse_name()).Name: n for n in await node.get_properties()
+        }
         arguments = await found["InputArguments"].read_value() if found else []
         described = [
             (a.Name, ua.VariantType(a.DataType.Identifier).name, a.Description.Text)
             for a in arguments
         ]
-        assert described == [(a.name, str(a.type), a.description) for a in method.arguments]
+        assert described == [
+            (a.name, str(a.type), a.description) for a in method.arguments
+        ]
 
 
 async def test_build_info_and_uris(client: RobotClient, rig: Rig) -> None:
-    info = await client.get_node(ua.ObjectIds.Server_ServerStatus_BuildInfo).read_value()
+    info = await client.get_node(
+        ua.ObjectIds.Server_ServerStatus_BuildInfo
+    ).read_value()
     assert (info.ProductName, info.SoftwareVersion[:2]) == ("hilserver", "0.")
     endpoint = (await client.get_endpoints())[0]
     assert endpoint.Server.ApplicationUri.endswith(":hilserver")
@@ -158,7 +189,9 @@ async def test_build_info_and_uris(client: RobotClient, rig: Rig) -> None:
 
 
 async def test_reference_page_names_everything() -> None:
-    page = (Path(__file__).parents[3] / "docs/reference/opcua-address-space.md").read_text()
+    page = (
+        Path(__file__).parents[3] / "docs/reference/opcua-address-space.md"
+    ).read_text()
     codes = {ua.StatusCode(code).name for code in STATUS_OF.values()}
     for word in (*(m.name for m in METHODS), *TYPE_NAMES.values(), *GROUPS, *codes):
         assert word in page, word

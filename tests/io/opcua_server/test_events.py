@@ -29,7 +29,9 @@ class Inbox:
 
 
 @asynccontextmanager
-async def inbox(client: RobotClient, source: Any, event_type: Any) -> AsyncIterator[Inbox]:
+async def inbox(
+    client: RobotClient, source: Any, event_type: Any
+) -> AsyncIterator[Inbox]:
     box = Inbox()
     subscription = await client.create_subscription(10, box)
     await subscription.subscribe_events(source, event_type, queuesize=100)
@@ -52,13 +54,18 @@ async def test_event_of_every_kind_reaches_server_and_robot(
     assert first.EventId == second.EventId
     assert first.EventType == event_type.nodeid
     assert (first.Severity, first.Message.Text) == (700, "something happened")
-    assert (first.SourceName, first.SourceNode) == ("peer:plc", client.path("robot").nodeid)
+    assert (first.SourceName, first.SourceNode) == (
+        "peer:plc",
+        client.path("robot").nodeid,
+    )
     assert first.Time == rig.clock.utc(event.monotonic_ns)
     assert (first.Kind, first.Suppressed) == (kind.value, 0)
     assert first.MonotonicTime_ns == event.monotonic_ns
 
 
-async def test_refused_write_says_who_has_control(rig: Rig, client: RobotClient) -> None:
+async def test_refused_write_says_who_has_control(
+    rig: Rig, client: RobotClient
+) -> None:
     event_type = client.path("types.SetPointRefusedEventType")
     async with inbox(client, ua.ObjectIds.Server, event_type) as box:
         rig.gate.take("peer")
@@ -67,7 +74,9 @@ async def test_refused_write_says_who_has_control(rig: Rig, client: RobotClient)
     assert "'peer' has control" in event.Message.Text
 
 
-async def test_select_clauses_of_a_hostile_client(rig: Rig, client: RobotClient) -> None:
+async def test_select_clauses_of_a_hostile_client(
+    rig: Rig, client: RobotClient
+) -> None:
     """Names of Python attributes are no event fields, and break nothing."""
     event_filter = ua.EventFilter()
     for name in ("__class__", "to_event_fields", "Message", "", "_fields"):
@@ -86,7 +95,9 @@ async def test_select_clauses_of_a_hostile_client(rig: Rig, client: RobotClient)
     params = ua.CreateMonitoredItemsParameters()
     params.SubscriptionId = subscription.subscription_id
     params.ItemsToCreate = [item]
-    assert (await client.uaclient.create_monitored_items(params))[0].StatusCode.is_good()
+    assert (await client.uaclient.create_monitored_items(params))[
+        0
+    ].StatusCode.is_good()
     async with inbox(
         client, ua.ObjectIds.Server, client.path("types.StateChangedEventType")
     ) as box:
@@ -99,7 +110,9 @@ async def test_floods_are_counted() -> None:
     """Of twelve events in a second ten are sent, and a summary stands for the other two."""
     now_s = [0.0]
     sent: list[tuple[str, int]] = []
-    gate = FloodGate(10, lambda event, n: sent.append((event.message, n)), lambda: now_s[0])
+    gate = FloodGate(
+        10, lambda event, n: sent.append((event.message, n)), lambda: now_s[0]
+    )
     for i in range(12):
         gate.send(Event(EventKind.OVERRUN, 1, "plant", f"overrun {i}"))
     gate.flush()
@@ -133,5 +146,8 @@ async def test_no_event_is_lost_from_the_count(
     for kind in EventKind:
         of_kind = [(at_s, n) for k, at_s, n in sent if k is kind]
         assert sum(1 + n for _, n in of_kind) == sum(k is kind for k, _ in steps)
-        windows = [sum(start <= at < start + 0.999 for at, _ in of_kind) for start, _ in of_kind]
+        windows = [
+            sum(start <= at < start + 0.999 for at, _ in of_kind)
+            for start, _ in of_kind
+        ]
         assert max(windows, default=0) <= 2 * limit

@@ -51,7 +51,9 @@ async def test_pause_step_start(rig: Rig, client: RobotClient) -> None:
     assert await client.read("sim.state") == State.RUNNING
 
 
-async def test_stop_is_the_safe_state_and_reset_ends_it(rig: Rig, client: RobotClient) -> None:
+async def test_stop_is_the_safe_state_and_reset_ends_it(
+    rig: Rig, client: RobotClient
+) -> None:
     assert await code(client, "Stop") == "Good"
     rig.tick()
     assert await client.read("sim.state") == State.SAFE
@@ -69,7 +71,9 @@ async def test_not_possible_now(rig: Rig, client: RobotClient) -> None:
 
 
 async def test_set_pose(rig: Rig, client: RobotClient) -> None:
-    assert await code(client, "SetPose", double(1.5), double(-2.0), double(0.5)) == "Good"
+    assert (
+        await code(client, "SetPose", double(1.5), double(-2.0), double(0.5)) == "Good"
+    )
     rig.tick()
     values, slot = rig.image.latest().values, rig.table.slot
     names = ("internal.pose_x_m", "internal.pose_y_m", "internal.pose_yaw_rad")
@@ -107,16 +111,24 @@ async def test_refused_calls(
 
 async def test_wrong_argument_is_pointed_at(client: RobotClient) -> None:
     result = await client.call("SetPose", double(0), text("0"), double(0))
-    assert [r.name for r in result.InputArgumentResults] == ["Good", "BadTypeMismatch", "Good"]
+    assert [r.name for r in result.InputArgumentResults] == [
+        "Good",
+        "BadTypeMismatch",
+        "Good",
+    ]
 
 
 async def test_method_of_another_object(client: RobotClient) -> None:
     request = ua.CallMethodRequest()
     request.ObjectId = ua.NodeId("robot", client.index)
     request.MethodId = ua.NodeId("methods.Pause", client.index)
-    assert (await client.uaclient.call([request]))[0].StatusCode.name == "BadMethodInvalid"
+    assert (await client.uaclient.call([request]))[
+        0
+    ].StatusCode.name == "BadMethodInvalid"
     request.MethodId = ua.NodeId("methods.Explode", client.index)
-    assert (await client.uaclient.call([request]))[0].StatusCode.name == "BadMethodInvalid"
+    assert (await client.uaclient.call([request]))[
+        0
+    ].StatusCode.name == "BadMethodInvalid"
 
 
 async def test_snapshot_is_saved_and_restored(rig: Rig, client: RobotClient) -> None:
@@ -165,7 +177,10 @@ async def test_one_call_does_not_wait_for_ever(
         ua.NodeId("methods", client.index), ua.NodeId("methods.Step", client.index)
     )
     results = await client.uaclient.call([request] * 5)
-    assert [result.StatusCode.name for result in results] == ["Good", *["BadTimeout"] * 4]
+    assert [result.StatusCode.name for result in results] == [
+        "Good",
+        *["BadTimeout"] * 4,
+    ]
     assert len(called) == 1
 
 

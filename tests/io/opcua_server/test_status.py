@@ -96,7 +96,11 @@ async def test_figures_appear_and_change(rig: Rig, client: RobotClient) -> None:
     for figure in ("worst_at_s", "margin_min_tick"):
         code = (await client.data_value(f"{folder}.{figure}")).StatusCode
         assert code.name == "BadWaitingForInitialData"
-    rig.tables["slices"]["plant"] |= {"overruns": 4, "worst_at_s": 1, "wake_p99_us": math.inf}
+    rig.tables["slices"]["plant"] |= {
+        "overruns": 4,
+        "worst_at_s": 1,
+        "wake_p99_us": math.inf,
+    }
     rig.tables["slices"]["plant"]["margin_min_tick"] = 7
     await until_slices_show(rig, client, 4)
     assert await client.read(f"{folder}.worst_at_s") == 1.0
@@ -105,7 +109,9 @@ async def test_figures_appear_and_change(rig: Rig, client: RobotClient) -> None:
     assert await client.read(f"{folder}.wake_p99_us") == math.inf
 
 
-async def test_a_figure_that_changes_its_type_breaks_nothing(rig: Rig, client: RobotClient) -> None:
+async def test_a_figure_that_changes_its_type_breaks_nothing(
+    rig: Rig, client: RobotClient
+) -> None:
     for value, shown in (
         (1, 1),
         (math.nan, None),
@@ -122,7 +128,9 @@ async def test_a_figure_that_changes_its_type_breaks_nothing(rig: Rig, client: R
     rig.tables["peers"] = {}
 
 
-async def test_audit_items_are_booleans_with_details(rig: Rig, client: RobotClient) -> None:
+async def test_audit_items_are_booleans_with_details(
+    rig: Rig, client: RobotClient
+) -> None:
     rig.tables["audit"] = {
         "kernel": {"found": "generic", "remedy": "boot the rt kernel", "ok": False}
     }

@@ -38,7 +38,9 @@ def test_codes_and_symbols_are_unique() -> None:
 
 def test_unknown_unit_is_one_sentence() -> None:
     assert find_unit("m") is UNECE["m"]
-    with pytest.raises(ConfigError, match="unit 'parsec' is unknown; write one of 1, %"):
+    with pytest.raises(
+        ConfigError, match="unit 'parsec' is unknown; write one of 1, %"
+    ):
         find_unit("parsec")
 
 

@@ -28,7 +28,9 @@ def bare() -> tuple[SignalVariables, dict[str, SignalPlace]]:
 
 
 def frame(
-    values: dict[str, float] | None = None, status: dict[str, int] | None = None, latched: int = 0
+    values: dict[str, float] | None = None,
+    status: dict[str, int] | None = None,
+    latched: int = 0,
 ) -> Frame:
     numbers, codes = np.zeros(TABLE.n_slots), np.zeros(TABLE.n_slots, dtype=np.int64)
     for name, value in (values or {}).items():
@@ -61,10 +63,15 @@ async def test_types_and_arrays(rig: Rig, client: RobotClient) -> None:
     rig.gate.write("peer:a", {"wheel.rl.setpoint_rpm": 12.0})
     rig.tick()
     speeds = (await client.data_value("wheels.speeds_rpm")).Value
-    assert (speeds.Value, speeds.VariantType) == ([0.0, 12.0, 0.0, 0.0], ua.VariantType.Double)
+    assert (speeds.Value, speeds.VariantType) == (
+        [0.0, 12.0, 0.0, 0.0],
+        ua.VariantType.Double,
+    )
     tick = (await client.data_value("sim.tick")).Value
     assert (tick.Value, tick.VariantType) == (rig.pacing.tick, ua.VariantType.Int64)
-    assert (await client.data_value("sim.state")).Value.VariantType == ua.VariantType.Byte
+    assert (
+        await client.data_value("sim.state")
+    ).Value.VariantType == ua.VariantType.Byte
 
 
 async def test_status_codes_travel(rig: Rig, client: RobotClient) -> None:
@@ -80,7 +87,9 @@ async def test_status_codes_travel(rig: Rig, client: RobotClient) -> None:
 
 
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
-async def test_no_number_is_never_good(rig: Rig, client: RobotClient, number: float) -> None:
+async def test_no_number_is_never_good(
+    rig: Rig, client: RobotClient, number: float
+) -> None:
     rig.set("pose.yaw_rad", number)
     value = await client.data_value("pose.yaw_rad")
     assert (value.StatusCode.name, value.Value.Value) == ("BadSensorFailure", None)
@@ -93,7 +102,9 @@ async def test_subscribers_get_every_change(rig: Rig, client: RobotClient) -> No
     done = asyncio.Event()
 
     class Handler:
-        def datachange_notification(self, node: object, value: float, data: object) -> None:
+        def datachange_notification(
+            self, node: object, value: float, data: object
+        ) -> None:
             received.append(value)
             if value == 5.0:
                 done.set()
@@ -110,11 +121,15 @@ async def test_subscribers_get_every_change(rig: Rig, client: RobotClient) -> No
     assert received == [0.5, 1.0, 2.0, 3.0, 5.0]
 
 
-async def test_dead_band_does_not_swallow_a_bad_status(rig: Rig, client: RobotClient) -> None:
+async def test_dead_band_does_not_swallow_a_bad_status(
+    rig: Rig, client: RobotClient
+) -> None:
     codes: asyncio.Queue[str] = asyncio.Queue()
 
     class Handler:
-        def datachange_notification(self, node: object, value: object, data: object) -> None:
+        def datachange_notification(
+            self, node: object, value: object, data: object
+        ) -> None:
             codes.put_nowait(data.monitored_item.Value.StatusCode.name)
 
     rig.set("tof.fl_m", 1.0)
@@ -139,7 +154,9 @@ async def test_made_once_per_change_and_only_when_somebody_looks() -> None:
     assert variables.publish(uncertain) == 1
     assert variables.publish(uncertain) == 0
     made = places["wheel.fl.speed_rpm"].value
-    assert made.encoded(ua.TimestampsToReturn.Both) is made.encoded(ua.TimestampsToReturn.Both)
+    assert made.encoded(ua.TimestampsToReturn.Both) is made.encoded(
+        ua.TimestampsToReturn.Both
+    )
 
 
 @given(st.lists(st.lists(st.floats(), min_size=4, max_size=4), min_size=1, max_size=6))
@@ -151,7 +168,10 @@ async def test_published_bits_are_the_frames_bits(rows: list[list[float]]) -> No
         for name, number in zip(names, row, strict=True):
             shown = places[name].value
             if math.isfinite(number):
-                assert np.float64(shown.Value.Value).tobytes() == np.float64(number).tobytes()
+                assert (
+                    np.float64(shown.Value.Value).tobytes()
+                    == np.float64(number).tobytes()
+                )
             else:
                 assert shown.StatusCode.is_bad()
 
@@ -161,7 +181,10 @@ async def test_what_was_written_stays_until_a_frame_contains_it() -> None:
     place = places["wheel.fl.setpoint_rpm"]
     variables.publish(frame(latched=5))
     variables.show_written({"wheel.fl.setpoint_rpm": (7.0,)}, pushed_rows=6)
-    assert (place.value.Value.Value, places["wheels.setpoints_rpm"].value.Value.Value[0]) == (
+    assert (
+        place.value.Value.Value,
+        places["wheels.setpoints_rpm"].value.Value.Value[0],
+    ) == (
         7.0,
         7.0,
     )
@@ -186,7 +209,11 @@ _SCALARS = st.one_of(
 )
 
 
-@given(_SCALARS, st.sampled_from([0, UNCERTAIN, BAD_OUT_OF_SERVICE]), st.sampled_from([0, 1, 2, 3]))
+@given(
+    _SCALARS,
+    st.sampled_from([0, UNCERTAIN, BAD_OUT_OF_SERVICE]),
+    st.sampled_from([0, 1, 2, 3]),
+)
 async def test_our_bytes_are_those_of_the_codec(
     row: tuple[ua.VariantType, object], code: int, asked: int
 ) -> None:
@@ -206,9 +233,13 @@ async def test_our_bytes_are_those_of_the_codec(
 
 async def test_fixed_values_are_their_own_copy() -> None:
     now = datetime.now(UTC)
-    fixed = FixedDataValue(ua.Variant(1.0, ua.VariantType.Double), ua.StatusCode(0), now, now)
+    fixed = FixedDataValue(
+        ua.Variant(1.0, ua.VariantType.Double), ua.StatusCode(0), now, now
+    )
     assert copy.deepcopy(fixed) is fixed
-    plain = ua.DataValue(ua.Variant(1.0, ua.VariantType.Double), ua.StatusCode(0), now, now)
+    plain = ua.DataValue(
+        ua.Variant(1.0, ua.VariantType.Double), ua.StatusCode(0), now, now
+    )
     encode = ua.ua_binary.to_binary
     assert encode(ua.DataValue, fixed) == encode(ua.DataValue, plain)
 

@@ -49,17 +49,31 @@ async def test_all_types(rig: Rig, client: RobotClient) -> None:
     )
     assert answers == ["Good"] * 4
     assert latched(rig, "input.sequence") == 4e9
-    assert (await client.read("drive.enable"), await client.read("control.mode")) == (False, 1)
+    assert (await client.read("drive.enable"), await client.read("control.mode")) == (
+        False,
+        1,
+    )
 
 
-async def test_array_write_maps_to_four_slots_and_later_wins(rig: Rig, client: RobotClient) -> None:
+async def test_array_write_maps_to_four_slots_and_later_wins(
+    rig: Rig, client: RobotClient
+) -> None:
     four = [1.0, 2.0, -3.0, -4.0]
-    assert await client.write((ARRAY, four, T.Double), (FL, 9.0, T.Double)) == ["Good", "Good"]
+    assert await client.write((ARRAY, four, T.Double), (FL, 9.0, T.Double)) == [
+        "Good",
+        "Good",
+    ]
     assert await client.read(ARRAY) == [9.0, 2.0, -3.0, -4.0]
     assert latched(rig, FL) == 9.0
-    assert await client.write((FL, 8.0, T.Double), (ARRAY, four, T.Double)) == ["Good", "Good"]
+    assert await client.write((FL, 8.0, T.Double), (ARRAY, four, T.Double)) == [
+        "Good",
+        "Good",
+    ]
     assert latched(rig, FL) == 1.0
-    assert await client.write((FL, 5.0, T.Double), (FL, 6.0, T.Double)) == ["Good", "Good"]
+    assert await client.write((FL, 5.0, T.Double), (FL, 6.0, T.Double)) == [
+        "Good",
+        "Good",
+    ]
     assert latched(rig, FL) == 6.0
 
 
@@ -105,10 +119,16 @@ async def test_refused_writes_name_their_reason_and_change_nothing(
     assert same.all()
 
 
-async def test_refusals_are_counted_and_published(rig: Rig, client: RobotClient) -> None:
+async def test_refusals_are_counted_and_published(
+    rig: Rig, client: RobotClient
+) -> None:
     rig.gate.rejected.clear()
     await client.write((FL, 5, T.Int64), (FL, 91.0, T.Double), (FL, math.nan, T.Double))
-    reasons = {reason: n for (source, reason), n in rig.gate.rejected.items() if source == "opcua"}
+    reasons = {
+        reason: n
+        for (source, reason), n in rig.gate.rejected.items()
+        if source == "opcua"
+    }
     assert reasons == {"type_mismatch": 1, "out_of_range": 1, "not_finite": 1}
     kinds = [event.kind for event in rig.events.recent][-3:]
     assert kinds == [EventKind.SETPOINT_REFUSED] * 3
@@ -116,7 +136,9 @@ async def test_refusals_are_counted_and_published(rig: Rig, client: RobotClient)
     assert rig.events.recent[-3].message == f"opcua: {text}"
 
 
-async def test_good_ones_of_a_mixed_request_get_through(rig: Rig, client: RobotClient) -> None:
+async def test_good_ones_of_a_mixed_request_get_through(
+    rig: Rig, client: RobotClient
+) -> None:
     answers = await client.write_doubles(
         wheel__fl__setpoint_rpm=4.0,
         wheel__fr__setpoint_rpm=400.0,
@@ -127,7 +149,9 @@ async def test_good_ones_of_a_mixed_request_get_through(rig: Rig, client: RobotC
     assert (latched(rig, FL), latched(rig, "wheel.rl.setpoint_rpm")) == (4.0, 5.0)
 
 
-async def test_without_control_nothing_but_measured_values(rig: Rig, client: RobotClient) -> None:
+async def test_without_control_nothing_but_measured_values(
+    rig: Rig, client: RobotClient
+) -> None:
     rig.gate.take("peer")
     rig.tick()
     assert await client.read("control.source") == "peer"
@@ -137,7 +161,9 @@ async def test_without_control_nothing_but_measured_values(rig: Rig, client: Rob
     assert latched(rig, "measured.pose.x_m") == 1.25
 
 
-async def test_taking_control_acts_on_the_writes_behind_it(rig: Rig, client: RobotClient) -> None:
+async def test_taking_control_acts_on_the_writes_behind_it(
+    rig: Rig, client: RobotClient
+) -> None:
     rig.gate.take("peer")
     answers = await client.write(
         (FL, 1.0, T.Double), ("control.source", "opcua", T.String), (FL, 2.0, T.Double)
@@ -162,7 +188,10 @@ async def test_what_a_client_commands_ends_with_it_though_it_took_no_control(
     assert latched(rig, FL) == 20.0, "only who set the set-points ends them"
     killed.uaclient.protocol.transport.abort()
     await wait_until(lambda: latched(rig, FL) == 0.0)
-    assert rig.events.recent[-1].message == "a client of 'opcua' is gone: its set-points are zero"
+    assert (
+        rig.events.recent[-1].message
+        == "a client of 'opcua' is gone: its set-points are zero"
+    )
     assert rig.gate.owner == "opcua"
     assert await client.write((FL, 5.0, T.Double)) == ["Good"]
     assert latched(rig, FL) == 5.0
@@ -175,7 +204,9 @@ async def test_of_several_clients_only_what_one_set_last_ends_with_it(
     await killed.connect()
     wheels = [f"wheel.{w}.setpoint_rpm" for w in WHEELS]
     enable = "drive.enable"
-    assert await killed.write(*((name, 20.0, T.Double) for name in wheels)) == ["Good"] * 4
+    assert (
+        await killed.write(*((name, 20.0, T.Double) for name in wheels)) == ["Good"] * 4
+    )
     answers = await client.write((wheels[1], 7.0, T.Double), (enable, False, T.Boolean))
     assert answers == ["Good"] * 2
     shell = RobotClient(rig.server.url)
@@ -205,7 +236,9 @@ async def test_what_the_shell_commands_holds_when_its_session_ends(
 
 async def test_a_higher_source_keeps_control(rig: Rig, client: RobotClient) -> None:
     rig.gate.take("page")
-    assert await client.write(("control.source", "opcua", T.String)) == ["BadUserAccessDenied"]
+    assert await client.write(("control.source", "opcua", T.String)) == [
+        "BadUserAccessDenied"
+    ]
     assert rig.gate.owner == "page"
 
 
@@ -226,7 +259,9 @@ async def test_only_plain_good_values(rig: Rig, client: RobotClient) -> None:
         assert [c.name for c in await client.uaclient.write(params)] == [code]
 
 
-async def test_other_attributes_and_other_namespaces_are_read_only(client: RobotClient) -> None:
+async def test_other_attributes_and_other_namespaces_are_read_only(
+    client: RobotClient,
+) -> None:
     for node_id, attribute in (
         (ua.NodeId(FL, client.index), ua.AttributeIds.DisplayName),
         (ua.NodeId(FL, client.index), ua.AttributeIds.AccessLevel),
@@ -238,7 +273,9 @@ async def test_other_attributes_and_other_namespaces_are_read_only(client: Robot
         item.NodeId, item.AttributeId = node_id, attribute
         item.Value = ua.DataValue(ua.Variant(3, T.Byte))
         params.NodesToWrite = [item]
-        assert [c.name for c in await client.uaclient.write(params)] == ["BadNotWritable"]
+        assert [c.name for c in await client.uaclient.write(params)] == [
+            "BadNotWritable"
+        ]
 
 
 async def test_full_queue_is_refused(rig: Rig, client: RobotClient) -> None:
@@ -248,7 +285,9 @@ async def test_full_queue_is_refused(rig: Rig, client: RobotClient) -> None:
     assert await client.write((FL, 2.0, T.Double)) == ["Good"]
 
 
-async def test_reason_in_words_for_clients_that_ask(rig: Rig, client: RobotClient) -> None:
+async def test_reason_in_words_for_clients_that_ask(
+    rig: Rig, client: RobotClient
+) -> None:
     rig.gate.take("peer")
     request = ua.WriteRequest()
     request.RequestHeader.ReturnDiagnostics = 0xC0
@@ -260,7 +299,9 @@ async def test_reason_in_words_for_clients_that_ask(rig: Rig, client: RobotClien
     response = ua.ua_binary.struct_from_binary(ua.WriteResponse, data)
     info = response.DiagnosticInfos[0]
     assert "'peer' has control" in info.AdditionalInfo
-    assert response.ResponseHeader.StringTable[info.LocalizedText] == info.AdditionalInfo
+    assert (
+        response.ResponseHeader.StringTable[info.LocalizedText] == info.AdditionalInfo
+    )
 
 
 class SendsAndStands:

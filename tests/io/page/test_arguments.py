@@ -8,8 +8,19 @@ from hilserver.io.opcua_server.method_table import METHODS, STRING
 from hilserver.io.page.calls import WrongTypeError, check, fit
 from hilserver.io.page.hand import RefusedError, _arguments
 
-SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.just("\ud800")
-JSON = SCALARS | st.lists(SCALARS, max_size=3) | st.dictionaries(st.text(), SCALARS, max_size=3)
+SCALARS = (
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats()
+    | st.text()
+    | st.just("\ud800")
+)
+JSON = (
+    SCALARS
+    | st.lists(SCALARS, max_size=3)
+    | st.dictionaries(st.text(), SCALARS, max_size=3)
+)
 
 
 @given(st.sampled_from(METHODS), st.lists(JSON, max_size=3))

@@ -88,7 +88,9 @@ async def test_who_leaves_stands_first_and_gives_control_back(rig):
 
 
 @pytest.mark.parametrize("late", range(2 * STEPS))
-async def test_of_two_that_ask_at_once_the_second_is_asked_whether_it_means_it(rig, late):
+async def test_of_two_that_ask_at_once_the_second_is_asked_whether_it_means_it(
+    rig, late
+):
     driving, first, second, _ = rig
 
     def check():

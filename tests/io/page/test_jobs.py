@@ -20,7 +20,9 @@ async def test_a_diagnosis_that_gets_no_time_says_so():
         waits = {idle: False, busy: False}
         for _ in range(12):
             await asyncio.sleep(0.25)
-            waits = {p: share.is_small(p.pid, over_s=2.0) for p, share in shares.items()}
+            waits = {
+                p: share.is_small(p.pid, over_s=2.0) for p, share in shares.items()
+            }
         assert waits == {idle: True, busy: False}
     finally:
         for process in (idle, busy):
@@ -30,7 +32,9 @@ async def test_a_diagnosis_that_gets_no_time_says_so():
 
 def test_reports_of_earlier_runs_are_there_again(tmp_path):
     """Before, a restart of the daemon left nothing of them on the page."""
-    folders = {name: str(tmp_path / name) for name in ("reports", "patches", "recordings")}
+    folders = {
+        name: str(tmp_path / name) for name in ("reports", "patches", "recordings")
+    }
     for minute in (1, 2):
         folder = tmp_path / "reports" / f"turns-20261125-10000{minute}"
         folder.mkdir(parents=True)
@@ -50,7 +54,9 @@ def test_reports_of_earlier_runs_are_there_again(tmp_path):
 
 
 def test_a_full_disk_is_a_sentence_and_leaves_no_half_file(tmp_path, monkeypatch):
-    folders = {name: str(tmp_path / name) for name in ("reports", "patches", "recordings")}
+    folders = {
+        name: str(tmp_path / name) for name in ("reports", "patches", "recordings")
+    }
     folder = tmp_path / "reports" / "turns-20261125-100001"
     for path in (folder, tmp_path / "recordings"):
         path.mkdir(parents=True)

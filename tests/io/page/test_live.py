@@ -93,7 +93,9 @@ async def test_who_reads_slowly_or_not_at_all_holds_up_nobody(page):
                     assert json.loads(await driver.receive_str())["type"] == "board"
 
 
-async def test_who_takes_nothing_for_long_gives_the_place_back(page, monkeypatch, caplog):
+async def test_who_takes_nothing_for_long_gives_the_place_back(
+    page, monkeypatch, caplog
+):
     monkeypatch.setattr(live_module, "UNREAD_S", 0.2)
     async with asyncio.timeout(WITHIN_S), aiohttp.ClientSession() as session:
         driver = await entered(session, page)
@@ -102,7 +104,9 @@ async def test_who_takes_nothing_for_long_gives_the_place_back(page, monkeypatch
                 await driver.receive()
             while page.live.find(2):
                 await driver.receive()
-    assert [r.levelname for r in caplog.records if "takes nothing" in r.message] == ["WARNING"]
+    assert [r.levelname for r in caplog.records if "takes nothing" in r.message] == [
+        "WARNING"
+    ]
 
 
 async def test_however_many_greet_at_once_so_many_come_in_as_there_are_places(page):

@@ -42,7 +42,9 @@ def test_what_is_no_report_is_left_out(tmp_path):
     (tmp_path / "report.html").write_text(TITLE.format("no folder"), encoding="utf-8")
     (tmp_path / "binary").mkdir()
     (tmp_path / "binary" / "report.html").write_bytes(b"\xff" * 10_000)
-    assert [(row["name"], row["title"]) for row in reports_in(tmp_path)] == [("binary", "")]
+    assert [(row["name"], row["title"]) for row in reports_in(tmp_path)] == [
+        ("binary", "")
+    ]
     assert list(reports_in(tmp_path / "absent")) == []
 
 

@@ -19,7 +19,9 @@ async def send(tmp_path):
 
     async def take(request):
         try:
-            return web.json_response(await uploads.take(request.match_info["name"], request))
+            return web.json_response(
+                await uploads.take(request.match_info["name"], request)
+            )
         except RefusedError as error:
             return web.json_response(str(error), status=409)
 
@@ -49,7 +51,9 @@ async def test_names_are_those_of_logs(send, name):
     assert (await send(name, b"x"))[0] == 409
 
 
-async def test_whoever_sends_a_byte_now_and_then_keeps_nobody_out(send, tmp_path, monkeypatch):
+async def test_whoever_sends_a_byte_now_and_then_keeps_nobody_out(
+    send, tmp_path, monkeypatch
+):
     monkeypatch.setattr("hilserver.io.places.YIELDS_AFTER_S", 0.0)
     ends, begun = asyncio.Event(), asyncio.Semaphore(0)
 
@@ -62,7 +66,9 @@ async def test_whoever_sends_a_byte_now_and_then_keeps_nobody_out(send, tmp_path
         with contextlib.suppress(aiohttp.ClientConnectionError):
             return await send(f"slow{number}.csv", trickle())
 
-    slow_ones = [asyncio.create_task(slow(number)) for number in range(module.UPLOADS_AT_ONCE)]
+    slow_ones = [
+        asyncio.create_task(slow(number)) for number in range(module.UPLOADS_AT_ONCE)
+    ]
     for _ in slow_ones:
         await begun.acquire()
     await asyncio.sleep(0.1)  # until their requests are at work

@@ -10,7 +10,9 @@ MS = 1_000_000
 SECOND = 1_000 * MS
 
 
-def read(offset: ClockOffset, at_ns: int, there_ns: int, back_ns: int, peer_clock) -> bool:
+def read(
+    offset: ClockOffset, at_ns: int, there_ns: int, back_ns: int, peer_clock
+) -> bool:
     """One read that leaves at `at_ns` and is answered `there_ns` later."""
     return offset.read(at_ns, at_ns + there_ns + back_ns, peer_clock(at_ns + there_ns))
 
@@ -19,7 +21,9 @@ def read(offset: ClockOffset, at_ns: int, there_ns: int, back_ns: int, peer_cloc
 @given(
     true_ns=st.integers(-(10**13), 10**13),
     delays=st.lists(
-        st.tuples(st.integers(50_000, 9 * MS), st.integers(50_000, 9 * MS)), min_size=2, max_size=40
+        st.tuples(st.integers(50_000, 9 * MS), st.integers(50_000, 9 * MS)),
+        min_size=2,
+        max_size=40,
     ),
 )
 def test_fresh_clock_offset_lies_within_its_uncertainty(true_ns, delays):

@@ -67,7 +67,9 @@ def test_real_time_waits_for_nobody():
     plant.image.close()
 
 
-def test_a_recorder_that_stands_still_is_given_up_until_it_moves(plant, monkeypatch, capfd):
+def test_a_recorder_that_stands_still_is_given_up_until_it_moves(
+    plant, monkeypatch, capfd
+):
     monkeypatch.setattr(marks, "PATIENCE_S", 0.05)
     mark = Mark(plant.image.name)
     plant.run()

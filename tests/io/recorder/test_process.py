@@ -51,7 +51,9 @@ def wait_until_it_grew(path, times):
 
 def test_five_times_kill_9_loses_at_most_the_last_second(daemon, tmp_path):
     names = ["a.mcap", "b.csv", "c.mcap", "d.csv", "e.mcap"]
-    running = [(tmp_path / name, start_recorder(daemon, tmp_path / name)) for name in names]
+    running = [
+        (tmp_path / name, start_recorder(daemon, tmp_path / name)) for name in names
+    ]
     for _, process in running:
         wait_for_start(process)
     for i, (path, process) in enumerate(running):
@@ -100,11 +102,18 @@ def test_a_bag_is_complete_when_it_is_asked_to_stop(daemon, tmp_path):
 
 def test_a_choice_of_signals_cannot_be_replayed_and_says_so(daemon, tmp_path):
     path = tmp_path / "run.csv"
-    process = recorder(daemon, path, "--signals", "pose.*", "--signals", "sim.tick", "--duration=1")
+    process = recorder(
+        daemon, path, "--signals", "pose.*", "--signals", "sim.tick", "--duration=1"
+    )
     code, text = finish(process)
     assert code == 0
     assert "without all inputs this recording cannot be replayed" in text
-    assert list(read_log(path).columns) == ["pose.x_m", "pose.y_m", "pose.yaw_rad", "sim.tick"]
+    assert list(read_log(path).columns) == [
+        "pose.x_m",
+        "pose.y_m",
+        "pose.yaw_rad",
+        "sim.tick",
+    ]
 
 
 def limit_file_size():
@@ -112,7 +121,9 @@ def limit_file_size():
 
 
 @pytest.mark.parametrize("name", ["run.mcap", "run.csv"])
-def test_without_space_it_ends_with_one_sentence_and_a_readable_file(daemon, tmp_path, name):
+def test_without_space_it_ends_with_one_sentence_and_a_readable_file(
+    daemon, tmp_path, name
+):
     path = tmp_path / name
     process = recorder(daemon, path, preexec_fn=limit_file_size)
     code, text = finish(process)
@@ -133,12 +144,17 @@ def test_without_space_it_ends_with_one_sentence_and_a_readable_file(daemon, tmp
             ["-o", "run.txt", "--image", "nobody"],
             "run.txt: the name of a log must end in .mcap or .csv",
         ),
-        (["-o", "run.csv", "--keep", "2", "--image", "nobody"], "--keep counts the files of a"),
+        (
+            ["-o", "run.csv", "--keep", "2", "--image", "nobody"],
+            "--keep counts the files of a",
+        ),
     ],
 )
 def test_what_cannot_work_is_one_sentence(tmp_path, options, complaint):
     command = [sys.executable, "-m", "hilserver", "record", *options]
-    run = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
+    run = subprocess.run(
+        command, capture_output=True, text=True, cwd=tmp_path, check=False
+    )
     assert run.returncode == 1
     assert len(run.stderr.splitlines()) == 1
     assert complaint in run.stderr
@@ -150,8 +166,18 @@ def test_no_signal_and_no_folder_are_one_sentence(daemon, tmp_path):
         (["-o", "run.csv", "--signals", "pos.*"], "no signal matches 'pos.*'"),
         (["-o", "file/run.csv"], "cannot be written"),
     ):
-        command = [sys.executable, "-m", "hilserver", "record", "--image", daemon.image, *options]
-        run = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
+        command = [
+            sys.executable,
+            "-m",
+            "hilserver",
+            "record",
+            "--image",
+            daemon.image,
+            *options,
+        ]
+        run = subprocess.run(
+            command, capture_output=True, text=True, cwd=tmp_path, check=False
+        )
         assert run.returncode == 1
         assert complaint in run.stderr
         assert "Traceback" not in run.stderr
@@ -179,7 +205,9 @@ def test_the_daemon_killed_the_recorder_completes_the_file(tmp_path):
 
 
 def test_every_file_of_a_rotation_has_a_state_of_its_own(daemon, tmp_path):
-    process = recorder(daemon, tmp_path / "run.csv", "--rotate-mb", "1", "--duration", "6")
+    process = recorder(
+        daemon, tmp_path / "run.csv", "--rotate-mb", "1", "--duration", "6"
+    )
     code, text = finish(process)
     assert code == 0, text
     files = sorted(tmp_path.glob("run_*.csv"))

@@ -120,7 +120,10 @@ def test_a_saved_state_belongs_to_the_present_segment(world):
 
 
 def test_the_state_before_the_first_tick_needs_no_request(world):
-    assert (world.source.first_state().segment, world.source.first_state().tick) == (0, 0)
+    assert (world.source.first_state().segment, world.source.first_state().tick) == (
+        0,
+        0,
+    )
     world.run(1)
     assert world.source.first_state() is None
 
@@ -140,5 +143,7 @@ def test_the_end_of_the_daemon_is_noticed(world):
 
 
 def test_without_a_daemon_it_says_so():
-    with pytest.raises(FailedError, match="no process image 'nobody'; is the daemon running"):
+    with pytest.raises(
+        FailedError, match="no process image 'nobody'; is the daemon running"
+    ):
         Source("nobody")

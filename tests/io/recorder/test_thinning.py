@@ -29,12 +29,18 @@ def thinned(whole, cuts):
         if begin == end:
             continue
         part = FrameBatch(begin, whole.words[begin:end], whole.values[begin:end])
-        kept.append(thinner.thinned(Segmented(part, np.zeros(end - begin, dtype=np.int64))).frames)
+        kept.append(
+            thinner.thinned(
+                Segmented(part, np.zeros(end - begin, dtype=np.int64))
+            ).frames
+        )
     ticks = np.concatenate([batch.ticks for batch in kept])
     return ticks, np.concatenate([batch.values for batch in kept])
 
 
-@hypothesis.given(seed=st.integers(0, 999), cuts=st.lists(st.integers(0, 400), max_size=4))
+@hypothesis.given(
+    seed=st.integers(0, 999), cuts=st.lists(st.integers(0, 400), max_size=4)
+)
 def test_every_tick_follows_from_what_is_kept(seed, cuts):
     whole = frames(np.random.default_rng(seed), 400)
     ticks, values = thinned(whole, sorted(cuts))

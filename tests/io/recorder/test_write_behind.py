@@ -79,7 +79,9 @@ def test_a_full_disk_ends_the_writing_and_closes_the_file():
 
 @pytest.mark.parametrize("suffix", ["csv", "mcap"])
 def test_rotation_begins_new_files_and_keeps_the_newest(tmp_path, suffix):
-    series = FileSeries(Settings(tmp_path / f"run.{suffix}", rotate_bytes=10_000, keep=3))
+    series = FileSeries(
+        Settings(tmp_path / f"run.{suffix}", rotate_bytes=10_000, keep=3)
+    )
     new_files = []
     behind = WriteBehind(
         lambda: series.open(run_of(), range(len(NAMES)), 0),
@@ -97,7 +99,9 @@ def test_rotation_begins_new_files_and_keeps_the_newest(tmp_path, suffix):
     ticks = [tick for log in logs for tick in log.ticks(1_000_000).tolist()]
     assert ticks == list(range(ticks[0], 4000))
     beside = sorted(path.name for path in tmp_path.glob("*.json"))
-    assert beside == ([f"{path.name}.meta.json" for path in files] if suffix == "csv" else [])
+    assert beside == (
+        [f"{path.name}.meta.json" for path in files] if suffix == "csv" else []
+    )
     following = FileSeries(Settings(tmp_path / f"run.{suffix}", rotate_bytes=10_000))
     following.open(run_of(), range(len(NAMES)), 0).close()
     assert int(following.current.stem[-4:]) == int(files[-1].stem[-4:]) + 1

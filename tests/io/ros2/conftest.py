@@ -17,10 +17,23 @@ def cyclone(tmp_path_factory):
     for flavour in FLAVOURS.values():
         topics = (*flavour.published, *flavour.extras.values(), *flavour.subscribed)
         types |= {topic.type for topic in topics}
-        types |= {f"{s.type}_{part}" for s in flavour.served for part in ("Request", "Response")}
-    for service in ("SetParameters", "GetParameters", "ListParameters", "DescribeParameters"):
-        types |= {f"rcl_interfaces/srv/{service}_{part}" for part in ("Request", "Response")}
-    return made_once(tmp_path_factory, "cyclone", lambda folder: build_cyclone(folder, types))
+        types |= {
+            f"{s.type}_{part}"
+            for s in flavour.served
+            for part in ("Request", "Response")
+        }
+    for service in (
+        "SetParameters",
+        "GetParameters",
+        "ListParameters",
+        "DescribeParameters",
+    ):
+        types |= {
+            f"rcl_interfaces/srv/{service}_{part}" for part in ("Request", "Response")
+        }
+    return made_once(
+        tmp_path_factory, "cyclone", lambda folder: build_cyclone(folder, types)
+    )
 
 
 @pytest.fixture(params=["fast_dds", "cyclone"])

@@ -20,7 +20,11 @@ SETPOINTS = "/rpm"
 REAL = {"/real/rpm/return": FLOATS, "/real/imu": IMU, "/real/poseStamped": TAG}
 MEASURED = {
     "namespace": "/real",
-    "topics": {"rpm/return": "Float32MultiArray", "imu": "Imu", "poseStamped": "PoseStamped"},
+    "topics": {
+        "rpm/return": "Float32MultiArray",
+        "imu": "Imu",
+        "poseStamped": "PoseStamped",
+    },
 }
 FAST_MS, TAG_MS = 20, 100
 
@@ -35,10 +39,16 @@ def recorded(folder, drive, name="drive.jsonl"):
     real.write_text(yaml.safe_dump(configuration), encoding="utf-8")
     assert main(["simulate", str(drive), "-c", str(real), "-o", str(log)]) == 0
     read = read_log(log).columns
-    columns = {name: read[name] for name in read if name.split(".")[0] in ("wheel", "imu", "nav")}
+    columns = {
+        name: read[name]
+        for name in read
+        if name.split(".")[0] in ("wheel", "imu", "nav")
+    }
     with out.open("w", encoding="utf-8") as lines:
         for k in range(0, len(columns["nav.x_m"]), FAST_MS):
-            for topic, fields in _messages({name: float(v[k]) for name, v in columns.items()}, k):
+            for topic, fields in _messages(
+                {name: float(v[k]) for name, v in columns.items()}, k
+            ):
                 line = {"at_s": 1e-3 * k, "topic": topic, "fields": fields}
                 lines.write(json.dumps(line) + "\n")
     return out

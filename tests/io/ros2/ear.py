@@ -21,7 +21,9 @@ async def main(domain, interface):
     )
     types, participant = Types(), Participant(config)
     made = WireTypes(types).make(TWIST)
-    reader = participant.reader("rt/cmd_vel", made, Qos(reliable=False), types.hash(TWIST))
+    reader = participant.reader(
+        "rt/cmd_vel", made, Qos(reliable=False), types.hash(TWIST)
+    )
     writer = participant.writer("rt/echo", made, Qos(), types.hash(TWIST))
 
     def on_data():

@@ -32,7 +32,10 @@ def fill(message, fields):
 
 def plain(value):
     if hasattr(value, "get_fields_and_field_types"):
-        return {name: plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
+        return {
+            name: plain(getattr(value, name))
+            for name in value.get_fields_and_field_types()
+        }
     if isinstance(value, str | bool | int | float):
         return value
     return [plain(one) for one in value]
@@ -52,7 +55,9 @@ def obey(node, publishers, clients, command):
                 time.sleep(0.02 if times > 1 else 0.0)
         case {"play": path}:
             # beside this, as the node has to end when nothing more can be told to it
-            threading.Thread(target=play, args=(node, publishers, path), daemon=True).start()
+            threading.Thread(
+                target=play, args=(node, publishers, path), daemon=True
+            ).start()
         case {"call": service, "type": name, "fields": fields}:
             if service not in clients:
                 clients[service] = node.create_client(kind(name), service)
@@ -87,7 +92,9 @@ def main():
     about = json.loads(sys.argv[1])
     rclpy.init()
     node = rclpy.create_node(about["name"])
-    publishers = {t: node.create_publisher(kind(k), t, 10) for t, k in about["publish"].items()}
+    publishers = {
+        t: node.create_publisher(kind(k), t, 10) for t, k in about["publish"].items()
+    }
     for topic, name in about["subscribe"].items():
         node.create_subscription(
             kind(name),

@@ -38,9 +38,21 @@ def claimed_domain():
 @contextlib.asynccontextmanager
 async def robot(domain, *, plant=None, beside=None, folder=None, links=LINKS, **ros2):
     """A daemon without OPC UA that takes part in ROS 2; `beside`: its other sections."""
-    ours = {"enabled": True, "domain": domain, "stale_after_ms": NEVER_SILENT_MS, **ros2}
-    sections = {"ros2": ours, "opcua": {"enabled": False}, "plant": plant or {}, **(beside or {})}
-    async with Daemon(assemble_config(configuration(**sections), folder), links=links) as daemon:
+    ours = {
+        "enabled": True,
+        "domain": domain,
+        "stale_after_ms": NEVER_SILENT_MS,
+        **ros2,
+    }
+    sections = {
+        "ros2": ours,
+        "opcua": {"enabled": False},
+        "plant": plant or {},
+        **(beside or {}),
+    }
+    async with Daemon(
+        assemble_config(configuration(**sections), folder), links=links
+    ) as daemon:
         yield daemon
 
 
@@ -66,7 +78,9 @@ class Host:
     def __init__(self, program, domain, *endpoints):
         self._command = [str(program), *arguments(domain, endpoints)]
         self.types = {topic: type_name for _, topic, type_name, _ in endpoints}
-        self._numbers = {(mode, topic): n for n, (mode, topic, _, _) in enumerate(endpoints)}
+        self._numbers = {
+            (mode, topic): n for n, (mode, topic, _, _) in enumerate(endpoints)
+        }
         self._topics = [topic for _, topic, _, _ in endpoints]
         self.received = {topic: [] for mode, topic, _, _ in endpoints if mode == "r"}
 
@@ -129,7 +143,9 @@ class Host:
 
     async def sees(self, topic, condition=lambda _: True):
         """Wait for a message that meets a condition; return it."""
-        await wait_until(lambda: self.received[topic] and condition(self.last(topic)), PATIENCE_S)
+        await wait_until(
+            lambda: self.received[topic] and condition(self.last(topic)), PATIENCE_S
+        )
         return self.last(topic)
 
 

@@ -50,7 +50,9 @@ class RosNode:
     ):
         about = {"name": name, "publish": publish or {}, "subscribe": subscribe or {}}
         self._command = [*prefix, str(PYTHON), str(SCRIPT), json.dumps(about)]
-        kept = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+        kept = {
+            name: value for name, value in os.environ.items() if name != "PYTHONPATH"
+        }
         own = {"ROS_DOMAIN_ID": str(domain), "ROS_LOG_DIR": str(LOGS)}
         self._environment = kept | own | dict(more)
         if discovery is not None:
@@ -62,7 +64,11 @@ class RosNode:
     async def __aenter__(self):
         pipe = asyncio.subprocess.PIPE
         self.process = await asyncio.create_subprocess_exec(
-            *self._command, stdin=pipe, stdout=pipe, env=self._environment, limit=1 << 20
+            *self._command,
+            stdin=pipe,
+            stdout=pipe,
+            env=self._environment,
+            limit=1 << 20,
         )
         self._reading = asyncio.create_task(self._read())
         return self

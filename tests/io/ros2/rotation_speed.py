@@ -39,7 +39,9 @@ def write_sources(folder: Path) -> None:
     (source / "msg" / "RotationSpeed.idl").write_text(IDL)
     for module, name in GENERATORS.items():
         generator = getattr(importlib.import_module(f"{module}.cli"), name)
-        more = {"typesupport_implementations": [SUPPORT]} if module.endswith("_py") else {}
+        more = (
+            {"typesupport_implementations": [SUPPORT]} if module.endswith("_py") else {}
+        )
         generator(name, **more).generate(
             package_name=PACKAGE,
             interface_files=[f"{source}:msg/RotationSpeed.idl"],
@@ -53,10 +55,15 @@ def build(folder: Path, python: Path) -> dict[str, str]:
     ros = python.parents[1]
     found = {"AMENT_PREFIX_PATH": str(ros), "PYTHONPATH": str(folder)}
     subprocess.run(
-        [python, __file__, folder], check=True, env=os.environ | found, capture_output=True
+        [python, __file__, folder],
+        check=True,
+        env=os.environ | found,
+        capture_output=True,
     )
     ask = "import sysconfig, numpy; print(sysconfig.get_path('include'), numpy.get_include())"
-    asked = subprocess.run([python, "-c", ask], check=True, capture_output=True, text=True)
+    asked = subprocess.run(
+        [python, "-c", ask], check=True, capture_output=True, text=True
+    )
     headers = [folder, *(ros / "include").iterdir(), *asked.stdout.split()]
     flags = ["-fPIC", "-shared", "-w", *(f"-I{path}" for path in headers)]
     links = [f"-L{ros}/lib", f"-L{folder}", f"-Wl,-rpath,{ros}/lib:{folder}"]
@@ -67,15 +74,24 @@ def build(folder: Path, python: Path) -> dict[str, str]:
     objects = []
     for part in parts:
         objects.append(part.with_suffix(".o"))
-        subprocess.run(["cc", "-c", *flags[:1], *flags[2:], part, "-o", objects[-1]], check=True)
-    parts = [*detail.rglob("*.cpp"), package / "msg" / "rotation_speed__type_support.cpp"]
+        subprocess.run(
+            ["cc", "-c", *flags[:1], *flags[2:], part, "-o", objects[-1]], check=True
+        )
+    parts = [
+        *detail.rglob("*.cpp"),
+        package / "msg" / "rotation_speed__type_support.cpp",
+    ]
     library = folder / f"lib{PACKAGE}.so"
     subprocess.run(
-        ["c++", "-std=c++17", *flags, *objects, *parts, "-o", library, *links], check=True
+        ["c++", "-std=c++17", *flags, *objects, *parts, "-o", library, *links],
+        check=True,
     )
     for name in NAMES:
         (folder / f"lib{PACKAGE}__{name}.so").symlink_to(library)
-    parts = [package / f"_{PACKAGE}_s.ep.{SUPPORT}.c", package / "msg" / "_rotation_speed_s.c"]
+    parts = [
+        package / f"_{PACKAGE}_s.ep.{SUPPORT}.c",
+        package / "msg" / "_rotation_speed_s.c",
+    ]
     extension = package / f"{PACKAGE}_s__{SUPPORT}.so"
     command = ["cc", *flags, *parts, "-o", extension, *links, f"-l{PACKAGE}"]
     subprocess.run(command, check=True)

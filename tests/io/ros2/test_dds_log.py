@@ -21,7 +21,9 @@ async def test_its_warnings_are_off_and_its_errors_stay(capfd):
         log(ctypes.c_uint32(level), b"file.c", 1, b"function", text)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         for _ in range(100):
-            stranger.sendto(b"RTPS\x02\x01" + b"\xff" * 60, ("127.0.0.1", 7400 + 250 * 77 + 10))
+            stranger.sendto(
+                b"RTPS\x02\x01" + b"\xff" * 60, ("127.0.0.1", 7400 + 250 * 77 + 10)
+            )
     await participant.close()
     written = capfd.readouterr().err
     assert "malformed" not in written

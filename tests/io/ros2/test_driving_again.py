@@ -53,8 +53,15 @@ class OnTheWire:
         """Call the service of the flavour that enables the drive."""
         make = known_types().make
         if self.flavour == "eduard":
-            mode = make("edu_robot/msg/Mode", mode=MODE_REMOTE, drive_kinematic=0, feature_mode=0)
-            request = make("edu_robot/srv/SetMode_Request", mode=mode, disable_feature=0)
+            mode = make(
+                "edu_robot/msg/Mode",
+                mode=MODE_REMOTE,
+                drive_kinematic=0,
+                feature_mode=0,
+            )
+            request = make(
+                "edu_robot/srv/SetMode_Request", mode=mode, disable_feature=0
+            )
         else:
             request = make("iotbot_interface/srv/SendEnable_Request", enable=True)
         wanted = {"eduard": "set_mode"}.get(self.flavour, "send_enable")
@@ -83,8 +90,16 @@ class OnTheWire:
 
 @asynccontextmanager
 async def wire(domain, flavour, **ros2):
-    ours = {"enabled": True, "domain": domain, "flavour": flavour, "stale_after_ms": 500, **ros2}
-    async with open_hil({"ros2": ours, "control": {"source": "ros2"}}, "virtual") as kit:
+    ours = {
+        "enabled": True,
+        "domain": domain,
+        "flavour": flavour,
+        "stale_after_ms": 500,
+        **ros2,
+    }
+    async with open_hil(
+        {"ros2": ours, "control": {"source": "ros2"}}, "virtual"
+    ) as kit:
         await kit.run_for(0.1)
         yield OnTheWire(kit, flavour)
 
@@ -101,7 +116,9 @@ async def has_driven_and_fallen_silent(host):
 
 
 @pytest.mark.parametrize("flavour", WITH_SERVICE)
-async def test_device_a_person_enables_by_the_service_and_drives_when_he_likes(domain, flavour):
+async def test_device_a_person_enables_by_the_service_and_drives_when_he_likes(
+    domain, flavour
+):
     async with wire(domain, flavour, on_stale="device") as host:
         await has_driven_and_fallen_silent(host)
         await host.command(30.0)
@@ -109,7 +126,9 @@ async def test_device_a_person_enables_by_the_service_and_drives_when_he_likes(d
         await host.is_silent()
         await host.enable()
         await host.is_silent(4 * SILENT_S)
-        assert host.is_enabled, "who enables by hand has not promised to command within 0.5 s"
+        assert host.is_enabled, (
+            "who enables by hand has not promised to command within 0.5 s"
+        )
         await host.command(30.0)
         assert host.drives
 
@@ -144,7 +163,9 @@ async def test_device_stop_while_disabled_takes_reset_and_a_command(domain, flav
 
 
 @pytest.mark.parametrize("flavour", WITH_SERVICE)
-async def test_device_after_stop_the_service_enables_once_reset_was_called(domain, flavour):
+async def test_device_after_stop_the_service_enables_once_reset_was_called(
+    domain, flavour
+):
     async with wire(domain, flavour, on_stale="device") as host:
         await has_driven_and_fallen_silent(host)
         host.stop()

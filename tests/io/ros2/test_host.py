@@ -38,7 +38,8 @@ def reply(name, type_name):
 
 async def drives(daemon, rpm=50.0):
     await wait_until(
-        lambda: abs((value(daemon, "wheel.fl.speed_rpm") or 0.0) - rpm) < 1.0, PATIENCE_S
+        lambda: abs((value(daemon, "wheel.fl.speed_rpm") or 0.0) - rpm) < 1.0,
+        PATIENCE_S,
     )
 
 
@@ -49,17 +50,31 @@ async def stands(daemon):
 async def test_silence_withdraws_enable_until_the_host_enables_again(fast_dds, domain):
     service = "iotbot/srv/send_enable"
     call = f"rq/{service}Request"
-    host = Host(fast_dds, domain, DRIVE, RETURN, request(service, ENABLE), reply(service, ENABLE))
+    host = Host(
+        fast_dds,
+        domain,
+        DRIVE,
+        RETURN,
+        request(service, ENABLE),
+        reply(service, ENABLE),
+    )
     async with robot(domain, stale_after_ms=SILENT_MS) as daemon, host:
-        async with host.repeating("rt/iotbot/rpm", **FORWARD), host.repeating(call, enable=True):
+        async with (
+            host.repeating("rt/iotbot/rpm", **FORWARD),
+            host.repeating(call, enable=True),
+        ):
             await drives(daemon)
         await wait_until(lambda: value(daemon, "drive.enable") == 0.0, PATIENCE_S)
         again = "/iotbot/srv/send_enable enables the drive again"
-        await wait_until(lambda: any(again in e.message for e in daemon.events.recent), 1.0)
+        await wait_until(
+            lambda: any(again in e.message for e in daemon.events.recent), 1.0
+        )
         await stands(daemon)
         assert daemon.control.state is State.RUNNING, "the device stops, not the daemon"
         async with host.repeating("rt/iotbot/rpm", **FORWARD):
-            await wait_until(lambda: value(daemon, "wheel.fl.setpoint_rpm") == 50.0, PATIENCE_S)
+            await wait_until(
+                lambda: value(daemon, "wheel.fl.setpoint_rpm") == 50.0, PATIENCE_S
+            )
             assert value(daemon, "drive.enable") == 0.0
             async with host.repeating(call, enable=True):
                 await drives(daemon)
@@ -97,7 +112,9 @@ async def test_without_control_nothing_moves_and_silence_stops_nobody(fast_dds, 
     host = Host(fast_dds, domain, DRIVE)
     async with robot(domain, stale_after_ms=SILENT_MS) as daemon, host:
         daemon.gate.take("opcua")
-        assert not daemon.gate.write("opcua", {"wheels.setpoints_rpm": [10.0, 10.0, -10.0, -10.0]})
+        assert not daemon.gate.write(
+            "opcua", {"wheels.setpoints_rpm": [10.0, 10.0, -10.0, -10.0]}
+        )
         async with host.repeating("rt/iotbot/rpm", **FORWARD):
             rejected = lambda: daemon.gate.rejected["ros2", "not_in_control"] > 0  # noqa: E731
             await wait_until(rejected, PATIENCE_S)
@@ -136,22 +153,32 @@ async def test_gamepad_drives_switches_lights_and_enables(fast_dds, domain):
 
     async with robot(domain) as daemon, host:
         fastest = daemon.assembly.robot.max_linear_m_s
-        async with host.repeating("rt/joy", **joy(forward=0.5, throttle=0.0, pressed=(4,))):
+        async with host.repeating(
+            "rt/joy", **joy(forward=0.5, throttle=0.0, pressed=(4,))
+        ):
             await wait_until(
-                lambda: value(daemon, "twist.linear_m_s") == pytest.approx(fastest / 4), PATIENCE_S
+                lambda: value(daemon, "twist.linear_m_s") == pytest.approx(fastest / 4),
+                PATIENCE_S,
             )
             assert value(daemon, "lights.command") == 4.0
             assert value(daemon, "lights.green") == 0x88
         async with host.repeating("rt/joy_extended", **joy(forward=-1.0)):
             await wait_until(
-                lambda: value(daemon, "twist.linear_m_s") == pytest.approx(-fastest), PATIENCE_S
+                lambda: value(daemon, "twist.linear_m_s") == pytest.approx(-fastest),
+                PATIENCE_S,
             )
             async with host.repeating("rt/joy", **joy(pressed=(10,))):
-                await wait_until(lambda: value(daemon, "drive.enable") == 1.0, PATIENCE_S)
-            assert value(daemon, "twist.linear_m_s") == pytest.approx(-fastest), "axes of joy rest"
+                await wait_until(
+                    lambda: value(daemon, "drive.enable") == 1.0, PATIENCE_S
+                )
+            assert value(daemon, "twist.linear_m_s") == pytest.approx(-fastest), (
+                "axes of joy rest"
+            )
 
 
-async def test_once_the_motion_node_drives_what_it_hears_moves_nothing_here(fast_dds, domain):
+async def test_once_the_motion_node_drives_what_it_hears_moves_nothing_here(
+    fast_dds, domain
+):
     """The gamepad and cmd_vel reach both of us; only one of us may turn them into motion."""
     host = Host(fast_dds, domain, DRIVE, TWIST, JOY)
     make = known_types().make
@@ -160,10 +187,17 @@ async def test_once_the_motion_node_drives_what_it_hears_moves_nothing_here(fast
     axes, buttons = np.zeros(6, dtype=np.float32), np.zeros(12, dtype=np.int32)
     buttons[4] = 1
     joy = {"header": header, "axes": axes, "buttons": buttons}
-    async with robot(domain) as daemon, host, host.repeating("rt/cmd_vel", **twist(0.3)):
+    async with (
+        robot(domain) as daemon,
+        host,
+        host.repeating("rt/cmd_vel", **twist(0.3)),
+    ):
         await wait_until(lambda: value(daemon, "control.mode") == 1.0, PATIENCE_S)
         modes = set()
-        async with host.repeating("rt/iotbot/rpm", **FORWARD), host.repeating("rt/joy", **joy):
+        async with (
+            host.repeating("rt/iotbot/rpm", **FORWARD),
+            host.repeating("rt/joy", **joy),
+        ):
             await drives(daemon)
             ticks = value(daemon, "sim.tick") + 1000
             while value(daemon, "sim.tick") < ticks:
@@ -171,12 +205,16 @@ async def test_once_the_motion_node_drives_what_it_hears_moves_nothing_here(fast
                 await asyncio.sleep(0.002)
         assert modes == {0.0}
         assert value(daemon, "lights.command") == 4.0, "its buttons stay"
-        told = [e.message for e in daemon.events.recent if "/iotbot/rpm drives" in e.message]
+        told = [
+            e.message for e in daemon.events.recent if "/iotbot/rpm drives" in e.message
+        ]
         assert len(told) == 1
         assert "/cmd_vel, /joy_extended, /joy belong to the node" in told[0]
 
 
-async def test_after_silence_a_command_enables_once_the_host_was_at_rest(fast_dds, domain):
+async def test_after_silence_a_command_enables_once_the_host_was_at_rest(
+    fast_dds, domain
+):
     host = Host(fast_dds, domain, DRIVE)
     ours = {"reenable": "command", "stale_after_ms": SILENT_MS}
     async with robot(domain, **ours) as daemon, host:
@@ -184,7 +222,9 @@ async def test_after_silence_a_command_enables_once_the_host_was_at_rest(fast_dd
             await drives(daemon)
         await wait_until(lambda: value(daemon, "drive.enable") == 0.0, PATIENCE_S)
         async with host.repeating("rt/iotbot/rpm", **FORWARD):
-            await wait_until(lambda: value(daemon, "wheel.fl.setpoint_rpm") == 50.0, PATIENCE_S)
+            await wait_until(
+                lambda: value(daemon, "wheel.fl.setpoint_rpm") == 50.0, PATIENCE_S
+            )
             assert value(daemon, "drive.enable") == 0.0, "it has not been at rest"
         async with host.repeating("rt/iotbot/rpm", **speeds()):
             await wait_until(lambda: value(daemon, "drive.enable") == 1.0, PATIENCE_S)
@@ -197,7 +237,11 @@ async def test_after_silence_a_command_enables_once_the_host_was_at_rest(fast_dd
 
 async def test_defect_1_turns_too_slowly(fast_dds, domain):
     host = Host(fast_dds, domain, TWIST)
-    async with robot(domain) as daemon, host, host.repeating("rt/cmd_vel", **twist(0.0, 0.5)):
+    async with (
+        robot(domain) as daemon,
+        host,
+        host.repeating("rt/cmd_vel", **twist(0.0, 0.5)),
+    ):
         turning = lambda: value(daemon, "velocity.angular_rad_s") or 0.0  # noqa: E731
         await wait_until(lambda: abs(turning() - 0.5) < 0.05, PATIENCE_S)
         daemon.faults.inject({"fault": "shield.yaw_rate_without_60_2pi"})
@@ -214,7 +258,8 @@ async def test_defect_2_drives_on(fast_dds, domain):
             await drives(daemon)
         await wait_until(lambda: daemon.part("ros2").status.stale, PATIENCE_S)
         await wait_until(
-            lambda: daemon.part("ros2").status.input_age_s(time.monotonic_ns()) > 2.5, PATIENCE_S
+            lambda: daemon.part("ros2").status.input_age_s(time.monotonic_ns()) > 2.5,
+            PATIENCE_S,
         )
         assert value(daemon, "wheel.fl.speed_rpm") == pytest.approx(50.0, abs=1.0)
         daemon.faults.clear()
@@ -223,7 +268,11 @@ async def test_defect_2_drives_on(fast_dds, domain):
 
 async def test_defect_3_scales_by_the_last_wheel(fast_dds, domain):
     host = Host(fast_dds, domain, TWIST)
-    async with robot(domain) as daemon, host, host.repeating("rt/cmd_vel", **twist(0.5, 0.6)):
+    async with (
+        robot(domain) as daemon,
+        host,
+        host.repeating("rt/cmd_vel", **twist(0.5, 0.6)),
+    ):
         left = lambda: value(daemon, "wheel.fl.speed_rpm") or 0.0  # noqa: E731
         forward = lambda: value(daemon, "velocity.linear_m_s") or 0.0  # noqa: E731
         await wait_until(lambda: abs(forward() - 0.5) < 0.01, PATIENCE_S)
@@ -231,8 +280,12 @@ async def test_defect_3_scales_by_the_last_wheel(fast_dds, domain):
         limit = min(map(abs, before)) * 0.9
         daemon.faults.inject({"fault": "shield.last_wheel_scaling", "value": limit})
         await wait_until(lambda: abs(left()) < abs(before[0]) - 1.0, PATIENCE_S)
-        after = [abs(value(daemon, f"wheel.{wheel}.speed_rpm")) for wheel in ("fl", "fr")]
-        assert max(after) > limit + 0.5, "the fastest wheel is above the limit all the same"
+        after = [
+            abs(value(daemon, f"wheel.{wheel}.speed_rpm")) for wheel in ("fl", "fr")
+        ]
+        assert max(after) > limit + 0.5, (
+            "the fastest wheel is above the limit all the same"
+        )
 
 
 async def test_defect_4_swaps_the_front_wheels(fast_dds, domain):

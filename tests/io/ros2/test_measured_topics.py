@@ -14,16 +14,25 @@ from hilserver.testing.opening import open_hil
 from tests.io.ros2.rig import speeds
 from tests.ros.messages import imu, joints
 
-RPM = known_types().make("iotbot_interface/msg/RotationSpeed", **speeds(10, -20, 30, -40))
+RPM = known_types().make(
+    "iotbot_interface/msg/RotationSpeed", **speeds(10, -20, 30, -40)
+)
 
 
 @asynccontextmanager
 async def heard(domain):
     """The real robot beside one in virtual time, and what hands a message to it."""
-    ros2 = {"enabled": True, "domain": domain, "namespace": "/sim", "measured": "iotbot"}
+    ros2 = {
+        "enabled": True,
+        "domain": domain,
+        "namespace": "/sim",
+        "measured": "iotbot",
+    }
     config = {"ros2": ros2, "observer": {"enabled": True, "source": "measured"}}
     async with open_hil(config, "virtual") as kit:
-        await asyncio.sleep(0.5)  # a value is no older than the simulation, by the wall clock
+        await asyncio.sleep(
+            0.5
+        )  # a value is no older than the simulation, by the wall clock
         part = kit.daemon.parts_of("ros2")[1]
         topics = {topic.name: topic for topic in part._topics}
 
@@ -67,7 +76,10 @@ async def test_a_value_is_as_old_as_its_stamp_says_or_else_its_writing(domain):
         await is_aged(stamped_s=0.4)
         await is_aged(written_s=0.3)
         assert part.status.fault_counts.total() == 0
-        for wrong_s, words in ((12.0, " s behind this computer's clock"), (-5.0, "ahead of this")):
+        for wrong_s, words in (
+            (12.0, " s behind this computer's clock"),
+            (-5.0, "ahead of this"),
+        ):
             part._faults.expire(time.monotonic_ns() + 10**11)
             counted = part.status.fault_counts["stamp"]
             for _ in range(LATE_IN_A_ROW):
@@ -82,7 +94,9 @@ async def test_a_value_is_as_old_as_its_stamp_says_or_else_its_writing(domain):
 
 async def test_of_two_topics_the_first_counts_until_it_is_silent(domain):
     async with heard(domain) as (kit, part, hear):
-        turning = joints(**{f"wheel_{wheel}": 0.5 for wheel in ("fl", "fr", "rl", "rr")})
+        turning = joints(
+            **{f"wheel_{wheel}": 0.5 for wheel in ("fl", "fr", "rl", "rr")}
+        )
         await hear("/iotbot/rpm/return", RPM)
         await hear("/joint_states", turning)
         speed = "measured.wheel.fl.speed_rpm"
@@ -90,7 +104,10 @@ async def test_of_two_topics_the_first_counts_until_it_is_silent(domain):
         part.watch(time.monotonic_ns())
         part.watch(time.monotonic_ns() + 2 * 10**9)
         await kit.run_for(0.002)
-        assert (kit.read(speed), kit.status(speed)) == (10.0, UNCERTAIN_LAST_USABLE_VALUE)
+        assert (kit.read(speed), kit.status(speed)) == (
+            10.0,
+            UNCERTAIN_LAST_USABLE_VALUE,
+        )
         await hear("/joint_states", turning)
         assert kit.read(speed) == pytest.approx(0.5 * 60.0 / 6.2831853)
         assert kit.status(speed) == GOOD

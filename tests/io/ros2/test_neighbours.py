@@ -7,7 +7,10 @@ HEAD = "  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrn
 
 def listed(tmp_path, *ports):
     file = tmp_path / "udp"
-    lines = (f"  0: 00000000:{port:04X} 00000000:0000 07 00000000:00000000\n" for port in ports)
+    lines = (
+        f"  0: 00000000:{port:04X} 00000000:0000 07 00000000:00000000\n"
+        for port in ports
+    )
     file.write_text(HEAD + "".join(lines), encoding="ascii")
     return file
 

@@ -44,7 +44,9 @@ def value(kind, number=0.0):
 
 def parameters(**values):
     make = TYPES.make
-    named = [make("rcl_interfaces/msg/Parameter", name=n, value=v) for n, v in values.items()]
+    named = [
+        make("rcl_interfaces/msg/Parameter", name=n, value=v) for n, v in values.items()
+    ]
     return {"parameters": named}
 
 
@@ -53,13 +55,17 @@ class Asker:
 
     def __init__(self, core, *, may_set=True):
         services = ParameterServices("ros2", core.parameters, TYPES, may_set=may_set)
-        self._served = {served.name.rpartition("/")[2]: served for served in services.served()}
+        self._served = {
+            served.name.rpartition("/")[2]: served for served in services.served()
+        }
         self.parameters = core.parameters
 
     def __call__(self, service, **fields):
         served = self._served[service]
         request = TYPES.encode(TYPES.make(f"{served.type}_Request", **fields))
-        values, answer = served.serve(None, TYPES.decode(request, f"{served.type}_Request"))
+        values, answer = served.serve(
+            None, TYPES.decode(request, f"{served.type}_Request")
+        )
         assert values == {}
         return TYPES.decode(TYPES.encode(answer(True)), f"{served.type}_Response")
 
@@ -85,8 +91,22 @@ async def test_set_acts_on_all_that_are_sound(ask):
             }
         ),
     )
-    assert [r.successful for r in answer.results] == [True, True, True, False, False, False]
-    assert [bool(r.reason) for r in answer.results] == [False, False, False, True, True, True]
+    assert [r.successful for r in answer.results] == [
+        True,
+        True,
+        True,
+        False,
+        False,
+        False,
+    ]
+    assert [bool(r.reason) for r in answer.results] == [
+        False,
+        False,
+        False,
+        True,
+        True,
+        True,
+    ]
     assert "needs a restart" in answer.results[-1].reason
     changed = {"plant.controller.k_p": 15.0, "terms.rotation_gain": -0.3}
     assert ask.parameters.differing == changed
@@ -107,7 +127,9 @@ async def test_k_om_by_name_and_a_flag_as_a_bool(ask):
     null = {"kinematics.rotation_gain": value(NOT_SET)}
     assert ask("set_parameters", **parameters(**null)).results[0].successful
     assert ask.parameters.differing == {"plant.exclusive_twist": 1.0}
-    (about,) = ask("describe_parameters", names=["kinematics.rotation_gain"]).descriptors
+    (about,) = ask(
+        "describe_parameters", names=["kinematics.rotation_gain"]
+    ).descriptors
     assert "by name printed_5_21 3.229, " in about.additional_constraints
 
 
@@ -122,11 +144,17 @@ async def test_the_robot_changes_only_if_that_is_granted(tmp_path):
         assert one.reason == all_.reason
         assert "ros2.grants: [parameters]" in one.reason
         assert core.parameters.differing == {}
-        assert ask("get_parameters", names=["plant.max_rpm"]).values[0].double_value == 90.0
+        assert (
+            ask("get_parameters", names=["plant.max_rpm"]).values[0].double_value
+            == 90.0
+        )
 
 
 async def test_atomically_is_all_or_nothing(ask):
-    wrong = {"plant.max_rpm": value(DOUBLE, 70.0), "plant.track_m": value(DOUBLE, math.nan)}
+    wrong = {
+        "plant.max_rpm": value(DOUBLE, 70.0),
+        "plant.track_m": value(DOUBLE, math.nan),
+    }
     answer = ask("set_parameters_atomically", **parameters(**wrong))
     assert (answer.result.successful, ask.parameters.differing) == (False, {})
     right = {"plant.max_rpm": value(DOUBLE, 70.0), "plant.track_m": value(DOUBLE, 0.3)}
@@ -145,7 +173,9 @@ async def test_list_get_and_describe(ask):
     assert [v.double_value for v in values[:-1]] == pytest.approx(
         list(ask.parameters.values.values()), nan_ok=True
     )
-    assert ask("get_parameter_types", names=["plant.max_rpm", "bogus"]).types.tolist() == [
+    assert ask(
+        "get_parameter_types", names=["plant.max_rpm", "bogus"]
+    ).types.tolist() == [
         DOUBLE,
         NOT_SET,
     ]
@@ -158,7 +188,10 @@ async def test_list_get_and_describe(ask):
 
 async def test_a_node_of_another_implementation_sets_and_gets(cyclone, domain):
     service = "rcl_interfaces/srv/SetParameters"
-    call, reply = "rq/hilserver/set_parametersRequest", "rr/hilserver/set_parametersReply"
+    call, reply = (
+        "rq/hilserver/set_parametersRequest",
+        "rr/hilserver/set_parametersReply",
+    )
     host = Host(
         cyclone,
         domain,
@@ -178,6 +211,8 @@ async def test_a_node_of_another_implementation_sets_and_gets(cyclone, domain):
         await wait_until(is_answered, PATIENCE_S)
         answer = host.received[reply][0]
         assert struct.unpack_from("<Qq", answer, 4) == (GUID, 7)
-        (result,) = TYPES.decode(answer[:4] + answer[20:], f"{service}_Response").results
+        (result,) = TYPES.decode(
+            answer[:4] + answer[20:], f"{service}_Response"
+        ).results
         assert (result.successful, result.reason) == (True, "")
         assert daemon.core.parameters.differing == {"plant.max_rpm": 70.0}

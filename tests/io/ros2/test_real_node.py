@@ -48,7 +48,9 @@ async def test_a_real_node_drives_and_reads_the_sensors(domain):
 async def is_ready_for_one_message(node, daemon):
     """Wait until both sides know each other: a reader loses what an unknown writer sends."""
     await node.is_ready()
-    found = [e for name, e in daemon.part("ros2")._endpoints() if name.startswith("/rpm")]
+    found = [
+        e for name, e in daemon.part("ros2")._endpoints() if name.startswith("/rpm")
+    ]
     assert len(found) == 2
     await wait_until(lambda: all(endpoint.matched for endpoint in found), PATIENCE_S)
 
@@ -56,8 +58,13 @@ async def is_ready_for_one_message(node, daemon):
 @asynccontextmanager
 async def driven_by_keys(domain):
     """The node of the thesis's software in the loop: one message per key press, none between."""
-    node = RosNode(domain, {"/rpm": FLOATS}, {"/rpm/return": FLOATS}, name="iotbot_motion_control")
-    async with robot(domain, flavour="thesis_sil", stale_after_ms=200.0) as daemon, node:
+    node = RosNode(
+        domain, {"/rpm": FLOATS}, {"/rpm/return": FLOATS}, name="iotbot_motion_control"
+    )
+    async with (
+        robot(domain, flavour="thesis_sil", stale_after_ms=200.0) as daemon,
+        node,
+    ):
         await is_ready_for_one_message(node, daemon)
 
         async def press(rpm):
@@ -79,7 +86,9 @@ async def test_what_a_key_commanded_stands_while_its_node_is_there(domain):
         assert "hil_ros2_command_held 1.0" in await scrape(daemon)
         node.process.stdin.close()
         await wait_until(lambda: daemon.control.state is State.SAFE, PATIENCE_S)
-        await wait_until(lambda: abs(value(daemon, "wheel.fl.speed_rpm")) < 0.5, PATIENCE_S)
+        await wait_until(
+            lambda: abs(value(daemon, "wheel.fl.speed_rpm")) < 0.5, PATIENCE_S
+        )
         assert any("its writer was alive" in e.message for e in daemon.events.recent)
 
         # Started again, the node drives after Reset by a new key, not by the one pressed before it.
@@ -105,7 +114,9 @@ async def test_after_a_stop_a_held_command_does_not_come_back(domain):
     async with driven_by_keys(domain) as (daemon, _, press):
         await press(30.0)
         daemon.control.stop()
-        await wait_until(lambda: abs(value(daemon, "wheel.fl.speed_rpm")) < 0.5, PATIENCE_S)
+        await wait_until(
+            lambda: abs(value(daemon, "wheel.fl.speed_rpm")) < 0.5, PATIENCE_S
+        )
         daemon.control.reset()
         await asyncio.sleep(0.7)
         assert abs(value(daemon, "wheel.fl.speed_rpm")) < 0.5
@@ -140,12 +151,17 @@ async def test_the_daemon_is_a_node_of_the_graph(domain):
 
 async def test_services_answer(domain):
     node = RosNode(domain, {"/cmd_vel": TWIST})
-    get, listed = "rcl_interfaces/srv/GetParameters", "rcl_interfaces/srv/ListParameters"
+    get, listed = (
+        "rcl_interfaces/srv/GetParameters",
+        "rcl_interfaces/srv/ListParameters",
+    )
     async with robot(domain) as daemon, node:
         await node.is_ready()
         names = ["plant.wheel_radius_m", "plant.track_m"]
         for _ in range(3):
-            node.tell(call="/hilserver/get_parameters", type=get, fields={"names": names})
+            node.tell(
+                call="/hilserver/get_parameters", type=get, fields={"names": names}
+            )
             (radius, track) = (await node.answers("answer"))["values"]
             assert radius["double_value"] == daemon.assembly.robot.wheel_radius_m
             assert track["double_value"] == daemon.assembly.robot.track_m
@@ -158,7 +174,9 @@ async def test_a_type_that_does_not_fit_is_told(domain):
     async with robot(domain) as daemon, node:
         status = daemon.part("ros2").status
         await wait_until(lambda: status.apart == status.strangers == 1, PATIENCE_S)
-        faults = [e.message for e in daemon.events.recent if e.kind is EventKind.PEER_FAULT]
+        faults = [
+            e.message for e in daemon.events.recent if e.kind is EventKind.PEER_FAULT
+        ]
         (told,) = [text for text in faults if "/cmd_vel" in text]
         assert "std_msgs::msg::dds_::Float32_" in told
         assert "geometry_msgs::msg::dds_::Twist_ here" in told
@@ -199,7 +217,11 @@ async def is_echoed(node):
 async def test_both_sides_with_their_defaults_find_each_other_on_a_network(domain):
     with peer_network() as network:
         node = RosNode(
-            domain, {"/cmd_vel": TWIST}, {"/echo": TWIST}, discovery=None, prefix=network.prefix
+            domain,
+            {"/cmd_vel": TWIST},
+            {"/echo": TWIST},
+            discovery=None,
+            prefix=network.prefix,
         )
         async with ear(domain, f"{network.name}a"), node:
             await is_echoed(node)
@@ -210,12 +232,18 @@ async def test_on_lo_a_node_that_starts_later_is_found_and_nobody_else_is_heard(
     with peer_network() as network:
         run(*network.prefix, "ip", "link", "set", f"{network.name}b", "down")
         node = RosNode(
-            domain, {"/cmd_vel": TWIST}, {"/echo": TWIST}, discovery=None, prefix=network.prefix
+            domain,
+            {"/cmd_vel": TWIST},
+            {"/echo": TWIST},
+            discovery=None,
+            prefix=network.prefix,
         )
         async with ear(domain, "lo", network.prefix) as ours:
             lines = run(*network.prefix, "ss", "-Hulnp").splitlines()
             places = [line.split()[3] for line in lines if f"={ours.pid}," in line]
             assert len(places) >= 3
-            assert all("%lo:" in place or place.startswith("127.0.0.1:") for place in places)
+            assert all(
+                "%lo:" in place or place.startswith("127.0.0.1:") for place in places
+            )
             async with node:
                 await is_echoed(node)

@@ -11,7 +11,11 @@ from structlog.testing import capture_logs
 
 from hilserver.errors import ControlRefused
 from hilserver.io.ros2 import domain_watch, real_robot
-from hilserver.status import BAD_WAITING_FOR_INITIAL_DATA, GOOD, UNCERTAIN_LAST_USABLE_VALUE
+from hilserver.status import (
+    BAD_WAITING_FOR_INITIAL_DATA,
+    GOOD,
+    UNCERTAIN_LAST_USABLE_VALUE,
+)
 from tests.io.ros2.drives import FLOATS, MEASURED, REAL, SETPOINTS, TURNS_MORE, recorded
 from tests.io.ros2.rig import PATIENCE_S, claimed_domain, robot, value
 from tests.io.ros2.ros_node import ROOT, RosNode, needs_rclpy
@@ -42,7 +46,9 @@ def drive(tmp_path_factory):
 
 
 def host(domain, publish=None, **more):
-    return RosNode(domain, {SETPOINTS: FLOATS} | REAL if publish is None else publish, **more)
+    return RosNode(
+        domain, {SETPOINTS: FLOATS} | REAL if publish is None else publish, **more
+    )
 
 
 def beside(domain, **more):
@@ -55,7 +61,11 @@ def status(daemon, name):
 
 
 def told(daemon, *words):
-    return [e.message for e in daemon.events.recent if all(word in e.message for word in words)]
+    return [
+        e.message
+        for e in daemon.events.recent
+        if all(word in e.message for word in words)
+    ]
 
 
 async def test_gap_alarm_and_estimate_come_over_ros_2_alone(domain, drive):
@@ -80,7 +90,10 @@ async def test_gap_alarm_and_estimate_come_over_ros_2_alone(domain, drive):
                 abs(math.remainder(value(daemon, name) - real, math.tau))
                 for name in ("estimate.yaw_rad", "pose.yaw_rad")
             )
-            return value(daemon, "estimate.state") == TRACKING and seen < 0.05 < 0.1 < simulated
+            return (
+                value(daemon, "estimate.state") == TRACKING
+                and seen < 0.05 < 0.1 < simulated
+            )
 
         await wait_until(is_tracked_and_not_simulated, PATIENCE_S)
         assert await node.answers("played")
@@ -92,7 +105,8 @@ async def test_gap_alarm_and_estimate_come_over_ros_2_alone(domain, drive):
         assert 'hil_model_gap{channel="nav.yaw_rad"}' in await scrape(daemon)
         assert daemon.gate.owner == "ros2"
         await wait_until(
-            lambda: status(daemon, "measured.nav.x_m") == UNCERTAIN_LAST_USABLE_VALUE, PATIENCE_S
+            lambda: status(daemon, "measured.nav.x_m") == UNCERTAIN_LAST_USABLE_VALUE,
+            PATIENCE_S,
         )
         assert told(daemon, "/real/poseStamped: no new value for more than 1000 ms")
         await wait_until(lambda: not daemon.outputs.model_gap(), PATIENCE_S)
@@ -125,28 +139,42 @@ async def test_a_message_that_does_not_fit_is_refused_whole(domain):
         counts, _ = faults(daemon)
         fine = [1.0, 2.0, 3.0, 4.0]
         for data, kind, words in (
-            ([9.0, 9.0, 9.0], "bad_message", "3 numbers instead of one for each of four wheels"),
+            (
+                [9.0, 9.0, 9.0],
+                "bad_message",
+                "3 numbers instead of one for each of four wheels",
+            ),
             ([9.0, 9.0, math.nan, 9.0], "refused_value", "not finite"),
             ([9.0, 9.0, 9.0, 999.0], "refused_value", "outside -200 .. 200"),
         ):
             has_come = lambda: value(daemon, "measured.wheel.rr.speed_rpm") == 4.0  # noqa: E731
             await sent_until(has_come, node, SPEEDS, data=fine)
             before = counts[kind]
-            await sent_until(lambda n=before, k=kind: counts[k] > n, node, SPEEDS, data=data)
+            await sent_until(
+                lambda n=before, k=kind: counts[k] > n, node, SPEEDS, data=data
+            )
             assert value(daemon, "measured.wheel.fl.speed_rpm") == 1.0
             assert told(daemon, SPEEDS, words) or kind == "refused_value"
-        assert len(told(daemon, SPEEDS, "was refused, and the rest")) == 1, "one line for both"
+        assert len(told(daemon, SPEEDS, "was refused, and the rest")) == 1, (
+            "one line for both"
+        )
         pose = {"header": {"frame_id": "uwb"}, "pose": {"orientation": {"w": 1.0}}}
         remark = ("/real/poseStamped gives poses in 'uwb'", "ros2.measured.frame 'map'")
-        await sent_until(lambda: told(daemon, *remark), node, "/real/poseStamped", **pose)
+        await sent_until(
+            lambda: told(daemon, *remark), node, "/real/poseStamped", **pose
+        )
         assert status(daemon, "measured.nav.x_m") == BAD_WAITING_FOR_INITIAL_DATA
 
 
-async def test_a_drive_without_a_pose_says_what_has_no_value(domain, drive, monkeypatch, tmp_path):
+async def test_a_drive_without_a_pose_says_what_has_no_value(
+    domain, drive, monkeypatch, tmp_path
+):
     monkeypatch.setattr(real_robot, "SAID_ALL_NS", 500_000_000)
     lines = drive.read_text(encoding="utf-8").splitlines(keepends=True)
     without = tmp_path / "without.jsonl"
-    without.write_text("".join(line for line in lines if "poseStamped" not in line), "utf-8")
+    without.write_text(
+        "".join(line for line in lines if "poseStamped" not in line), "utf-8"
+    )
     async with beside(domain) as daemon, host(domain) as node:
         await node.is_ready()
         node.play(without)
@@ -170,7 +198,9 @@ async def test_two_robots_under_one_namespace_give_nothing(domain):
         (text,) = told(daemon, SPEEDS, "two nodes publish it")
         assert "ros2.measured.namespace" in text
         name = "measured.wheel.fl.speed_rpm"
-        await wait_until(lambda: status(daemon, name) == UNCERTAIN_LAST_USABLE_VALUE, PATIENCE_S)
+        await wait_until(
+            lambda: status(daemon, name) == UNCERTAIN_LAST_USABLE_VALUE, PATIENCE_S
+        )
         # one that pauses leaves the topic to the other, so on a busy computer it may be either
         assert value(daemon, name) in (10.0, 20.0)
 
@@ -182,7 +212,10 @@ async def test_a_node_in_another_domain_is_named_by_its_domain(domain, monkeypat
         async with host(elsewhere, {SPEEDS: FLOATS}), beside(domain) as daemon:
             found = lambda: any(elsewhere in line.get("others", ()) for line in log)  # noqa: E731
             await wait_until(found, PATIENCE_S)
-            assert status(daemon, "measured.wheel.fl.speed_rpm") == BAD_WAITING_FOR_INITIAL_DATA
+            assert (
+                status(daemon, "measured.wheel.fl.speed_rpm")
+                == BAD_WAITING_FOR_INITIAL_DATA
+            )
 
 
 @asynccontextmanager
@@ -213,7 +246,10 @@ async def test_a_type_with_other_fields_moves_nothing(domain, topic, how):
         assert counts.total() == counts["other_type"]
         assert faults(daemon)[0].total() == 0
         assert value(daemon, "wheel.fl.setpoint_rpm") == 0.0
-        assert status(daemon, "measured.wheel.fl.speed_rpm") == BAD_WAITING_FOR_INITIAL_DATA
+        assert (
+            status(daemon, "measured.wheel.fl.speed_rpm")
+            == BAD_WAITING_FOR_INITIAL_DATA
+        )
 
 
 async def test_who_also_publishes_what_the_simulated_robot_does_is_told_once(domain):

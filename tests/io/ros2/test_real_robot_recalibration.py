@@ -11,7 +11,15 @@ import pytest
 from hilserver.daemon.connections import LINKS
 from hilserver.recalibration import link as recalibration
 from hilserver.recalibration.history import FILE
-from tests.io.ros2.drives import FLOATS, MEASURED, REAL, SETPOINTS, TURNS_MORE, recorded, wandering
+from tests.io.ros2.drives import (
+    FLOATS,
+    MEASURED,
+    REAL,
+    SETPOINTS,
+    TURNS_MORE,
+    recorded,
+    wandering,
+)
 from tests.io.ros2.rig import robot
 from tests.io.ros2.ros_node import RosNode, needs_rclpy
 from tests.loopback.rig import wait_until
@@ -35,10 +43,17 @@ def drive(tmp_path):
     return recorded(tmp_path, wandering(tmp_path / "setpoints.csv", DRIVE_S))
 
 
-async def test_the_rotation_gain_is_found_and_better_once_accepted(domain, tmp_path, drive):
+async def test_the_rotation_gain_is_found_and_better_once_accepted(
+    domain, tmp_path, drive
+):
     node = RosNode(domain, {SETPOINTS: FLOATS} | REAL)
     beside = {"recalibration": TWIN, "sensors": {"nav": {"enabled": True}}}
-    ros2 = {"flavour": "thesis_sil", "measured": MEASURED, "beside": beside, "folder": tmp_path}
+    ros2 = {
+        "flavour": "thesis_sil",
+        "measured": MEASURED,
+        "beside": beside,
+        "folder": tmp_path,
+    }
     links = (*LINKS, recalibration.parts)
     async with robot(domain, links=links, **ros2) as daemon, node:
         await node.is_ready()

@@ -21,7 +21,11 @@ def endpoints(flavour, space=""):
     known = FLAVOURS[flavour]
     absolute = {p.topic: p for p in (*known.published, *known.extras.values())}
     for published in absolute.values():
-        name = published.topic if published.topic[0] == "/" else f"{space}/{published.topic}"
+        name = (
+            published.topic
+            if published.topic[0] == "/"
+            else f"{space}/{published.topic}"
+        )
         reliability = "reliable" if published.qos.reliable else "best_effort"
         yield "r", f"rt{name}", published.type, reliability
     for subscribed in known.subscribed:
@@ -33,9 +37,14 @@ async def test_a_host_drives_by_rpm_and_reads_every_topic(peer, domain):
     driving = host.repeating("rt/iotbot/rpm", **speeds(40, -30, 40, -30))
     published = EXTRAS | {"robot_description": True}
     async with robot(domain, publish=published) as daemon, host, driving:
-        seen = await host.sees("rt/iotbot/rpm/return", lambda m: m.front_left_rpm > 39.5)
+        seen = await host.sees(
+            "rt/iotbot/rpm/return", lambda m: m.front_left_rpm > 39.5
+        )
         assert seen.front_right_rpm == pytest.approx(-30, abs=1)
-        for topic in set(host.received) - {"rt/iotbot/odometry/filtered", "rt/odometry/filtered"}:
+        for topic in set(host.received) - {
+            "rt/iotbot/odometry/filtered",
+            "rt/odometry/filtered",
+        }:
             await host.sees(topic)
         imu = host.last("rt/iotbot/imu")
         assert imu.header.frame_id == "imu_link"
@@ -43,7 +52,10 @@ async def test_a_host_drives_by_rpm_and_reads_every_topic(peer, domain):
         assert len(host.last("rt/iotbot/tof").data) == 4
         assert host.last("rt/iotbot/battery").voltage > 10
         transform = host.last("rt/tf").transforms[0]
-        assert (transform.header.frame_id, transform.child_frame_id) == ("odom", "base_link")
+        assert (transform.header.frame_id, transform.child_frame_id) == (
+            "odom",
+            "base_link",
+        )
         assert daemon.gate.owner == "ros2"
         status = daemon.part("ros2").status
         await wait_until(lambda: status.connected and not status.stale, PATIENCE_S)
@@ -71,12 +83,17 @@ STAMPS = {
 async def test_reliable_topics_lose_nothing(fast_dds, domain, minutes):
     """All four bear the same time stamps, from the first to the last that all have."""
     count = minutes * 3000
-    host = Host(fast_dds, domain, *(e for e in endpoints("iotbot_shield") if e[1] in STAMPS))
+    host = Host(
+        fast_dds, domain, *(e for e in endpoints("iotbot_shield") if e[1] in STAMPS)
+    )
     async with robot(domain, publish=EXTRAS) as daemon, host:
         enough = lambda: sum(map(len, host.received.values())) > count  # noqa: E731
         await wait_until(enough, PATIENCE_S + 20 * minutes)
         counts = daemon.part("ros2").status.fault_counts.copy()
-    seen = [[nanoseconds(of(m)) for m in host.messages(topic)] for topic, of in STAMPS.items()]
+    seen = [
+        [nanoseconds(of(m)) for m in host.messages(topic)]
+        for topic, of in STAMPS.items()
+    ]
     first, last = max(times[0] for times in seen), min(times[-1] for times in seen)
     clock, *others = ([t for t in times if first <= t <= last] for times in seen)
     assert len(clock) > count / 5
@@ -91,16 +108,22 @@ def nanoseconds(stamp):
 
 async def test_every_topic_of_a_real_iot_bot_is_measured(fast_dds, domain):
     """Also those types for which PyPI has no `rclpy` package."""
-    kinds = {name if name[0] == "/" else f"/{name}": kind for name, kind in IOTBOT.items()}
+    kinds = {
+        name if name[0] == "/" else f"/{name}": kind for name, kind in IOTBOT.items()
+    }
     types = {f"rt{name}": MEASURED_TYPES[kind].type for name, kind in kinds.items()}
     host = Host(
-        fast_dds, domain, *(("w", topic, kind, "reliable") for topic, kind in types.items())
+        fast_dds,
+        domain,
+        *(("w", topic, kind, "reliable") for topic, kind in types.items()),
     )
     link = ("odom", "base_link", 1.5, 0.0, 0.0)
     messages = {
         "rt/iotbot/rpm/return": known_types().make(RPM, **speeds(10, -20, 30, -40)),
         "rt/iotbot/imu": real.imu(),
-        "rt/iotbot/battery": known_types().make("iotbot_interface/msg/Battery", voltage=11.5),
+        "rt/iotbot/battery": known_types().make(
+            "iotbot_interface/msg/Battery", voltage=11.5
+        ),
         "rt/poseStamped": real.tagged(0.5, 0.6, 0.7, "odom"),
         "rt/odom": real.odometry("odom", x=1.5),
         "rt/joint_states": real.joints(
@@ -110,8 +133,16 @@ async def test_every_topic_of_a_real_iot_bot_is_measured(fast_dds, domain):
     }
     measured = {"frame": "odom"}
     async with robot(domain, namespace="/sim", measured=measured) as daemon, host:
-        expected = {"wheel.rr.speed_rpm": -40.0, "imu.gyro_z_rad_s": 0.2, "nav.yaw_rad": 0.7}
-        expected |= {"battery.voltage_v": 11.5, "velocity.lateral_m_s": 0.1, "pose.x_m": 1.5}
+        expected = {
+            "wheel.rr.speed_rpm": -40.0,
+            "imu.gyro_z_rad_s": 0.2,
+            "nav.yaw_rad": 0.7,
+        }
+        expected |= {
+            "battery.voltage_v": 11.5,
+            "velocity.lateral_m_s": 0.1,
+            "pose.x_m": 1.5,
+        }
 
         def have_come():
             for topic, message in messages.items():
@@ -122,20 +153,28 @@ async def test_every_topic_of_a_real_iot_bot_is_measured(fast_dds, domain):
         part = daemon.parts_of("ros2")[1]
         heard = lambda: all(topic.has_values for topic in part._topics)  # noqa: E731
         await wait_until(lambda: have_come() and heard(), PATIENCE_S)
-        assert not set(+part.status.fault_counts) - {"stamp"}, "that of /tf is from 1970"
-        assert value(daemon, "measured.wheel.fl.speed_rpm") == 10.0, "rpm/return was heard first"
+        assert not set(+part.status.fault_counts) - {"stamp"}, (
+            "that of /tf is from 1970"
+        )
+        assert value(daemon, "measured.wheel.fl.speed_rpm") == 10.0, (
+            "rpm/return was heard first"
+        )
 
 
 async def test_twist_beyond_what_the_robot_can(fast_dds, domain):
     host = Host(fast_dds, domain, *endpoints("iotbot_shield"))
     async with robot(domain) as daemon, host:
         async with host.repeating("rt/cmd_vel", **twist(0.2, 0.3)):
-            for name, wanted in (("velocity.linear_m_s", 0.2), ("velocity.angular_rad_s", 0.3)):
+            for name, wanted in (
+                ("velocity.linear_m_s", 0.2),
+                ("velocity.angular_rad_s", 0.3),
+            ):
                 await wait_until(near(daemon, name, wanted), PATIENCE_S)
         async with host.repeating("rt/cmd_vel", **twist(50.0, 0.0)):
             fastest = daemon.assembly.robot.max_linear_m_s
             await wait_until(
-                lambda: value(daemon, "twist.linear_m_s") == pytest.approx(fastest), PATIENCE_S
+                lambda: value(daemon, "twist.linear_m_s") == pytest.approx(fastest),
+                PATIENCE_S,
             )
 
 
@@ -160,7 +199,8 @@ async def test_what_is_no_command_is_a_fault_and_nothing_else(fast_dds, domain):
         await wait_until(all_are_counted, PATIENCE_S)
         assert set(+counts) == {"refused_value", "bad_message"}
         assert any(
-            "3 numbers" in sentence for sentence in daemon.part("ros2").status.faults.values()
+            "3 numbers" in sentence
+            for sentence in daemon.part("ros2").status.faults.values()
         )
         assert daemon.part("ros2").status.stale, "nothing usable has come"
         assert daemon.control.state is State.RUNNING
@@ -180,10 +220,14 @@ async def test_edu_robot(peer, domain):
     host = Host(peer, domain, *endpoints("eduard", "/eduard"))
     async with robot(domain, flavour="eduard") as daemon, host:
         async with host.repeating("rt/eduard/cmd_vel", **twist(0.2)):
-            seen = await host.sees("rt/eduard/odometry", lambda m: m.twist.twist.linear.x > 0.19)
+            seen = await host.sees(
+                "rt/eduard/odometry", lambda m: m.twist.twist.linear.x > 0.19
+            )
             assert seen.header.frame_id == "eduard/odom"
             for topic in set(host.received) - NOT_ASKED_FOR:
-                if "kinematic" not in topic:  # a latched one, for a reader that asks for no past
+                if (
+                    "kinematic" not in topic
+                ):  # a latched one, for a reader that asks for no past
                     await host.sees(topic)
             # edu_robot's signs: right forward, left backward
             forward = lambda m: m.rpm[0] > 0 > m.rpm[3]  # noqa: E731

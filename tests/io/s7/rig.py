@@ -35,7 +35,9 @@ def free_port():
 @asynccontextmanager
 async def daemon_with(blocks, **server):
     section = {"server": {"port": 0, "blocks": blocks, **server}}
-    config = configuration(s7=section, opcua={"enabled": False}, page={"enabled": False})
+    config = configuration(
+        s7=section, opcua={"enabled": False}, page={"enabled": False}
+    )
     async with Daemon(assemble_config(config)) as daemon:
         yield daemon, int(daemon.part("s7").address.rpartition(":")[2])
 
@@ -86,8 +88,14 @@ class Link:
                 "read": ["DB1,UDINT0", f"DB1,UDINT{size - 4}"],
                 "write": ["DB2,UDINT0", f"DB2,UDINT{size - 4}"],
             },
-            "read": {"DB1,REAL4": "wheel.fl.setpoint_rpm", "DB1,REAL8": "wheel.fr.setpoint_rpm"},
-            "write": {"wheel.fl.speed_rpm": "DB2,REAL4", "wheel.fr.speed_rpm": "DB2,REAL8"},
+            "read": {
+                "DB1,REAL4": "wheel.fl.setpoint_rpm",
+                "DB1,REAL8": "wheel.fr.setpoint_rpm",
+            },
+            "write": {
+                "wheel.fl.speed_rpm": "DB2,REAL4",
+                "wheel.fr.speed_rpm": "DB2,REAL8",
+            },
         } | changes
         self.gate, self.events, self.outputs = RecordingGate(), EventBus(), {}
         self.peer = S7Peer(

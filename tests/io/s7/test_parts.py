@@ -60,7 +60,9 @@ def test_any_length_is_read_and_written_whole_in_the_fewest_messages(pdu, start,
     assert wired.jobs == -(-size // ((pdu - wire.READ_OVERHEAD) // 2 * 2))
 
 
-RUNS = st.lists(st.tuples(st.integers(0, 6), st.integers(1, 300)), min_size=1, max_size=30)
+RUNS = st.lists(
+    st.tuples(st.integers(0, 6), st.integers(1, 300)), min_size=1, max_size=30
+)
 
 
 @given(PDU, RUNS)

@@ -89,7 +89,10 @@ def test_reads_follow_the_writes_of_a_controller_of_the_same_cycle(cycle_s, phas
 def test_a_counter_that_stands_and_one_that_is_torn_are_read_once_a_period_in_the_end():
     pace = Pace(0.01)
     waits = [pace.after(number) for number in (1, *(None, 1) * SOONER)]
-    assert waits[: SOONER + 1] == [0.01 * (SOONER - 1) / SOONER, *(0.01 / SOONER,) * SOONER]
+    assert waits[: SOONER + 1] == [
+        0.01 * (SOONER - 1) / SOONER,
+        *(0.01 / SOONER,) * SOONER,
+    ]
     assert set(waits[SOONER + 1 :]) == {0.01}
 
 

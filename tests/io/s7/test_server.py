@@ -217,7 +217,9 @@ async def test_a_newcomer_takes_the_place_of_who_has_been_idle_longest(monkeypat
 async def test_a_port_that_is_taken_is_named():
     port = free_port()
     async with daemon_with({1: DRIVE}, port=port):
-        with pytest.raises(FailedError, match=f"s7.server: cannot listen on 127.0.0.1 port {port}"):
+        with pytest.raises(
+            FailedError, match=f"s7.server: cannot listen on 127.0.0.1 port {port}"
+        ):
             async with daemon_with({1: DRIVE}, port=port):
                 pass
 
@@ -227,7 +229,10 @@ async def test_a_port_that_is_taken_is_named():
     [
         ({"signal": "wheel.fl.speed", "at": 0}, "did you mean 'wheel.fl.speed_rpm'"),
         ({"signal": "drive.enable", "at": 0}, "'drive.enable' is BOOL, not REAL"),
-        ({"signal": "sim.tick", "at": 0.0, "type": "BOOL"}, "is a number, as REAL, not BOOL"),
+        (
+            {"signal": "sim.tick", "at": 0.0, "type": "BOOL"},
+            "is a number, as REAL, not BOOL",
+        ),
     ],
 )
 async def test_a_layout_that_fits_no_signal_is_named(field, words):

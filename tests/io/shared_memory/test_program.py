@@ -15,7 +15,13 @@ from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
 from hilserver.image.shared_file import path_of
 from hilserver.io.shared_memory.headers import to_c, to_csharp
-from hilserver.io.shared_memory.inputs import COUNTER, LAYOUT, Inputs, inputs_of, name_of
+from hilserver.io.shared_memory.inputs import (
+    COUNTER,
+    LAYOUT,
+    Inputs,
+    inputs_of,
+    name_of,
+)
 from hilserver.signals import State
 from tests.loopback.rig import configuration, newest, wait_until
 
@@ -42,7 +48,9 @@ async def compiled(folder, table, image="robot", source=SOURCE):
     (folder / "hilserver.h").write_text(to_c(table, image))
     program = folder / "drive"
     words = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror", f"-I{folder}", source]
-    process = await asyncio.create_subprocess_exec(compiler, *words, "-o", program, "-lm")
+    process = await asyncio.create_subprocess_exec(
+        compiler, *words, "-o", program, "-lm"
+    )
     assert await process.wait() == 0
     return program
 
@@ -80,7 +88,9 @@ async def test_a_program_in_c_drives_and_reads_every_name_at_its_place(tmp_path)
         link = daemon.part("shared_memory")
         assert link.status.writes > 0
         assert daemon.gate.owner == "peer"
-        await wait_until(lambda: daemon.control.state is State.SAFE and link.status.stale)
+        await wait_until(
+            lambda: daemon.control.state is State.SAFE and link.status.stale
+        )
         assert daemon.control.reason == "the program in shared memory is silent"
     assert not link._inputs.path.exists()
 
@@ -92,7 +102,9 @@ async def test_the_example_of_the_documents_reads_the_robot(tmp_path):
     source.write_text(textwrap.dedent(example))
     async with daemon_with() as daemon:
         program = await compiled(tmp_path, daemon.table, daemon.image.name, source)
-        process = await asyncio.create_subprocess_exec(program, stdout=asyncio.subprocess.PIPE)
+        process = await asyncio.create_subprocess_exec(
+            program, stdout=asyncio.subprocess.PIPE
+        )
         said, _ = await process.communicate()
         assert process.returncode == 0
         assert re.fullmatch(rb"tick \d+: 0\.00 rpm\n", said)
@@ -161,12 +173,20 @@ def test_both_languages_have_the_same_members_in_the_same_order():
     table = assemble_config(configuration()).table
 
     def members(text, kind):
-        found = [line.split() for line in text.splitlines() if f"{kind} " in line and ";" in line]
-        return [words[words.index(kind) + 1].rstrip(";") for words in found if kind in words]
+        found = [
+            line.split()
+            for line in text.splitlines()
+            if f"{kind} " in line and ";" in line
+        ]
+        return [
+            words[words.index(kind) + 1].rstrip(";") for words in found if kind in words
+        ]
 
     names = [s.name.replace(".", "_") for s in table.scalars]
     written = [s.name.replace(".", "_") for s in inputs_of(table)]
     in_c = members(to_c(table, "robot"), "double")
-    in_csharp = [n for n in members(to_csharp(table, "robot"), "double") if n[0].islower()]
+    in_csharp = [
+        n for n in members(to_csharp(table, "robot"), "double") if n[0].islower()
+    ]
     assert in_c[: len(names)] == in_csharp[: len(names)] == names
     assert in_csharp[len(names) :] == written

@@ -29,9 +29,20 @@ NEVER_SILENT_NS = 600_000_000_000
 def host_program(tmp_path_factory):
     compiler = shutil.which("cc")
     if compiler is None:
-        pytest.fail("the hosts need a C compiler (Debian: gcc libc6-dev)", pytrace=False)
+        pytest.fail(
+            "the hosts need a C compiler (Debian: gcc libc6-dev)", pytrace=False
+        )
     program = tmp_path_factory.mktemp("host") / "host"
-    command = [compiler, "-O1", "-Wall", "-Werror", "-o", str(program), str(SOURCE), "-lm"]
+    command = [
+        compiler,
+        "-O1",
+        "-Wall",
+        "-Werror",
+        "-o",
+        str(program),
+        str(SOURCE),
+        "-lm",
+    ]
     subprocess.run(command, check=True, timeout=600)
     return program
 
@@ -56,7 +67,9 @@ class Robot:
 
     def setpoints(self):
         wheels = ("fl", "rl", "fr", "rr")
-        return [self.daemon.gate.newest(f"wheel.{wheel}.setpoint_rpm") for wheel in wheels]
+        return [
+            self.daemon.gate.newest(f"wheel.{wheel}.setpoint_rpm") for wheel in wheels
+        ]
 
     async def until(self, condition, what):
         try:
@@ -70,7 +83,8 @@ class Robot:
     async def started_host(self, **options):
         words = [f"{key}={value}" for key, value in options.items()]
         process = await asyncio.create_subprocess_exec(
-            *(self._program, self.shield.address, *words), stdout=asyncio.subprocess.PIPE
+            *(self._program, self.shield.address, *words),
+            stdout=asyncio.subprocess.PIPE,
         )
         try:
             yield process
@@ -110,7 +124,14 @@ class Robot:
         await self.until(self.is_idle, "the last host's requests are done")
         self.device.limit_ns = NEVER_SILENT_NS
         self.status.words[w.RAW] = 1
-        for word in (w.SKIPPED, w.UNTERMINATED, w.REQUESTS, w.RESPONSES, w.UNANSWERED, w.BYTES):
+        for word in (
+            w.SKIPPED,
+            w.UNTERMINATED,
+            w.REQUESTS,
+            w.RESPONSES,
+            w.UNANSWERED,
+            w.BYTES,
+        ):
             self.status.words[word] = 0
         self.shield._seen.clear()
         self.status.requests.clear()
@@ -127,7 +148,11 @@ def configuration(folder, **shield):
             "page": {"enabled": False},
             "scheduler": {
                 "limits": {"single_overrun_ms": None, "consecutive_overruns": None},
-                "realtime": {"priority": 0, "lock_memory": False, "hold_latency_target": False},
+                "realtime": {
+                    "priority": 0,
+                    "lock_memory": False,
+                    "hold_latency_target": False,
+                },
                 "communication_timeout_ms": 0,
             },
             "shield": {"enabled": True, "link": str(folder / "shield"), **shield},
@@ -137,7 +162,9 @@ def configuration(folder, **shield):
 
 @contextlib.asynccontextmanager
 async def running_robot(folder, program, **shield):
-    async with Daemon(assemble_config(configuration(folder, **shield), folder)) as daemon:
+    async with Daemon(
+        assemble_config(configuration(folder, **shield), folder)
+    ) as daemon:
         yield Robot(daemon, program)
 
 

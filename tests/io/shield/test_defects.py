@@ -72,7 +72,9 @@ async def test_10_end_byte_unset_until_the_first_enable(robot):
 async def test_11_reads_once_and_waits_for_ever(robot):
     async with robot.started_host(lose_request=3, count=20, defect=11) as host:
         lost = 2 * 11 + 10
-        await robot.until(lambda: robot.status.count(w.BYTES) >= lost, "a request is cut short")
+        await robot.until(
+            lambda: robot.status.count(w.BYTES) >= lost, "a request is cut short"
+        )
         await asyncio.sleep(1.0)
         assert host.returncode is None
         assert robot.status.count(w.BYTES) == lost

@@ -45,12 +45,15 @@ class Bench:
         return self
 
     def rpm(self, *rpm):
-        return self.ask(Command.SET_RPM, struct.pack("<4h", *(round(100 * r) for r in rpm)))
+        return self.ask(
+            Command.SET_RPM, struct.pack("<4h", *(round(100 * r) for r in rpm))
+        )
 
     @property
     def setpoints(self):
         return [
-            self.values.get(f"wheel.{wheel}.setpoint_rpm") for wheel in ("fl", "rl", "fr", "rr")
+            self.values.get(f"wheel.{wheel}.setpoint_rpm")
+            for wheel in ("fl", "rl", "fr", "rr")
         ]
 
 
@@ -89,7 +92,10 @@ def test_disable_stops(bench):
 def test_duties_pass_the_controller(bench):
     bench.ask(Command.SET_PWM, struct.pack("<4b4x", 10, -20, 127, -128))
     assert bench.values["control.mode"] == 2
-    duties = [bench.values[f"wheel.{wheel}.duty_command_pct"] for wheel in ("rr", "fr", "rl", "fl")]
+    duties = [
+        bench.values[f"wheel.{wheel}.duty_command_pct"]
+        for wheel in ("rr", "fr", "rl", "fl")
+    ]
     assert duties == [10, -20, 100, -100]
 
 
@@ -112,10 +118,19 @@ def test_the_host_sets_how_long_it_may_be_silent(bench):
 
 
 def test_parameters_are_stored_shown_and_counted_as_without_effect(bench):
-    for command, number in ((Command.KP, 0.5), (Command.KI, 10.0), (Command.GEAR_RATIO, 72.0)):
+    for command, number in (
+        (Command.KP, 0.5),
+        (Command.KI, 10.0),
+        (Command.GEAR_RATIO, 72.0),
+    ):
         bench.ask(command, struct.pack("<f", number))
     bench.ask(Command.AUX1, b"\xff").ask(Command.IMU_CALIBRATE).ask(Command.SYNC)
-    assert bench.status.parameters == {"kp": 0.5, "ki": 10.0, "gear_ratio": 72.0, "aux1": 255.0}
+    assert bench.status.parameters == {
+        "kp": 0.5,
+        "ki": 10.0,
+        "gear_ratio": 72.0,
+        "aux1": 255.0,
+    }
     assert bench.status.without_effect == 6
     assert not bench.gains
     assert "gear_ratio 72" in bench.status.figures["parameters"]

@@ -70,7 +70,9 @@ def test_requests_are_found_with_and_without_pauses(variant, asked, pauses):
 
 
 @given(variants, st.binary(max_size=400), commands, st.binary(min_size=8, max_size=8))
-def test_after_any_bytes_and_a_pause_the_next_request_is_found(variant, noise, command, payload):
+def test_after_any_bytes_and_a_pause_the_next_request_is_found(
+    variant, noise, command, payload
+):
     """At once if the noise left the line out of step, else with the one after it."""
     line, frame = Line(variant), request(command, payload, variant)
     line.take(noise, PAUSE)
@@ -82,7 +84,9 @@ def test_after_any_bytes_and_a_pause_the_next_request_is_found(variant, noise, c
 
 
 @given(requests, st.integers(0, 10), st.lists(requests, min_size=3, max_size=3))
-def test_a_lost_byte_costs_that_request_and_none_that_begins_after_a_pause(frame, lost, later):
+def test_a_lost_byte_costs_that_request_and_none_that_begins_after_a_pause(
+    frame, lost, later
+):
     line = Line()
     line.take(frame, PAUSE)
     short = frame[:lost] + frame[lost + 1 :]
@@ -142,5 +146,7 @@ def test_eleven_bytes_between_two_pauses_are_a_request_whatever_the_last_one_is(
 @pytest.mark.parametrize("stray", [0x11, 0x13])
 def test_flow_control_of_the_host_is_noise_between_requests(stray):
     line, odd = Line(), RPM[:10] + b"\x07"
-    assert line.take(bytes((stray,)) + RPM, PAUSE, bytes((stray,)) + odd, PAUSE) == [RPM]
+    assert line.take(bytes((stray,)) + RPM, PAUSE, bytes((stray,)) + odd, PAUSE) == [
+        RPM
+    ]
     assert (line.skipped, line.alone) == (2, [odd])

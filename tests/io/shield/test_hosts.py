@@ -34,10 +34,14 @@ async def test_a_host_drives(robot, rate, count, blocking):
 async def test_the_plant_follows_and_the_response_shows_it(robot):
     await robot.forget()
     async with robot.started_host(rate=50, count=10_000, rpm=40):
-        await robot.until(lambda: abs(robot.read("wheel.fl.speed_rpm") - 40) < 0.5, "drives")
+        await robot.until(
+            lambda: abs(robot.read("wheel.fl.speed_rpm") - 40) < 0.5, "drives"
+        )
         assert robot.read("wheel.fr.speed_rpm") == pytest.approx(-40, abs=1)
         await robot.until(lambda: robot.status.connected, "the host has the line open")
-    await robot.until(lambda: not robot.status.connected, "the host has closed the line")
+    await robot.until(
+        lambda: not robot.status.connected, "the host has closed the line"
+    )
 
 
 async def test_no_response_is_earlier_than_the_line_permits(robot):
@@ -53,7 +57,9 @@ async def test_silence_withdraws_enable_and_a_command_brings_it_back(robot):
     await robot.host(timeout_s=0.3, count=20)
     assert robot.device.limit_ns == pytest.approx(300_000_000, rel=1e-6)
     limit_ns = robot.device.limit_ns
-    await robot.until(lambda: robot.status.words[w.LIMIT] == limit_ns, "the line's thread has it")
+    await robot.until(
+        lambda: robot.status.words[w.LIMIT] == limit_ns, "the line's thread has it"
+    )
     await robot.until(lambda: robot.read("drive.enable") == 0.0, "enable is withdrawn")
     await robot.until(lambda: robot.status.stale, "the host is silent")
     assert not robot.status.enabled
@@ -63,7 +69,9 @@ async def test_silence_withdraws_enable_and_a_command_brings_it_back(robot):
     assert robot.status.fault_counts["while_disabled"] >= 5
     async with robot.started_host(timeout_s=600, count=10_000):
         await robot.until(lambda: robot.read("drive.enable") == 1.0, "enable is back")
-        await robot.until(lambda: abs(robot.read("wheel.fl.speed_rpm") - 30) < 0.5, "it drives")
+        await robot.until(
+            lambda: abs(robot.read("wheel.fl.speed_rpm") - 30) < 0.5, "it drives"
+        )
 
 
 async def test_a_request_too_many_is_counted_and_the_rest_answered(robot):
@@ -77,7 +85,9 @@ async def test_a_request_too_many_is_counted_and_the_rest_answered(robot):
 async def test_another_source_keeps_control(robot):
     await robot.forget()
     robot.daemon.gate.take("opcua")
-    robot.daemon.gate.write("opcua", {"drive.enable": True, "wheel.fl.setpoint_rpm": 7.0})
+    robot.daemon.gate.write(
+        "opcua", {"drive.enable": True, "wheel.fl.setpoint_rpm": 7.0}
+    )
     saw = await robot.host(count=10, rpm=30)
     assert saw["answered"] >= 11
     assert robot.daemon.gate.newest("wheel.fl.setpoint_rpm") == 7.0
@@ -97,7 +107,9 @@ async def flooded(robot, data):
                 await asyncio.sleep(0.001)
             with contextlib.suppress(BlockingIOError):
                 os.read(host, 65536)
-        await robot.until(lambda: robot.status.count(w.BYTES) >= len(data), "all was read")
+        await robot.until(
+            lambda: robot.status.count(w.BYTES) >= len(data), "all was read"
+        )
         await robot.until(robot.is_idle, "all was answered")
     finally:
         os.close(host)
@@ -111,7 +123,9 @@ async def is_in_step(robot):
     assert robot.setpoints() == [30, 30, -30, -30]
 
 
-async def test_a_million_random_bytes_leave_it_alive_and_in_step(tmp_path, host_program):
+async def test_a_million_random_bytes_leave_it_alive_and_in_step(
+    tmp_path, host_program
+):
     async with running_robot(tmp_path, host_program, pace=False) as robot:
         await flooded(robot, random_bytes(1_000_000))
         await is_in_step(robot)
@@ -143,7 +157,9 @@ async def test_a_real_line_is_answered_and_its_loss_survived(tmp_path, host_prog
         await robot.until(is_named, "the loss is an event")
         await robot.until(lambda: not robot.status.connected, "the line is lost")
     thread = robot.shield._thread
-    assert not thread.is_alive(), "it would open the line again and take what the next one is sent"
+    assert not thread.is_alive(), (
+        "it would open the line again and take what the next one is sent"
+    )
 
 
 async def test_what_comes_when_a_line_is_back_belongs_to_nothing_before(
@@ -159,7 +175,8 @@ async def test_what_comes_when_a_line_is_back_belongs_to_nothing_before(
         words, opened, back_ns = robot.status.words, robot.shield._opened, []
         os.write(near, request(Command.ENABLE) + request(Command.ENABLE)[:5])
         await robot.until(
-            lambda: words[w.RING_TAIL] == 1 and words[w.FILL] == 5, "a request and a half are there"
+            lambda: words[w.RING_TAIL] == 1 and words[w.FILL] == 5,
+            "a request and a half are there",
         )
 
         def opened_and_sent():
@@ -174,7 +191,9 @@ async def test_what_comes_when_a_line_is_back_belongs_to_nothing_before(
         await robot.until(lambda: robot.shield.address == "", "the line is lost")
         near, far = os.openpty()
         device.symlink_to(os.ttyname(far))
-        await robot.until(lambda: back_ns and words[w.RING_TAIL] == 2, "the request is taken")
+        await robot.until(
+            lambda: back_ns and words[w.RING_TAIL] == 2, "the request is taken"
+        )
         assert robot.shield._received_ns >= back_ns[0]
         assert words[w.SKIPPED] == 0
     os.close(near)
@@ -183,7 +202,9 @@ async def test_what_comes_when_a_line_is_back_belongs_to_nothing_before(
 
 async def test_a_mistyped_device_ends_the_start_with_a_sentence(tmp_path, host_program):
     with pytest.raises(FailedError, match=r"there is no .*ttyS77"):
-        async with running_robot(tmp_path, host_program, device=str(tmp_path / "ttyS77")):
+        async with running_robot(
+            tmp_path, host_program, device=str(tmp_path / "ttyS77")
+        ):
             pass
     assert not (tmp_path / "ttyS77").exists()
 

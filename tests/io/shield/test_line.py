@@ -36,7 +36,9 @@ def test_a_stale_link_is_replaced_and_that_of_another_left(tmp_path):
 
 def test_a_file_is_never_replaced_by_a_link(tmp_path):
     (tmp_path / "shield").write_text("mine")
-    with pytest.raises(FailedError, match="exists and is not a link; choose another path"):
+    with pytest.raises(
+        FailedError, match="exists and is not a link; choose another path"
+    ):
         open_pseudo_terminal(tmp_path / "shield")
     assert (tmp_path / "shield").read_text() == "mine"
 

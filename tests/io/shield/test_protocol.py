@@ -60,11 +60,15 @@ def test_a_request_as_the_drivers_write_it():
 
 
 def test_check_sum_is_that_of_the_catalogue():
-    assert crc8(b"123456789", 0, 9) == 0xF4  # CRC-8/SMBUS of the catalogue of CRC algorithms
+    assert (
+        crc8(b"123456789", 0, 9) == 0xF4
+    )  # CRC-8/SMBUS of the catalogue of CRC algorithms
 
 
 def test_check_sum_covers_only_eight_bytes():
-    one, other = (request(Command.SET_RPM, bytes((1, 2, 3, 4, 5, 6, x)), "crc") for x in (0, 99))
+    one, other = (
+        request(Command.SET_RPM, bytes((1, 2, 3, 4, 5, 6, x)), "crc") for x in (0, 99)
+    )
     assert one[10] == other[10] == crc8(one, 0, 8)
 
 
@@ -77,7 +81,9 @@ def test_payloads():
         0.03,
         -0.04,
     )
-    assert Request(Command.SET_PWM, struct.pack("<4b4x", 1, -2, 127, -128)).duties_pct == (
+    assert Request(
+        Command.SET_PWM, struct.pack("<4b4x", 1, -2, 127, -128)
+    ).duties_pct == (
         1,
         -2,
         127,
@@ -87,14 +93,20 @@ def test_payloads():
 
 
 def test_speeds_stand_by_channel():
-    speeds = {"wheel__rr__speed_rpm": 1, "wheel__fr__speed_rpm": 2, "wheel__rl__speed_rpm": 3}
+    speeds = {
+        "wheel__rr__speed_rpm": 1,
+        "wheel__fr__speed_rpm": 2,
+        "wheel__rl__speed_rpm": 3,
+    }
     speeds["wheel__fl__speed_rpm"] = -4.005
     assert response(shown(**speeds)).speeds_rpm == (1, 2, 3, -4.0)
     assert response(shown("crc", **speeds)).speeds_rpm == (-4.0, 2, 3, 1)
 
 
 def test_raw_imu_has_the_axes_that_the_driver_maps_back():
-    data = shown(imu__accel_x_m_s2=0.980665, imu__accel_y_m_s2=-1.96133, imu__gyro_z_rad_s=0.5)
+    data = shown(
+        imu__accel_x_m_s2=0.980665, imu__accel_y_m_s2=-1.96133, imu__gyro_z_rad_s=0.5
+    )
     said = response(data)
     assert said.accel_g == pytest.approx((0.1, -0.2, 1.0))
     assert said.gyro_deg_s == pytest.approx((0.0, 0.0, math.degrees(0.5)), abs=0.005)
@@ -102,13 +114,21 @@ def test_raw_imu_has_the_axes_that_the_driver_maps_back():
 
 def test_fused_imu_is_a_quaternion_and_a_temperature():
     said = response(shown(raw=0, imu__yaw_rad=1.0, shield__temperature_degc=31.4))
-    assert said.quaternion == pytest.approx((math.cos(0.5), 0, 0, math.sin(0.5)), abs=5e-5)
+    assert said.quaternion == pytest.approx(
+        (math.cos(0.5), 0, 0, math.sin(0.5)), abs=5e-5
+    )
     assert said.fused_degc == pytest.approx(31.4)
 
 
 def test_ranges_voltage_current():
     said = response(
-        shown(tof__fl_m=0.1, tof__fr_m=0.2, tof__rl_m=0.3, tof__rr_m=5.0, battery__voltage_v=19.2)
+        shown(
+            tof__fl_m=0.1,
+            tof__fr_m=0.2,
+            tof__rl_m=0.3,
+            tof__rr_m=5.0,
+            battery__voltage_v=19.2,
+        )
     )
     assert (said.ranges_m, said.voltage_v) == ((0.1, 0.2, 0.3, 5.0), 19.2)
     assert response(shown(battery__current_a=1.5)).current_a == 1.5
@@ -121,10 +141,19 @@ def test_the_variant_crc_ends_with_temperature_and_check_sum():
     assert data[32] == crc8(data, 0, 8)
 
 
-@given(st.floats(allow_nan=True, allow_infinity=True), st.integers(0, 255), st.booleans())
+@given(
+    st.floats(allow_nan=True, allow_infinity=True), st.integers(0, 255), st.booleans()
+)
 def test_any_value_fits_into_its_field(value, command, crc):
-    names = ("wheel__fl__speed_rpm", "imu__gyro_z_rad_s", "imu__accel_x_m_s2", "tof__rl_m")
-    data = shown("crc" if crc else "iotbot", command=command, **dict.fromkeys(names, value))
+    names = (
+        "wheel__fl__speed_rpm",
+        "imu__gyro_z_rad_s",
+        "imu__accel_x_m_s2",
+        "tof__rl_m",
+    )
+    data = shown(
+        "crc" if crc else "iotbot", command=command, **dict.fromkeys(names, value)
+    )
     assert data[0] == command
     if math.isnan(value):
         assert response(data).speeds_rpm == (0, 0, 0, 0)

@@ -23,13 +23,22 @@ class Line:
         self.state = np.zeros(w.N_WORDS, dtype=np.int64)
         self.state[w.BYTE], self.state[w.PAUSE] = BYTE_NS, 1
         self.chunk, self.frame = np.zeros((2, REQUEST_BYTES), dtype=np.uint8)
-        self.poll, self.scratch = np.zeros(2, dtype=np.int32), np.zeros(3, dtype=np.int64)
+        self.poll, self.scratch = (
+            np.zeros(2, dtype=np.int32),
+            np.zeros(3, dtype=np.int64),
+        )
 
     def read(self, patience_ns=0):
         """Read once; whatever this thread reads later, it reads after a pause of its own."""
         now_ns = time.monotonic_ns()
         _listen(
-            self.far, now_ns + patience_ns, now_ns, self.chunk, self.state, self.poll, self.scratch
+            self.far,
+            now_ns + patience_ns,
+            now_ns,
+            self.chunk,
+            self.state,
+            self.poll,
+            self.scratch,
         )
         _receive(self.chunk, self.frame, self.state, -1, self.scratch[2:])
 
