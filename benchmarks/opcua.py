@@ -1,4 +1,6 @@
-"""The cost of OPC UA clients, compared with asyncua's own server in the same run.
+"""The cost of OPC UA clients, beside asyncua's own server and open62541's in the same run.
+
+open62541 is a reference where its library is installed, found by ``pkg-config open62541``.
 
 Each block starts with new clients, all subscribed to the same values, which change with every
 publish slice; a small C program counts what arrives. The processor time is that of the whole server
@@ -20,7 +22,7 @@ from pathlib import Path
 
 from asyncua import ua
 
-from benchmarks.opcua_clients import Clients, Delivered, build
+from benchmarks.opcua_clients import Clients, Delivered, build, build_open62541
 from benchmarks.target import running_daemon
 from benchmarks.wire import Wire
 from hilserver.bench.report import Result
@@ -91,6 +93,16 @@ class Subject:
         changed = self.n_clients * len(self.nodes) * _RATE_HZ * block_s
         return statistics.median(got.values for got in self.delivered) / changed
 
+    def figures(self, block_s: float) -> dict[tuple[str, str], float]:
+        """Return what is compared, by name and unit."""
+        return {
+            ("cpu_per_value_us", "us"): self.cpu_per_value_us,
+            ("delivered_share", "1"): self.delivered_share(block_s),
+            ("load_when_watched", "1"): statistics.median(self.cpu_s) / block_s,
+            ("load_when_idle", "1"): self.idle_load,
+            ("resident_mb", "MB"): self.resident_mb,
+        }
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the size of the load."""
@@ -99,28 +111,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--block-s", type=float, default=5.0, help="length of a block")
 
 
-async def _measure(args: argparse.Namespace) -> tuple[Subject, Subject]:
+async def _measure(args: argparse.Namespace) -> list[Subject]:
     async with contextlib.AsyncExitStack() as stack:
         folder = Path(
             stack.enter_context(tempfile.TemporaryDirectory(prefix="hilserver-"))
         )
         program = build(folder)
-        ours = await stack.enter_async_context(_ours())
-        stock = await stack.enter_async_context(_stock())
-        for subject in (ours, stock):
+        references = [("asyncua", 2, python("-m", "benchmarks.opcua_stock"))]
+        compiled = build_open62541(folder)
+        if compiled is not None:
+            references.append(("open62541", 1, [str(compiled)]))
+        subjects = [await stack.enter_async_context(_ours())]
+        subjects += [
+            await stack.enter_async_context(_other(*reference))
+            for reference in references
+        ]
+
+        for subject in subjects:
             before = subject.used_s()
             await asyncio.sleep(_IDLE_S)
             subject.idle_load = (subject.used_s() - before) / _IDLE_S
             subject.resident_mb = subject.memory_mb()
             await _find_clients(subject, args, program)
         for number in range(args.blocks):
-            for subject in (ours, stock):
+            for subject in subjects:
                 print(
                     f"block {number + 1}: {subject.name}, {subject.n_clients} clients",
                     file=sys.stderr,
                 )
                 await _block(subject, args.block_s, program)
-        return ours, stock
+        return subjects
 
 
 async def _find_clients(
@@ -195,42 +215,36 @@ async def _drive_on(wire: Wire) -> None:
 
 
 @contextlib.asynccontextmanager
-async def _stock() -> AsyncIterator[Subject]:
+async def _other(
+    name: str, namespace: int, command: Sequence[str]
+) -> AsyncIterator[Subject]:
+    """Run another server, which takes a port, a number of nodes and a rate."""
     port = free_port()
-    arguments = [
-        "-m",
-        "benchmarks.opcua_stock",
-        str(port),
-        str(len(CHANGING)),
-        str(_RATE_HZ),
-    ]
-    with piped(python(*arguments), name="the stock server") as process:
+    words = [*command, str(port), str(len(CHANGING)), str(_RATE_HZ)]
+    with piped(words, name=f"the server of {name}") as process:
         assert process.stdout is not None
         await asyncio.to_thread(process.stdout.readline)
-        nodes = [ua.NodeId(f"n{number}", 2) for number in range(len(CHANGING))]
+        nodes = [ua.NodeId(f"n{number}", namespace) for number in range(len(CHANGING))]
         nodes *= _ITEMS_PER_SIGNAL
-        yield Subject(
-            "asyncua", f"opc.tcp://127.0.0.1:{port}/stock", process.pid, nodes
-        )
+        yield Subject(name, f"opc.tcp://127.0.0.1:{port}", process.pid, nodes)
 
 
 def run(args: argparse.Namespace) -> list[Result]:
     """Measure, and return the figures; FailedError if this computer has no room for the load."""
-    return figures(*asyncio.run(_measure(args)), args.block_s)
+    return figures(*asyncio.run(_measure(args)), block_s=args.block_s)
 
 
-def figures(ours: Subject, stock: Subject, block_s: float) -> list[Result]:
-    """Return the figures.
+def figures(ours: Subject, *references: Subject, block_s: float) -> list[Result]:
+    """Return the figures, each once for every reference.
 
     A reference that does not keep up has none. FailedError if our own server does not.
     """
-    share, stock_share = ours.delivered_share(block_s), stock.delivered_share(block_s)
+    share = ours.delivered_share(block_s)
     if share < _LEAST_SHARE:
         raise FailedError(
             f"{share:.0%} of the values were delivered to {ours.n_clients} clients: a figure"
             f" needs {_LEAST_SHARE:.0%}; run the bench on a computer with nothing else to do"
         )
-    name = f"stock asyncua, {stock.n_clients} of {ours.n_clients} clients"
     raw = {
         subject.name: {
             "clients": subject.n_clients,
@@ -238,27 +252,20 @@ def figures(ours: Subject, stock: Subject, block_s: float) -> list[Result]:
             "delivered": [got._asdict() for got in subject.delivered],
             "idle_load": subject.idle_load,
         }
-        for subject in (ours, stock)
+        for subject in (ours, *references)
     }
-    load, stock_load = (statistics.median(one.cpu_s) / block_s for one in (ours, stock))
-    pairs: list[tuple[str, str, float, float]] = [
-        ("cpu_per_value_us", "us", ours.cpu_per_value_us, stock.cpu_per_value_us),
-        ("delivered_share", "1", share, stock_share),
-        ("load_when_watched", "1", load, stock_load),
-        ("load_when_idle", "1", ours.idle_load, stock.idle_load),
-    ]
-    if stock_share < _LEAST_SHARE:
-        name = f"stock asyncua delivers {stock_share:.0%} to a single client: no figure"
-        found = [
-            Result(what, value, unit, None, name) for what, unit, value, _ in pairs
-        ]
-    else:
-        found = [
-            Result(what, value, unit, other, name, value / other if other else None)
-            for what, unit, value, other in pairs
-        ]
+    found = []
+    for other in references:
+        kept_up = other.delivered_share(block_s)
+        name = f"{other.name}, {other.n_clients} of {ours.n_clients} clients"
+        if kept_up < _LEAST_SHARE:
+            name = f"{other.name} delivers {kept_up:.0%} to a single client: no figure"
+
+        theirs = other.figures(block_s)
+        suffix = "" if other is references[0] else f"_{other.name}"
+        for (what, unit), value in ours.figures(block_s).items():
+            reference = theirs[what, unit] if kept_up >= _LEAST_SHARE else None
+            ratio = value / reference if reference else None
+            found.append(Result(what + suffix, value, unit, reference, name, ratio))
     found[0] = replace(found[0], raw=raw)
-    return [
-        *found,
-        Result("resident_mb", ours.resident_mb, "MB", stock.resident_mb, name),
-    ]
+    return found

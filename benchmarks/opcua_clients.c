@@ -33,11 +33,13 @@ static uint8_t *put32(uint8_t *p, uint32_t v) { return put(p, &v, 4); }
 static void ask(int fd, struct client *c, uint32_t subscription, uint32_t acknowledged) {
     static const uint8_t type[4] = {1, 0, PUBLISH & 255, PUBLISH >> 8};
     uint8_t message[256] = "MSGF", *p = message + 8;
+    /* 100 ns since 1601: open62541 answers no request from another time */
+    int64_t stamp = ((int64_t)time(NULL) + 11644473600) * 10000000;
     p = put(p, c->numbers, 12);
     p = put32(p, c->numbers[2]++); /* request id */
     p = put(p, type, 4);
     p = put(p, c->token, token_bytes);
-    p = put32(put32(p, 0), 0);                        /* time stamp */
+    p = put(p, &stamp, 8);
     p = put32(put32(put32(p, 1), 0), 0xFFFFFFFF);     /* handle, diagnostics, audit id */
     p = put(put32(p, 0), "\0\0\0", 3);                /* time-out, no more header */
     p = put32(put32(put32(p, 1), subscription), acknowledged);

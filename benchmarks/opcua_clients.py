@@ -39,11 +39,33 @@ def build(folder: Path) -> Path:
     return program
 
 
+def build_open62541(folder: Path) -> Path | None:
+    """Compile a server with open62541; None where its library is not installed."""
+    asks, compiler = shutil.which("pkg-config"), shutil.which("cc")
+    if asks is None or compiler is None:
+        return None
+    asked = subprocess.run(  # noqa: S603
+        [asks, "--cflags", "--libs", "--static", "open62541"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if asked.returncode != 0:
+        return None
+
+    program = folder / "opcua_open62541"
+    with as_file(files("benchmarks") / "opcua_open62541.c") as source:
+        words = [*_FLAGS, "-o", str(program), str(source), *asked.stdout.split()]
+        subprocess.run([compiler, *words], check=True)  # noqa: S603
+    return program
+
+
 class Clients:
     """Connected clients, each with one subscription to the same nodes."""
 
     def __init__(self, url: str) -> None:
         self._url = url
+        self._wires: list[Wire] = []
         self._sockets: list[socket.socket] = []
         self._state = bytearray()
         self._token_bytes = 0
@@ -89,6 +111,7 @@ class Clients:
         transport.pause_reading()
         own = transport.get_extra_info("socket").dup()
         own.setblocking(True)
+        self._wires.append(wire)
         self._sockets.append(own)
         token = bytes(nodeid_to_binary(wire.authentication))
         self._token_bytes = len(token)
@@ -112,7 +135,9 @@ class Clients:
         return Delivered(*map(int, out.split()))
 
     def close(self) -> None:
-        """Disconnect without notice."""
+        """Disconnect without notice, so that the server serves the next ones alone."""
+        for wire in self._wires:
+            wire.abort()
         for own in self._sockets:
             own.close()
 

@@ -45,8 +45,11 @@ def run(args: argparse.Namespace) -> list[Result]:
             start = _start(COLD_S, HILSERVER_CACHE_DIR=empty)
             cold.append(start | {"units": _units(Path(empty))})
     _start(COLD_S)  # fills the cache of this version
-    warm = [_start(WARM_S) for _ in range(args.runs)]
-    libraries = [_import() for _ in range(args.runs)]
+    warm, libraries = [], []
+    # in turns: the speed of a shared computer changes within the minute that this takes
+    for _ in range(args.runs):
+        warm.append(_start(WARM_S))
+        libraries.append(_import())
     results = []
     if cold:
         results.append(Result("start_cold_s", _median(cold, "s"), "s", raw=cold))

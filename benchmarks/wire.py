@@ -171,11 +171,11 @@ class Wire:
         self.authentication = response.Parameters.AuthenticationToken
         return response.Parameters
 
-    async def activate_session(self) -> Any:
-        """Activate the session as an anonymous user."""
+    async def activate_session(self, policy: str = "anonymous") -> Any:
+        """Activate the session as an anonymous user, as the server's token policy is named."""
         request = ua.ActivateSessionRequest()
         request.Parameters.UserIdentityToken = ua.AnonymousIdentityToken(
-            PolicyId="anonymous"
+            PolicyId=policy
         )
         return await self.ask(request, ua.ActivateSessionResponse)
 
@@ -183,8 +183,18 @@ class Wire:
         """Do all steps up to an activated session."""
         await self.greet()
         await self.open()
-        await self.create_session()
-        await self.activate_session()
+        session = await self.create_session()
+        tokens = [
+            token
+            for endpoint in session.ServerEndpoints
+            for token in endpoint.UserIdentityTokens
+        ]
+        policy = next(
+            token.PolicyId
+            for token in tokens
+            if token.TokenType == ua.UserTokenType.Anonymous
+        )
+        await self.activate_session(policy)
 
     async def write(self, node_id: ua.NodeId, value: Any, kind: ua.VariantType) -> str:
         """Write one value; return the name of the status code."""
