@@ -34,6 +34,7 @@ COMMANDS = {
     "sweep": "run a controller on thousands of machines: how many pass, what decides it",
     "convert": "convert a log to another format: CSV, MCAP, MF4, ROS 2 bag, Parquet",
     "replay": "feed a log through the plant, faster than real time",
+    "compare": "compare two recordings: the first difference, and how it grows",
     "diagnose": "find where the simulation differs from measured data, and why",
     "observe": "estimate where the robot was, from wheels, gyro and navigation",
     "plan": "predict what an experiment can show, and propose a better manoeuvre",

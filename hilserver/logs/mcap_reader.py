@@ -97,7 +97,26 @@ def _messages(data: bytes, n_signals: int) -> NDArray[np.void]:
 
 def read_mcap(path: Path) -> Log:
     """Read a recording; see `reading.read_log`."""
-    contents, budget = Contents(), Budget(path)
+    contents = Contents()
+    for _ in _taken(path, contents):
+        pass
+    return to_log(path, contents)
+
+
+def read_mcap_pieces(path: Path) -> Iterator[Log]:
+    """Yield a recording as one log for each of its chunks, so that memory does not grow."""
+    contents = Contents()
+    for _ in _taken(path, contents):
+        if contents.tables:
+            yield to_log(path, contents)
+            contents.tables.clear()
+    if contents.tables or not contents.names:
+        yield to_log(path, contents)
+
+
+def _taken(path: Path, contents: Contents) -> Iterator[None]:
+    """Take record after record into `contents`; yield after each."""
+    budget = Budget(path)
     with path.open("rb") as file:
         if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
             raise LogError(f"{path}: not an MCAP file; is its beginning missing?")
@@ -124,7 +143,7 @@ def read_mcap(path: Path) -> Log:
                     f"{path}: the record at byte {offset} is damaged; truncate the file there to"
                     " read what comes before it"
                 ) from None
-    return to_log(path, contents)
+            yield
 
 
 def records_of(file: BinaryIO) -> Iterator[tuple[int, int, bytes]]:

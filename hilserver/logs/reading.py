@@ -1,6 +1,6 @@
 """Reading logs of any accepted kind; every complaint is one sentence with file, row and remedy."""
 
-from collections.abc import Container
+from collections.abc import Container, Iterator
 from pathlib import Path
 
 from hilserver.errors import LogError
@@ -8,7 +8,7 @@ from hilserver.logs.bag_messages import PACKED
 from hilserver.logs.bag_reader import read_own_bag
 from hilserver.logs.csv_reader import read_csv
 from hilserver.logs.log import Log
-from hilserver.logs.mcap_reader import read_mcap
+from hilserver.logs.mcap_reader import read_mcap, read_mcap_pieces
 from hilserver.logs.mf4 import read_mf4
 
 ROS2_BEGINNING = b"\x89MCAP0\r\n\x01" + bytes(8) + b"\x04\x00\x00\x00ros2"
@@ -37,6 +37,23 @@ def read_log(path: Path, known: Container[str] | None = None) -> Log:
     raise LogError(
         f"{path}: not a readable log; supported are .csv, .mcap, bags and .mf4"
     )
+
+
+def read_pieces(path: Path) -> Iterator[Log]:
+    """Yield a log in pieces, in order; LogError as in `read_log`.
+
+    Only our own recordings have several; any other log comes whole.
+    """
+    refuse_others(path)
+    if path.suffix != ".mcap" or is_bag_of_ros(path):
+        yield read_log(path)
+        return
+    try:
+        yield from read_mcap_pieces(path)
+    except OSError as error:
+        raise LogError(
+            f"{path}: {(error.strerror or 'cannot be read').lower()}"
+        ) from None
 
 
 def is_bag_of_ros(path: Path) -> bool:

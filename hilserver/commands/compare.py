@@ -1,0 +1,52 @@
+"""Compare two recordings: the first tick that differs, how it grows, and what may be the cause.
+
+For a replay beside its recording, the same scenario before and after a change, a simulated log
+beside a measured one. MCAP recordings are read a piece at a time, whatever their size.
+"""
+
+import argparse
+import math
+from pathlib import Path
+
+from hilserver.comparison import as_text, compare
+from hilserver.errors import EXIT_DIFFERENT, EXIT_DONE, LogError
+from hilserver.logs.reading import read_pieces
+
+EXAMPLE = "hilserver compare before.mcap after.mcap --tolerance 'pose.*=1e-6'"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add all options."""
+    parser.add_argument("a", type=Path, metavar="A", help="recording, or any log")
+    parser.add_argument("b", type=Path, metavar="B", help="the one to compare it with")
+    parser.add_argument(
+        "--tolerance",
+        action="append",
+        default=[],
+        type=_tolerance,
+        metavar="SIGNAL=X",
+        help="difference that counts as none, in the signal's unit; * fits several signals;"
+        " may be repeated; default: every bit counts",
+    )
+
+
+def _tolerance(text: str) -> tuple[str, float]:
+    pattern, mark, number = text.rpartition("=")
+    try:
+        size = float(number)
+    except ValueError:
+        size = math.nan
+    if not mark or not pattern or not size >= 0.0:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not SIGNAL=X with a number, for example pose.x_m=1e-6"
+        )
+    return pattern, size
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compare; 0 if equal, 4 if not, 2 if they cannot be compared."""
+    if args.a.exists() and args.b.exists() and args.a.samefile(args.b):
+        raise LogError(f"{args.b}: is the same file; give another recording")
+    found = compare(read_pieces(args.a), read_pieces(args.b), args.tolerance)
+    print(as_text(found))
+    return EXIT_DONE if found.is_equal else EXIT_DIFFERENT
