@@ -16,8 +16,8 @@ import numpy as np
 
 from hilserver.arrays import Array
 from hilserver.bench.report import Result
-from hilserver.body.engine import Engine
-from hilserver.body.layout import Addresses, Constants, Motion
+from hilserver.body.engine import BodyEngine
+from hilserver.body.layout import Addresses, BodyMotion, Constants
 from hilserver.body.parameters import BodyParameters
 from hilserver.body.step import advance
 from hilserver.compiled import kernel
@@ -64,9 +64,9 @@ def _block_us(run: Callable[[], None]) -> float:
 
 def _cost() -> Result:
     body = BodyParameters(robot=RobotParameters())
-    engine = Engine(body)
+    engine = BodyEngine(body)
     p, b, a = engine.parameters, engine.initial, engine.addresses
-    Motion.of(b).asked[:] = 3.0, 3.0, 5.0, 5.0
+    BodyMotion.of(b).asked[:] = 3.0, 3.0, 5.0, 5.0
     _ours(p, b, a, 100)
     _plain(a, 100)
     ours, plain = [], []

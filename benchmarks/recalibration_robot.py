@@ -15,10 +15,10 @@ import numpy as np
 from hilserver_injector import Noise, Recipe, make
 
 from hilserver.config.root import Config, without_passwords
-from hilserver.recalibration.judging import Judge
-from hilserver.recalibration.loop import Loop, Note
-from hilserver.recalibration.orders import Order, Todo
-from hilserver.recalibration.proposals import Proposal, Stage, Step
+from hilserver.recalibration.judging import OrderJudge
+from hilserver.recalibration.loop import Note, RecalibrationLoop
+from hilserver.recalibration.orders import JudgeOrder, Todo
+from hilserver.recalibration.proposals import Proposal, ProposalStage, Step
 from hilserver.recalibration.spending import Spending
 
 Values = Mapping[str, float]
@@ -115,7 +115,7 @@ class Robot:
     def __init__(self, case: Case) -> None:
         self.outcome = Outcome()
         self._window_s, self._number = case.window_s, 0
-        self._loop = Loop(case.window_s, Spending(), 0.0)
+        self._loop = RecalibrationLoop(case.window_s, Spending(), 0.0)
 
     def window(self, path: Path) -> None:
         """Diagnose one window, and accept what is proposed."""
@@ -124,9 +124,9 @@ class Robot:
         todo = loop.todo(self._number, outcome.loaded, now_s)
         if todo is None:
             return
-        self._count(loop.take(todo, Judge(order(todo, path)).result(), now_s))
+        self._count(loop.take(todo, OrderJudge(order(todo, path)).result(), now_s))
         proposal = loop.proposal
-        if proposal is not None and proposal.stage is Stage.OPEN:
+        if proposal is not None and proposal.stage is ProposalStage.OPEN:
             outcome.proposed.append(summary(self._number, proposal))
             decided = loop.decided(Step.ACCEPT, proposal.number)
             loop.adopt(decided, self._number)  # the next window begins after it
@@ -146,9 +146,11 @@ class Robot:
                 self.outcome.errors.append(note.sentence)
 
 
-def order(todo: Todo, path: Path) -> Order:
+def order(todo: Todo, path: Path) -> JudgeOrder:
     """Return the order to look at a window of the default robot."""
-    return Order(todo, str(path), without_passwords(Config()), str(path.parent), {}, "")
+    return JudgeOrder(
+        todo, str(path), without_passwords(Config()), str(path.parent), {}, ""
+    )
 
 
 def summary(window: int, proposal: Proposal) -> dict[str, Any]:

@@ -24,8 +24,8 @@ from hilserver.config.root import Config, without_passwords
 from hilserver.errors import FailedError
 from hilserver.program.children import piped, python
 from hilserver.recalibration import process
-from hilserver.recalibration.judging import Judge
-from hilserver.recalibration.orders import Order, Share, Todo
+from hilserver.recalibration.judging import OrderJudge
+from hilserver.recalibration.orders import JudgeOrder, Share, Todo
 from hilserver.recalibration.worker import take
 
 WINDOW_S: Final = 120.0
@@ -59,14 +59,14 @@ class Looks:
                 self.say("change")  # a stopped process cannot end
 
     @staticmethod
-    def order(place: Place) -> Order:
+    def order(place: Place) -> JudgeOrder:
         """Write a window; return the order to look at it, with the default share."""
         window, config = place.folder / "window.csv", RecalibrationConfig()
         make(Recipe(seed=1, causes=HIDDEN, duration_s=WINDOW_S))[0].write_csv(window)
         cores = process.other_cores(place.pacing_thread, config.cpu)
         share = Share(config.nice, cores, round(config.memory_mb * 1e6), os.getpid())
         plain = without_passwords(Config())
-        return Order(
+        return JudgeOrder(
             Todo(1, {}, look=True), str(window), plain, str(place.folder), {}, "", share
         )
 
@@ -87,10 +87,10 @@ class Looks:
 
 def main() -> None:
     """Look at a window repeatedly; print each verdict."""
-    order = Order.of(Path(sys.argv[1]).read_text(encoding="utf-8"))
+    order = JudgeOrder.of(Path(sys.argv[1]).read_text(encoding="utf-8"))
     take(order.share)
     while True:
-        result = Judge(order).result()
+        result = OrderJudge(order).result()
         print(result.error if result.look is None else result.look.verdict, flush=True)
 
 

@@ -4,7 +4,7 @@ from typing import Any
 
 from hilserver.compiled.histogram import BOUNDS_NS
 from hilserver.daemon.metrics import METRICS
-from hilserver.metrics import Kind, Metric
+from hilserver.metrics import Metric, MetricKind
 
 _INTRODUCTION = """\
 # Metrics
@@ -42,7 +42,7 @@ Both answer with a line of JSON: `{"ok": true, "state": "running", "reason": "..
 def _row(metric: Metric[Any]) -> str:
     labels = ", ".join(f"`{label}`" for label in metric.labels)
     kind = str(metric.kind)
-    if metric.kind is Kind.HISTOGRAM:
+    if metric.kind is MetricKind.HISTOGRAM:
         first, *_, last = (BOUNDS_NS[index] / 1e9 for index in metric.bound_indices)
         kind += f", {first:g} .. {last:g} s"
     return f"| `{metric.name}` | {labels} | {kind} | {metric.help} |\n"

@@ -12,7 +12,7 @@ import pytest
 from hilserver import commands
 from hilserver.io.link_status import PeerStatus
 from hilserver.io.peer_link import metrics as peer_metrics
-from hilserver.metrics import Kind
+from hilserver.metrics import MetricKind
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(
@@ -155,6 +155,6 @@ def test_the_example_of_a_metric_is_a_counter_of_peers() -> None:
     text = (ROOT / "docs/how-to/extend.md").read_text(encoding="utf-8")
     [example] = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     metric = eval(textwrap.dedent(example), vars(peer_metrics))
-    assert metric.kind is Kind.COUNTER
+    assert metric.kind is MetricKind.COUNTER
     [(labels, reading)] = metric.read([PeerStatus("plc", writes=3)])
     assert (*labels, *reading.counts) == ("plc", 3)

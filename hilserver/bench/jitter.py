@@ -35,7 +35,7 @@ SUBJECTS: dict[str, Callable[..., AbstractContextManager[Subject]]] = {
 
 
 @dataclass
-class Comparison:
+class BackEndBlocks:
     """The blocks of one back end."""
 
     backend: str
@@ -128,9 +128,9 @@ def run(args: argparse.Namespace) -> list[report.Result]:
 
 def compare(
     args: argparse.Namespace, backend: str, beside: tuple[Companion, ...] = ()
-) -> Comparison:
+) -> BackEndBlocks:
     """Measure one back end and cyclictest in alternating blocks."""
-    comparison = Comparison(backend)
+    comparison = BackEndBlocks(backend)
     # If cyclictest is missing, fail before anything is started.
     cyclictest.command(period_us=1, priority=0, duration_s=1, bins=1)
     subject_of = SUBJECTS[args.subject]

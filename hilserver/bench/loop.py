@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 @dataclass
-class Loop:
+class LoopClient:
     """The controller's side of the measurement."""
 
     server: ControllerServer
@@ -165,7 +165,7 @@ async def measure(mode: str, changes: int, seed: int) -> list[float]:
     moments = random.Random(seed)  # noqa: S311 - phases of a measurement
     endpoint = "opc.tcp://127.0.0.1:0/UA/NodeRedAgv"
     async with ControllerServer(endpoint, more_sensors=[DUTY]) as server:
-        loop = Loop(server)
+        loop = LoopClient(server)
         server.watch(DUTY, loop.on_duty)
         async with Supervisor() as tasks:
             tasks.keep("cycle", loop.cycle)

@@ -25,7 +25,7 @@ def mujoco() -> ModuleType:
     return import_module("mujoco")
 
 
-class Engine:
+class BodyEngine:
     """One model and its data, stepped through its addresses, which it must outlive."""
 
     def __init__(self, body: BodyParameters) -> None:

@@ -40,7 +40,7 @@ class Signals(Record):
     bump: float
 
 
-class Motion(Record):
+class BodyMotion(Record):
     """The state; MuJoCo's own begins at `time` and goes beyond this record."""
 
     speed: Wheels  # [rad/s]
@@ -115,7 +115,9 @@ class SignalStatus(Signals, word=np.int64):
 
 SIGNALS: Final = Signals.layout
 STATUS: Final = SignalStatus.layout
-MOTION: Final = Motion.layout
+MOTION: Final = BodyMotion.layout
 ADDRESSES: Final = Addresses.layout
 CONSTANTS: Final = Constants.layout
-MUJOCO: Final = Motion.where("time").start  # where MuJoCo's part of the state begins
+MUJOCO: Final = BodyMotion.where(
+    "time"
+).start  # where MuJoCo's part of the state begins

@@ -7,8 +7,8 @@ from hilserver.body.layout import (
     MOTION,
     STATUS,
     Addresses,
+    BodyMotion,
     Constants,
-    Motion,
     Signals,
     SignalStatus,
 )
@@ -36,7 +36,7 @@ MIRROR = (1.0, 1.0, -1.0, -1.0)
 
 
 @inlined
-def _show_motion(b: Motion, pose: Any, out: Signals) -> None:
+def _show_motion(b: BodyMotion, pose: Any, out: Signals) -> None:
     axes = body_axes(b.orientation)
     for i in range(3):
         out.position[i] = b.position[i]
@@ -56,7 +56,7 @@ def _show_motion(b: Motion, pose: Any, out: Signals) -> None:
 
 
 @inlined
-def _show_wheels(b: Motion, out: Signals) -> None:
+def _show_wheels(b: BodyMotion, out: Signals) -> None:
     for i in range(4):
         out.speed[i] = MIRROR[i] * b.speed[i] / RAD_S_PER_RPM
         out.normal[i] = b.normal[i]
@@ -66,7 +66,7 @@ def _show_wheels(b: Motion, out: Signals) -> None:
 
 @inlined
 def _show_ranges(
-    b: Motion, plant: Parameters, hall: Any, out: Signals, status: SignalStatus
+    b: BodyMotion, plant: Parameters, hall: Any, out: Signals, status: SignalStatus
 ) -> None:
     x, y, yaw = b.position[0], b.position[1], out.yaw
     for k in range(4):
@@ -141,7 +141,7 @@ def stand_still(numbers: Any) -> None:
 
 
 @inlined
-def hand_over_wheels(b: Motion, x: State) -> None:
+def hand_over_wheels(b: BodyMotion, x: State) -> None:
     """Before the plant's tick, set the wheel speeds that the body computed a slice ago."""
     if b.wait > 0.0:
         b.wait -= 1.0
@@ -151,7 +151,7 @@ def hand_over_wheels(b: Motion, x: State) -> None:
 
 
 @inlined
-def body_imu(b: Motion, p: Parameters, x: State, y: Outputs, q: Status) -> None:
+def body_imu(b: BodyMotion, p: Parameters, x: State, y: Outputs, q: Status) -> None:
     """Show what the inertial unit measures in the body, with its noise and errors."""
     ahead, _, _ = body_axes(b.orientation)
     yaw = math.atan2(ahead[1], ahead[0])
@@ -159,7 +159,7 @@ def body_imu(b: Motion, p: Parameters, x: State, y: Outputs, q: Status) -> None:
 
 
 @inlined
-def body_ranges(b: Motion, p: Parameters, y: Outputs, q: Status, hall: Any) -> None:
+def body_ranges(b: BodyMotion, p: Parameters, y: Outputs, q: Status, hall: Any) -> None:
     """Show the ranges from the body's place."""
     if p.tof_enabled == 0.0:
         for k in range(4):
@@ -171,7 +171,7 @@ def body_ranges(b: Motion, p: Parameters, y: Outputs, q: Status, hall: Any) -> N
 
 
 @inlined
-def body_nav(b: Motion, p: Parameters, x: State, y: Outputs, q: Status) -> None:
+def body_nav(b: BodyMotion, p: Parameters, x: State, y: Outputs, q: Status) -> None:
     """Show the body's pose as the navigation tag measures it, with its age, noise and errors."""
     ahead, _, _ = body_axes(b.orientation)
     yaw = math.atan2(ahead[1], ahead[0])

@@ -11,17 +11,17 @@ from hilserver.body.layout import (
     MUJOCO,
     N_WARNINGS,
     Addresses,
+    BodyMotion,
     Constants,
-    Motion,
 )
 from hilserver.body.wheels import Vector, dot, turn_wheels, vector
 from hilserver.compiled import inlined, part
 from hilserver.compiled.foreign import call
 from hilserver.compiled.records import record_at
 
-POSE_REQUEST = Motion.where("pose_request").start
-TOUCH = Motion.where("touch").start
-END = Motion.n_words
+POSE_REQUEST = BodyMotion.where("pose_request").start
+TOUCH = BodyMotion.where("touch").start
+END = BodyMotion.n_words
 GRAZING_SQUARED = 0.01
 """Squared share of a contact's normal in the wheel's plane below which no tyre force acts."""
 
@@ -55,7 +55,7 @@ def to_world(axes: tuple[Vector, Vector, Vector], v: Vector) -> Vector:
 
 
 @inlined
-def _push(p: Constants, b: Motion, push: Any) -> None:
+def _push(p: Constants, b: BodyMotion, push: Any) -> None:
     """Step the wheels and apply their forces, and the drag, to MuJoCo's next step."""
     axes = body_axes(b.orientation)
     velocity, turning = to_body(axes, vector(b.velocity)), vector(b.turning)
@@ -73,7 +73,7 @@ def _push(p: Constants, b: Motion, push: Any) -> None:
 
 @inlined
 def _read_contacts(
-    b: Motion, place: Vector, axes: tuple[Vector, Vector, Vector]
+    b: BodyMotion, place: Vector, axes: tuple[Vector, Vector, Vector]
 ) -> None:
     """Store normal force, point and direction of every wheel's contact, in the body's frame.
 
@@ -122,7 +122,7 @@ def place_body(p: Constants, numbers: Any, x: float, y: float, yaw: float) -> No
 
 @part
 def advance(p: Constants, numbers: Any, a: Addresses) -> bool:
-    """Compute one slice, driven by `Motion.asked`; return whether the state is still good.
+    """Compute one slice, driven by `BodyMotion.asked`; return whether the state is still good.
 
     Parameters
     ----------

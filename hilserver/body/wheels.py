@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from hilserver.body.layout import Constants, Motion
+from hilserver.body.layout import BodyMotion, Constants
 from hilserver.compiled import inlined, part
 from hilserver.plant.tyre import traction
 
@@ -34,7 +34,7 @@ def vector(array: Any) -> Vector:
 
 @inlined
 def _drive(
-    p: Constants, b: Motion, i: int, asked: float, resistance_nm: float
+    p: Constants, b: BodyMotion, i: int, asked: float, resistance_nm: float
 ) -> tuple[float, float]:
     """Return torque of the drive and new speed of wheel `i`.
 
@@ -53,7 +53,7 @@ def _drive(
 
 @inlined
 def _floor(
-    p: Constants, b: Motion, i: int, velocity: Vector, turning: Vector
+    p: Constants, b: BodyMotion, i: int, velocity: Vector, turning: Vector
 ) -> tuple[Vector, float]:
     """Return the floor's force on wheel `i` and its moment [Nm] against rolling.
 
@@ -89,7 +89,7 @@ def _floor(
 
 @part
 def turn_wheels(
-    p: Constants, b: Motion, velocity: Vector, turning: Vector
+    p: Constants, b: BodyMotion, velocity: Vector, turning: Vector
 ) -> tuple[Vector, Vector]:
     """Step the four wheels; return force and moment on the body.
 
@@ -123,7 +123,7 @@ def turn_wheels(
 
 
 @inlined
-def _ahead(b: Motion, i: int) -> Vector:
+def _ahead(b: BodyMotion, i: int) -> Vector:
     """Return the direction along the floor in the plane of wheel `i`."""
     up_x, up_z = b.up[i, 0], b.up[i, 2]
     length = math.sqrt(up_x * up_x + up_z * up_z)

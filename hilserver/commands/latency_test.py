@@ -18,7 +18,7 @@ from hilserver.errors import EXIT_DONE
 from hilserver.monitoring.audit import as_lines, audit
 from hilserver.scheduler import OverrunPolicy, RealtimeSettings, Scheduler, Slice
 from hilserver.scheduler.empty_step import empty_step
-from hilserver.scheduler.realtime import Grant
+from hilserver.scheduler.realtime import AuditFinding
 
 EXAMPLE = "hilserver latency-test --duration 60 --json latency.json"
 _BINS = 20_000
@@ -79,7 +79,9 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-async def measure(duration_s: float, period_us: int) -> tuple[Scheduler, list[Grant]]:
+async def measure(
+    duration_s: float, period_us: int
+) -> tuple[Scheduler, list[AuditFinding]]:
     """Pace an empty step for `duration_s`; return the stopped scheduler and the audit."""
     scheduler = Scheduler(
         base_period_ns=period_us * 1000,

@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     check_suffix(args.out)
     play = Play(load_scenario(args.scenario), args.scenario)
     assembly = assembled(args)
-    verdict = None if args.require is None else Verdict(assembly, args.require)
+    verdict = None if args.require is None else DriveVerdict(assembly, args.require)
     setup_logging("ERROR")
     try:
         asyncio.run(
@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_DONE if verdict is None or verdict.passed() else EXIT_FAILED
 
 
-class Verdict:
+class DriveVerdict:
     """Requirements of a file, and the values of the drive that they need."""
 
     def __init__(self, assembly: Assembly, path: Path) -> None:
@@ -121,7 +121,7 @@ async def _play(
     play: Play,
     duration_s: float,
     out: Path,
-    verdict: Verdict | None,
+    verdict: DriveVerdict | None,
 ) -> None:
     period_s = assembly.base_period_ns * 1e-9
     n_ticks, done = max(round(duration_s / period_s), 1), 0

@@ -44,7 +44,7 @@ FACTORS = {
 
 
 @dataclass(frozen=True)
-class Finding:
+class WheelFinding:
     """One line of the table; `complaint` is empty if all is well."""
 
     what: str
@@ -98,12 +98,12 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_FAILED if any(finding.complaint for finding in findings) else EXIT_DONE
 
 
-async def _demo(assembly: Assembly, args: argparse.Namespace) -> list[Finding]:
+async def _demo(assembly: Assembly, args: argparse.Namespace) -> list[WheelFinding]:
     async with running_controller(assembly.robot, pattern="wheels") as endpoint:
         return await _run(demo_assembly(assembly, endpoint), args)
 
 
-async def _run(assembly: Assembly, args: argparse.Namespace) -> list[Finding]:
+async def _run(assembly: Assembly, args: argparse.Namespace) -> list[WheelFinding]:
     peers = {peer.name: peer for peer in assembly.config.peers}
     if not peers:
         raise ConfigError(
@@ -117,7 +117,7 @@ async def _run(assembly: Assembly, args: argparse.Namespace) -> list[Finding]:
             f"there is no peer '{name}'; the peers are {', '.join(peers)}"
         )
     async with Daemon(assembly) as daemon:
-        wiring = Wiring(daemon, name, args.speed, args.timeout, _say)
+        wiring = WheelCheck(daemon, name, args.speed, args.timeout, _say)
         return await wiring.check()
 
 
@@ -125,7 +125,7 @@ def _say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-class Wiring:
+class WheelCheck:
     """Watches the inputs of a running daemon while the controller turns wheel after wheel."""
 
     def __init__(
@@ -144,9 +144,9 @@ class Wiring:
         self._timeout_s = timeout_s
         self._say = say
 
-    async def check(self) -> list[Finding]:
+    async def check(self) -> list[WheelFinding]:
         """Return one finding for each wheel, and one for the stale time."""
-        findings: list[Finding] = []
+        findings: list[WheelFinding] = []
         for number, wheel in enumerate(WHEELS, 1):
             self._say(
                 f"{number} of {len(WHEELS)}: let the controller turn only the {WHEEL_WORDS[wheel]}"
@@ -191,7 +191,7 @@ class Wiring:
             await asyncio.sleep(LOOK_S)
         return True
 
-    async def _wheel(self, wheel: str) -> Finding:
+    async def _wheel(self, wheel: str) -> WheelFinding:
         wanted_rpm = self._speed_rpm if wheel.endswith("l") else -self._speed_rpm
         wanted = f"{wheel} {wanted_rpm:+g} rpm"
         if not await self._wait(self._moving, self._timeout_s):
@@ -200,20 +200,20 @@ class Wiring:
                 if self._peer.status.connected
                 else f", peer: {self._peer.status.last_error}"
             )
-            return Finding(wheel, "nothing", wanted, f"no input moved{why}")
+            return WheelFinding(wheel, "nothing", wanted, f"no input moved{why}")
         await asyncio.sleep(SETTLE_S)
         moving = self._moving()
         arrived = ", ".join(f"{w} {rpm:+.4g} rpm" for w, rpm in moving.items())
-        return Finding(
+        return WheelFinding(
             wheel, arrived or "a twitch", wanted, complaint(wheel, wanted_rpm, moving)
         )
 
-    async def _stale(self) -> Finding:
+    async def _stale(self) -> WheelFinding:
         """Cut the link and measure how long the inputs stay Good."""
         limit_ms = self._peer.config.stale_after_ms
         wanted = f"{limit_ms:g} ms, then {self._peer.config.on_stale}"
         if not self._peer.status.connected:
-            return Finding("stale", "nothing", wanted, "the peer is not connected")
+            return WheelFinding("stale", "nothing", wanted, "the peer is not connected")
         slot = self._daemon.table.slot("wheel.fl.setpoint_rpm")
         self._daemon.faults.inject(
             {"fault": "disconnect", "peer": self._peer.config.name}
@@ -231,13 +231,13 @@ class Wiring:
         took_ms = (time.monotonic() - start_s) * 1e3
         self._daemon.faults.clear()
         if not found:
-            return Finding(
+            return WheelFinding(
                 "stale", "never", wanted, "the inputs stay Good after the link is cut"
             )
         # The last value came up to one publishing interval before the cut.
         early_ms = self._peer.config.publishing_ms + STALE_TOLERANCE_MS
         is_right = limit_ms - early_ms <= took_ms <= limit_ms + STALE_TOLERANCE_MS
-        return Finding(
+        return WheelFinding(
             "stale", f"{took_ms:.0f} ms", wanted, "" if is_right else "another time"
         )
 
@@ -273,7 +273,7 @@ def _unit(factor: float) -> str:
     return f"{factor:.4g} times too large"
 
 
-def as_table(findings: list[Finding]) -> str:
+def as_table(findings: list[WheelFinding]) -> str:
     """Return the findings as a table."""
     rows = [("what", "arrived", "wanted", "verdict"), *(f.cells for f in findings)]
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]

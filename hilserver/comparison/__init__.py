@@ -1,6 +1,6 @@
 """Two recordings of what should be the same run: where they part, and what may be the cause."""
 
-from hilserver.comparison.comparing import Comparison, compare
+from hilserver.comparison.comparing import RecordingComparison, compare
 from hilserver.comparison.text import as_text
 
-__all__ = ["Comparison", "as_text", "compare"]
+__all__ = ["RecordingComparison", "as_text", "compare"]

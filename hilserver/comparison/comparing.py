@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.comparison.differing import Differing, allowances, differing
-from hilserver.comparison.origin import Change, changes_between
+from hilserver.comparison.origin import OriginChange, changes_between
 from hilserver.comparison.rows import Rows, Shared, shared_rows
 from hilserver.errors import LogError
 from hilserver.logs import Log
@@ -58,7 +58,7 @@ class Parting:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class RecordingComparison:
     """The outcome for two recordings.
 
     Attributes
@@ -82,7 +82,7 @@ class Comparison:
     inputs: frozenset[str]
     alone: tuple[int, int]
     only_in: tuple[list[str], list[str]]
-    changes: list[Change]
+    changes: list[OriginChange]
 
     @property
     def is_equal(self) -> bool:
@@ -94,7 +94,7 @@ def compare(
     a: Iterator[Log],
     b: Iterator[Log],
     tolerances: Sequence[tuple[str, float]] = (),
-) -> Comparison:
+) -> RecordingComparison:
     """Compare two recordings row by row, by segment and time.
 
     Parameters
@@ -144,7 +144,7 @@ def compare(
         )
 
     signals = (head_a.run or {}).get("signals", ())
-    return Comparison(
+    return RecordingComparison(
         signals=len(names),
         rows=rows,
         equal_before=rows if begun is None else equal_before,

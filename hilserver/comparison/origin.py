@@ -9,7 +9,7 @@ _OF_THE_RUN: Final = ("version", "kernels", "seed", "base_period_ns", "patch")
 _ABSENT: Final = "(not set)"
 
 
-class Change(NamedTuple):
+class OriginChange(NamedTuple):
     """One entry that is not the same, by its key, and its two values as text."""
 
     key: str
@@ -19,14 +19,14 @@ class Change(NamedTuple):
 
 def changes_between(
     a: Mapping[str, Any] | None, b: Mapping[str, Any] | None
-) -> list[Change]:
+) -> list[OriginChange]:
     """Return what differs between two runs; nothing for logs of others, which do not say."""
     if a is None or b is None:
         return []
     entries_a, entries_b = dict(_entries(a)), dict(_entries(b))
     keys = [*entries_a, *(key for key in entries_b if key not in entries_a)]
     return [
-        Change(key, entries_a.get(key, _ABSENT), entries_b.get(key, _ABSENT))
+        OriginChange(key, entries_a.get(key, _ABSENT), entries_b.get(key, _ABSENT))
         for key in keys
         if entries_a.get(key) != entries_b.get(key)
     ]

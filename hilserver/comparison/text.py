@@ -3,14 +3,14 @@
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from hilserver.comparison.comparing import HORIZONS_S, Comparison, Parting
+from hilserver.comparison.comparing import HORIZONS_S, Parting, RecordingComparison
 from hilserver.measured.names import known_signals
 
 _MOST: Final = 12
 """Signals, keys and names that are listed; of the rest the number is said."""
 
 
-def as_text(found: Comparison) -> str:
+def as_text(found: RecordingComparison) -> str:
     """Return lines for a terminal."""
     lines = []
     if found.partings:
@@ -44,7 +44,7 @@ def _listed(texts: Sequence[str], between: str) -> str:
     return between.join([*texts[:_MOST], *more])
 
 
-def _first(found: Comparison) -> str:
+def _first(found: RecordingComparison) -> str:
     """Say which signal parted first, and whether it came from outside."""
     first = found.partings[0]
     together = [

@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from hilserver.controller.loop import Controller
+from hilserver.controller.loop import FigureOfEight
 from hilserver.controller.path import Eight, Robot
 from hilserver.controller.server import ControllerServer
 from hilserver.errors import EXIT_DONE
@@ -42,7 +42,7 @@ async def serve(args: argparse.Namespace) -> int:
     """Serve and drive until SIGINT or SIGTERM."""
     robot = Robot(args.wheel_radius_m, args.k_om_per_m, args.yaw_sign, args.max_rpm)
     async with ControllerServer(args.endpoint) as server:
-        controller = Controller(
+        controller = FigureOfEight(
             server, Eight(speed_m_s=args.speed_m_s), robot, pattern=args.pattern
         )
         asked = event_loop.end_event()

@@ -57,7 +57,7 @@ class PoseWatch:
 
 
 @dataclass(slots=True)
-class Controller:
+class FigureOfEight:
     """Drives a figure of eight over one server."""
 
     server: ControllerServer

@@ -8,7 +8,7 @@ from hilserver.metrics import Metric, Row, by_name, counter
 from hilserver.signals import State
 
 
-class Inputs(NamedTuple):
+class InputFigures(NamedTuple):
     """What came in: age of every source's newest accepted write [s], and refusals.
 
     `rejected` counts by (source, reason).
@@ -18,11 +18,11 @@ class Inputs(NamedTuple):
     rejected: Mapping[tuple[str, str], int]
 
 
-def inputs(gate: InputGate) -> Inputs:
+def inputs(gate: InputGate) -> InputFigures:
     """Return the present figures of the gate; a source that has sent nothing is left out."""
     ages = {source: gate.age_s(source) for source in gate.sources}
     known = {source: age_s for source, age_s in ages.items() if age_s is not None}
-    return Inputs(known, gate.rejected)
+    return InputFigures(known, gate.rejected)
 
 
 def _states(now: State) -> Iterator[Row]:
@@ -48,7 +48,7 @@ PARAMETER_METRICS: Final[tuple[Metric[int], ...]] = (
     ),
 )
 
-INPUT_METRICS: Final[tuple[Metric[Inputs], ...]] = (
+INPUT_METRICS: Final[tuple[Metric[InputFigures], ...]] = (
     Metric(
         "hil_input_age_seconds",
         "Age of the newest accepted input of a source.",

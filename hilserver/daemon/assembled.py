@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hilserver import __version__
-from hilserver.body.engine import Engine
+from hilserver.body.engine import BodyEngine
 from hilserver.body.parameters import BodyParameters
 from hilserver.compiled import kernel_hash
 from hilserver.config.loading import place
@@ -149,7 +149,7 @@ def with_models(
         Whether time waits for models in processes of their own: simulated time does.
     """
     composition = assembly.composition
-    body = None if composition.body is None else Engine(composition.body.body)
+    body = None if composition.body is None else BodyEngine(composition.body.body)
     with ExitStack() as begun:
         blocks = []
         for index, block in enumerate(composition.blocks):

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from hilserver.body.engine import Engine
+from hilserver.body.engine import BodyEngine
 from hilserver.config.blocks import BlockConfig
 from hilserver.config.loading import place
 from hilserver.config.mechatronic import BODY_PERIOD_MS, DEFAULT_SLICE
@@ -53,19 +53,19 @@ def assemble(
     ConfigError has one sentence per complaint, with file, line and key.
     """
     laid_over = None if patch is None else load_patch(patch, group)
-    return _Builder(load_config(path), path, laid_over).build()
+    return _AssemblyBuilder(load_config(path), path, laid_over).build()
 
 
 def assemble_config(
     config: Config, folder: Path | None = None, patch: Patch | None = None
 ) -> Assembly:
     """Like `assemble`, for a configuration made in Python (tests, test kit)."""
-    return _Builder(
+    return _AssemblyBuilder(
         config, None if folder is None else folder / "config.yaml", patch
     ).build()
 
 
-class _Builder:
+class _AssemblyBuilder:
     """Builds an `Assembly`; knows where in the file a complaint belongs."""
 
     def __init__(self, config: Config, path: Path | None, patch: Patch | None) -> None:
@@ -93,7 +93,7 @@ class _Builder:
         parts = self._parts(slices)
         configured = robot = self.robot(periods_s)
         if self._patch is not None:
-            configured = _Builder(config, self._path, None).robot(periods_s)
+            configured = _AssemblyBuilder(config, self._path, None).robot(periods_s)
         blocks = [
             self._block(i, block, slices) for i, block in enumerate(config.blocks)
         ]
@@ -190,12 +190,12 @@ class _Builder:
 
     def _body(
         self, robot: RobotParameters, periods_s: Mapping[str, float]
-    ) -> Engine | None:
+    ) -> BodyEngine | None:
         section = self._config.mechatronic
         if not section.enabled:
             return None
         try:
-            return Engine(section.body(robot, periods_s[section.slice]))
+            return BodyEngine(section.body(robot, periods_s[section.slice]))
         except PlantError as error:
             key, _, rest = str(error).partition(": ")
             raise self._fail(key.split("."), rest) from None

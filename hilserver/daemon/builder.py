@@ -24,10 +24,10 @@ from hilserver.core.parameters import LiveParameters, Start
 from hilserver.core.snapshot import SnapshotStore
 from hilserver.daemon.assembled import end_models, with_models
 from hilserver.daemon.assembly import Assembly
-from hilserver.faults import Faults, Line
+from hilserver.faults import Faults, PeerLine
 from hilserver.faults.mail import Mailbox
 from hilserver.faults.plan import Planner, ShieldFigures
-from hilserver.faults.scenario import Stage
+from hilserver.faults.scenario import ScenarioPlayer
 from hilserver.image import ProcessImage, board, leases
 from hilserver.image.shared_file import MADE_UP
 from hilserver.kernel import compose, limit_silence, watch_communication
@@ -115,7 +115,7 @@ class Core:
     gate: InputGate
     snapshots: SnapshotStore
     parameters: LiveParameters
-    lines: Mapping[str, Line]  # where faults of peer links act, by name of the peer
+    lines: Mapping[str, PeerLine]  # where faults of peer links act, by name of the peer
     faults: Faults
     tasks: Supervisor  # keeps every task of the daemon
 
@@ -124,10 +124,10 @@ class Core:
         """Every signal of the robot."""
         return self.assembly.table
 
-    def stage(self) -> Stage:
+    def stage(self) -> ScenarioPlayer:
         """Return what plays scenarios."""
         period_ns = self.assembly.base_period_ns
-        return Stage(
+        return ScenarioPlayer(
             self.table, self.image, self.gate, self.faults, self.parameters, period_ns
         )
 
@@ -221,7 +221,9 @@ def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
         start, image, snapshots, events, PUBLISHED_AHEAD * publish
     )
     lines = {
-        o.name: Line(o.name) for o in config.drivers if o.is_enabled and o.has_faults
+        o.name: PeerLine(o.name)
+        for o in config.drivers
+        if o.is_enabled and o.has_faults
     }
     packed = assembly.composition.parameters
     faults = faults_of(
@@ -261,7 +263,7 @@ def faults_of(
     p: Parameters,
     events: EventBus,
     tick: Callable[[], int] = lambda: 0,
-    lines: Mapping[str, Line] | None = None,
+    lines: Mapping[str, PeerLine] | None = None,
 ) -> Faults:
     """Return what injects faults into an image of a robot with these parameters."""
     planner = Planner(

@@ -14,11 +14,11 @@ from hilserver.core.events import EventKind
 from hilserver.daemon import figures
 from hilserver.daemon.builder import Core
 from hilserver.daemon.desk import Desk
-from hilserver.daemon.outputs import Outputs
+from hilserver.daemon.outputs import PublishedOutputs
 from hilserver.image.board import Board
 from hilserver.io.link_status import PeerStatus
 from hilserver.scheduler.metrics import slices_by_name
-from hilserver.scheduler.realtime import Grant
+from hilserver.scheduler.realtime import AuditFinding
 
 EVERY_S = 0.5
 EVENTS = 40
@@ -31,9 +31,9 @@ class Surroundings:
     core: Core
     clock: UtcClock
     control: Control
-    outputs: Outputs
+    outputs: PublishedOutputs
     desk: Desk
-    audit: Sequence[Grant]
+    audit: Sequence[AuditFinding]
     peers: Callable[[], Sequence[PeerStatus]]
 
     def content(self) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from hilserver.daemon.patches import Patches
 from hilserver.daemon.shadow import GapWatch
 from hilserver.daemon.supervision import Supervision
 from hilserver.faults import metrics as fault_metrics
-from hilserver.faults.scenario import Stage
+from hilserver.faults.scenario import ScenarioPlayer
 from hilserver.io import edge, foxglove, ros2, s7, shared_memory
 from hilserver.io.opcua_server import server as opcua_server
 from hilserver.io.peer_link import metrics as peer_metrics
@@ -85,7 +85,7 @@ def make_world(of: Surroundings) -> World:
     )
 
 
-def make_desk(core: Core, stage: Stage) -> Desk:
+def make_desk(core: Core, stage: ScenarioPlayer) -> Desk:
     """Return what starts scenarios, recordings and patches by name."""
     assembly, config = core.assembly, core.assembly.config
     folders = config.folders

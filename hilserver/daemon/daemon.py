@@ -29,7 +29,7 @@ from hilserver.daemon.connections import (
     make_world,
 )
 from hilserver.daemon.doors import doors_lost
-from hilserver.daemon.outputs import Outputs
+from hilserver.daemon.outputs import PublishedOutputs
 from hilserver.daemon.shadow import GapWatch
 from hilserver.daemon.supervision import Supervision
 from hilserver.errors import (
@@ -55,7 +55,7 @@ from hilserver.monitoring.logging_setup import (
 from hilserver.program.giving_back import give_back_code
 from hilserver.scheduler import StopReason
 from hilserver.scheduler.pacing_virtual import BATCH_TICKS
-from hilserver.scheduler.realtime import Grant
+from hilserver.scheduler.realtime import AuditFinding
 from hilserver.signals import State
 from hilserver.tasks import Ended, Supervisor, first_of
 
@@ -81,7 +81,7 @@ class Daemon:
     ) -> None:
         self.assembly, self.config = assembly, assembly.config
         self.limiter = limiter
-        self.audit: list[Grant] = []
+        self.audit: list[AuditFinding] = []
         self._play = play
         self._resources = AsyncExitStack()
         self._begun: list[Part] = []
@@ -101,7 +101,7 @@ class Daemon:
         self.table, self.image, self.events = core.table, core.image, core.events
         self.gate, self.scheduler, self.faults = core.gate, core.scheduler, core.faults
         self.clock = UtcClock(simulated=config.scheduler.backend == "virtual")
-        self.outputs = Outputs(core)
+        self.outputs = PublishedOutputs(core)
         self.control = Control(
             self.table,
             self.image,

@@ -20,7 +20,7 @@ from hilserver.daemon.builder import Core
 from hilserver.daemon.patches import Patches, file_of
 from hilserver.errors import ControlRefused, UserError
 from hilserver.faults import Play, load_scenario
-from hilserver.faults.scenario import Stage
+from hilserver.faults.scenario import ScenarioPlayer
 from hilserver.io.recorder.launch import running_recorder
 from hilserver.tasks import SupervisedTask, Supervisor, first_of
 
@@ -45,7 +45,7 @@ class _Playing:
 class Scenarios:
     """Plays scenarios of one folder, from the present tick on."""
 
-    def __init__(self, folder: Path, stage: Stage, core: Core) -> None:
+    def __init__(self, folder: Path, stage: ScenarioPlayer, core: Core) -> None:
         self._folder, self._stage, self._core = folder, stage, core
         self._period_s = core.assembly.base_period_ns * 1e-9
         self._playing: _Playing | None = None

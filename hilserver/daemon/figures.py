@@ -10,7 +10,7 @@ from hilserver.io.link_status import PeerStatus
 from hilserver.io.world import Figure
 from hilserver.scheduler import Scheduler
 from hilserver.scheduler.metrics import slices_by_name
-from hilserver.scheduler.realtime import Grant
+from hilserver.scheduler.realtime import AuditFinding
 from hilserver.signals import MEASURED, SignalTable
 from hilserver.status import GOOD
 
@@ -88,7 +88,7 @@ def _ms(nanoseconds: int | None) -> float | None:
     return None if nanoseconds is None else nanoseconds * 1e-6
 
 
-def audit_table(items: Iterable[Grant]) -> Table:
+def audit_table(items: Iterable[AuditFinding]) -> Table:
     """Return the real-time audit: what is fulfilled, and the remedy for what is not."""
     shown = ("ok", "found", "wanted", "remedy")
     return {item.name: {name: getattr(item, name) for name in shown} for item in items}

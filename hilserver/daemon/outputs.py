@@ -25,7 +25,7 @@ OF_THE_BODY = (
 )  # also shown, if the mechatronic model runs
 
 
-class Outputs:
+class PublishedOutputs:
     """What the publish slice shows."""
 
     def __init__(self, core: Core) -> None:

@@ -8,8 +8,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from hilserver.arrays import Array, Indices
-from hilserver.body.engine import Engine
-from hilserver.body.layout import Motion
+from hilserver.body.engine import BodyEngine
+from hilserver.body.layout import BodyMotion
 from hilserver.body.parameters import BodyParameters
 from hilserver.body.slice import MIRROR
 from hilserver.body.step import advance, body_axes, place_body
@@ -58,7 +58,7 @@ FEWEST_AT_REST: Final = (
 )
 
 
-class Piece(NamedTuple):
+class LogSpan(NamedTuple):
     """One span of the log."""
 
     span: int
@@ -164,7 +164,7 @@ def one_after_the_other(spans: Sequence[Span]) -> Array:
     return shift_s
 
 
-def pieces_of(stage: PoseStage, shift_s: Array) -> list[Piece]:
+def pieces_of(stage: PoseStage, shift_s: Array) -> list[LogSpan]:
     """Return where the spans are in the dense arrays of the stage.
 
     The stage begins before a span, for sensors that are late, and goes on a little after it.
@@ -176,7 +176,7 @@ def pieces_of(stage: PoseStage, shift_s: Array) -> list[Piece]:
         end_s = stage.log.spans[span].end_s
         end = int(np.searchsorted(t_s, end_s, side="right"))
         rows = int(stage.segments.first[i]) + np.arange(first, end)
-        found.append(Piece(span, t_s[first:end] + shift_s[span], rows))
+        found.append(LogSpan(span, t_s[first:end] + shift_s[span], rows))
     return found
 
 
@@ -230,16 +230,16 @@ def all_four(shares: Mapping[int, Array]) -> Array:
 
 
 def follow(
-    body: BodyParameters, piece: Piece, wheels_rpm: Array, kinematic: Array
+    body: BodyParameters, piece: LogSpan, wheels_rpm: Array, kinematic: Array
 ) -> Array:
     """Run the body with given wheel speeds; return x, y, yaw and turn rate, shape (n, 4).
 
     It begins at rest where the kinematic model does. NaN from where its numbers leave their valid
     range.
     """
-    engine = Engine(body)
+    engine = BodyEngine(body)
     numbers = engine.initial.copy()
-    b = Motion.of(numbers)
+    b = BodyMotion.of(numbers)
     x, y, yaw, _ = kinematic[piece.rows[0]].tolist()
     place_body(engine.parameters, numbers, x, y, yaw)
 

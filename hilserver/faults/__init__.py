@@ -5,8 +5,8 @@ ends and lists them; `links` holds those of peer links, `scenario` the timed one
 """
 
 from hilserver.faults.book import Faults
-from hilserver.faults.links import Line
+from hilserver.faults.links import PeerLine
 from hilserver.faults.model import Fault
 from hilserver.faults.scenario import Play, Scenario, load_scenario
 
-__all__ = ["Fault", "Faults", "Line", "Play", "Scenario", "load_scenario"]
+__all__ = ["Fault", "Faults", "PeerLine", "Play", "Scenario", "load_scenario"]

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.errors import ControlRefused
-from hilserver.faults.links import Line
+from hilserver.faults.links import PeerLine
 from hilserver.faults.mail import Command, Mailbox
 from hilserver.faults.model import Fault, parse_fault
 from hilserver.faults.plan import Planner
 from hilserver.kernel import modifier_layout as lay
-from hilserver.kernel.modifier_layout import Entry, Kind
+from hilserver.kernel.modifier_layout import Kind, ModifierEntry
 from hilserver.signals import SignalTable
 
 Figure = float | str | bool | int | None
@@ -41,7 +41,7 @@ class _Note:
     mail: int
 
 
-def _note(fault: Fault, entries: Sequence[Entry], mail: int = 0) -> _Note:
+def _note(fault: Fault, entries: Sequence[ModifierEntry], mail: int = 0) -> _Note:
     rings = sum(entry.kind in lay.RING_KINDS for entry in entries)
     return _Note(fault, len(entries), rings, mail)
 
@@ -68,7 +68,7 @@ class Faults:
         events: EventBus,
         *,
         tick: Callable[[], int],
-        lines: Mapping[str, Line],
+        lines: Mapping[str, PeerLine],
     ) -> None:
         self._table = table
         self._mailbox = mailbox
@@ -110,7 +110,7 @@ class Faults:
             self._tell(f"fault injected: {describe(fault)}", 500)
         return [fault.title for fault in parsed]
 
-    def check(self, fault: Fault) -> list[Entry]:
+    def check(self, fault: Fault) -> list[ModifierEntry]:
         """Return a fault's modifiers without injecting it; ValueError if it does not fit."""
         if fault.peer is not None:
             self._line(fault.peer)
@@ -252,7 +252,7 @@ class Faults:
 
     # --- inside -----------------------------------------------------------------------------------
 
-    def _acting(self) -> list[Entry]:
+    def _acting(self) -> list[ModifierEntry]:
         """Return the modifiers in the arena that no pending command will end."""
         taken = self._mailbox.tail
         self._leaving = {n: mail for n, mail in self._leaving.items() if mail > taken}
@@ -270,7 +270,7 @@ class Faults:
             return self._tick()
         return start_tick
 
-    def _line(self, peer: str) -> Line:
+    def _line(self, peer: str) -> PeerLine:
         if peer not in self._lines:
             known = ", ".join(self._lines) or "none"
             raise ValueError(f"there is no peer '{peer}'; peers are {known}")
@@ -302,7 +302,7 @@ class Faults:
     def _forget(self, goes: Callable[[_Note], bool]) -> None:
         self._notes = {n: note for n, note in self._notes.items() if not goes(note)}
 
-    def _unknown(self, entry: Entry, tick: int) -> ActiveFault:
+    def _unknown(self, entry: ModifierEntry, tick: int) -> ActiveFault:
         """Name a modifier that came with a snapshot."""
         kind = Kind(entry.kind)
         place = (
@@ -316,7 +316,7 @@ class Faults:
 
 
 def _shown(
-    name: str, fault: str, place: str, entry: Entry | None, tick: int
+    name: str, fault: str, place: str, entry: ModifierEntry | None, tick: int
 ) -> ActiveFault:
     if entry is None:
         return ActiveFault(name, fault, place, None, None, is_acting=False)

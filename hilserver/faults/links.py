@@ -55,7 +55,7 @@ class LinkFault:
         return (fault.delay_s or 0.0) + self.random.random() * (fault.jitter_s or 0.0)
 
 
-class Line:
+class PeerLine:
     """The link to one peer, under its faults."""
 
     def __init__(
@@ -136,7 +136,7 @@ class Line:
 class Lane(Generic[T]):
     """Batches that travel in one direction, with the time of their arrival."""
 
-    def __init__(self, line: Line, direction: str) -> None:
+    def __init__(self, line: PeerLine, direction: str) -> None:
         self._line = line
         self._direction = direction
         self._queue: deque[tuple[float, T]] = deque()

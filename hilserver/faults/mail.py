@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from hilserver.image import ProcessImage
 from hilserver.kernel import modifier_layout as lay
-from hilserver.kernel.modifier_layout import Entry, Kind, Mail, Modifiers
+from hilserver.kernel.modifier_layout import Kind, Mail, ModifierEntry, Modifiers
 from hilserver.kernel.modifier_mail import show_mail
 
 
@@ -15,7 +15,7 @@ class Command:
 
     operation: int
     number: int = 0
-    entry: Entry | None = None
+    entry: ModifierEntry | None = None
 
 
 class Mailbox:
@@ -66,7 +66,7 @@ class Mailbox:
             mail.entry = command.entry
         mail.operation, mail.entry.number = command.operation, command.number
 
-    def acting(self) -> list[Entry]:
+    def acting(self) -> list[ModifierEntry]:
         """Return a copy of the modifiers in the arena; between two ticks it is exact."""
         table = self._table.copy()
         return [

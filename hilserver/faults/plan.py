@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from hilserver.errors import no_signal
 from hilserver.faults.model import Fault
 from hilserver.kernel import modifier_layout as lay
-from hilserver.kernel.modifier_layout import Entry, Kind
+from hilserver.kernel.modifier_layout import Kind, ModifierEntry
 from hilserver.plant.units import RPM_PER_RAD_S, STANDARD_GRAVITY_M_S2
 from hilserver.signals import Direction, Signal, SignalTable, ValueType
 
@@ -22,9 +22,9 @@ _DEFAULTS = {
 }
 
 
-def _entry(kind: Kind, **given: float) -> Entry:
+def _entry(kind: Kind, **given: float) -> ModifierEntry:
     """Return a modifier; what is not given is 0, or as in `_DEFAULTS`."""
-    entry = Entry.zeros()
+    entry = ModifierEntry.zeros()
     for name, value in ({"kind": kind} | _DEFAULTS | given).items():
         entry[name] = value
     return entry
@@ -48,7 +48,7 @@ class Planner:
         self._table = table
         self._period_s = base_period_ns * 1e-9
         self._shield = shield
-        self._defects: Mapping[str, Callable[[Fault], list[Entry]]] = {
+        self._defects: Mapping[str, Callable[[Fault], list[ModifierEntry]]] = {
             "shield.yaw_rate_without_60_2pi": self._yaw_rate,
             "shield.dead_command_timeout": lambda _: [_entry(Kind.DEAD_TIMEOUT)],
             "shield.last_wheel_scaling": self._last_wheel,
@@ -57,7 +57,7 @@ class Planner:
             "shield.imu_raw_units": self._raw_units,
         }
 
-    def entries(self, fault: Fault, start_tick: int | None) -> list[Entry]:
+    def entries(self, fault: Fault, start_tick: int | None) -> list[ModifierEntry]:
         """Return the modifiers of a fault on signals or on the shield.
 
         `start_tick`: tick from which the fault's times count; None: the one in which it arrives.
@@ -95,7 +95,7 @@ class Planner:
     def _ticks(self, seconds: float | None) -> int:
         return 0 if seconds is None else max(1, round(seconds / self._period_s))
 
-    def _on_signal(self, fault: Fault, signal: Signal) -> list[Entry]:
+    def _on_signal(self, fault: Fault, signal: Signal) -> list[ModifierEntry]:
         kind = Kind[fault.fault.upper()]
         if kind is Kind.FORCE or (kind is Kind.STUCK and fault.value is not None):
             check_range(signal, fault.value or 0.0)
@@ -133,16 +133,16 @@ class Planner:
 
     # --- the robot stack's own defects ------------------------------------------------------------
 
-    def _scaled(self, name: str, factor: float) -> Entry:
+    def _scaled(self, name: str, factor: float) -> ModifierEntry:
         signal = self._table[name]
         return _entry(
             Kind.SCALE, slot=signal.slots[0], side=self._side(signal), a=factor
         )
 
-    def _yaw_rate(self, _: Fault) -> list[Entry]:
+    def _yaw_rate(self, _: Fault) -> list[ModifierEntry]:
         return [self._scaled("twist.angular_rad_s", 1.0 / RPM_PER_RAD_S)]
 
-    def _last_wheel(self, fault: Fault) -> list[Entry]:
+    def _last_wheel(self, fault: Fault) -> list[ModifierEntry]:
         slot, limit = self._table.slot, fault.value
         if limit is not None and limit <= 0:
             raise ValueError(f"value is a speed above 0 rpm, not {limit:g}")
@@ -158,17 +158,17 @@ class Planner:
             )
         ]
 
-    def _front_wheels(self, _: Fault) -> list[Entry]:
+    def _front_wheels(self, _: Fault) -> list[ModifierEntry]:
         left, right = (
             self._table.slot(f"wheel.{wheel}.speed_rpm") for wheel in ("fl", "fr")
         )
         return [_entry(Kind.SWAP, slot=left, other=right, side=lay.OUTPUT)]
 
-    def _unsigned(self, _: Fault) -> list[Entry]:
+    def _unsigned(self, _: Fault) -> list[ModifierEntry]:
         slots = self._table["wheels.speeds_rpm"].slots
         return [_entry(Kind.UNSIGNED, slot=slot, side=lay.OUTPUT) for slot in slots]
 
-    def _raw_units(self, _: Fault) -> list[Entry]:
+    def _raw_units(self, _: Fault) -> list[ModifierEntry]:
         return [
             self._scaled("imu.gyro_z_rad_s", DEGREES_PER_RAD),
             self._scaled("imu.accel_x_m_s2", 1.0 / STANDARD_GRAVITY_M_S2),

@@ -99,11 +99,14 @@ class Play(NamedTuple):
 
 
 def load_scenario(path: Path, most_bytes: int = MAX_BYTES) -> Scenario:
-    """Return the scenario of a file, or ConfigError; its signals are looked up by `Stage.check`."""
+    """Return the scenario of a file, or ConfigError.
+
+    Its signals are looked up by `ScenarioPlayer.check`.
+    """
     return load(path, Scenario, most_bytes)
 
 
-class Stage:
+class ScenarioPlayer:
     """Plays scenarios on a daemon's parts."""
 
     def __init__(

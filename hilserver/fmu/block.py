@@ -13,7 +13,7 @@ import hilserver.fmu.layout as at
 from hilserver.compiled.cache import hash_of
 from hilserver.fmu import calls, exchange
 from hilserver.fmu.description import Fmu, read_fmu
-from hilserver.fmu.library import Instance, Library
+from hilserver.fmu.library import FmuLibrary, Instance
 from hilserver.fmu.process import Child
 from hilserver.fmu.wiring import Start, Wiring, signals, wire
 from hilserver.kernel.composition import Foreign, News, Setting
@@ -89,7 +89,7 @@ def load_fmu_block(
     wiring = wire(fmu, inputs, outputs, start)
     if not process:
         try:
-            Library(fmu)  # with a process of its own it is only loaded there
+            FmuLibrary(fmu)  # with a process of its own it is only loaded there
         except BlockError as error:
             raise BlockError(f"FMU {reference!r} {error}.") from None
     given = {variable.name: value for variable, value in wiring.start}

@@ -63,7 +63,7 @@ _UNITS: Final = {
 
 
 @dataclass(frozen=True)
-class Variable:
+class FmuVariable:
     """One variable of an FMU."""
 
     name: str
@@ -107,10 +107,10 @@ class Fmu:
     token: str
     library: Path  # shared library for this computer
     stores_state: bool  # whether snapshots can hold it
-    variables: Mapping[str, Variable]
+    variables: Mapping[str, FmuVariable]
     sha256: str
 
-    def variable(self, name: str) -> Variable:
+    def variable(self, name: str) -> FmuVariable:
         """Return a variable by its name.
 
         BlockError if there is none, or a time slice cannot handle its type.
@@ -240,7 +240,7 @@ def _unpacked(path: Path) -> Path:
     return folder
 
 
-def _variables(said: Any, version: int) -> list[Variable]:
+def _variables(said: Any, version: int) -> list[FmuVariable]:
     found = []
     for v in said.modelVariables:
         suffix, kind, size = _TYPES[version].get(v.type, ("", -2, 0))
@@ -250,7 +250,7 @@ def _variables(said: Any, version: int) -> list[Variable]:
         known = _UNITS.get(unit) or (unit if unit in _UNITS.values() else None)
         text = v.description or ""
         found.append(
-            Variable(
+            FmuVariable(
                 name=v.name,
                 reference=v.valueReference,
                 type=suffix,

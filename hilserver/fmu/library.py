@@ -13,7 +13,7 @@ import hilserver.fmu.layout as at
 from hilserver.compiled import kernel
 from hilserver.compiled.cache import c_function
 from hilserver.fmu import calls
-from hilserver.fmu.description import Fmu, Variable
+from hilserver.fmu.description import Fmu, FmuVariable
 from hilserver.fmu.wiring import Start, Wiring
 from hilserver.plant.blocks import BlockError
 
@@ -68,7 +68,7 @@ def _log_3(environment: Any, status: int, _category: Any, text: Any) -> None:
     _take(status, text, environment)
 
 
-class Library:
+class FmuLibrary:
     """A loaded FMU; BlockError if it cannot be loaded, or lacks a function."""
 
     def __init__(self, fmu: Fmu) -> None:
@@ -105,7 +105,7 @@ class Instance:
     """A started FMU; it is stepped through its addresses and must outlive them."""
 
     def __init__(self, fmu: Fmu, wiring: Wiring, name: str, slow_ns: int) -> None:
-        self._fmu, self._library = fmu, Library(fmu)
+        self._fmu, self._library = fmu, FmuLibrary(fmu)
         self.message_words = np.zeros(at.MESSAGE_WORDS, dtype=np.int64)
         self._callbacks: Any = None
         self._instance = ctypes.c_void_p(self._instantiated(name.encode()))
@@ -165,7 +165,7 @@ class Instance:
             why = self.message or f"a function answered {at.STATUS.get(status, status)}"
             raise BlockError(f"does not start: {why}")
 
-    def _set_start(self, given: Mapping[Variable, Start]) -> None:
+    def _set_start(self, given: Mapping[FmuVariable, Start]) -> None:
         """Set start values, those of one type in one call."""
         for same in _of_one_type(sorted(given, key=lambda v: v.type)):
             n, first = len(same), same[0]
@@ -241,7 +241,7 @@ def text_of(words: NDArray[np.int64]) -> str:
     return " ".join(raw.decode(errors="replace").split()).rstrip(".")
 
 
-def _of_one_type(variables: Iterable[Variable]) -> Iterator[list[Variable]]:
+def _of_one_type(variables: Iterable[FmuVariable]) -> Iterator[list[FmuVariable]]:
     """Yield groups of neighbours of one type; a group takes one call."""
     for _, same in itertools.groupby(variables, lambda v: v.type):
         yield list(same)
@@ -257,7 +257,7 @@ def _libc(name: str) -> int:
     return ctypes.cast(getattr(ctypes.CDLL(None), name), ctypes.c_void_p).value or 0
 
 
-def _as_start(variable: Variable, value: float | str | bool) -> float | int | bool:
+def _as_start(variable: FmuVariable, value: float | str | bool) -> float | int | bool:
     number = float(value)
     if variable.kind == at.FLOAT:
         return number

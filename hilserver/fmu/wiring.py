@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from hilserver.fmu.description import Fmu, Variable
+from hilserver.fmu.description import Fmu, FmuVariable
 from hilserver.plant.blocks import MOST_PER_BLOCK, BlockError, Output
 
 Start = float | str | bool
@@ -16,11 +16,11 @@ _TEXT: Final = -1
 class Wiring:
     """Variables in the order of their values in `u`, `p` and `y`."""
 
-    inputs: Sequence[Variable]
-    parameters: Sequence[Variable]
-    outputs: Sequence[Variable]
+    inputs: Sequence[FmuVariable]
+    parameters: Sequence[FmuVariable]
+    outputs: Sequence[FmuVariable]
     # variables whose start value differs from the FMU's
-    start: Sequence[tuple[Variable, Start]]
+    start: Sequence[tuple[FmuVariable, Start]]
     left_out: int = 0  # tunable parameters that a block has no room for
 
     @property
@@ -39,7 +39,7 @@ class Wiring:
         return sum(v.count for v in self.outputs)
 
     @property
-    def rows(self) -> Sequence[tuple[str, Sequence[Variable]]]:
+    def rows(self) -> Sequence[tuple[str, Sequence[FmuVariable]]]:
         """How the variables are accessed: ``Set`` and ``Get``."""
         return ("Set", self.inputs), ("Set", self.parameters), ("Get", self.outputs)
 
@@ -136,7 +136,7 @@ def _plain(name: str) -> str:
     return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_") or "value"
 
 
-def _whole(fmu: Fmu, name: str) -> Variable:
+def _whole(fmu: Fmu, name: str) -> FmuVariable:
     """Return the variable with a name, or the array with an element: ``u[2]``."""
     variable = fmu.variables.get(name) or fmu.variable(name.partition("[")[0])
     if variable.kind == _TEXT:
@@ -155,7 +155,7 @@ def _whole(fmu: Fmu, name: str) -> Variable:
     return variable
 
 
-def _startable(fmu: Fmu, name: str, value: Start) -> Variable:
+def _startable(fmu: Fmu, name: str, value: Start) -> FmuVariable:
     variable = fmu.variable(name)
     if variable.causality not in ("parameter", "input") or variable.shape:
         why = "an array" if variable.shape else variable.causality
@@ -168,7 +168,7 @@ def _startable(fmu: Fmu, name: str, value: Start) -> Variable:
     return variable
 
 
-def _is_tunable(variable: Variable) -> bool:
+def _is_tunable(variable: FmuVariable) -> bool:
     is_parameter = (
         variable.causality == "parameter" and variable.variability == "tunable"
     )

@@ -11,7 +11,7 @@ from hilserver.identify.estimates import Estimate
 from hilserver.identify.resting_noise import ChannelNoise
 from hilserver.identify.rotation import RotationGain
 from hilserver.identify.step_response import StepResponse
-from hilserver.identify.update_rate import Comparison, UpdateRate
+from hilserver.identify.update_rate import RateComparison, UpdateRate
 
 SCHEMA = "hilserver.identify/1"
 
@@ -77,7 +77,7 @@ def step_lines(found: StepResponse) -> list[str]:
 
 
 def rate_lines(
-    rates: Sequence[UpdateRate], comparisons: Sequence[Comparison]
+    rates: Sequence[UpdateRate], comparisons: Sequence[RateComparison]
 ) -> list[str]:
     """Return periods in ascending order, rises, and which logs can be distinguished."""
     lines = []

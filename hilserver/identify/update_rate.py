@@ -48,7 +48,7 @@ class UpdateRate:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class RateComparison:
     """Two logs, the faster controller first."""
 
     faster: str
@@ -93,7 +93,7 @@ def identify_update_rate(log: MeasuredLog) -> UpdateRate:
     )
 
 
-def compare(rates: Sequence[UpdateRate], level: float = 0.05) -> list[Comparison]:
+def compare(rates: Sequence[UpdateRate], level: float = 0.05) -> list[RateComparison]:
     """Compare logs with neighbouring periods by Welch's test.
 
     `level` is shared among all comparisons (Bonferroni).
@@ -109,7 +109,7 @@ def compare(rates: Sequence[UpdateRate], level: float = 0.05) -> list[Comparison
         score = (slow.period_s.value - fast.period_s.value) / math.sqrt(sum(variances))
         p_value = 2.0 * float(stats.t.sf(score, freedom))
         clear = p_value * (len(ordered) - 1) < level
-        found.append(Comparison(fast.file, slow.file, p_value, clear))
+        found.append(RateComparison(fast.file, slow.file, p_value, clear))
     return found
 
 

@@ -12,7 +12,7 @@ from hilserver.core.control import Control
 from hilserver.core.events import EventBus
 from hilserver.core.inputs import InputGate
 from hilserver.core.parameters import LiveParameters
-from hilserver.faults import Faults, Line
+from hilserver.faults import Faults, PeerLine
 from hilserver.image import Frame, ProcessImage
 from hilserver.io.link_status import PeerStatus
 from hilserver.metrics import Source
@@ -71,7 +71,7 @@ class World:
     control: Control
     faults: Faults | None
     parameters: LiveParameters | None
-    lines: Mapping[str, Line]  # where injected faults act, by the link's name
+    lines: Mapping[str, PeerLine]  # where injected faults act, by the link's name
     robot: RobotParameters
     shape: Shape
     hall: Any  # float64, shape (n, 4); walls [m]

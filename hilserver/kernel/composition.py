@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.body.engine import Engine
+from hilserver.body.engine import BodyEngine
 from hilserver.body.layout import Addresses, Constants
 from hilserver.image import changes
 from hilserver.image.layout import padded
@@ -175,7 +175,7 @@ class Composition:
     hall: NDArray[np.float64]
     # ranges in which the terms of a patch were fitted, see `fitted_limits`
     fitted: NDArray[np.float64] = field(default_factory=fitted_limits)
-    body: Engine | None = (
+    body: BodyEngine | None = (
         None  # the mechatronic model; its addresses must outlive the step
     )
     observer: ObserverUse | None = None  # the filter that estimates where the robot is

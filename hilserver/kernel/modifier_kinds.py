@@ -5,7 +5,7 @@ from typing import Any
 
 from hilserver.compiled import inlined, part
 from hilserver.image import word
-from hilserver.kernel.modifier_layout import RING_TICKS, Entry, Kind, Modifiers
+from hilserver.kernel.modifier_layout import RING_TICKS, Kind, ModifierEntry, Modifiers
 from hilserver.plant.noise import normal, uniform
 from hilserver.status import GOOD_LOCAL_OVERRIDE, UNCERTAIN_NO_COMMUNICATION
 
@@ -24,7 +24,7 @@ UART_RANGE = 65536.0
 
 
 @inlined
-def _past(tick: int, entry: Entry, raw: float, m: Modifiers) -> Any:
+def _past(tick: int, entry: ModifierEntry, raw: float, m: Modifiers) -> Any:
     """Store `raw` in the entry's ring and fill the ticks that were skipped; return the ring."""
     ring = m.rings[entry.ring]
     last = entry.last
@@ -36,7 +36,7 @@ def _past(tick: int, entry: Entry, raw: float, m: Modifiers) -> Any:
 
 
 @inlined
-def _begin(tick: int, entry: Entry, raw: float) -> None:
+def _begin(tick: int, entry: ModifierEntry, raw: float) -> None:
     """Set `previous` to the entry's state at the end of the last tick."""
     start = entry.start
     if start < 0 or tick < start:
@@ -50,7 +50,7 @@ def _begin(tick: int, entry: Entry, raw: float) -> None:
 
 
 @inlined
-def _from_ring(tick: int, entry: Entry, raw: float, m: Modifiers) -> float:
+def _from_ring(tick: int, entry: ModifierEntry, raw: float, m: Modifiers) -> float:
     kind, start, seed = entry.kind, entry.start, entry.seed
     channel, sample = entry.channel, tick // entry.every
     ring = _past(tick, entry, raw, m)
@@ -68,7 +68,7 @@ def _from_ring(tick: int, entry: Entry, raw: float, m: Modifiers) -> float:
 
 
 @inlined
-def _from_state(tick: int, entry: Entry, raw: float) -> float:
+def _from_state(tick: int, entry: ModifierEntry, raw: float) -> float:
     kind, start = entry.kind, entry.start
     every, a = entry.every, entry.a
     held = entry.previous
@@ -85,7 +85,7 @@ def _from_state(tick: int, entry: Entry, raw: float) -> float:
 
 
 @inlined
-def _from_value(tick: int, entry: Entry, raw: float) -> float:
+def _from_value(tick: int, entry: ModifierEntry, raw: float) -> float:
     kind, a = entry.kind, entry.a
     seed, sample = entry.seed, tick // entry.every
     channel = entry.channel
@@ -108,7 +108,9 @@ def _from_value(tick: int, entry: Entry, raw: float) -> float:
 
 
 @part
-def modify(tick: int, entry: Entry, m: Modifiers, values: Any, words: Any) -> None:
+def modify(
+    tick: int, entry: ModifierEntry, m: Modifiers, values: Any, words: Any
+) -> None:
     """Apply a modifier of one signal to its value and status."""
     slot, kind = entry.slot, entry.kind
     place = words[word.FRAME_BASE] + slot
@@ -134,7 +136,7 @@ def modify(tick: int, entry: Entry, m: Modifiers, values: Any, words: Any) -> No
 
 
 @inlined
-def swap(entry: Entry, values: Any, words: Any) -> None:
+def swap(entry: ModifierEntry, values: Any, words: Any) -> None:
     """Exchange two signals, values and status."""
     a, b = entry.slot, entry.other
     frame, status = words[word.FRAME_BASE], words[word.STATUS_BASE]
@@ -143,7 +145,7 @@ def swap(entry: Entry, values: Any, words: Any) -> None:
 
 
 @inlined
-def scale_by_last_wheel(entry: Entry, values: Any, words: Any) -> None:
+def scale_by_last_wheel(entry: ModifierEntry, values: Any, words: Any) -> None:
     """Limit the twist like a driver that keeps only the factor of the last wheel that is too fast.
 
     The wheels are checked in the driver's order fl, fr, rl, rr; one that is still too fast is

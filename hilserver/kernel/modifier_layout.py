@@ -54,7 +54,7 @@ Raw = Annotated[NDArray[np.float64], 2 * MAX_MODIFIERS]
 Rings = Annotated[NDArray[np.float64], (MAX_RINGS, RING_TICKS)]
 
 
-class Entry(Record):
+class ModifierEntry(Record):
     """One modifier: the fields of the command, then the state that the step keeps."""
 
     number: int
@@ -96,7 +96,7 @@ class Modifiers(Record):
     timeouts: int  # how often the command time-out has fired
     silent: int  # 1 while the time-out holds
     free: Annotated[NDArray[np.int64], 8]
-    entries: Annotated[list[Entry], MAX_MODIFIERS]
+    entries: Annotated[list[ModifierEntry], MAX_MODIFIERS]
     slots: Slots  # the touched ones
     raw_value: Raw  # their true values
     raw_status: Slots
@@ -116,7 +116,7 @@ class Mail(Record):
     """One command: a new entry, or an operation on entries, by number or all."""
 
     operation: int  # OP_*
-    entry: Entry
+    entry: ModifierEntry
 
 
 MODIFIERS: Final = Modifiers.layout

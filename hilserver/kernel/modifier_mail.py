@@ -7,7 +7,7 @@ from hilserver.compiled import inlined, kernel
 from hilserver.compiled.atomics import load_acquire, store_release
 from hilserver.compiled.records import assign, record_at
 from hilserver.image import word
-from hilserver.kernel.modifier_layout import Entry, Modifiers
+from hilserver.kernel.modifier_layout import ModifierEntry, Modifiers
 
 DELAY, JITTER, REORDER = int(at.Kind.DELAY), int(at.Kind.JITTER), int(at.Kind.REORDER)
 FORCE, DEAD_TIMEOUT = int(at.Kind.FORCE), int(at.Kind.DEAD_TIMEOUT)
@@ -29,7 +29,7 @@ def _take_ring(m: Modifiers) -> int:
 
 
 @inlined
-def _add(tick: int, order: Entry, m: Modifiers) -> None:
+def _add(tick: int, order: ModifierEntry, m: Modifiers) -> None:
     needs_ring = order.kind in (DELAY, JITTER, REORDER)
     if m.count >= at.MAX_MODIFIERS:
         m.dropped += 1

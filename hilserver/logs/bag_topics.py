@@ -9,7 +9,7 @@ from hilserver.logs.mcap_writer import TOPIC as FRAMES
 from hilserver.logs.message import SCHEMA_NAME
 from hilserver.ros import outgoing
 from hilserver.ros.flavours import EXTRAS, FLAVOURS, Published
-from hilserver.ros.robot import Odometer, Robot, Shape
+from hilserver.ros.robot import Odometer, RosFrame, Shape
 from hilserver.ros.types import Types
 
 __all__ = ["CHANGES", "FRAMES", "FRAME_TYPE", "RUN", "RUN_TYPE", "STATES", "STATE_TYPE"]
@@ -43,7 +43,7 @@ class Eduart:
         nowhere = Shape(
             1.0, 1.0, 1.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0
         )  # dimensions are in none of these messages
-        self._robot = Robot(types, nowhere, Odometer(nowhere))
+        self._robot = RosFrame(types, nowhere, Odometer(nowhere))
         self._names = names
         self._robot.values = dict.fromkeys(names, 0.0)
         self.topics = [

@@ -21,7 +21,7 @@ S: Final = 10**9
 Figures = TypeVar("Figures")
 
 
-class Kind(StrEnum):
+class MetricKind(StrEnum):
     """Kinds of metrics, as Prometheus names them."""
 
     COUNTER = "counter"
@@ -30,7 +30,7 @@ class Kind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class MetricReading:
     """The present reading of a counter or a histogram."""
 
     # one count for a counter, one per bucket for a histogram; falls only when it is reset
@@ -38,7 +38,7 @@ class Reading:
     sum_ns: int = 0  # sum of the counted durations [ns]; 0 for a counter
 
 
-Row = tuple[tuple[str, ...], float | Reading | None]
+Row = tuple[tuple[str, ...], float | MetricReading | None]
 """Label values and the value; None while it is unknown."""
 
 
@@ -57,11 +57,11 @@ class Metric(Generic[Figures]):
     range_ns: tuple[int, int] = (0, 0)
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> MetricKind:
         """Kind in Prometheus: a histogram has a range, the name of a counter ends in ``_total``."""
         if any(self.range_ns):
-            return Kind.HISTOGRAM
-        return Kind.COUNTER if self.name.endswith("_total") else Kind.GAUGE
+            return MetricKind.HISTOGRAM
+        return MetricKind.COUNTER if self.name.endswith("_total") else MetricKind.GAUGE
 
     @property
     def bound_indices(self) -> range:
@@ -80,14 +80,14 @@ class Source(Generic[Figures]):
     figures: Callable[[], Figures]
 
 
-def counter(value: int) -> Reading:
+def counter(value: int) -> MetricReading:
     """Return the reading of a plain counter."""
-    return Reading(np.array([value], dtype=np.int64))
+    return MetricReading(np.array([value], dtype=np.int64))
 
 
-def durations(histogram: Histogram125) -> Reading:
+def durations(histogram: Histogram125) -> MetricReading:
     """Return the reading of a histogram; a copy, as counting continues in place."""
-    return Reading(histogram.counts.copy(), histogram.sum_ns)
+    return MetricReading(histogram.counts.copy(), histogram.sum_ns)
 
 
 def by_name(figures: Mapping[str, float]) -> Iterator[Row]:

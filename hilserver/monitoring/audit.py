@@ -13,7 +13,7 @@ from hilserver.metrics import gauges
 from hilserver.scheduler.realtime import (
     CAP_IPC_LOCK,
     CAP_SYS_NICE,
-    Grant,
+    AuditFinding,
     has_capability,
 )
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _GOOD_CLOCKS = ("tsc", "arch_sys_counter", "kvm-clock")
 
 
-def audit(scheduler: "Scheduler", root: Path = Path("/")) -> list[Grant]:
+def audit(scheduler: "Scheduler", root: Path = Path("/")) -> list[AuditFinding]:
     """Return what the system offers, then what it granted to this scheduler."""
     items = [check(root) for check in CHECKS]
     # Reading another thread's slack needs privileges: prefer the value from the thread itself.
@@ -32,7 +32,7 @@ def audit(scheduler: "Scheduler", root: Path = Path("/")) -> list[Grant]:
     return items + scheduler.grants
 
 
-def kernel(root: Path) -> Grant:
+def kernel(root: Path) -> AuditFinding:
     """Check for a PREEMPT_RT kernel."""
     version = _read(root, "proc/version")
     is_rt = _read(root, "sys/kernel/realtime") == "1" or "PREEMPT_RT" in version
@@ -45,7 +45,7 @@ def kernel(root: Path) -> Grant:
     )
 
 
-def governor(root: Path) -> Grant:
+def governor(root: Path) -> AuditFinding:
     """Check that the cores keep their clock frequency."""
     paths = sorted(
         root.glob("sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor")
@@ -58,7 +58,7 @@ def governor(root: Path) -> Grant:
     )
 
 
-def isolated_cores(root: Path) -> Grant:
+def isolated_cores(root: Path) -> AuditFinding:
     """Check that a core is kept free of other work."""
     isolated = _read(root, "sys/devices/system/cpu/isolated")
     remedy = "boot with isolcpus=N nohz_full=N and set scheduler.realtime.cpu to N"
@@ -67,7 +67,7 @@ def isolated_cores(root: Path) -> Grant:
     )
 
 
-def rtprio_limit(root: Path) -> Grant:
+def rtprio_limit(root: Path) -> AuditFinding:
     """Check that a thread of this process may have a real-time priority."""
     if has_capability(CAP_SYS_NICE, root):
         return _item(
@@ -79,7 +79,7 @@ def rtprio_limit(root: Path) -> Grant:
     return _item("rtprio_limit", limit not in ("0", "?"), limit, wanted, remedy)
 
 
-def memlock_limit(root: Path) -> Grant:
+def memlock_limit(root: Path) -> AuditFinding:
     """Check that this process may lock its memory."""
     if has_capability(CAP_IPC_LOCK, root):
         return _item(
@@ -92,7 +92,7 @@ def memlock_limit(root: Path) -> Grant:
     )
 
 
-def clock_source(root: Path) -> Grant:
+def clock_source(root: Path) -> AuditFinding:
     """Check that the clock is read without a system call."""
     path = "sys/devices/system/clocksource/clocksource0/current_clocksource"
     found = _read(root, path) or "unknown"
@@ -101,7 +101,7 @@ def clock_source(root: Path) -> Grant:
     )
 
 
-def cpu_dma_latency(root: Path) -> Grant:
+def cpu_dma_latency(root: Path) -> AuditFinding:
     """Check that the cores are kept from sleeping deeply."""
     try:
         with (root / "dev/cpu_dma_latency").open("rb") as device:
@@ -114,7 +114,7 @@ def cpu_dma_latency(root: Path) -> Grant:
     return _item("cpu_dma_latency", target_us == 0, f"{target_us} us", "0 us", remedy)
 
 
-def cgroup_cpu(root: Path) -> Grant:
+def cgroup_cpu(root: Path) -> AuditFinding:
     """Check that the control group restricts neither time nor real-time priority."""
     wanted = "no quota, real-time allowed"
     for line in _read(root, "proc/self/cgroup").splitlines():
@@ -140,7 +140,7 @@ def cgroup_cpu(root: Path) -> Grant:
     return _item("cgroup_cpu", True, wanted, wanted, "")
 
 
-def virtualised(root: Path) -> Grant:
+def virtualised(root: Path) -> AuditFinding:
     """Check that there is no hypervisor between this system and the cores."""
     in_vm = any(
         "hypervisor" in line.split()
@@ -152,7 +152,7 @@ def virtualised(root: Path) -> Grant:
     return _item("virtualised", not in_vm, found, "bare metal", remedy)
 
 
-def swap(root: Path) -> Grant:
+def swap(root: Path) -> AuditFinding:
     """Check that no memory can be swapped to a disk."""
     devices = [line.split()[0] for line in _read(root, "proc/swaps").splitlines()[1:]]
     return _item(
@@ -160,7 +160,7 @@ def swap(root: Path) -> Grant:
     )
 
 
-def timer_slack(root: Path, thread_id: int) -> Grant:
+def timer_slack(root: Path, thread_id: int) -> AuditFinding:
     """Check how far the kernel may delay the pacing thread's timers (real-time: 0)."""
     found = _read(root, f"proc/{thread_id or 'self'}/timerslack_ns")
     ok = found.isdigit() and int(found) <= 1
@@ -170,7 +170,7 @@ def timer_slack(root: Path, thread_id: int) -> Grant:
     )
 
 
-CHECKS: tuple[Callable[[Path], Grant], ...] = (
+CHECKS: tuple[Callable[[Path], AuditFinding], ...] = (
     kernel,
     governor,
     isolated_cores,
@@ -191,7 +191,7 @@ METRICS: Final = gauges(
 )
 
 
-def as_lines(items: Sequence[Grant]) -> list[str]:
+def as_lines(items: Sequence[AuditFinding]) -> list[str]:
     """Return the audit as lines of text for a terminal."""
     lines = []
     for item in items:
@@ -205,8 +205,8 @@ def as_lines(items: Sequence[Grant]) -> list[str]:
     return lines
 
 
-def _item(name: str, ok: bool, found: str, wanted: str, remedy: str) -> Grant:
-    return Grant(name, ok, found, wanted, "" if ok else remedy)
+def _item(name: str, ok: bool, found: str, wanted: str, remedy: str) -> AuditFinding:
+    return AuditFinding(name, ok, found, wanted, "" if ok else remedy)
 
 
 def _read(root: Path, path: str) -> str:

@@ -20,8 +20,8 @@ import structlog
 
 from hilserver.errors import address_refused
 from hilserver.monitoring.health_request import (
+    HealthRequest,
     RefusedRequestError,
-    Request,
     parse_request,
 )
 from hilserver.signals import State
@@ -30,7 +30,7 @@ from hilserver.time_limit import time_limit
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class HealthVerdict:
     """The answer to one question."""
 
     ok: bool
@@ -52,7 +52,7 @@ class HealthSources:
     heartbeat_limit_s: float = 1.0  # a pacing back end silent for longer [s] is dead
 
 
-def alive(sources: HealthSources, now_ns: int) -> Verdict:
+def alive(sources: HealthSources, now_ns: int) -> HealthVerdict:
     """Judge the heartbeat of the pacing back end at `now_ns` [CLOCK_MONOTONIC ns].
 
     It also beats while paused; a frozen one is dead even if the event loop still answers.
@@ -60,27 +60,29 @@ def alive(sources: HealthSources, now_ns: int) -> Verdict:
     heartbeat_ns = sources.heartbeat_ns()
     if heartbeat_ns == 0:
         if sources.state() == State.STARTING.word:
-            return Verdict(True, "the plant is being compiled and warmed up")
-        return Verdict(False, "the pacing back end has never woken up")
+            return HealthVerdict(True, "the plant is being compiled and warmed up")
+        return HealthVerdict(False, "the pacing back end has never woken up")
     age_s = (now_ns - heartbeat_ns) / 1e9
     if age_s > sources.heartbeat_limit_s:
-        return Verdict(False, f"the pacing back end last woke up {age_s:.1f} s ago")
-    return Verdict(True, "the pacing back end is running")
+        return HealthVerdict(
+            False, f"the pacing back end last woke up {age_s:.1f} s ago"
+        )
+    return HealthVerdict(True, "the pacing back end is running")
 
 
-def ready(sources: HealthSources, now_ns: int) -> Verdict:
+def ready(sources: HealthSources, now_ns: int) -> HealthVerdict:
     """Judge whether the robot is being simulated in time at `now_ns` [CLOCK_MONOTONIC ns]."""
     verdict = alive(sources, now_ns)
     if not verdict.ok:
         return verdict
     state = sources.state()
     if state != State.RUNNING.word:
-        return Verdict(False, f"the state is {state}, not running")
+        return HealthVerdict(False, f"the state is {state}, not running")
     if not sources.first_ticks_met():
-        return Verdict(False, "the first ticks have not met their deadlines yet")
+        return HealthVerdict(False, "the first ticks have not met their deadlines yet")
     if why := sources.tasks_down():
-        return Verdict(False, why)
-    return Verdict(True, "running, and the first ticks met their deadlines")
+        return HealthVerdict(False, why)
+    return HealthVerdict(True, "running, and the first ticks met their deadlines")
 
 
 REQUEST_BYTES_MAX = 8192
@@ -149,7 +151,7 @@ class HttpServer:
             SupervisedTask, asyncio.WriteTransport
         ] = {}  # connections, the oldest first
         self._rendered: dict[bool, tuple[int, Response]] = {}
-        self._routes: dict[str, Callable[[Request], Response]] = {
+        self._routes: dict[str, Callable[[HealthRequest], Response]] = {
             "/metrics": self._metrics,
             "/healthz": lambda _: self._probe(alive(self._health, self._clock_ns())),
             "/readyz": lambda _: self._probe(ready(self._health, self._clock_ns())),
@@ -235,7 +237,7 @@ class HttpServer:
                 refused.status, _sentence(str(refused)), headers=headers
             ).encode()
 
-    def _respond(self, request: Request) -> Response:
+    def _respond(self, request: HealthRequest) -> Response:
         route = self._routes.get(request.path)
         if route is None:
             known = ", ".join(self._routes)
@@ -248,7 +250,7 @@ class HttpServer:
                 HTTPStatus.INTERNAL_SERVER_ERROR, _sentence(f"{request.path} failed")
             )
 
-    def _metrics(self, request: Request) -> Response:
+    def _metrics(self, request: HealthRequest) -> Response:
         now_ns = self._clock_ns()
         is_openmetrics = "application/openmetrics-text" in request.accept
         rendered_ns, response = self._rendered.get(is_openmetrics, (0, None))
@@ -258,7 +260,7 @@ class HttpServer:
             self._rendered[is_openmetrics] = now_ns, response
         return response
 
-    def _probe(self, verdict: Verdict) -> Response:
+    def _probe(self, verdict: HealthVerdict) -> Response:
         status = HTTPStatus.OK if verdict.ok else HTTPStatus.SERVICE_UNAVAILABLE
         fields = {
             "ok": verdict.ok,

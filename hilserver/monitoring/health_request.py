@@ -25,7 +25,7 @@ class RefusedRequestError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class HealthRequest:
     """A well-formed request."""
 
     path: str  # without the query
@@ -33,7 +33,9 @@ class Request:
     accept: str  # value of the header ``Accept``, empty without one
 
 
-def parse_request(head: bytes, names: Collection[str] = ("localhost",)) -> Request:
+def parse_request(
+    head: bytes, names: Collection[str] = ("localhost",)
+) -> HealthRequest:
     """Parse everything up to and including the empty line; raise `RefusedRequestError`.
 
     `names`: accepted host names, in lower case; IP addresses are always accepted. Others are not,
@@ -59,7 +61,7 @@ def parse_request(head: bytes, names: Collection[str] = ("localhost",)) -> Reque
         raise RefusedRequestError(
             HTTPStatus.METHOD_NOT_ALLOWED, "only GET and HEAD are answered"
         )
-    return Request(
+    return HealthRequest(
         path=target.split(b"?", 1)[0].decode("ascii"),
         is_head=method == b"HEAD",
         accept=", ".join(headers.get("accept", [])),

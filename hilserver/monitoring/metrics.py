@@ -29,14 +29,14 @@ from prometheus_client.metrics_core import Metric as Family
 from prometheus_client.registry import Collector
 
 from hilserver.compiled.histogram import BOUNDS_NS
-from hilserver.metrics import Kind, Metric, Reading, Row, Source
+from hilserver.metrics import Metric, MetricKind, MetricReading, Row, Source
 
 Counts = NDArray[np.int64]
 
 
 @dataclass(slots=True)
 class _Entry:
-    last: Reading
+    last: MetricReading
     total: Counts
     total_sum_ns: int = 0
 
@@ -54,7 +54,7 @@ class LifetimeTotals:
 
     _entries: dict[Hashable, _Entry] = field(default_factory=dict)
 
-    def advance(self, key: Hashable, reading: Reading) -> Reading:
+    def advance(self, key: Hashable, reading: MetricReading) -> MetricReading:
         """Add the newest `reading` of `key`; return its total since the process started."""
         entry = self._entry(key, reading)
         was_reset = bool((reading.counts < entry.last.counts).any())
@@ -63,24 +63,24 @@ class LifetimeTotals:
         )
         entry.total_sum_ns += reading.sum_ns - (0 if was_reset else entry.last.sum_ns)
         entry.last = reading
-        return Reading(entry.total.copy(), entry.total_sum_ns)
+        return MetricReading(entry.total.copy(), entry.total_sum_ns)
 
-    def rebase(self, key: Hashable, reading: Reading) -> None:
+    def rebase(self, key: Hashable, reading: MetricReading) -> None:
         """Continue from `reading` without adding it: the source has just been reset."""
         self._entry(key, reading).last = reading
 
-    def _entry(self, key: Hashable, reading: Reading) -> _Entry:
+    def _entry(self, key: Hashable, reading: MetricReading) -> _Entry:
         if key not in self._entries:
             zeros = np.zeros_like(reading.counts)
-            self._entries[key] = _Entry(last=Reading(zeros), total=zeros.copy())
+            self._entries[key] = _Entry(last=MetricReading(zeros), total=zeros.copy())
         return self._entries[key]
 
 
 _OPENMETRICS = "application/openmetrics-text; version=1.0.0"
-_FAMILIES: dict[Kind, Any] = {
-    Kind.COUNTER: CounterMetricFamily,
-    Kind.GAUGE: GaugeMetricFamily,
-    Kind.HISTOGRAM: HistogramMetricFamily,
+_FAMILIES: dict[MetricKind, Any] = {
+    MetricKind.COUNTER: CounterMetricFamily,
+    MetricKind.GAUGE: GaugeMetricFamily,
+    MetricKind.HISTOGRAM: HistogramMetricFamily,
 }
 _BOUNDS_TEXT = [str(bound_ns / 1e9) for bound_ns in BOUNDS_NS]
 
@@ -127,11 +127,11 @@ class _HilCollector(Collector):
         for metric, rows in self._read():
             yield self._family(metric, rows)
 
-    def readings(self) -> Iterator[tuple[_Key, Reading]]:
+    def readings(self) -> Iterator[tuple[_Key, MetricReading]]:
         """Yield the present reading of every counter and histogram."""
         for metric, rows in self._read():
             for labels, value in rows:
-                if isinstance(value, Reading):
+                if isinstance(value, MetricReading):
                     yield (metric.name, labels), value
 
     def _read(self) -> Iterator[tuple[Metric[Any], list[Row]]]:
@@ -143,11 +143,11 @@ class _HilCollector(Collector):
     def _family(self, metric: Metric[Any], rows: list[Row]) -> Family:
         family = _FAMILIES[metric.kind](metric.name, metric.help, labels=metric.labels)
         for labels, value in rows:
-            if not isinstance(value, Reading):
+            if not isinstance(value, MetricReading):
                 family.add_metric(labels, value)
                 continue
             total = self.totals.advance((metric.name, labels), value)
-            if metric.kind is Kind.COUNTER:
+            if metric.kind is MetricKind.COUNTER:
                 family.add_metric(labels, int(total.counts[0]))
             else:
                 family.add_metric(
@@ -158,7 +158,9 @@ class _HilCollector(Collector):
 
 def _is_known(row: Row) -> bool:
     _, value = row
-    return isinstance(value, Reading) or (value is not None and math.isfinite(value))
+    return isinstance(value, MetricReading) or (
+        value is not None and math.isfinite(value)
+    )
 
 
 def _buckets(metric: Metric[Any], counts: Counts) -> list[tuple[str, float]]:

@@ -21,7 +21,7 @@ from asyncua.crypto.security_policies import SecurityPolicyFactory, SecurityPoli
 from hilserver.opcua.certificate import first_of_chain, parse_certificate, thumbprint
 from hilserver.opcua.frames import MAX_CHUNK_BYTES, TransportError
 from hilserver.opcua.logs import log
-from hilserver.opcua.trust_list import TrustList, Verdict
+from hilserver.opcua.trust_list import CertificateVerdict, TrustList
 
 MAX_BYTES_BEFORE_LOGIN = 65_536
 MIN_BUFFER_BYTES = 8192
@@ -34,7 +34,11 @@ _MAX_SEQUENCE, _WRAP = 2**32 - 1, 1024
 _Codes = ua.StatusCodes
 _None = ua.MessageSecurityMode.None_
 # OPC 10000-4, 6.1.3: an untrusted client learns only that it is not trusted.
-_CONCEALED = {Verdict.INVALID, Verdict.UNTRUSTED, Verdict.POLICY}
+_CONCEALED = {
+    CertificateVerdict.INVALID,
+    CertificateVerdict.UNTRUSTED,
+    CertificateVerdict.POLICY,
+}
 
 
 class GuardedConnection(SecureConnection):  # type: ignore[misc]
@@ -122,16 +126,18 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
 
     def _judge(self, certificate: bytes) -> None:
         verdict = (
-            Verdict.INVALID if self._trust is None else self._trust.judge(certificate)
+            CertificateVerdict.INVALID
+            if self._trust is None
+            else self._trust.judge(certificate)
         )
-        if verdict is Verdict.GOOD:
+        if verdict is CertificateVerdict.GOOD:
             return
         kept = remedy = None
         if self._trust is not None:
             path = self._trust.keep_rejected(certificate, self._peer)
             is_crowded = path is None and self._trust.has_kept_many(self._peer)
             kept = "no: too many others lately" if is_crowded else path and path.name
-            if path is not None and verdict is Verdict.UNTRUSTED:
+            if path is not None and verdict is CertificateVerdict.UNTRUSTED:
                 name = thumbprint(parse_certificate(certificate))
                 remedy = f"compare it, then 'hilserver certs trust {name}'"
         log.warning(

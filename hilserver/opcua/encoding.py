@@ -211,7 +211,7 @@ def utc_now() -> int:
     return time.time_ns() // 100 + FILETIME_OF_1970
 
 
-class Head(NamedTuple):
+class RequestHead(NamedTuple):
     """The needed fields of a request header."""
 
     handle: int
@@ -220,7 +220,7 @@ class Head(NamedTuple):
     sent: int  # UtcTime of the client [100 ns]; 0: it gave none
 
 
-def request_head(body: Buffer, token: bytes) -> Head | None:
+def request_head(body: Buffer, token: bytes) -> RequestHead | None:
     """Read the header of a request with `token` from `body`; None if it looks different.
 
     `token`: encoded authentication token of the session.
@@ -235,7 +235,7 @@ def request_head(body: Buffer, token: bytes) -> Head | None:
     if audit_id > 0 or more != _NULL_HEADER:
         return None
     body.skip(len(token) + _REQUEST.size)
-    return Head(handle, diagnostics, timeout_ms, sent)
+    return RequestHead(handle, diagnostics, timeout_ms, sent)
 
 
 def acknowledgements(body: Buffer) -> list[tuple[int, int]]:

@@ -17,7 +17,7 @@ MAX_CHUNK_BYTES = 65_535
 _Codes = ua.StatusCodes
 
 
-class Stage(IntEnum):
+class ConnectionStage(IntEnum):
     """Stage of a connection."""
 
     NEW = 0
@@ -27,10 +27,10 @@ class Stage(IntEnum):
 
 
 _ALLOWED = {
-    Stage.NEW: {b"HEL"},
-    Stage.GREETED: {b"OPN"},
-    Stage.OPEN: {b"OPN", b"MSG", b"CLO"},
-    Stage.ACTIVE: {b"OPN", b"MSG", b"CLO"},
+    ConnectionStage.NEW: {b"HEL"},
+    ConnectionStage.GREETED: {b"OPN"},
+    ConnectionStage.OPEN: {b"OPN", b"MSG", b"CLO"},
+    ConnectionStage.ACTIVE: {b"OPN", b"MSG", b"CLO"},
 }
 
 
@@ -86,7 +86,7 @@ class FrameReader:
         return kind, size
 
 
-def check_order(stage: Stage, kind: bytes) -> None:
+def check_order(stage: ConnectionStage, kind: bytes) -> None:
     """Raise TransportError if a message of that type is not allowed at this stage."""
     if kind not in _ALLOWED[stage]:
         if kind == b"MSG":

@@ -9,7 +9,7 @@ from hilserver.opcua.application import Application
 from hilserver.opcua.browsing import TypeTree
 from hilserver.opcua.decoding import bound_decoder
 from hilserver.opcua.logs import log
-from hilserver.opcua.places import Places
+from hilserver.opcua.places import SessionPlaces
 from hilserver.opcua.reading import Reader
 from hilserver.opcua.sessions import Session
 from hilserver.opcua.settings import OpcUaSettings
@@ -40,7 +40,7 @@ class InnerServer(QuickInternalServer):
         self.application = Application(
             self, access
         )  # may be replaced before the first client
-        self._places = Places(
+        self._places = SessionPlaces(
             settings.max_sessions,
             lambda user: self.application.has_reserve(user),  # noqa: PLW0108 - it may be replaced
         )

@@ -28,7 +28,7 @@ ACTIVATION_WITHIN_S, ACTIVATION_YIELDS_S = 10.0, 1.0
 YIELDS_AFTER_S = 5.0
 
 
-class Places:
+class SessionPlaces:
     """Decides which session may come in, and which one yields to it."""
 
     def __init__(self, most: int, has_reserve: Callable[[Any], bool]) -> None:

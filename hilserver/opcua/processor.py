@@ -23,7 +23,7 @@ from asyncua.ua.ua_binary import (
 
 from hilserver.opcua import encoding
 from hilserver.opcua.channel import GuardedConnection
-from hilserver.opcua.frames import Stage, TransportError, check_order
+from hilserver.opcua.frames import ConnectionStage, TransportError, check_order
 from hilserver.opcua.login import activate_session, create_session
 from hilserver.opcua.logs import log
 from hilserver.opcua.loopback import is_loopback
@@ -91,14 +91,14 @@ class Processor:
     # --- transport --------------------------------------------------------------------------------
 
     @property
-    def stage(self) -> Stage:
+    def stage(self) -> ConnectionStage:
         """Stage of the connection."""
         if not self._is_greeted:
-            return Stage.NEW
+            return ConnectionStage.NEW
         if not self._connection.is_open():
-            return Stage.GREETED
+            return ConnectionStage.GREETED
         is_active = self.session is not None and self.session.is_activated
-        return Stage.ACTIVE if is_active else Stage.OPEN
+        return ConnectionStage.ACTIVE if is_active else ConnectionStage.OPEN
 
     @property
     def has_parts(self) -> bool:
@@ -116,7 +116,7 @@ class Processor:
     def _process_frame(self, kind: bytes, frame: bytes) -> bool | Portions:
         check_order(self.stage, kind)
         connection = self._connection
-        if self.stage is Stage.ACTIVE:
+        if self.stage is ConnectionStage.ACTIVE:
             connection.max_bytes = self.iserver.settings.max_message_bytes
         if kind == b"MSG":
             plain = connection.receive_plain(frame)
@@ -210,7 +210,9 @@ class Processor:
         """Send the fault of a request that failed as a whole."""
         self.send_body(request_id, handle, _fault(code, handle))
 
-    def _send(self, request_id: int, head: encoding.Head, response: Any) -> Portions:
+    def _send(
+        self, request_id: int, head: encoding.RequestHead, response: Any
+    ) -> Portions:
         """Send a response, with diagnostics if the client requested them."""
         if not isinstance(response, bytes):
             if (
@@ -236,7 +238,7 @@ class Processor:
         if head is None:
             header = take(ua.RequestHeader, body)
             token = header.AuthenticationToken
-            head = encoding.Head(
+            head = encoding.RequestHead(
                 header.RequestHandle,
                 header.ReturnDiagnostics,
                 header.TimeoutHint,
@@ -251,7 +253,9 @@ class Processor:
             return True
         return True if response is None else self._finish(response, request_id, head)
 
-    def _finish(self, response: Any, request_id: int, head: encoding.Head) -> Portions:
+    def _finish(
+        self, response: Any, request_id: int, head: encoding.RequestHead
+    ) -> Portions:
         """Send the answer when the request has been carried out."""
         try:
             if inspect.iscoroutine(response):
@@ -323,7 +327,7 @@ class Processor:
             raise ServiceError(_Codes.BadTimeout)
         return self._answer(session, *SERVICES[service], body)
 
-    def _has_expired(self, head: encoding.Head) -> bool:
+    def _has_expired(self, head: encoding.RequestHead) -> bool:
         """Whether the client has given this request up long ago, as we stood still.
 
         Only of clients that share our clock. One that gives local time would always be too late.

@@ -187,7 +187,9 @@ class Session:
             raise ServiceError(_Codes.BadSubscriptionIdInvalid)
         return found  # type: ignore[no-any-return]
 
-    def publish(self, head: encoding.Head, request_id: int, body: Buffer) -> None:
+    def publish(
+        self, head: encoding.RequestHead, request_id: int, body: Buffer
+    ) -> None:
         """Take a Publish request: process its acknowledgements, and keep it for later."""
         n_own = len(self.subscriptions)
         if not n_own and not self._status_changes:

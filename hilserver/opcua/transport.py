@@ -20,7 +20,7 @@ from asyncua import ua
 from asyncua.common.connection import TransportLimits
 from asyncua.server.binary_server_asyncio import BinaryServer
 
-from hilserver.opcua.frames import FrameReader, Stage, TransportError
+from hilserver.opcua.frames import ConnectionStage, FrameReader, TransportError
 from hilserver.opcua.login import release_session
 from hilserver.opcua.logs import log
 from hilserver.opcua.loopback import is_loopback, is_own_program
@@ -50,7 +50,7 @@ class Connection(asyncio.Protocol):
         self._frames: deque[tuple[bytes, bytes]] = deque()
         self._queued_bytes = 0
         self._is_reading = True
-        self._stage = Stage.NEW
+        self._stage = ConnectionStage.NEW
         self._stage_since_s = self._parts_since_s = self._unread_since_s = 0.0
         self._work: Portions | None = None
         self._waiting: Running | None = None
@@ -196,7 +196,10 @@ class Connection(asyncio.Protocol):
     @property
     def is_active(self) -> bool:
         """Whether a session is active on this connection, and it is not closing."""
-        return self.processor.stage is Stage.ACTIVE and not self.transport.is_closing()
+        return (
+            self.processor.stage is ConnectionStage.ACTIVE
+            and not self.transport.is_closing()
+        )
 
     def check_deadlines(self, now_s: float) -> None:
         """Close the connection if it keeps us waiting."""
@@ -219,7 +222,7 @@ class Connection(asyncio.Protocol):
             if s and self._is_reading
         ]
         is_late = any(now_s - since > limit_s for since in since_s)
-        if self.processor.stage is not Stage.ACTIVE:
+        if self.processor.stage is not ConnectionStage.ACTIVE:
             is_late = is_late or self._stays_too_long(now_s)
         if is_late:
             self.processor.refuse(_Codes.BadTimeout, "the rest did not come in time")
@@ -227,7 +230,7 @@ class Connection(asyncio.Protocol):
     def _stays_too_long(self, now_s: float) -> bool:
         """Whether it has been without a session for longer than its stage allows."""
         stayed_s = now_s - self._stage_since_s
-        is_open = self.processor.stage is Stage.OPEN
+        is_open = self.processor.stage is ConnectionStage.OPEN
         if stayed_s <= (
             LOGIN_DEADLINE_S if is_open else READ_DEADLINE_S - 2 * _SWEEP_S
         ):

@@ -59,7 +59,7 @@ _SUFFIXES = {".der", ".pem", ".crt", ".cer", ".crl"}
 _MIN_KEY_BITS, _MAX_KEY_BITS = 2048, 4096
 
 
-class Verdict(StrEnum):
+class CertificateVerdict(StrEnum):
     """What is wrong with a certificate; the values are names of OPC UA status codes."""
 
     GOOD = "Good"
@@ -172,7 +172,7 @@ class TrustList:
         *,
         use: x509.ObjectIdentifier = ExtendedKeyUsageOID.CLIENT_AUTH,
         only: x509.Certificate | None = None,
-    ) -> Verdict:
+    ) -> CertificateVerdict:
         """Judge the certificate (DER) of a peer, in the order of OPC 10000-4, 6.1.3.
 
         The application URI is not known at this point; the session compares it.
@@ -189,11 +189,11 @@ class TrustList:
             key = certificate.public_key()
             _ = certificate.extensions
         except (ValueError, TypeError):
-            return Verdict.INVALID
+            return CertificateVerdict.INVALID
         now = now or datetime.now(UTC)
         trusted, revoked = self._trusted.refresh(), self._revoked.refresh()
         if thumbprint(certificate) in revoked.certificates:
-            return Verdict.REVOKED
+            return CertificateVerdict.REVOKED
         known = trusted.certificates if only is None else {thumbprint(only): only}
         if self.ours is not None and use == ExtendedKeyUsageOID.CLIENT_AUTH:
             known = {**known, thumbprint(self.ours): self.ours}
@@ -201,25 +201,29 @@ class TrustList:
         if thumbprint(certificate) not in known:
             issuer = _issuer_of(certificate, known.values())
             if issuer is None:
-                return Verdict.UNTRUSTED
+                return CertificateVerdict.UNTRUSTED
         if not isinstance(key, rsa.RSAPublicKey) or not _is_strong(certificate, key):
-            return Verdict.POLICY
+            return CertificateVerdict.POLICY
         if (
             not certificate.not_valid_before_utc
             <= now
             <= certificate.not_valid_after_utc
         ):
-            return Verdict.TIME
+            return CertificateVerdict.TIME
         if (
             issuer
             and not issuer.not_valid_before_utc <= now <= issuer.not_valid_after_utc
         ):
-            return Verdict.ISSUER_TIME
+            return CertificateVerdict.ISSUER_TIME
         if not _may_authenticate(certificate, use):
-            return Verdict.USE
+            return CertificateVerdict.USE
         if issuer and _is_on_a_list(certificate, issuer, revoked.lists):
-            return Verdict.REVOKED
-        return Verdict.REVOCATION_UNKNOWN if revoked.unread else Verdict.GOOD
+            return CertificateVerdict.REVOKED
+        return (
+            CertificateVerdict.REVOCATION_UNKNOWN
+            if revoked.unread
+            else CertificateVerdict.GOOD
+        )
 
     def judge_server(
         self,
@@ -229,17 +233,17 @@ class TrustList:
         now: datetime | None = None,
         *,
         only: x509.Certificate | None = None,
-    ) -> Verdict:
+    ) -> CertificateVerdict:
         """Judge the certificate of a server that we connect to; the host is the client's check."""
         verdict = self.judge(data, now, use=ExtendedKeyUsageOID.SERVER_AUTH, only=only)
-        if verdict is not Verdict.GOOD:
+        if verdict is not CertificateVerdict.GOOD:
             return verdict
         certificate = parse_certificate(data)
         if _plain_host(host) not in map(_plain_host, host_names(certificate)):
-            return Verdict.HOST
+            return CertificateVerdict.HOST
         if application_uri not in application_uris(certificate):
-            return Verdict.URI
-        return Verdict.GOOD
+            return CertificateVerdict.URI
+        return CertificateVerdict.GOOD
 
     def has_kept_many(self, address: str) -> bool:
         """Whether `KEPT_AT_ONCE` certificates of an address were kept recently."""

@@ -20,7 +20,7 @@ from hilserver.plant.parts import (
     RangeFinders,
 )
 from hilserver.plant.quantity import quantity, refused
-from hilserver.plant.stability import Loop
+from hilserver.plant.stability import ControlLoop
 from hilserver.plant.terms import TERMS, complete
 from hilserver.plant.units import RPM_PER_RAD_S
 
@@ -75,7 +75,7 @@ NOT_FOR_TORQUE: Final = frozenset(("backlash", "viscous_load"))
 GEOMETRIC_GAINS: Final = ("geometric_skid", "geometric_diff")
 
 
-class Ranges(NamedTuple):
+class SpeedRanges(NamedTuple):
     """Limits of the wheel speeds and of the twist."""
 
     max_rpm: float
@@ -170,10 +170,10 @@ class RobotParameters:
         _check_loop(self)
 
     @property
-    def loop(self) -> Loop:
+    def loop(self) -> ControlLoop:
         """The nominal wheel speed loop."""
         c, process = self.controller, self.process
-        return Loop(
+        return ControlLoop(
             gain=process.gain,
             t1_s=process.t1_s,
             t2_s=process.t2_s,
@@ -228,10 +228,10 @@ class RobotParameters:
         return 2.0 * self.k_om * self.max_linear_m_s
 
     @property
-    def ranges(self) -> Ranges:
+    def ranges(self) -> SpeedRanges:
         """The limits that max_rpm sets."""
         lateral_m_s = self.max_linear_m_s if self.is_mecanum else 0.0
-        return Ranges(
+        return SpeedRanges(
             self.max_rpm, self.max_linear_m_s, self.max_angular_rad_s, lateral_m_s
         )
 

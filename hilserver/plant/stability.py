@@ -97,7 +97,7 @@ def inside_unit_circle(a: float, b: float, c: float, d: float) -> bool:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Loop:
+class ControlLoop:
     """A PI(D) controller around the process of equation (5.23)."""
 
     gain: float  # speed per duty [rpm/%]

@@ -25,7 +25,7 @@ _AT_ONCE: Final = 4096
 
 
 @dataclass(frozen=True)
-class Answer:
+class FlipTest:
     """Result of the test."""
 
     p: float
@@ -56,7 +56,7 @@ def seen(differences: Array, shown: Array) -> Array:
     return np.where(counted & is_enough, differences, 0.0)
 
 
-def gains(differences: Array, rng: np.random.Generator) -> Answer:
+def gains(differences: Array, rng: np.random.Generator) -> FlipTest:
     """Test whether the deviance falls: one-sided, by flipped signs.
 
     Parameters
@@ -67,19 +67,19 @@ def gains(differences: Array, rng: np.random.Generator) -> Answer:
     counted = differences[np.isfinite(differences) & (differences != 0.0)]
     n = len(counted)
     if n == 0:
-        return Answer(1.0, 1.0, 0)
+        return FlipTest(1.0, 1.0, 0)
     # the same signs in another order differ by rounding
     least = float(counted.sum()) - 1e-12 * float(np.abs(counted).sum())
     if 2**n <= MOST_FLIPS:
         signs = 1.0 - 2.0 * ((np.arange(2**n)[:, None] >> np.arange(n)) & 1)
         reached = int(np.count_nonzero(signs @ counted >= least))
-        return Answer(reached / 2**n, 0.5**n, n)
+        return FlipTest(reached / 2**n, 0.5**n, n)
     reached = done = 0
     while done < MOST_FLIPS:
         signs = 1.0 - 2.0 * rng.integers(0, 2, size=(_AT_ONCE, n))
         reached += int(np.count_nonzero(signs @ counted >= least))
         done += _AT_ONCE
-    return Answer((reached + 1) / (done + 1), 1.0 / (done + 1), n)
+    return FlipTest((reached + 1) / (done + 1), 1.0 / (done + 1), n)
 
 
 def fewest_blocks(level: float) -> int:

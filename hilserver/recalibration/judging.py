@@ -39,8 +39,14 @@ from hilserver.measured.reading import read_measured
 from hilserver.parameters import geometric_gain, with_values
 from hilserver.plant.parameters import RobotParameters
 from hilserver.recalibration import flips
-from hilserver.recalibration.orders import Compared, Looked, Order, Result, Values
-from hilserver.recalibration.proposals import Quantity, Term, values_of
+from hilserver.recalibration.orders import (
+    JudgeOrder,
+    JudgeResult,
+    Looked,
+    ModelsCompared,
+    Values,
+)
+from hilserver.recalibration.proposals import ProposedTerm, Quantity, values_of
 from hilserver.recalibration.spending import NAMED_LEVEL
 
 REFINED: Final = (
@@ -52,10 +58,10 @@ PROPOSABLE: Final = (Verdict.NAMED, Verdict.NAMED_GROUP)
 UNPROPOSED: Final = (Verdict.DRIFT, Verdict.EFFECTIVE)
 
 
-class Judge:
+class OrderJudge:
     """Does what an order asks for; reads the window once."""
 
-    def __init__(self, order: Order) -> None:
+    def __init__(self, order: JudgeOrder) -> None:
         self._order, self._todo = order, order.todo
         config = Config.model_validate(order.config)
         assembly = assemble_config(config, Path(order.folder))
@@ -71,7 +77,7 @@ class Judge:
         """The window; LogError if it is damaged or has nothing to judge."""
         return read_measured([Path(self._order.path)], None, self._sampling)
 
-    def result(self) -> Result:
+    def result(self) -> JudgeResult:
         """Carry out the order; anything wrong with the window becomes the error sentence."""
         todo, measure, confirm, look = self._todo, None, None, None
         try:
@@ -83,8 +89,8 @@ class Judge:
             if todo.look and not is_confirmed:
                 look = self._look()
         except UserError as error:
-            return Result(measure, confirm, error=str(error))
-        return Result(measure, confirm, look)
+            return JudgeResult(measure, confirm, error=str(error))
+        return JudgeResult(measure, confirm, look)
 
     def _look(self) -> Looked:
         running = self._todo.loaded
@@ -149,7 +155,7 @@ class Judge:
             return Looked("too_small", sentence_of(small), causes)
         return Looked("as_running" if self._todo.loaded else "nothing")
 
-    def _with_running(self, found: dict[str, Term]) -> dict[str, Term]:
+    def _with_running(self, found: dict[str, ProposedTerm]) -> dict[str, ProposedTerm]:
         """Add the running terms that were not found; drop a cause that makes this window worse.
 
         Parameters
@@ -159,7 +165,9 @@ class Judge:
         """
         loaded = self._todo.loaded
         unseen = {
-            n: Term(v, unit_of(n), None, v) for n, v in loaded.items() if n not in found
+            n: ProposedTerm(v, unit_of(n), None, v)
+            for n, v in loaded.items()
+            if n not in found
         }
         terms = {**found, **unseen}
         level = self._level(terms)
@@ -172,7 +180,7 @@ class Judge:
             terms = less if again.holds(level) else terms
         return terms
 
-    def _shows(self, own: Mapping[str, Term]) -> bool:
+    def _shows(self, own: Mapping[str, ProposedTerm]) -> bool:
         """Whether a running cause is large enough that its absence would be seen."""
         return any(
             is_changed(name, term, part_of(name).null, self._least_change)
@@ -180,7 +188,7 @@ class Judge:
             if not part_of(name).shape
         )
 
-    def _level(self, terms: Mapping[str, Term]) -> float:
+    def _level(self, terms: Mapping[str, ProposedTerm]) -> float:
         """Return the level of each comparison of a look, of which there may be one per term."""
         return NAMED_LEVEL / (2 * max(len({*terms, *self._todo.loaded}), 1))
 
@@ -204,17 +212,17 @@ def steady(diagnosis: Diagnosis) -> list[FittedTerm]:
 
 def proposed(
     found: Iterable[FittedTerm], loaded: Values, least_change: float
-) -> dict[str, Term]:
+) -> dict[str, ProposedTerm]:
     """Return the terms that were found; one that changes too little keeps its present value.
 
     A cause that is off stays off unless one of its sizes has changed.
     """
-    causes: dict[str, dict[str, Term]] = {}
+    causes: dict[str, dict[str, ProposedTerm]] = {}
     for fitted in found:
         p, name = fitted.parameter, fitted.name
         own = causes.setdefault(cause_of(name).name, {})
-        own[name] = Term(p.value, p.unit, p.ci95, loaded.get(name))
-    terms: dict[str, Term] = {}
+        own[name] = ProposedTerm(p.value, p.unit, p.ci95, loaded.get(name))
+    terms: dict[str, ProposedTerm] = {}
     for own in causes.values():
         changed = {
             n for n, t in own.items() if is_changed(n, t, now_of(n, t), least_change)
@@ -228,12 +236,14 @@ def proposed(
     return terms
 
 
-def now_of(name: str, term: Term) -> float | None:
+def now_of(name: str, term: ProposedTerm) -> float | None:
     """Return the present value of a term; None if it is off and has no neutral value."""
     return part_of(name).null if term.present is None else term.present
 
 
-def is_changed(name: str, term: Term, now: float | None, least_change: float) -> bool:
+def is_changed(
+    name: str, term: ProposedTerm, now: float | None, least_change: float
+) -> bool:
     """Return whether the interval of a term is further than the least change from a value.
 
     Parameters
@@ -260,7 +270,7 @@ def fixed(values: Values) -> Model:
 
 def compared(
     log: MeasuredLog, robot: RobotParameters, before: Values, after: Values
-) -> Compared:
+) -> ModelsCompared:
     """Compare two models, neither of which has seen a log, block by block.
 
     The noise is that which the model before leaves: it may hide a gain, and never makes one.
@@ -280,7 +290,7 @@ def compared(
             n: Quantity(g.before, g.after, g.ratio, g.ci95) for n, g in found.items()
         }
     seen = flips.seen(np.concatenate(differences), np.concatenate(shown))
-    return Compared(**asdict(flips.gains(seen, rng)), gain=gain)
+    return ModelsCompared(**asdict(flips.gains(seen, rng)), gain=gain)
 
 
 def _points(problem: Problem, before: Model, after: Model) -> tuple[Point, Point]:

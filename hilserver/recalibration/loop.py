@@ -10,14 +10,20 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from hilserver.errors import ControlRefused
-from hilserver.recalibration.flips import Answer, fewest_blocks
-from hilserver.recalibration.orders import Compared, Looked, Result, Todo, Values
+from hilserver.recalibration.flips import FlipTest, fewest_blocks
+from hilserver.recalibration.orders import (
+    JudgeResult,
+    Looked,
+    ModelsCompared,
+    Todo,
+    Values,
+)
 from hilserver.recalibration.proposals import (
     Proposal,
+    ProposalStage,
+    ProposedTerm,
     Quantity,
-    Stage,
     Step,
-    Term,
     values_of,
 )
 from hilserver.recalibration.spending import Spending
@@ -38,7 +44,7 @@ class Note:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class WaitingWindow:
     """What one window shows, waiting for the next to confirm it."""
 
     window: int
@@ -47,7 +53,7 @@ class Candidate:
     level: float
 
 
-class Loop:
+class RecalibrationLoop:
     """The rules.
 
     Parameters
@@ -60,7 +66,7 @@ class Loop:
 
     def __init__(self, every_s: float | None, spending: Spending, now_s: float) -> None:
         self._every_s, self._spending, self._looked_s = every_s, spending, now_s
-        self._candidate: Candidate | None = None
+        self._candidate: WaitingWindow | None = None
         self._rejected: deque[Proposal] = deque(maxlen=REMEMBERED)
         self._accepted_in: int | None = None
         self.proposal: Proposal | None = None  # the newest
@@ -83,7 +89,7 @@ class Loop:
 
     def _is_undone(self, loaded: Values) -> bool:
         """Whether the running model is no longer that of the accepted proposal."""
-        if self.proposal is None or self.proposal.stage is not Stage.ACCEPTED:
+        if self.proposal is None or self.proposal.stage is not ProposalStage.ACCEPTED:
             return False
         return values_of(self.proposal.terms) != loaded
 
@@ -96,7 +102,7 @@ class Loop:
         began = self._accepted_in
         if (
             proposal is not None
-            and proposal.stage is Stage.ACCEPTED
+            and proposal.stage is ProposalStage.ACCEPTED
             and began is not None
         ):
             measure = present(proposal) if window > began else None
@@ -115,7 +121,7 @@ class Loop:
             else None
         )
 
-    def take(self, todo: Todo, result: Result, now_s: float) -> list[Note]:
+    def take(self, todo: Todo, result: JudgeResult, now_s: float) -> list[Note]:
         """Take the result of a window; return what is to be recorded and announced."""
         notes: list[Note] = []
         if result.error:
@@ -143,7 +149,7 @@ class Loop:
         self.changed = None
         level = self._spending.confirmation(since_s)
         if look.verdict == "named":
-            self._candidate = Candidate(todo.window, todo.loaded, look, level)
+            self._candidate = WaitingWindow(todo.window, todo.loaded, look, level)
         spent = {"joint": self._spending.joint(since_s), "confirmation": level}
         found = {
             "verdict": look.verdict,
@@ -154,7 +160,7 @@ class Loop:
             "look", {"window": todo.window, **found, "p": look.p, "spent": spent}
         )
 
-    def _confirmed(self, todo: Todo, compared: Compared) -> list[Note]:
+    def _confirmed(self, todo: Todo, compared: ModelsCompared) -> list[Note]:
         candidate, self._candidate = self._candidate, None
         if candidate is None:
             return []
@@ -204,9 +210,9 @@ class Loop:
             Note("proposal", {"proposal": made.as_json()}, announced(made), 400),
         ]
 
-    def _measured(self, todo: Todo, compared: Compared) -> list[Note]:
+    def _measured(self, todo: Todo, compared: ModelsCompared) -> list[Note]:
         before = self.proposal
-        if before is None or before.stage is not Stage.ACCEPTED:
+        if before is None or before.stage is not ProposalStage.ACCEPTED:
             return []
         fields: dict[str, Any] = {"window": todo.window, "p": compared.p}
         if not compared.resolves(
@@ -258,9 +264,9 @@ class Loop:
             Window that is being written, which contains both models.
         """
         self.proposal, self._candidate = decided, None
-        if decided.stage is Stage.REJECTED:
+        if decided.stage is ProposalStage.REJECTED:
             self._rejected.append(decided)
-        if decided.stage is Stage.ACCEPTED:
+        if decided.stage is ProposalStage.ACCEPTED:
             self._accepted_in, self.changed = recording, None
 
     def restore(
@@ -278,9 +284,9 @@ class Loop:
             except (ValueError, KeyError):
                 continue  # a line of another kind or version
             self.proposal = found
-            if found.stage is Stage.REJECTED:
+            if found.stage is ProposalStage.REJECTED:
                 self._rejected.append(found)
-        if self.proposal is not None and self.proposal.stage is Stage.ACCEPTED:
+        if self.proposal is not None and self.proposal.stage is ProposalStage.ACCEPTED:
             self._accepted_in = window
             if self._is_undone(loaded):
                 self.proposal, self._accepted_in = (
@@ -289,7 +295,7 @@ class Loop:
                 )
 
 
-def too_little(window: int, answer: Answer, level: float) -> str:
+def too_little(window: int, answer: FlipTest, level: float) -> str:
     """Explain why a window cannot tell which of two models is better."""
     return (
         f"In {answer.blocks} stretches of window {window} the robot moved so that the two models"
@@ -319,7 +325,8 @@ def back(proposal: Proposal, number: int, window: int) -> Proposal:
         sentence=f"Proposal {proposal.number} did not make the gap smaller: return to the"
         " previous model.",
         terms={
-            n: Term(v, units.get(n, "1"), None, now.get(n)) for n, v in before.items()
+            n: ProposedTerm(v, units.get(n, "1"), None, now.get(n))
+            for n, v in before.items()
         },
         gone={name: value for name, value in now.items() if name not in before},
         windows=(*proposal.windows, window),

@@ -7,8 +7,8 @@ from typing import Any, Final
 
 from pydantic import TypeAdapter
 
-from hilserver.recalibration.flips import Answer
-from hilserver.recalibration.proposals import STRICT, Quantity, Term
+from hilserver.recalibration.flips import FlipTest
+from hilserver.recalibration.proposals import STRICT, ProposedTerm, Quantity
 
 Values = Mapping[str, float]  # terms of the plant by name; absent: off
 
@@ -39,7 +39,7 @@ class Share:
 
 
 @dataclass(frozen=True)
-class Order:
+class JudgeOrder:
     """A `Todo` with everything the process needs."""
 
     __pydantic_config__ = STRICT
@@ -58,13 +58,13 @@ class Order:
         return json.dumps(asdict(self))
 
     @classmethod
-    def of(cls, text: str) -> "Order":
+    def of(cls, text: str) -> "JudgeOrder":
         """Return the order of a text."""
         return _ORDER.validate_json(text)
 
 
 @dataclass(frozen=True)
-class Compared(Answer):
+class ModelsCompared(FlipTest):
     """Which of two models explains a window better."""
 
     gain: Mapping[str, Quantity] = field(default_factory=dict)  # by quantity
@@ -79,7 +79,7 @@ class Looked:
     sentence: str = ""
     causes: tuple[str, ...] = ()
     # of the model that would be proposed, all of them
-    terms: Mapping[str, Term] = field(default_factory=dict)
+    terms: Mapping[str, ProposedTerm] = field(default_factory=dict)
     gone: Values = field(
         default_factory=dict
     )  # running terms that would be switched off
@@ -90,13 +90,13 @@ class Looked:
 
 
 @dataclass(frozen=True)
-class Result:
+class JudgeResult:
     """The result of an order; parts that were not ordered are None."""
 
     __pydantic_config__ = STRICT
 
-    measure: Compared | None = None
-    confirm: Compared | None = None
+    measure: ModelsCompared | None = None
+    confirm: ModelsCompared | None = None
     look: Looked | None = None
     error: str = ""
 
@@ -105,7 +105,7 @@ class Result:
         return json.dumps(asdict(self))
 
     @classmethod
-    def of(cls, text: str) -> "Result":
+    def of(cls, text: str) -> "JudgeResult":
         """Parse a result; ValueError if the text is not one."""
         result = _RESULT.validate_json(text)
         if missing := asdict(result).keys() - json.loads(text).keys():
@@ -113,5 +113,5 @@ class Result:
         return result
 
 
-_ORDER: Final = TypeAdapter(Order)
-_RESULT: Final = TypeAdapter(Result)
+_ORDER: Final = TypeAdapter(JudgeOrder)
+_RESULT: Final = TypeAdapter(JudgeResult)

@@ -20,11 +20,11 @@ from hilserver.metrics import Source
 from hilserver.recalibration import patches, process
 from hilserver.recalibration.gap import ChangeWatch
 from hilserver.recalibration.history import History, broken, is_sound
-from hilserver.recalibration.loop import Loop, Note, present
-from hilserver.recalibration.orders import Order, Share, Todo, Values
-from hilserver.recalibration.proposals import Proposal, Stage, Step
+from hilserver.recalibration.loop import Note, RecalibrationLoop, present
+from hilserver.recalibration.orders import JudgeOrder, Share, Todo, Values
+from hilserver.recalibration.proposals import Proposal, ProposalStage, Step
 from hilserver.recalibration.spending import Spending
-from hilserver.recalibration.windows import News, Window
+from hilserver.recalibration.windows import RecalibrationWindow, WindowNews
 from hilserver.tasks import SupervisedTask
 
 LOOK_FOR_WINDOWS_S: Final = 1.0
@@ -83,10 +83,12 @@ class Recalibration(Part):
                 f"{self._folder}: {(error.strerror or str(error)).lower()}"
             ) from None
         self._history = History(self._folder)
-        self._news = News(self._folder)
+        self._news = WindowNews(self._folder)
         config = self._config
         begun_s = self._news.last * config.window_s
-        self.loop = Loop(config.every_s, Spending(config.false_per_year), begun_s)
+        self.loop = RecalibrationLoop(
+            config.every_s, Spending(config.false_per_year), begun_s
+        )
         sound = filter(is_sound, self._history.lines)
         self.loop.restore(sound, patches.split(self._differing)[0], self._news.last)
         if (line := broken(self._history.lines)) is not None:
@@ -130,7 +132,7 @@ class Recalibration(Part):
                 continue
             await self._next(window)
 
-    async def _next(self, window: Window) -> None:
+    async def _next(self, window: RecalibrationWindow) -> None:
         """Judge a complete window if one is due."""
         now_s = window.number * self._config.window_s
         async with self._turn:
@@ -141,7 +143,9 @@ class Recalibration(Part):
         if todo is not None:
             await self._judge(window, todo, now_s)
 
-    async def _judge(self, window: Window, todo: Todo, now_s: float) -> None:
+    async def _judge(
+        self, window: RecalibrationWindow, todo: Todo, now_s: float
+    ) -> None:
         sha256 = await asyncio.to_thread(lambda: window.sha256)
         order, limit_s = self._order(window, todo), self._config.limit
         self.figures.is_looking = True
@@ -154,21 +158,25 @@ class Recalibration(Part):
             for note in self.loop.take(todo, result, now_s):
                 self._note(note, window=window.number, sha256=sha256)
             made = self.loop.proposal
-            if made is not None and made is not before and made.stage is Stage.OPEN:
+            if (
+                made is not None
+                and made is not before
+                and made.stage is ProposalStage.OPEN
+            ):
                 await self._offer(made, order.report)
         if (
             made is not None
-            and made.stage is Stage.OPEN
+            and made.stage is ProposalStage.OPEN
             and self._config.accept == "automatic"
         ):
             await self._accept_by_itself(made)
 
-    def _order(self, window: Window, todo: Todo) -> Order:
+    def _order(self, window: RecalibrationWindow, todo: Todo) -> JudgeOrder:
         world, config = self._world, self._config
         _, others = patches.split(self._differing)
         cores = process.other_cores(world.pacing_thread(), config.cpu)
         memory = round(config.memory_mb * 1e6)
-        return Order(
+        return JudgeOrder(
             todo,
             str(window.path),
             without_passwords(world.config),
@@ -350,7 +358,9 @@ class Recalibration(Part):
 
     def _counted(self) -> Figures:
         proposal = self.loop.proposal if self._jobs else None
-        self.figures.waits = proposal is not None and proposal.stage is Stage.OPEN
+        self.figures.waits = (
+            proposal is not None and proposal.stage is ProposalStage.OPEN
+        )
         self.figures.changed = bool(self._jobs) and self.loop.changed is not None
         if proposal is not None and proposal.effect:
             self.figures.effect = {n: q.ratio for n, q in proposal.effect.items()}

@@ -23,7 +23,7 @@ from hilserver.parameters.table import TERM, Parameter
 from hilserver.program.whole_file import write_whole
 from hilserver.recalibration.loop import present
 from hilserver.recalibration.orders import Values
-from hilserver.recalibration.proposals import Proposal, Term
+from hilserver.recalibration.proposals import Proposal, ProposedTerm
 
 
 def split(values: Values) -> tuple[dict[str, float], dict[str, float]]:
@@ -45,7 +45,7 @@ def write(folder: Path, proposal: Proposal, others: Values, config_sha256: str) 
     FailedError
         If they cannot be written.
     """
-    before = {n: Term(v, _of(n).unit) for n, v in present(proposal).items()}
+    before = {n: ProposedTerm(v, _of(n).unit) for n, v in present(proposal).items()}
     made_from = MadeFrom(config_sha256=config_sha256, version=__version__)
     for name, terms, off in (
         (proposal.patch, proposal.terms, proposal.gone.keys()),
@@ -66,7 +66,7 @@ def _of(term: str) -> Parameter:
 
 
 def _of_terms(
-    made_from: MadeFrom, terms: Mapping[str, Term], fitted: Any
+    made_from: MadeFrom, terms: Mapping[str, ProposedTerm], fitted: Any
 ) -> ModelPatch:
     """Return a patch of terms that states where they were fitted."""
     where = FittedIn.model_validate({**fitted, "conditions": "recalibration"})

@@ -9,7 +9,7 @@ from typing import Final
 
 from hilserver.errors import FailedError
 from hilserver.program import children
-from hilserver.recalibration.orders import Order, Result
+from hilserver.recalibration.orders import JudgeOrder, JudgeResult
 from hilserver.recalibration.windows import KEPT, SIGNALS, first_file
 from hilserver.time_limit import time_limit
 
@@ -19,7 +19,7 @@ RECORDER_STOP_S: Final = 5.0
 _PROCESSOR: Final = 36  # field of /proc/*/stat, behind the name
 
 
-async def looked(order: Order, folder: Path, limit_s: float) -> Result:
+async def looked(order: JudgeOrder, folder: Path, limit_s: float) -> JudgeResult:
     """Run a look; there is a result however its process ends.
 
     The order stays in the folder while the look runs. One that is found there at the start was left
@@ -29,11 +29,11 @@ async def looked(order: Order, folder: Path, limit_s: float) -> Result:
     try:
         await asyncio.to_thread(path.write_text, order.text(), encoding="utf-8")
     except OSError as error:
-        return Result(error=f"{path}: {(error.strerror or str(error)).lower()}")
+        return JudgeResult(error=f"{path}: {(error.strerror or str(error)).lower()}")
     try:
         return await _run(path, limit_s)
     except OSError as error:
-        return Result(
+        return JudgeResult(
             error=f"no process can be started: {(error.strerror or str(error)).lower()}"
         )
     finally:
@@ -41,7 +41,7 @@ async def looked(order: Order, folder: Path, limit_s: float) -> Result:
             path.unlink()
 
 
-async def _run(path: Path, limit_s: float) -> Result:
+async def _run(path: Path, limit_s: float) -> JudgeResult:
     async with children.started(
         children.python("-m", "hilserver.recalibration.worker", str(path)),
         name="recalibration",
@@ -53,11 +53,13 @@ async def _run(path: Path, limit_s: float) -> Result:
             async with time_limit(limit_s):
                 out, said = await process.communicate()
         except TimeoutError:
-            return Result(error=f"it took longer than {limit_s:g} s and was stopped")
+            return JudgeResult(
+                error=f"it took longer than {limit_s:g} s and was stopped"
+            )
     try:
-        return Result.of(out.decode())
+        return JudgeResult.of(out.decode())
     except ValueError:
-        return Result(error=_ended(process.returncode or 0, said))
+        return JudgeResult(error=_ended(process.returncode or 0, said))
 
 
 def cut_short(folder: Path) -> int | None:
@@ -72,7 +74,7 @@ def cut_short(folder: Path) -> int | None:
     except OSError:
         return None
     try:
-        return Order.of(text).todo.window
+        return JudgeOrder.of(text).todo.window
     except ValueError:
         return 0
 

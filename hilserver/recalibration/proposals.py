@@ -15,7 +15,7 @@ STRICT: Final = ConfigDict(strict=True, extra="forbid")
 """How proposals, orders and results are read: what another version has written is none of them."""
 
 
-class Stage(StrEnum):
+class ProposalStage(StrEnum):
     """Where a proposal is."""
 
     OPEN = "open"
@@ -39,21 +39,21 @@ class Step(StrEnum):
     LOST = "lost"
 
 
-_WAITING: Final = (Stage.OPEN, Stage.POSTPONED)
-FOLLOWING: Final[Mapping[Step, tuple[tuple[Stage, ...], Stage]]] = {
-    Step.ACCEPT: (_WAITING, Stage.ACCEPTED),
-    Step.REJECT: (_WAITING, Stage.REJECTED),
-    Step.POSTPONE: ((Stage.OPEN,), Stage.POSTPONED),
-    Step.REPLACE: ((*_WAITING, Stage.ACCEPTED), Stage.REPLACED),
-    Step.REOPEN: ((Stage.ACCEPTED,), Stage.OPEN),
-    Step.GAINED: ((Stage.ACCEPTED,), Stage.BETTER),
-    Step.LOST: ((Stage.ACCEPTED,), Stage.NOT_BETTER),
+_WAITING: Final = (ProposalStage.OPEN, ProposalStage.POSTPONED)
+FOLLOWING: Final[Mapping[Step, tuple[tuple[ProposalStage, ...], ProposalStage]]] = {
+    Step.ACCEPT: (_WAITING, ProposalStage.ACCEPTED),
+    Step.REJECT: (_WAITING, ProposalStage.REJECTED),
+    Step.POSTPONE: ((ProposalStage.OPEN,), ProposalStage.POSTPONED),
+    Step.REPLACE: ((*_WAITING, ProposalStage.ACCEPTED), ProposalStage.REPLACED),
+    Step.REOPEN: ((ProposalStage.ACCEPTED,), ProposalStage.OPEN),
+    Step.GAINED: ((ProposalStage.ACCEPTED,), ProposalStage.BETTER),
+    Step.LOST: ((ProposalStage.ACCEPTED,), ProposalStage.NOT_BETTER),
 }
 """For each step: the stages in which it is possible, and the one that follows."""
 
 
 @dataclass(frozen=True)
-class Term:
+class ProposedTerm:
     """One value of a proposal."""
 
     value: float  # of the term after acceptance
@@ -86,7 +86,7 @@ class Proposal:
     number: int
     causes: tuple[str, ...]
     sentence: str
-    terms: Mapping[str, Term]  # all that the patch has
+    terms: Mapping[str, ProposedTerm]  # all that the patch has
     # terms that are off once it is accepted, with what they have now
     gone: Mapping[str, float] = field(default_factory=dict)
     gain: Mapping[str, Quantity] = field(default_factory=dict)
@@ -99,7 +99,7 @@ class Proposal:
     former: str = ""
     report: str = ""
     windows: tuple[int, ...] = ()  # named on the first, confirmed on the second
-    stage: Stage = Stage.OPEN
+    stage: ProposalStage = ProposalStage.OPEN
     effect: Mapping[str, Quantity] = field(default_factory=dict)
 
     @property
@@ -160,11 +160,11 @@ class Proposal:
 _PROPOSAL: Final = TypeAdapter(Proposal)
 
 
-def values_of(terms: Mapping[str, Term]) -> dict[str, float]:
+def values_of(terms: Mapping[str, ProposedTerm]) -> dict[str, float]:
     """Return the values of terms."""
     return {name: term.value for name, term in terms.items()}
 
 
-def _meet(one: Term, other: Term) -> bool:
+def _meet(one: ProposedTerm, other: ProposedTerm) -> bool:
     a, b = one.interval, other.interval
     return a[0] <= b[1] and b[0] <= a[1]

@@ -70,7 +70,7 @@ def peer(endpoint: str) -> PeerConfig:
 
 
 @dataclass(frozen=True)
-class Piece:
+class DrivePiece:
     """One drive: its rows, and where it begins and ends."""
 
     length_s: float
@@ -80,11 +80,11 @@ class Piece:
     last: Pose
 
 
-def piece(seed: int, length_s: float, causes: Mapping[str, float]) -> Piece:
+def piece(seed: int, length_s: float, causes: Mapping[str, float]) -> DrivePiece:
     """Make a drive."""
     table, truth = make(replace(RAMPS, seed=seed, causes=causes, duration_s=length_s))
     first, last = truth.dense[0, 1:4].copy(), truth.dense[-1, 1:4].copy()
-    return Piece(length_s, table.t_s, table.columns, first, last)
+    return DrivePiece(length_s, table.t_s, table.columns, first, last)
 
 
 def rows(seed: int) -> Iterator[tuple[float, dict[str, float]]]:
@@ -100,7 +100,7 @@ def rows(seed: int) -> Iterator[tuple[float, dict[str, float]]]:
         begin_s += made.length_s
 
 
-def _pieces(seed: int) -> Iterator[Piece]:
+def _pieces(seed: int) -> Iterator[DrivePiece]:
     """Yield one drive after the other.
 
     The next one is made in a process of its own; in this one it would block the server for seconds.

@@ -26,7 +26,7 @@ _NAME: Final = re.compile(rf"{STEM}_(\d{{4,6}}){re.escape(SUFFIX)}")
 
 
 @dataclass(frozen=True)
-class Window:
+class RecalibrationWindow:
     """One window."""
 
     number: int
@@ -47,21 +47,23 @@ def first_file(folder: Path) -> Path:
     return folder / f"{STEM}{SUFFIX}"
 
 
-def complete(folder: Path) -> Sequence[Window]:
+def complete(folder: Path) -> Sequence[RecalibrationWindow]:
     """Return the complete windows, oldest first; the newest file is still being written."""
     return _all(folder)[:-1]
 
 
-def _all(folder: Path) -> list[Window]:
+def _all(folder: Path) -> list[RecalibrationWindow]:
     try:
         names = [path for path in folder.iterdir() if _NAME.fullmatch(path.name)]
     except OSError:
         return []
-    found = [Window(int(path.stem.rpartition("_")[2]), path) for path in names]
+    found = [
+        RecalibrationWindow(int(path.stem.rpartition("_")[2]), path) for path in names
+    ]
     return sorted(found, key=lambda window: window.number)
 
 
-class News:
+class WindowNews:
     """Reports each window once when it is complete."""
 
     def __init__(self, folder: Path) -> None:
@@ -69,7 +71,7 @@ class News:
         # all files found at the start were left by an earlier run
         self.last = max((one.number for one in _all(folder)), default=0)
 
-    def next(self) -> Window | None:
+    def next(self) -> RecalibrationWindow | None:
         """Return the newest window that has become complete; older ones are skipped."""
         found = complete(self._folder)
         if not found or found[-1].number <= self.last:

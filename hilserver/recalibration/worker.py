@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from hilserver.program.workers import end_with_parent, lower
-from hilserver.recalibration.orders import Order, Result, Share
+from hilserver.recalibration.orders import JudgeOrder, JudgeResult, Share
 
 
 def take(share: Share) -> None:
@@ -28,17 +28,17 @@ def take(share: Share) -> None:
 
 def main() -> int:
     """Carry out an order; print its result as the only line."""
-    order = Order.of(Path(sys.argv[1]).read_text(encoding="utf-8"))
+    order = JudgeOrder.of(Path(sys.argv[1]).read_text(encoding="utf-8"))
     if order.share.parent:
         end_with_parent(order.share.parent)
     take(order.share)
     try:
-        from hilserver.recalibration.judging import Judge  # noqa: PLC0415 - within its share
+        from hilserver.recalibration.judging import OrderJudge  # noqa: PLC0415 - within its share
 
-        result = Judge(order).result()
+        result = OrderJudge(order).result()
     except MemoryError:
         limit = order.share.memory_bytes / 1e6
-        result = Result(
+        result = JudgeResult(
             error=f"it needs more memory than recalibration.memory_mb, {limit:.0f} MB"
         )
     print(result.text(), flush=True)

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from hilserver.ros import incoming, outgoing
 from hilserver.ros.qos import DEFAULT, LATCHED, SENSOR_DATA, Qos
-from hilserver.ros.robot import Robot
+from hilserver.ros.robot import RosFrame
 
 FAST_S, ODOMETRY_S, STATUS_S = 0.02, 0.1, 0.5
 FLOATS: Final = "std_msgs/msg/Float32MultiArray"
@@ -23,7 +23,7 @@ class Published:
 
     topic: str
     type: str
-    make: Callable[[Robot], Iterator[Any]]
+    make: Callable[[RosFrame], Iterator[Any]]
     period_s: float | None = FAST_S
     qos: Qos = DEFAULT
 
@@ -44,7 +44,7 @@ class Subscribed:
 
     topic: str
     type: str
-    take: Callable[[Robot, Any], incoming.Values]
+    take: Callable[[RosFrame, Any], incoming.Values]
     commands: bool = True
     qos: Qos = SENSOR_DATA
     made_from: tuple[str, ...] = ()
@@ -56,7 +56,7 @@ class Served:
 
     name: str
     type: str
-    serve: Callable[[Robot, Any], incoming.Answer]
+    serve: Callable[[RosFrame, Any], incoming.Answer]
 
 
 @dataclass(frozen=True)

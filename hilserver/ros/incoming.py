@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from hilserver.plant.layout import WHEELS
 from hilserver.ros import outgoing
-from hilserver.ros.robot import Robot
+from hilserver.ros.robot import RosFrame
 from hilserver.signals import LIGHTS
 
 Values = dict[str, object]
@@ -54,7 +54,7 @@ def _speeds(by_wheel: Mapping[str, float]) -> Values:
     }
 
 
-def rpm(robot: Robot, message: Any) -> Values:
+def rpm(robot: RosFrame, message: Any) -> Values:
     """RotationSpeed: set-points with the signs of the plant."""
     del robot
     return _speeds(
@@ -73,12 +73,12 @@ def _four(message: Any) -> Sequence[float]:
     return [float(number) for number in message.data]
 
 
-def rpm_thesis(robot: Robot, message: Any) -> Values:
+def rpm_thesis(robot: RosFrame, message: Any) -> Values:
     """Float32MultiArray in the configured order, with the signs of the plant."""
     return _speeds(dict(zip(robot.array_order, _four(message), strict=True)))
 
 
-def motor_rpm(robot: Robot, message: Any) -> Values:
+def motor_rpm(robot: RosFrame, message: Any) -> Values:
     """Float32MultiArray with the order and signs of edu_robot."""
     del robot
     return _speeds(
@@ -86,12 +86,12 @@ def motor_rpm(robot: Robot, message: Any) -> Values:
     )
 
 
-def velocity(robot: Robot, message: Any) -> Values:
+def velocity(robot: RosFrame, message: Any) -> Values:
     """Twist: scaled down as a whole if it exceeds the limits of the robot."""
     return _twist(robot, message.linear.x, message.linear.y, message.angular.z)
 
 
-def _twist(robot: Robot, forward: float, left: float, turn: float) -> Values:
+def _twist(robot: RosFrame, forward: float, left: float, turn: float) -> Values:
     shape = robot.shape
     if shape.max_lateral_m_s == 0.0 and left:
         robot.ignore("lateral")
@@ -109,23 +109,23 @@ def _twist(robot: Robot, forward: float, left: float, turn: float) -> Values:
     }
 
 
-def when_remote(robot: Robot, message: Any) -> Values:
+def when_remote(robot: RosFrame, message: Any) -> Values:
     """Twist while edu_robot is driven by hand."""
     return {} if robot.autonomous else velocity(robot, message)
 
 
-def when_autonomous(robot: Robot, message: Any) -> Values:
+def when_autonomous(robot: RosFrame, message: Any) -> Values:
     """Twist while edu_robot drives by itself."""
     return velocity(robot, message) if robot.autonomous else {}
 
 
-def axes(robot: Robot, message: Any) -> Values:
+def axes(robot: RosFrame, message: Any) -> Values:
     """Joy: the axes as the real motion node reads them."""
     robot.extended_axes = True
     return _axes(robot, message)
 
 
-def _axes(robot: Robot, message: Any) -> Values:
+def _axes(robot: RosFrame, message: Any) -> Values:
     if len(message.axes) <= max(AXES.values()):
         raise ValueError(
             f"a Joy with {len(message.axes)} axes; driving takes axes 0, 1, 3 and 5"
@@ -140,7 +140,7 @@ def _axes(robot: Robot, message: Any) -> Values:
     )
 
 
-def gamepad(robot: Robot, message: Any) -> Values:
+def gamepad(robot: RosFrame, message: Any) -> Values:
     """Joy: lights and enable at edges of buttons; axes, unless they come by ``joy_extended``."""
     buttons = [int(button) for button in message.buttons]
     before = robot.buttons + [0] * (len(buttons) - len(robot.buttons))
@@ -164,7 +164,7 @@ def is_at_rest(values: Values) -> bool:
     return bool(numbers) and not any(numbers)
 
 
-def lights_color(robot: Robot, message: Any) -> Values:
+def lights_color(robot: RosFrame, message: Any) -> Values:
     """Int16: the shield's code of a light pattern (0x42 ...) or its number from 0 on."""
     del robot
     return {"lights.command": _pattern(int(message.data))}
@@ -180,7 +180,7 @@ def _pattern(code: int) -> int:
     return number
 
 
-def lighting(robot: Robot, message: Any) -> Values:
+def lighting(robot: RosFrame, message: Any) -> Values:
     """SetLightingColor of edu_robot."""
     if message.mode >= len(LIGHTING_MODES):
         raise ValueError(f"there is no lighting mode {message.mode}")
@@ -205,18 +205,18 @@ Answer = tuple[Values, Callable[[bool], Any]]
 """Values to write, and a function that makes the response once the gate has decided."""
 
 
-def _sent(robot: Robot, service: str) -> Callable[[bool], Any]:
+def _sent(robot: RosFrame, service: str) -> Callable[[bool], Any]:
     return lambda ok: robot.make(
         f"iotbot_interface/srv/{service}_Response", sending_succesfull=ok
     )
 
 
-def send_enable(robot: Robot, request: Any) -> Answer:
+def send_enable(robot: RosFrame, request: Any) -> Answer:
     """Enable or disable the drive."""
     return {"drive.enable": bool(request.enable)}, _sent(robot, "SendEnable")
 
 
-def send_lighting(robot: Robot, request: Any) -> Answer:
+def send_lighting(robot: RosFrame, request: Any) -> Answer:
     """Set pattern and colour."""
     answer = _sent(robot, "SendLighting")
     try:
@@ -228,20 +228,20 @@ def send_lighting(robot: Robot, request: Any) -> Answer:
     ), answer
 
 
-def send_imu_mode(robot: Robot, request: Any) -> Answer:
+def send_imu_mode(robot: RosFrame, request: Any) -> Answer:
     """Raw data instead of an orientation."""
     robot.imu_is_raw = bool(request.enable)
     return {}, _sent(robot, "SendEnable")
 
 
-def send_imu_calibration(robot: Robot, request: Any) -> Answer:
+def send_imu_calibration(robot: RosFrame, request: Any) -> Answer:
     """Accept; there is nothing to calibrate."""
     del request
     robot.ignore("imu calibration")
     return {}, lambda _: robot.make("std_srvs/srv/Empty_Response")
 
 
-def set_mode(robot: Robot, request: Any) -> Answer:
+def set_mode(robot: RosFrame, request: Any) -> Answer:
     """Mode of edu_robot: inactive disables the drive."""
     wanted, values = int(request.mode.mode), Values()
     if wanted in (outgoing.MODE_REMOTE, outgoing.MODE_AUTONOMOUS):
@@ -263,7 +263,7 @@ def set_mode(robot: Robot, request: Any) -> Answer:
     return values, answer
 
 
-def reset_odometry(robot: Robot, request: Any) -> Answer:
+def reset_odometry(robot: RosFrame, request: Any) -> Answer:
     """Count the position from here on."""
     del request
     robot.odometer.reset()

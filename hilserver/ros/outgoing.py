@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hilserver.plant.layout import CORNERS, MODE_TWIST, MODE_WHEELS, WHEEL_WORDS
 from hilserver.plant.units import RPM_PER_RAD_S, STANDARD_GRAVITY_M_S2
-from hilserver.ros.robot import Robot
+from hilserver.ros.robot import RosFrame
 
 SHARE: Final = 0.02
 """Standard deviation of odometry per distance or angle: wheels on a level floor."""
@@ -28,25 +28,25 @@ MOTORS: Final = ("rr", "fr", "rl", "fl")
 PLACES: Final = {place: WHEEL_WORDS[place].replace(" ", "_") for place in CORNERS}
 
 
-def _floats(robot: Robot, numbers: list[float]) -> Any:
+def _floats(robot: RosFrame, numbers: list[float]) -> Any:
     layout = robot.make("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
     data = np.array(numbers, dtype=np.float32)
     return robot.make("std_msgs/msg/Float32MultiArray", layout=layout, data=data)
 
 
-def _rotation_speed(robot: Robot, quantity: str) -> Any:
+def _rotation_speed(robot: RosFrame, quantity: str) -> Any:
     named = {
         f"{PLACES[wheel]}_rpm": robot[f"wheel.{wheel}.{quantity}"] for wheel in PLACES
     }
     return robot.make("iotbot_interface/msg/RotationSpeed", **named)
 
 
-def rpm_return(robot: Robot) -> Iterator[Any]:
+def rpm_return(robot: RosFrame) -> Iterator[Any]:
     """Measured speeds with the signs of the plant: right wheels are mirrored."""
     yield _rotation_speed(robot, "speed_rpm")
 
 
-def rpm_target(robot: Robot) -> Iterator[Any]:
+def rpm_target(robot: RosFrame) -> Iterator[Any]:
     """Set-points, for bags only: on the wire they come from the host.
 
     If a twist drives, nobody sends any; they are what the wheels are asked to do, as the motion
@@ -57,7 +57,7 @@ def rpm_target(robot: Robot) -> Iterator[Any]:
     yield _rotation_speed(robot, "demand_rpm" if by_twist else "setpoint_rpm")
 
 
-def imu(robot: Robot) -> Iterator[Any]:
+def imu(robot: RosFrame) -> Iterator[Any]:
     """Rates and specific force in SI units; in the plane the orientation is a heading.
 
     Unmeasured values are NaN and marked as sensor_msgs/Imu requires; if all are unmeasured there
@@ -92,22 +92,22 @@ def _covariance(*values: float) -> Any:
     return matrix
 
 
-def tof(robot: Robot) -> Iterator[Any]:
+def tof(robot: RosFrame) -> Iterator[Any]:
     """Distances [m], fl, fr, rl, rr."""
     yield _floats(robot, [robot[f"tof.{place}_m"] for place in CORNERS])
 
 
-def tof_thesis(robot: Robot) -> Iterator[Any]:
+def tof_thesis(robot: RosFrame) -> Iterator[Any]:
     """Distances [m], in the configured order."""
     yield _floats(robot, [robot[f"tof.{place}_m"] for place in robot.array_order])
 
 
-def rpm_return_thesis(robot: Robot) -> Iterator[Any]:
+def rpm_return_thesis(robot: RosFrame) -> Iterator[Any]:
     """Measured speeds [rpm] in the configured order, with the signs of the plant."""
     yield _floats(robot, robot.wheels("speed_rpm", robot.array_order))
 
 
-def position(robot: Robot) -> Iterator[Any]:
+def position(robot: RosFrame) -> Iterator[Any]:
     """Six floats: x, y, yaw of the planar model, then of the mechatronic one (NaN without it)."""
     names = ("x_m", "y_m", "yaw_rad")
     planar = [robot[f"pose.{name}"] for name in names]
@@ -116,12 +116,12 @@ def position(robot: Robot) -> Iterator[Any]:
     )
 
 
-def battery(robot: Robot) -> Iterator[Any]:
+def battery(robot: RosFrame) -> Iterator[Any]:
     """Voltage."""
     yield robot.make("iotbot_interface/msg/Battery", voltage=robot["battery.voltage_v"])
 
 
-def temperature(robot: Robot) -> Iterator[Any]:
+def temperature(robot: RosFrame) -> Iterator[Any]:
     """Temperature of the shield [degC]."""
     degc = robot.get("shield.temperature_degc", ROOM_DEGC)
     yield robot.make(
@@ -129,7 +129,7 @@ def temperature(robot: Robot) -> Iterator[Any]:
     )
 
 
-def pose_stamped(robot: Robot) -> Iterator[Any]:
+def pose_stamped(robot: RosFrame) -> Iterator[Any]:
     """Pose measured by the simulated navigation tag."""
     pose = robot.pose(robot["nav.x_m"], robot["nav.y_m"], robot["nav.yaw_rad"])
     yield robot.make(
@@ -137,12 +137,12 @@ def pose_stamped(robot: Robot) -> Iterator[Any]:
     )
 
 
-def clock(robot: Robot) -> Iterator[Any]:
+def clock(robot: RosFrame) -> Iterator[Any]:
     """Time of the simulation."""
     yield robot.make("rosgraph_msgs/msg/Clock", clock=robot.time(robot.time_ns))
 
 
-def transforms(robot: Robot) -> Iterator[Any]:
+def transforms(robot: RosFrame) -> Iterator[Any]:
     """``odom`` to ``base_link``, from the wheels."""
     o = robot.odometer
     kind = "geometry_msgs/msg/Transform"
@@ -158,7 +158,7 @@ def transforms(robot: Robot) -> Iterator[Any]:
     yield robot.make("tf2_msgs/msg/TFMessage", transforms=[one])
 
 
-def odometry(robot: Robot) -> Iterator[Any]:
+def odometry(robot: RosFrame) -> Iterator[Any]:
     """Position and twist, from the wheels."""
     o, (ahead, aside, turning) = robot.odometer, robot.twist()
     place_m, heading_rad = SHARE * o.way_m + LEAST_M, SHARE * o.turned_rad + LEAST_RAD
@@ -171,7 +171,7 @@ def odometry(robot: Robot) -> Iterator[Any]:
     yield _odometry(robot, "odom", pose, place, twist, motion)
 
 
-def estimate(robot: Robot) -> Iterator[Any]:
+def estimate(robot: RosFrame) -> Iterator[Any]:
     """Pose and twist of the observer, with their covariances, in ``map``; none before a fix."""
     if robot.get("estimate.state", 0.0) == 0.0:
         return
@@ -197,7 +197,7 @@ def _planar(ahead: float, aside: float, turn: float) -> NDArray[np.float64]:
 
 
 def _odometry(
-    robot: Robot,
+    robot: RosFrame,
     frame: str,
     pose: tuple[float, float, float],
     place: NDArray[np.float64],
@@ -231,7 +231,7 @@ def _odometry(
 # --- edu_robot ------------------------------------------------------------------------------------
 
 
-def mode(robot: Robot) -> Any:
+def mode(robot: RosFrame) -> Any:
     """edu_robot's mode, which enables the drive."""
     driving = MODE_AUTONOMOUS if robot.autonomous else MODE_REMOTE
     return robot.make(
@@ -244,7 +244,7 @@ def mode(robot: Robot) -> Any:
     )
 
 
-def state(robot: Robot, words: str = "OK") -> Any:
+def state(robot: RosFrame, words: str = "OK") -> Any:
     """edu_robot's state: always OK."""
     ok = robot.make("edu_robot/msg/State", value=0)
     return robot.make(
@@ -252,7 +252,7 @@ def state(robot: Robot, words: str = "OK") -> Any:
     )
 
 
-def status_report(robot: Robot) -> Iterator[Any]:
+def status_report(robot: RosFrame) -> Iterator[Any]:
     """Supply, speeds and mode."""
     volts = robot["battery.voltage_v"]
     rpm = [-speed for speed in robot.wheels("speed_rpm", MOTORS)]
@@ -268,7 +268,7 @@ def status_report(robot: Robot) -> Iterator[Any]:
     )
 
 
-def kinematic_description(robot: Robot) -> Iterator[Any]:
+def kinematic_description(robot: RosFrame) -> Iterator[Any]:
     """Wheel rates [rad/s] per vx, vy, omega, row-major; vy has no effect without rollers."""
     ahead = robot.shape.rpm_per_m_s / RPM_PER_RAD_S
     aside = ahead if robot.shape.max_lateral_m_s else 0.0
@@ -293,7 +293,7 @@ def kinematic_description(robot: Robot) -> Iterator[Any]:
     )
 
 
-def joint_states(robot: Robot) -> Iterator[Any]:
+def joint_states(robot: RosFrame) -> Iterator[Any]:
     """One message per motor, as edu_robot sends them."""
     for wheel in MOTORS:
         yield robot.make(
@@ -312,7 +312,7 @@ def range_of(place: str) -> Any:
     """Return the function that makes the Range of one finder."""
     frame = f"range/{PLACES[place].replace('_', '/')}"
 
-    def make(robot: Robot) -> Iterator[Any]:
+    def make(robot: RosFrame) -> Iterator[Any]:
         yield robot.make(
             "sensor_msgs/msg/Range",
             header=robot.header(frame),

@@ -103,7 +103,7 @@ def _motion(shape: Shape, rpm: Sequence[float]) -> tuple[float, float, float]:
 
 
 @dataclass
-class Robot:
+class RosFrame:
     """One frame, to be made into messages."""
 
     types: Types

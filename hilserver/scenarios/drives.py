@@ -8,7 +8,7 @@ import numpy as np
 from hilserver_injector import Recipe, Recorder
 
 from hilserver.errors import FailedError, meant
-from hilserver.scenarios.expectation import Drive, Expectation, Scenario
+from hilserver.scenarios.expectation import Expectation, ScenarioDrive, ThesisScenario
 
 Random = np.random.Generator
 THESIS: Final = Recorder(channels=("setpoint", "speed", "gyro", "nav", "battery"))
@@ -40,15 +40,15 @@ def _one(
     expected: Expectation,
     hidden: str = "",
     **how: Any,
-) -> Drive:
+) -> ScenarioDrive:
     """Return a drive with one log."""
     given: dict[str, Any] = {"seed": seed, "causes": causes, "recorder": THESIS} | how
     recipe = Recipe(**given)
     words = hidden or ", ".join(f"{name} {value:.4g}" for name, value in causes.items())
-    return Drive(logs={"drive.csv": recipe}, expectation=expected, hidden=words)
+    return ScenarioDrive(logs={"drive.csv": recipe}, expectation=expected, hidden=words)
 
 
-def _friction_load(seed: int, rng: Random) -> Drive:
+def _friction_load(seed: int, rng: Random) -> ScenarioDrive:
     load = float(rng.uniform(20.0, 45.0))
     causes = (
         {"coulomb_friction": load}
@@ -60,7 +60,7 @@ def _friction_load(seed: int, rng: Random) -> Drive:
     )
 
 
-def _k_omega_low(seed: int, rng: Random) -> Drive:
+def _k_omega_low(seed: int, rng: Random) -> ScenarioDrive:
     name, size = [("rotation_gain", -0.46), ("gyro_scale", -0.47)][seed % 2]
     if rng.random() < 0.5:
         both = frozenset({"rotation_gain", "gyro_scale"})
@@ -84,10 +84,10 @@ def _surfaces(seed: int, gains: list[float], prefix: str) -> dict[str, Recipe]:
     }
 
 
-def _surface_null(seed: int, rng: Random) -> Drive:
+def _surface_null(seed: int, rng: Random) -> ScenarioDrive:
     """Twelve runs on four floors without a difference: the scatter of table 5.1."""
     gains = (1.034 + 0.032 * rng.standard_normal(12)).tolist()
-    return Drive(
+    return ScenarioDrive(
         logs=_surfaces(seed, gains[:6], "a"),
         against=_surfaces(seed, gains[6:], "b"),
         expectation=_expect(
@@ -97,9 +97,9 @@ def _surface_null(seed: int, rng: Random) -> Drive:
     )
 
 
-def _surface_real(seed: int, rng: Random) -> Drive:
+def _surface_real(seed: int, rng: Random) -> ScenarioDrive:
     scatter = 0.032 * rng.standard_normal(6)
-    return Drive(
+    return ScenarioDrive(
         logs=_surfaces(seed, (1.995 + scatter[:3]).tolist(), "a"),
         against=_surfaces(seed, (1.05 + scatter[3:]).tolist(), "b"),
         expectation=_expect(
@@ -111,13 +111,13 @@ def _surface_real(seed: int, rng: Random) -> Drive:
     )
 
 
-def _unsteady_bias(seed: int, _rng: Random) -> Drive:
+def _unsteady_bias(seed: int, _rng: Random) -> ScenarioDrive:
     return _one(
         seed, {"imu_latency": 0.075}, _expect("imu_latency", **_not("rotation_gain"))
     )
 
 
-def _pulls_aside(seed: int, rng: Random) -> Drive:
+def _pulls_aside(seed: int, rng: Random) -> ScenarioDrive:
     sign = float(rng.choice([-1.0, 1.0]))
     causes = [
         {"wheel_radius_difference": 0.01 * sign},
@@ -133,7 +133,7 @@ def _pulls_aside(seed: int, rng: Random) -> Drive:
     )
 
 
-def _slides_in_circle(seed: int, rng: Random) -> Drive:
+def _slides_in_circle(seed: int, rng: Random) -> ScenarioDrive:
     causes = {
         "friction_anisotropy.ratio": float(rng.uniform(1.5, 2.2)),
         "friction_anisotropy.offset": float(rng.uniform(0.0, 0.03)),
@@ -145,20 +145,20 @@ def _slides_in_circle(seed: int, rng: Random) -> Drive:
     )
 
 
-def _launch_slip(seed: int, rng: Random) -> Drive:
+def _launch_slip(seed: int, rng: Random) -> ScenarioDrive:
     causes = {"acceleration_slip": float(rng.uniform(0.06, 0.12))}
     expected = _expect("acceleration_slip", **_not("actuation_delay"))
     return _one(seed, causes, expected, manoeuvre="launches")
 
 
-def _fast_input(seed: int, _rng: Random) -> Drive:
+def _fast_input(seed: int, _rng: Random) -> ScenarioDrive:
     expected = _expect("setpoint_as_measurement", **_not("time_constant"))
     what = "the speed column is the set-point"
     faults = {"setpoint_as_measurement": True}
     return _one(seed, {}, expected, what, manoeuvre="fast", faults=faults)
 
 
-def _radio(seed: int, rng: Random) -> Drive:
+def _radio(seed: int, rng: Random) -> ScenarioDrive:
     if seed % 2 == 0:
         causes = {
             "nav_outliers.share": 0.05,
@@ -171,14 +171,14 @@ def _radio(seed: int, rng: Random) -> Drive:
     return _one(seed, causes, expected, "one of four anchors is 0.2 m off")
 
 
-def _small_deviation(seed: int, rng: Random) -> Drive:
+def _small_deviation(seed: int, rng: Random) -> ScenarioDrive:
     causes = {"wheel_radius_difference": 0.003 * float(rng.choice([-1.0, 1.0]))}
     hidden = "0.3 % between the radii, and a start yaw of 1 degree, which is no cause"
     expected = _expect("wheel_radius_difference", **_not("drift"))
     return _one(seed, causes, expected, hidden, manoeuvre="straights")
 
 
-def _fused_yaw(seed: int, rng: Random) -> Drive:
+def _fused_yaw(seed: int, rng: Random) -> ScenarioDrive:
     causes = {
         "heading_distortion.a1": 0.1,
         "heading_distortion.phase1": float(rng.uniform(-math.pi, math.pi)),
@@ -191,12 +191,12 @@ def _fused_yaw(seed: int, rng: Random) -> Drive:
     )
 
 
-def _on_a_frame(seed: int, rng: Random) -> Drive:
+def _on_a_frame(seed: int, rng: Random) -> ScenarioDrive:
     channels = ("setpoint", "speed", "duty", "gyro", "battery")
     recorder = Recorder(rate_hz=500.0, row_jitter_s=0.0, channels=channels)
     load = {"coulomb_friction": float(rng.uniform(5, 15)), "viscous_load": 0.08}
     bench: dict[str, Any] = {"kind": "bench", "recorder": recorder}
-    return Drive(
+    return ScenarioDrive(
         logs={"air.csv": Recipe(seed=2 * seed, in_the_air=True, **bench)},
         against={"floor.csv": Recipe(seed=2 * seed + 1, causes=load, **bench)},
         expectation=_expect(
@@ -208,7 +208,7 @@ def _on_a_frame(seed: int, rng: Random) -> Drive:
     )
 
 
-def _rates(seed: int, _rng: Random) -> Drive:
+def _rates(seed: int, _rng: Random) -> ScenarioDrive:
     variants: list[tuple[str, dict[str, Any], str]] = [
         (
             "held_samples",
@@ -237,13 +237,13 @@ def _rates(seed: int, _rng: Random) -> Drive:
     return _one(seed, causes, expected, hidden, manoeuvre="ramps", **how)
 
 
-def _interpolated(seed: int, _rng: Random) -> Drive:
+def _interpolated(seed: int, _rng: Random) -> ScenarioDrive:
     expected = _expect("interpolated_setpoint", **_not("setpoint_rate_limit"))
     what = "set-points of 10 Hz, joined by straight lines"
     return _one(seed, {}, expected, what, faults={"interpolated_setpoint": 10.0})
 
 
-def _signs_units(seed: int, _rng: Random) -> Drive:
+def _signs_units(seed: int, _rng: Random) -> ScenarioDrive:
     variants: list[tuple[str, dict[str, Any]]] = [
         ("sign_flip", {"sign_flip": ("nav.yaw", "imu.gyro_z")}),
         ("unit_error", {"unit_error": ("speed_rpm", math.pi / 30.0)}),
@@ -255,7 +255,7 @@ def _signs_units(seed: int, _rng: Random) -> Drive:
     return _one(seed, {}, expected, str(faults), faults=faults)
 
 
-def _slow_slice(seed: int, _rng: Random) -> Drive:
+def _slow_slice(seed: int, _rng: Random) -> ScenarioDrive:
     expected = _expect("control_period", **_not("process_gain", "time_constant"))
     recorder = Recorder(rate_hz=500.0, row_jitter_s=0.0, channels=("setpoint", "speed"))
     return _one(
@@ -263,7 +263,7 @@ def _slow_slice(seed: int, _rng: Random) -> Drive:
     )
 
 
-_TABLE: tuple[tuple[str, str, Callable[[int, Random], Drive]], ...] = (
+_TABLE: tuple[tuple[str, str, Callable[[int, Random], ScenarioDrive]], ...] = (
     ("friction_load", "on hard carpet the wheels miss the set-points (5.2.2)", _friction_load),
     ("k_omega_low", "K_om is 1.05 and not 1.995 (5.2.1)", _k_omega_low),
     ("surface_null", "table 5.1 ranks surfaces", _surface_null),
@@ -284,17 +284,21 @@ _TABLE: tuple[tuple[str, str, Callable[[int, Random], Drive]], ...] = (
 )  # fmt: skip
 
 
-def _scenario(name: str, says: str, build: Callable[[int, Random], Drive]) -> Scenario:
-    def draw(seed: int) -> Drive:
+def _scenario(
+    name: str, says: str, build: Callable[[int, Random], ScenarioDrive]
+) -> ThesisScenario:
+    def draw(seed: int) -> ScenarioDrive:
         return build(seed, np.random.default_rng([seed, *name.encode()]))
 
-    return Scenario(name, says, draw)
+    return ThesisScenario(name, says, draw)
 
 
-SCENARIOS: Final[Mapping[str, Scenario]] = {row[0]: _scenario(*row) for row in _TABLE}
+SCENARIOS: Final[Mapping[str, ThesisScenario]] = {
+    row[0]: _scenario(*row) for row in _TABLE
+}
 
 
-def scenario(name: str) -> Scenario:
+def scenario(name: str) -> ThesisScenario:
     """Return a scenario by name; FailedError if there is none of this name."""
     if name in SCENARIOS:
         return SCENARIOS[name]

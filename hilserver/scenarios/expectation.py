@@ -22,7 +22,7 @@ class Expectation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Drive:
+class ScenarioDrive:
     """One random realisation of a scenario."""
 
     # logs by file name; with `against`, the question is whether those differ from `logs`
@@ -34,9 +34,9 @@ class Drive:
 
 
 @dataclass(frozen=True, slots=True)
-class Scenario:
+class ThesisScenario:
     """A named drive of the thesis."""
 
     name: str
     says: str
-    draw: Callable[[int], Drive]
+    draw: Callable[[int], ScenarioDrive]

@@ -8,12 +8,12 @@ from pathlib import Path
 from hilserver_injector import Recipe, make
 
 from hilserver.errors import FailedError
-from hilserver.scenarios.expectation import Drive, Scenario
+from hilserver.scenarios.expectation import ScenarioDrive, ThesisScenario
 
 LOGS, AGAINST, SEALED, CONFIG = "logs", "against", "sealed", "config.yaml"
 
 
-def write(scenario: Scenario, seed: int, folder: Path) -> Drive:
+def write(scenario: ThesisScenario, seed: int, folder: Path) -> ScenarioDrive:
     """Write a scenario into a folder and return it; FailedError if the folder cannot be written.
 
     The logs are in ``logs`` (and ``against``), the truth is in ``sealed/truth.json``.
@@ -40,7 +40,9 @@ def _write_logs(recipes: Mapping[str, Recipe], folder: Path) -> None:
         table.write_csv(folder / name)
 
 
-def _write_truth(scenario: Scenario, seed: int, drive: Drive, folder: Path) -> None:
+def _write_truth(
+    scenario: ThesisScenario, seed: int, drive: ScenarioDrive, folder: Path
+) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     expected = drive.expectation
     document = {

@@ -54,7 +54,7 @@ class Look:
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class OverrunEvidence:
     """What is known about one overrun; durations in ns."""
 
     span_ns: int  # the delay (late wake) or the execution (long run) to be explained
@@ -70,7 +70,7 @@ class Evidence:
     stopped: bool
 
 
-def judge(evidence: Evidence) -> Cause:
+def judge(evidence: OverrunEvidence) -> Cause:
     """Name the likeliest cause: the first that explains at least half of the span."""
     half = evidence.span_ns // 2
     if evidence.stopped:
@@ -154,7 +154,7 @@ class CauseFinder:
             self._gc_pauses.overlap_ns(began_ns, end_ns) if self._gc_stops_ticks else 0
         )
         return judge(
-            Evidence(
+            OverrunEvidence(
                 span_ns=span_ns,
                 period_ns=self._period_ns,
                 late=late,

@@ -17,7 +17,7 @@ BODY: Final = (
 SLICE: Final = 16  # ``SLICE + n``: a slice returned the fault number n > 0
 
 
-class Fault(NamedTuple):
+class PlantFault(NamedTuple):
     """Name of a fault for logs and tests, and the sentence that a user reads."""
 
     name: str
@@ -25,28 +25,28 @@ class Fault(NamedTuple):
 
 
 _FAULTS: Final = {
-    SINGLE_OVERRUN: Fault(
+    SINGLE_OVERRUN: PlantFault(
         "single_overrun_limit",
         "a single overrun was longer than scheduler.limits allow",
     ),
-    CONSECUTIVE_OVERRUNS: Fault(
+    CONSECUTIVE_OVERRUNS: PlantFault(
         "consecutive_overrun_limit",
         "more consecutive overruns than scheduler.limits allow",
     ),
-    SLICE + BODY: Fault(
+    SLICE + BODY: PlantFault(
         "mechatronic",
         "the mechatronic model has left its valid range and is halted until SetPose or Reset",
     ),
-    SILENCE: Fault("silence", "the source in control is silent"),
-    COMMUNICATION: Fault(
+    SILENCE: PlantFault("silence", "the source in control is silent"),
+    COMMUNICATION: PlantFault(
         "communication", "the communication side did not answer in time"
     ),
 }
 
 
-def fault_of(code: int) -> Fault:
+def fault_of(code: int) -> PlantFault:
     """Return name and text of a code."""
     number = code - SLICE
-    return _FAULTS.get(code) or Fault(
+    return _FAULTS.get(code) or PlantFault(
         f"fault {number}", f"a slice reported fault {number}"
     )

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Final, NamedTuple
 
 from hilserver.compiled.histogram import Histogram125
-from hilserver.metrics import MS, US, Metric, Reading, Row, S, counter, durations
+from hilserver.metrics import MS, US, Metric, MetricReading, Row, S, counter, durations
 from hilserver.scheduler.scheduler import Scheduler
 from hilserver.scheduler.statistics import SliceFigures
 
@@ -12,7 +12,7 @@ EXECUTED_SLICES: Final = ("plant", "publish")
 """Slices whose execution time is exported; the budget of series allows two histograms."""
 
 
-class Pace(NamedTuple):
+class PaceFigures(NamedTuple):
     """The figures that the metrics are read from."""
 
     slices: Mapping[str, SliceFigures]  # by name, in the order of the scheduler
@@ -20,9 +20,9 @@ class Pace(NamedTuple):
     gc_pauses: Histogram125
 
 
-def pace(scheduler: Scheduler) -> Pace:
+def pace(scheduler: Scheduler) -> PaceFigures:
     """Return the figures of a scheduler at this moment."""
-    return Pace(
+    return PaceFigures(
         slices_by_name(scheduler),
         scheduler.statistics.tick.real_time_factor,
         scheduler.gc_pauses.pauses,
@@ -37,34 +37,34 @@ def slices_by_name(scheduler: Scheduler) -> dict[str, SliceFigures]:
 
 
 def _each(
-    figure: Callable[[SliceFigures], float | Reading | None],
-) -> Callable[[Pace], Iterator[Row]]:
+    figure: Callable[[SliceFigures], float | MetricReading | None],
+) -> Callable[[PaceFigures], Iterator[Row]]:
     """Return a reader of one figure of every slice."""
     return lambda now: (((name,), figure(f)) for name, f in now.slices.items())
 
 
-def _execution(now: Pace) -> Iterator[Row]:
+def _execution(now: PaceFigures) -> Iterator[Row]:
     for name, f in now.slices.items():
         if name in EXECUTED_SLICES:
-            yield (name,), Reading(f.execution_counts, f.execution_sum_ns)
+            yield (name,), MetricReading(f.execution_counts, f.execution_sum_ns)
 
 
 def _margin_s(f: SliceFigures) -> float | None:
     return None if f.margin_min_ns is None else f.margin_min_ns / S
 
 
-def _overruns(now: Pace) -> Iterator[Row]:
+def _overruns(now: PaceFigures) -> Iterator[Row]:
     for name, f in now.slices.items():
         yield (name, "late_wake"), counter(f.late_wakes)
         yield (name, "long_run"), counter(f.long_runs)
 
 
-METRICS: Final[tuple[Metric[Pace], ...]] = (
+METRICS: Final[tuple[Metric[PaceFigures], ...]] = (
     Metric(
         "hil_wake_latency_seconds",
         "Actual minus planned start of a slice.",
         ("slice",),
-        _each(lambda f: Reading(f.latency_counts, f.latency_sum_ns)),
+        _each(lambda f: MetricReading(f.latency_counts, f.latency_sum_ns)),
         (5 * US, 100 * MS),
     ),
     Metric(

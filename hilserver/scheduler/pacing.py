@@ -4,7 +4,7 @@ from collections.abc import Callable
 from enum import StrEnum
 from typing import Protocol
 
-from hilserver.scheduler.realtime import Grant
+from hilserver.scheduler.realtime import AuditFinding
 
 
 class StopReason(StrEnum):
@@ -22,7 +22,7 @@ class Pacing(Protocol):
     def thread_id(self) -> int:
         """The operating system's number of the pacing thread; 0: there is none."""
 
-    async def start(self) -> list[Grant]:
+    async def start(self) -> list[AuditFinding]:
         """Start pacing; return what the operating system granted."""
 
     async def stop(self) -> None:

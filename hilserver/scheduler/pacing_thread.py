@@ -17,7 +17,7 @@ from hilserver.scheduler.machine import Machine
 from hilserver.scheduler.pacing import Ended, Rung, StopReason
 from hilserver.scheduler.pacing_loop import pace
 from hilserver.scheduler.realtime import (
-    Grant,
+    AuditFinding,
     ProcessGrants,
     RealtimeSettings,
     request_for_this_thread,
@@ -47,10 +47,10 @@ class ThreadPacing:
             0  # the operating system's number of the pacing thread; 0 before the start
         )
 
-    async def start(self) -> list[Grant]:
+    async def start(self) -> list[AuditFinding]:
         """Start the thread; return what the operating system granted."""
         self._loop = asyncio.get_running_loop()
-        self._granted: asyncio.Future[list[Grant]] = self._loop.create_future()
+        self._granted: asyncio.Future[list[AuditFinding]] = self._loop.create_future()
         self._doorbell = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._loop.add_reader(self._doorbell, self._answer_doorbell)
         grants = self._process_grants.request()

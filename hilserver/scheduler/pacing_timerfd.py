@@ -15,7 +15,7 @@ from hilserver.scheduler.law import PLANNED, begin
 from hilserver.scheduler.machine import Machine
 from hilserver.scheduler.pacing import Ended, Rung, StopReason
 from hilserver.scheduler.pacing_loop import LONGEST_SLEEP_NS
-from hilserver.scheduler.realtime import Grant, ProcessGrants, RealtimeSettings
+from hilserver.scheduler.realtime import AuditFinding, ProcessGrants, RealtimeSettings
 from hilserver.scheduler.turn import ENDED, RAN, RING
 
 _CLOCK_MONOTONIC = 1
@@ -77,7 +77,7 @@ class TimerfdPacing:
         self._timer: Timer | None = None
         self.thread_id = 0
 
-    async def start(self) -> list[Grant]:
+    async def start(self) -> list[AuditFinding]:
         """Arm the timer for the first tick."""
         self.thread_id = threading.get_native_id()
         self._loop = asyncio.get_running_loop()

@@ -11,7 +11,7 @@ from hilserver.scheduler.law import begin
 from hilserver.scheduler.machine import Machine
 from hilserver.scheduler.pacing import Ended, Rung, StopReason
 from hilserver.scheduler.pacing_loop import run_batch
-from hilserver.scheduler.realtime import Grant
+from hilserver.scheduler.realtime import AuditFinding
 from hilserver.scheduler.turn import ENDED, RING, STANDING
 from hilserver.tasks import Supervisor
 from hilserver.time_limit import time_limit
@@ -43,7 +43,7 @@ class VirtualPacing:
         self._stopping = False
         self.thread_id = 0
 
-    async def start(self) -> list[Grant]:
+    async def start(self) -> list[AuditFinding]:
         """Start the task that runs the batches."""
         self._machine.prefault()
         begin(self._machine.law, time.monotonic_ns())

@@ -1,7 +1,7 @@
 """What the pacing thread requests from the operating system, and what it was granted.
 
-Every request, granted or not, gives a `Grant` that the audit shows. Only the pacing thread gets a
-real-time priority, never the process, as children would inherit it.
+Every request, granted or not, gives an `AuditFinding` that the audit shows. Only the pacing thread
+gets a real-time priority, never the process, as children would inherit it.
 """
 
 import contextlib
@@ -39,7 +39,7 @@ class RealtimeSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Grant:
+class AuditFinding:
     """The answer to one request, or another finding of the audit."""
 
     name: str  # snake case; label of the metric
@@ -59,7 +59,7 @@ class ProcessGrants:
         self._locked = False
         self._cores: set[int] | None = None
 
-    def request(self) -> list[Grant]:
+    def request(self) -> list[AuditFinding]:
         """Request what the settings contain."""
         grants = []
         if self._settings.cpu is not None:
@@ -82,7 +82,7 @@ class ProcessGrants:
             ctypes.CDLL(None).munlockall()
             self._locked = False
 
-    def _leave_core(self, cpu: int) -> Grant:
+    def _leave_core(self, cpu: int) -> AuditFinding:
         """Move all other threads, and those started later, to other cores.
 
         A priority does not help against a long system call of another thread on the same core,
@@ -92,42 +92,44 @@ class ProcessGrants:
         cores = os.sched_getaffinity(0)
         others = cores - {cpu}
         if not others:
-            return Grant(
+            return AuditFinding(
                 "core_of_its_own", False, "the only core", wanted, "use a second core"
             )
         _move_all_threads(others)
         self._cores = cores
-        return Grant("core_of_its_own", True, f"the rest on {sorted(others)}", wanted)
+        return AuditFinding(
+            "core_of_its_own", True, f"the rest on {sorted(others)}", wanted
+        )
 
-    def _lock_memory(self) -> Grant:
+    def _lock_memory(self) -> AuditFinding:
         limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
         remedy = "LimitMEMLOCK=infinity in the unit, or ulimit -l unlimited"
         # With a finite limit and MCL_FUTURE a later allocation would fail in the middle of the run.
         if limit != resource.RLIM_INFINITY and not has_capability(CAP_IPC_LOCK):
-            return Grant(
+            return AuditFinding(
                 "memory_lock", False, f"limit {limit // 1024} KiB", "locked", remedy
             )
         libc = ctypes.CDLL(None, use_errno=True)
         # ONFAULT: what is never touched, such as most of a thread's stack, takes no memory.
         if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT) != 0:
-            return Grant(
+            return AuditFinding(
                 "memory_lock", False, os.strerror(ctypes.get_errno()), "locked", remedy
             )
         self._locked = True
-        return Grant("memory_lock", True, "locked", "locked")
+        return AuditFinding("memory_lock", True, "locked", "locked")
 
-    def _hold_latency_target(self) -> Grant:
+    def _hold_latency_target(self) -> AuditFinding:
         try:
             self._latency_target = os.open(_LATENCY_TARGET, os.O_WRONLY | os.O_CLOEXEC)
             os.write(self._latency_target, b"\0\0\0\0")
         except OSError as error:
             remedy = f"give the user write access to {_LATENCY_TARGET} (a udev rule)"
             found = error.strerror or "error"
-            return Grant("latency_target", False, found, "0 us, held", remedy)
-        return Grant("latency_target", True, "0 us, held", "0 us, held")
+            return AuditFinding("latency_target", False, found, "0 us, held", remedy)
+        return AuditFinding("latency_target", True, "0 us, held", "0 us, held")
 
 
-def request_for_this_thread(settings: RealtimeSettings) -> list[Grant]:
+def request_for_this_thread(settings: RealtimeSettings) -> list[AuditFinding]:
     """Request priority, core and timer slack for the calling thread; block all its signals."""
     with contextlib.suppress(ValueError, OSError):
         signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
@@ -145,22 +147,24 @@ def _move_all_threads(cpus: set[int]) -> None:
             os.sched_setaffinity(int(thread.name), cpus)
 
 
-def _timer_slack() -> Grant:
+def _timer_slack() -> AuditFinding:
     if ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0) != 0:
-        return Grant("timer_slack", False, os.strerror(ctypes.get_errno()), "1 ns")
-    return Grant("timer_slack", True, "1 ns", "1 ns")
+        return AuditFinding(
+            "timer_slack", False, os.strerror(ctypes.get_errno()), "1 ns"
+        )
+    return AuditFinding("timer_slack", True, "1 ns", "1 ns")
 
 
-def _pin(cpu: int) -> Grant:
+def _pin(cpu: int) -> AuditFinding:
     try:
         os.sched_setaffinity(threading.get_native_id(), {cpu})
     except (OSError, ValueError, OverflowError) as error:
         remedy = f"choose one of {sorted(os.sched_getaffinity(0))}"
-        return Grant("thread_core", False, str(error), f"core {cpu}", remedy)
-    return Grant("thread_core", True, f"core {cpu}", f"core {cpu}")
+        return AuditFinding("thread_core", False, str(error), f"core {cpu}", remedy)
+    return AuditFinding("thread_core", True, f"core {cpu}", f"core {cpu}")
 
 
-def _real_time_priority(priority: int) -> Grant:
+def _real_time_priority(priority: int) -> AuditFinding:
     wanted = f"SCHED_FIFO {priority}"
     policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
     try:
@@ -169,10 +173,10 @@ def _real_time_priority(priority: int) -> Grant:
         )
     except OSError as error:
         remedy = f"LimitRTPRIO={priority} in the unit, or ulimit -r {priority}"
-        return Grant(
+        return AuditFinding(
             "thread_priority", False, error.strerror or "error", wanted, remedy
         )
-    return Grant("thread_priority", True, wanted, wanted)
+    return AuditFinding("thread_priority", True, wanted, wanted)
 
 
 def has_capability(number: int, root: Path = Path("/")) -> bool:

@@ -33,7 +33,7 @@ from hilserver.scheduler.pacing_thread import ThreadPacing
 from hilserver.scheduler.pacing_timerfd import TimerfdPacing
 from hilserver.scheduler.pacing_virtual import VirtualPacing
 from hilserver.scheduler.policies import OverrunLimits, OverrunPolicy
-from hilserver.scheduler.realtime import Grant, RealtimeSettings
+from hilserver.scheduler.realtime import AuditFinding, RealtimeSettings
 from hilserver.scheduler.slices import Slice
 from hilserver.scheduler.statistics import Statistics
 from hilserver.scheduler.step import StepFunction
@@ -106,7 +106,7 @@ class Scheduler:
                 f"pacing {backend!r} is unknown; use one of {', '.join(BACKENDS)}"
             )
         self.backend, self.base_period_ns = backend, base_period_ns
-        self.grants: list[Grant] = []
+        self.grants: list[AuditFinding] = []
         self.gc_pauses = GcPauses()
         self._freeze_gc, self._started = freeze_gc, False
         self._machine = Machine(

@@ -28,7 +28,7 @@ _READ_ROUNDS, _READ_PAUSE_S = 1000, 0.001
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class LatencyWindow:
     """Wake latency over the last complete window [ns]; NaN before the first.
 
     In the standard deviation latencies above 90 ms count as 90 ms.
@@ -62,7 +62,7 @@ class SliceFigures:
     late_wakes: int
     long_runs: int
     missed_ticks: int
-    window: Window
+    window: LatencyWindow
     # shape (N_BUCKETS,); 1-2-5 histograms, see `hilserver.compiled.histogram`; not cumulated
     latency_counts: NDArray[np.int64]
     execution_counts: NDArray[np.int64]
@@ -116,16 +116,16 @@ class Statistics:
                 f"the statistics need a flat int64 array of {needed} words"
             )
         array[:needed] = 0
-        head = rows.Head.of(array)
+        head = rows.TickHead.of(array)
         head.generation, head.n_rows, head.n_linear = 1, len(slices), linear_bins
         head.base_period = base_period_ns
         for index, part in enumerate(slices):
-            rows.Row.of(array, row_offset(index)).period_ticks = part.period_ticks
+            rows.SliceRow.of(array, row_offset(index)).period_ticks = part.period_ticks
         rows.publish_magic(array)
         self._adopt(array, [part.name for part in slices])
 
     def _adopt(self, array: NDArray[np.int64], names: list[str]) -> None:
-        self.array, self._head = array, rows.Head.of(array)
+        self.array, self._head = array, rows.TickHead.of(array)
         self._offsets = {name: row_offset(index) for index, name in enumerate(names)}
 
     @classmethod
@@ -138,7 +138,7 @@ class Statistics:
         """
         if len(array) < rows.N_HEAD or array[rows.MAGIC] != rows.MAGIC_NUMBER:
             raise ValueError("this array holds no scheduler statistics")
-        held = rows.Head.of(array).n_rows
+        held = rows.TickHead.of(array).n_rows
         if names is None:
             names = [str(index) for index in range(held)]
         if len(names) != held:
@@ -168,7 +168,7 @@ class Statistics:
     def slice(self, name: str) -> SliceFigures:
         """Return the figures of one slice."""
         words = self._read(self._offsets[name], rows.N_ROW)
-        row = rows.Row.of(words)
+        row = rows.SliceRow.of(words)
         if row.seen_generation != self._head.generation:
             rows.clear_row(words, 0)
         return _figures(name, int(row.period_ticks * self._head.base_period), row)
@@ -176,7 +176,7 @@ class Statistics:
     @property
     def tick(self) -> TickFigures:
         """The figures of the tick as a whole."""
-        head = rows.Head.of(self._read(0, rows.N_HEAD))
+        head = rows.TickHead.of(self._read(0, rows.N_HEAD))
         if head.seen_generation != head.generation:
             return TickFigures(0, math.nan, math.nan)
         return TickFigures(
@@ -194,7 +194,7 @@ class Statistics:
         """A copy of the tick's linear histogram of the wake latency, one bin per us."""
         first = row_offset(int(self._head.n_rows))
         whole = self._read(0, first + int(self._head.n_linear))
-        counts, head = whole[first:], rows.Head.of(whole)
+        counts, head = whole[first:], rows.TickHead.of(whole)
         if head.seen_generation != head.generation:
             counts[:] = 0
         return counts
@@ -238,7 +238,7 @@ def _ratio(part: int, whole: int) -> float:
     return float(part / whole) if whole else math.nan
 
 
-def _figures(name: str, period_ns: int, row: rows.Row) -> SliceFigures:
+def _figures(name: str, period_ns: int, row: rows.SliceRow) -> SliceFigures:
     lowest_ns = int(row.margin_min_ns)
     return SliceFigures(
         name=name,
@@ -251,13 +251,13 @@ def _figures(name: str, period_ns: int, row: rows.Row) -> SliceFigures:
     )
 
 
-def _window(window: rows.Window) -> Window:
+def _window(window: rows.Window) -> LatencyWindow:
     count = int(window.count)
     if count == 0:
-        return Window(0, math.nan, math.nan, math.nan, math.nan)
+        return LatencyWindow(0, math.nan, math.nan, math.nan, math.nan)
     total, squares = int(window.total), int(window.squares)
     variance = (count * squares - total * total) / count**2
-    return Window(
+    return LatencyWindow(
         count=count,
         mean_ns=total / count,
         deviation_ns=math.sqrt(variance),

@@ -31,7 +31,7 @@ NEVER = np.iinfo(np.int64).max
 Counts = Annotated[NDArray[np.int64], N_BUCKETS]
 
 
-class Head(Record):
+class TickHead(Record):
     """Figures of the tick as a whole; like every row it begins with a sequence number."""
 
     sequence: int
@@ -63,7 +63,7 @@ class Window(Record):
     start: int  # [ns]
 
 
-class Row(Record):
+class SliceRow(Record):
     """One slice; times in ns."""
 
     sequence: int
@@ -92,10 +92,10 @@ class Row(Record):
     execution_counts: Counts
 
 
-HEAD, ROW = Head.layout, Row.layout
-N_HEAD, N_ROW = Head.n_words, Row.n_words
-MAGIC, GENERATION = Head.where("magic").start, Head.where("generation").start
-CLEARED, COUNT = Head.where("missed_ticks").start, Row.where("count").start
+HEAD, ROW = TickHead.layout, SliceRow.layout
+N_HEAD, N_ROW = TickHead.n_words, SliceRow.n_words
+MAGIC, GENERATION = TickHead.where("magic").start, TickHead.where("generation").start
+CLEARED, COUNT = TickHead.where("missed_ticks").start, SliceRow.where("count").start
 
 _WORDS = types.int64[::1]
 _READ_ONLY_WORDS = types.Array(types.int64, 1, "C", readonly=True)

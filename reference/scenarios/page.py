@@ -14,7 +14,7 @@ from hilserver.diagnosis.report.standalone import document
 from hilserver.errors import FailedError
 from hilserver.measured.reading import read_measured
 from hilserver.scenarios.drives import SCENARIOS
-from hilserver.scenarios.expectation import Scenario
+from hilserver.scenarios.expectation import ThesisScenario
 from hilserver.scenarios.making import AGAINST, CONFIG, LOGS, write
 from reference.scenarios.telling import section, words
 from reference.scenarios.views import VIEWS, Case
@@ -52,7 +52,7 @@ class Entry:
     plot: str
 
 
-def make_entry(scenario: Scenario, *, jobs: int = 1) -> Entry:
+def make_entry(scenario: ThesisScenario, *, jobs: int = 1) -> Entry:
     """Make the drive of a scenario, diagnose it, and tell and draw what came out."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -13,7 +13,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from hilserver.diagnosis.findings.explain import QUANTITIES, number
 from hilserver.diagnosis.schema.findings import Finding, Findings, Parameter, Verdict
-from hilserver.scenarios.expectation import Drive, Scenario
+from hilserver.scenarios.expectation import ScenarioDrive, ThesisScenario
 from reference.scenarios.judging import judge
 
 COLUMNS: Final = 100
@@ -38,7 +38,9 @@ def words() -> Mapping[str, Words]:
     return {name: Words(**entry) for name, entry in yaml.safe_load(text).items()}
 
 
-def section(scenario: Scenario, drive: Drive, findings: Findings, picture: str) -> str:
+def section(
+    scenario: ThesisScenario, drive: ScenarioDrive, findings: Findings, picture: str
+) -> str:
     """Return the section of a scenario in Markdown; `picture` is the file of its plot."""
     reported = [
         f for f in findings.findings if f.verdict is not Verdict.INSUFFICIENT_EXCITATION
@@ -93,7 +95,7 @@ def wrapped(paragraph: str) -> str:
     return "\n".join(lines)
 
 
-def _hidden(drive: Drive) -> str:
+def _hidden(drive: ScenarioDrive) -> str:
     faults = {k: v for recipe in drive.logs.values() for k, v in recipe.faults.items()}
     if drive.hidden == str(faults):
         return "; ".join(f"{name} of {_listed(what)}" for name, what in faults.items())
@@ -105,7 +107,9 @@ def _listed(what: object) -> str:
     return " and ".join(f"{p:.4g}" if isinstance(p, float) else f"`{p}`" for p in parts)
 
 
-def _rows(finding: Finding, drive: Drive) -> list[tuple[str, Parameter, float | None]]:
+def _rows(
+    finding: Finding, drive: ScenarioDrive
+) -> list[tuple[str, Parameter, float | None]]:
     """Return the parameters with an interval, and the true values."""
     return [
         (name, p, hidden_value(name, finding, drive))
@@ -114,7 +118,7 @@ def _rows(finding: Finding, drive: Drive) -> list[tuple[str, Parameter, float | 
     ]
 
 
-def hidden_value(name: str, finding: Finding, drive: Drive) -> float | None:
+def hidden_value(name: str, finding: Finding, drive: ScenarioDrive) -> float | None:
     """Return the true value of a parameter: the mean over the runs; None where none is hidden."""
     first, second = (_mean(name, drive.logs), _mean(name, drive.against))
     if finding.verdict is not Verdict.DIFFERS:

@@ -84,7 +84,7 @@ def test_absent_or_failing_cyclictest_is_one_sentence(monkeypatch):
 
 
 def test_figures_are_medians_over_blocks_and_keep_the_raw_data():
-    comparison = jitter.Comparison(
+    comparison = jitter.BackEndBlocks(
         "thread", command=["cyclictest"], load=["ten clients"]
     )
     comparison.subject = [histogram([latency] * 10) for latency in (30, 12, 900)]

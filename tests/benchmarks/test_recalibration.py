@@ -13,17 +13,17 @@ from benchmarks.recalibration_robot import Case, Drive
 from hilserver.bench.jitter_subjects import Place
 from hilserver.config.recalibration import RecalibrationConfig
 from hilserver.errors import FailedError
-from hilserver.recalibration.orders import Compared, Looked, Result
-from hilserver.recalibration.proposals import Quantity, Term
+from hilserver.recalibration.orders import JudgeResult, Looked, ModelsCompared
+from hilserver.recalibration.proposals import ProposedTerm, Quantity
 from tests.loopback.rig import wait_until
 
 HIDDEN = {"rotation_gain": -0.03}
-TERM = Term(-0.031, "1", (-0.033, -0.029))
+TERM = ProposedTerm(-0.031, "1", (-0.033, -0.029))
 NAMED = Looked(
     "named", "It turns too little.", ("rotation_gain",), {"rotation_gain": TERM}
 )
 GAIN = {"yaw_rad": Quantity(0.06, 0.01, 6.0, (4.0, 8.0))}
-BETTER = Compared(1e-6, 1e-6, 72, GAIN)
+BETTER = ModelsCompared(1e-6, 1e-6, 72, GAIN)
 
 
 def arguments(*words):
@@ -45,7 +45,7 @@ def looks(monkeypatch):
         def result(self):
             confirm, measure = self._todo.confirm, self._todo.measure
             is_new = confirm is None and not self._todo.loaded
-            return Result(
+            return JudgeResult(
                 measure=None if measure is None else BETTER,
                 confirm=None if confirm is None else BETTER,
                 look=NAMED if is_new else Looked("as_running"),

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from hilserver.body.engine import Engine
-from hilserver.body.layout import Motion
+from hilserver.body.engine import BodyEngine
+from hilserver.body.layout import BodyMotion
 from hilserver.body.parameters import BodyParameters, Tyre
 from hilserver.body.step import advance
 from hilserver.plant.parameters import RobotParameters
@@ -26,9 +26,9 @@ class Body:
         self.parameters = BodyParameters(
             robot=self.robot, tyre=Tyre(**(tyre or {})), **changes
         )
-        self.engine = Engine(self.parameters)
+        self.engine = BodyEngine(self.parameters)
         self.numbers = self.engine.initial.copy()
-        self.b = Motion.of(self.numbers)
+        self.b = BodyMotion.of(self.numbers)
 
     def run(self, seconds, *asked):
         """Run with `asked` of each wheel: rad/s or %, forward positive."""

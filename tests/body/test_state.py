@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hilserver.body.engine import Engine
+from hilserver.body.engine import BodyEngine
 from hilserver.body.parameters import BodyParameters, Tyre
 from hilserver.body.step import advance
 from hilserver.plant.errors import PlantError
@@ -108,4 +108,4 @@ def test_what_cannot_stand_or_step_is_refused(changes, words):
 def test_without_the_extra_one_sentence_says_what_to_install(monkeypatch):
     monkeypatch.setattr("hilserver.body.engine.find_spec", lambda _: None)
     with pytest.raises(PlantError, match=r"pip install 'hilserver\[physics\]'"):
-        Engine(BodyParameters(robot=RobotParameters()))
+        BodyEngine(BodyParameters(robot=RobotParameters()))

@@ -19,7 +19,7 @@ from hilserver.opcua.certificate import (
 )
 from hilserver.opcua.passwords import is_password
 from hilserver.opcua.settings import OpcUaUser
-from hilserver.opcua.trust_list import TrustList, Verdict
+from hilserver.opcua.trust_list import CertificateVerdict, TrustList
 
 
 @pytest.fixture
@@ -98,11 +98,14 @@ def test_trust_reject_revoke(config: Path, capsys: pytest.CaptureFixture[str]) -
     data = to_der(certificate)
     trust.keep_rejected(data)
     for words, verdict in (
-        (("trust", "UaExpert@pc"), Verdict.GOOD),
-        (("reject", thumbprint(certificate)[:10].lower()), Verdict.UNTRUSTED),
-        (("trust", thumbprint(certificate)), Verdict.GOOD),
-        (("revoke", "UaExpert@pc"), Verdict.REVOKED),
-        (("trust", "UaExpert@pc"), Verdict.GOOD),
+        (("trust", "UaExpert@pc"), CertificateVerdict.GOOD),
+        (
+            ("reject", thumbprint(certificate)[:10].lower()),
+            CertificateVerdict.UNTRUSTED,
+        ),
+        (("trust", thumbprint(certificate)), CertificateVerdict.GOOD),
+        (("revoke", "UaExpert@pc"), CertificateVerdict.REVOKED),
+        (("trust", "UaExpert@pc"), CertificateVerdict.GOOD),
     ):
         assert certs(config, *words) == 0
         assert trust.judge(data) is verdict
@@ -123,7 +126,8 @@ def test_trust_a_file(
     path.write_bytes(to_der(certificate))
     assert certs(config, "trust", str(path)) == 0
     assert (
-        TrustList(tmp_path / "certificates").judge(to_der(certificate)) is Verdict.GOOD
+        TrustList(tmp_path / "certificates").judge(to_der(certificate))
+        is CertificateVerdict.GOOD
     )
     path.write_bytes(b"0123")
     assert certs(config, "trust", str(path)) == 1

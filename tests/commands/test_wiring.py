@@ -4,7 +4,7 @@ import pytest
 
 from hilserver.commands import main
 from hilserver.commands.demo import running_controller
-from hilserver.commands.wiring import Wiring, as_table, complaint
+from hilserver.commands.wiring import WheelCheck, as_table, complaint
 from hilserver.config.root import Config
 from hilserver.controller.nodes import demo_peer, node_id
 from hilserver.daemon.assembly import assemble_config
@@ -73,7 +73,7 @@ async def test_swapped_wheels_a_wrong_sign_and_the_stale_time_are_seen():
             daemon.faults.inject(
                 {"fault": "scale", "signal": "wheel.rr.setpoint_rpm", "factor": -1}
             )
-            wiring = Wiring(daemon, peer.name, 20.0, 15.0, lambda _: None)
+            wiring = WheelCheck(daemon, peer.name, 20.0, 15.0, lambda _: None)
             findings = await wiring.check()
     assert [f.complaint for f in findings] == [
         "order: rear left instead of front left",

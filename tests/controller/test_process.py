@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from asyncua import Client, ua
 
-from hilserver.controller.loop import Controller, PoseWatch
+from hilserver.controller.loop import FigureOfEight, PoseWatch
 from hilserver.controller.nodes import (
     NAMESPACE,
     SENSORS,
@@ -143,7 +143,7 @@ async def test_ends_with_its_parent():
 
 async def test_a_parent_that_ends_before_the_first_cycle_is_missed(monkeypatch):
     """It knows that the controller listens, and so may end, before the controller drives."""
-    controller = Controller(server=None)
+    controller = FigureOfEight(server=None)
     monkeypatch.setattr(os, "getppid", lambda: 1)
     async with asyncio.timeout(LIMIT_S):
         await controller.run()

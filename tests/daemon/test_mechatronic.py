@@ -6,12 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hilserver.body.layout import Motion, Signals
+from hilserver.body.layout import BodyMotion, Signals
 from hilserver.commands import main
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.builder import build
-from hilserver.daemon.outputs import Outputs
+from hilserver.daemon.outputs import PublishedOutputs
 from hilserver.errors import ConfigError
 from hilserver.image import Row
 from hilserver.logs import read_log
@@ -87,7 +87,7 @@ async def test_the_body_follows_the_plant_until_a_wall_stops_it():
         assert value(core, "mech.contact") == 1.0
         gap = value(core, "pose.x_m") - value(core, "mech.x_m")
         assert value(core, "mech.gap_m") == pytest.approx(gap, rel=0.01)
-        outputs = Outputs(core)
+        outputs = PublishedOutputs(core)
         outputs.frame = core.image.latest()
         assert outputs.exported()["mech.gap_m"] == value(core, "mech.gap_m")
 
@@ -187,7 +187,7 @@ async def test_a_bad_state_is_the_safe_state_and_says_so():
     async with build(assembled()) as core:
         await core.scheduler.advance(10)
         values, _ = core.image.region("body")
-        Motion.of(values).velocity[0] = np.nan
+        BodyMotion.of(values).velocity[0] = np.nan
         await core.scheduler.advance(10)
         assert core.image.control.first_fault == faults.SLICE + faults.BODY
         assert "mechatronic" in faults.fault_of(core.image.control.first_fault).text

@@ -2,7 +2,7 @@
 
 import time
 
-from hilserver.faults.links import MAX_QUEUED, Lane, Line
+from hilserver.faults.links import MAX_QUEUED, Lane, PeerLine
 from hilserver.faults.model import parse_fault
 from tests.fakes import ManualClock
 from tests.helpers.daemons import free_port
@@ -21,7 +21,7 @@ class Clock(ManualClock):
 
 def lane_with(*faults, direction="in"):
     clock = Clock()
-    line = Line("plc", clock)
+    line = PeerLine("plc", clock)
     for fault in faults:
         line.inject(parse_fault({"peer": "plc"} | fault))
     return line, Lane(line, direction), clock
@@ -107,7 +107,7 @@ def test_the_queue_is_bounded():
 
 async def test_a_real_link_is_cut_comes_back_and_is_late():
     peer = await Peer(free_port()).start()
-    line = Line("iot2050")
+    line = PeerLine("iot2050")
     harness = make_harness(peer_config(peer.port), line=line)
     await harness.link.start()
     try:

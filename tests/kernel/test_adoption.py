@@ -7,7 +7,7 @@ from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.builder import build
 from hilserver.errors import ControlRefused
-from hilserver.kernel.modifier_layout import Entry, Modifiers
+from hilserver.kernel.modifier_layout import ModifierEntry, Modifiers
 from hilserver.plant.layout import State
 
 
@@ -16,7 +16,7 @@ def place(name):
 
 
 def entry(name):
-    return place("entries") + Entry.where(name).start
+    return place("entries") + ModifierEntry.where(name).start
 
 
 WRONG = [

@@ -26,7 +26,7 @@ from hilserver.monitoring import audit
 from hilserver.observer import metrics as observer
 from hilserver.observer.layout import N_HEAD
 from hilserver.scheduler import metrics as scheduler
-from hilserver.scheduler.statistics import SliceFigures, Window
+from hilserver.scheduler.statistics import LatencyWindow, SliceFigures
 from hilserver.signals import State
 from hilserver.tasks import Supervisor
 
@@ -44,7 +44,7 @@ def slice_figures(name: str, **figures: object) -> SliceFigures:
         (f for f in SliceFigures.__dataclass_fields__ if f not in {"name", "window"}), 0
     )
     histograms = {"latency_counts": zeros(), "execution_counts": zeros()}
-    window = Window(0, math.nan, math.nan, math.nan, math.nan)
+    window = LatencyWindow(0, math.nan, math.nan, math.nan, math.nan)
     unknown = {"margin_min_ns": None, "window": window}
     return SliceFigures(**{"name": name, **numbers, **histograms, **unknown, **figures})
 
@@ -82,7 +82,7 @@ class FakeDaemon:
             Source(core.PARAMETER_METRICS, lambda: self.differing),
             Source(
                 core.INPUT_METRICS,
-                lambda: core.Inputs(self.input_ages_s, self.rejected),
+                lambda: core.InputFigures(self.input_ages_s, self.rejected),
             ),
             Source(peer_metrics.METRICS, lambda: self.peers),
             Source(shield_metrics.METRICS, lambda: self.shields),
@@ -103,9 +103,9 @@ class FakeDaemon:
         figures = self.recalibration
         return [Source(RECALIBRATION_METRICS, lambda: figures)] if figures else []
 
-    def pace(self) -> scheduler.Pace:
+    def pace(self) -> scheduler.PaceFigures:
         self.n_reads += 1
-        return scheduler.Pace(self.slices, self.realtime_factor, self.gc_pause)
+        return scheduler.PaceFigures(self.slices, self.realtime_factor, self.gc_pause)
 
     def program(self) -> daemon.Program:
         return daemon.Program("0123456789abcdef", self.tasks)
@@ -113,7 +113,7 @@ class FakeDaemon:
     def fill(self) -> None:
         """Set everything that a daemon in its default configuration can ever show."""
         self.shields, self.domains, self.observed, self.recalibration = [], [], [], None
-        window = Window(1000, 30e3, 9e3, 5e3, 80e3)
+        window = LatencyWindow(1000, 30e3, 9e3, 5e3, 80e3)
         self.slices = {
             name: slice_figures(name, window=window, margin_min_ns=900_000)
             for name in SLICES

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import pytest
 
 from hilserver.monitoring import audit as au
-from hilserver.scheduler.realtime import Grant
+from hilserver.scheduler.realtime import AuditFinding
 
 TUNED = {
     "proc/version": "Linux version 6.12.0-rt5 (gcc) #1 SMP PREEMPT_RT",
@@ -112,7 +112,7 @@ def test_capabilities_replace_limits(tmp_path):
 
 
 def test_what_the_thread_knows_of_its_slack_replaces_the_file(tmp_path):
-    granted = Grant("timer_slack", ok=True, wanted="1 ns", found="1 ns")
+    granted = AuditFinding("timer_slack", ok=True, wanted="1 ns", found="1 ns")
     items = au.audit(
         Paced([granted]), tree(tmp_path, TUNED | {"proc/42/timerslack_ns": ""})
     )
@@ -128,7 +128,7 @@ def test_an_empty_tree_is_no_error(tmp_path):
 
 
 def test_grants_of_the_scheduler_are_part_of_it(tmp_path):
-    refused = Grant(
+    refused = AuditFinding(
         "thread_priority", False, "not permitted", "SCHED_FIFO 80", "LimitRTPRIO=80"
     )
     items = au.audit(Paced([refused]), tree(tmp_path, TUNED))

@@ -7,8 +7,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hilserver.monitoring.health_request import (
+    HealthRequest,
     RefusedRequestError,
-    Request,
     parse_request,
 )
 
@@ -21,7 +21,7 @@ def test_a_scrape() -> None:
         + HOST
         + b"accept: text/plain\r\nX: \t\r\n\r\n"
     )
-    assert parse_request(head) == Request(
+    assert parse_request(head) == HealthRequest(
         "/metrics", is_head=False, accept="text/plain"
     )
 

@@ -16,9 +16,9 @@ from hilserver.daemon.metrics import METRICS
 from hilserver.io.link_status import PeerStatus
 from hilserver.io.ros2.status import CommandState
 from hilserver.io.shield.words import LATE_COUNTS, LATE_SUM
-from hilserver.metrics import Kind
+from hilserver.metrics import MetricKind
 from hilserver.monitoring.metrics import Metrics
-from hilserver.scheduler.statistics import Window
+from hilserver.scheduler.statistics import LatencyWindow
 from hilserver.signals import State
 from tests.helpers.prom_diff import PromDiff, series_of_text
 from tests.monitoring.figures import FakeDaemon, slice_figures, zeros
@@ -90,7 +90,7 @@ STIMULI = {
         d, execution_counts=counts_of(2_000)
     ),
     "hil_wake_jitter_seconds": lambda d: figures(
-        d, window=Window(9, 1.0, 5e3, 1.0, 1.0)
+        d, window=LatencyWindow(9, 1.0, 5e3, 1.0, 1.0)
     ),
     "hil_margin_min_seconds": lambda d: figures(d, margin_min_ns=-7_000),
     "hil_overruns_total": lambda d: figures(d, late_wakes=1),
@@ -226,7 +226,9 @@ def test_histogram_cumulates_and_keeps_what_lies_outside_its_range(
 LE_WAKE = ["5e-06", "1e-05", "0.05", "0.1", "+Inf"]
 
 
-@pytest.mark.parametrize("metric", [m for m in METRICS if m.kind is Kind.HISTOGRAM])
+@pytest.mark.parametrize(
+    "metric", [m for m in METRICS if m.kind is MetricKind.HISTOGRAM]
+)
 def test_exported_bounds_are_1_2_5_bounds(metric) -> None:
     indices = metric.bound_indices
     assert (BOUNDS_NS[indices[0]], BOUNDS_NS[indices[-1]]) == metric.range_ns

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilserver.metrics import Reading, counter
+from hilserver.metrics import MetricReading, counter
 from hilserver.monitoring.metrics import LifetimeTotals
 
 increments = st.lists(st.integers(0, 1000), min_size=3, max_size=3)
@@ -19,12 +19,16 @@ def test_announced_resets_lose_nothing(run: list[tuple[list[int], bool]]) -> Non
         shown = shown + increment
         counted += increment
         assert (
-            totals.advance("k", Reading(shown, int(shown.sum()))).counts == counted
+            totals.advance("k", MetricReading(shown, int(shown.sum()))).counts
+            == counted
         ).all()
         if is_reset:
             shown = np.zeros(3, np.int64)
-            totals.rebase("k", Reading(shown))
-    assert totals.advance("k", Reading(shown, int(shown.sum()))).sum_ns == counted.sum()
+            totals.rebase("k", MetricReading(shown))
+    assert (
+        totals.advance("k", MetricReading(shown, int(shown.sum()))).sum_ns
+        == counted.sum()
+    )
 
 
 @given(st.lists(st.lists(st.integers(0, 5), min_size=2, max_size=2), max_size=40))
@@ -32,7 +36,7 @@ def test_totals_never_fall(shown: list[list[int]]) -> None:
     totals = LifetimeTotals()
     before = np.zeros(2, np.int64)
     for values in shown:
-        after = totals.advance("k", Reading(np.array(values))).counts
+        after = totals.advance("k", MetricReading(np.array(values))).counts
         assert (after >= before).all()
         before = after
 

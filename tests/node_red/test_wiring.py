@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hilserver.commands.wiring import Wiring, as_table
+from hilserver.commands.wiring import WheelCheck, as_table
 from hilserver.config.root import Config
 from hilserver.controller.nodes import demo_peer
 from hilserver.daemon.assembly import assemble_config
@@ -99,7 +99,9 @@ async def wired(node_red, operator: Operator, source: Path) -> list:
         }
     )
     async with Daemon(assemble_config(config)) as daemon:
-        return await Wiring(daemon, peer.name, SPEED_RPM, 20.0, operator.told).check()
+        return await WheelCheck(
+            daemon, peer.name, SPEED_RPM, 20.0, operator.told
+        ).check()
 
 
 async def test_the_shipped_flow_is_wired_as_it_should_be(node_red, tmp_path):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from hilserver.opcua.frames import Stage
+from hilserver.opcua.frames import ConnectionStage
 from hilserver.opcua.loopback import is_own_program, owner_of
 from hilserver.opcua.transport import (
     BUSY_DEADLINE_S,
@@ -38,7 +38,10 @@ def test_our_own_connection_is_ours():
         assert not is_own_program(client.getsockname(), ("127.0.0.1", 1))
 
 
-STAGES = [(Stage.NEW, READ_DEADLINE_S), (Stage.OPEN, LOGIN_DEADLINE_S)]
+STAGES = [
+    (ConnectionStage.NEW, READ_DEADLINE_S),
+    (ConnectionStage.OPEN, LOGIN_DEADLINE_S),
+]
 
 
 def stays_too_long(stage, stayed_s, *, is_own=False, waits=()):

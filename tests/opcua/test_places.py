@@ -14,7 +14,7 @@ from asyncua.common.utils import ServiceError
 from benchmarks.wire import Wire
 from hilserver.opcua import transport
 from hilserver.opcua.application import Visitor
-from hilserver.opcua.places import YIELDS_AFTER_S, Places
+from hilserver.opcua.places import YIELDS_AFTER_S, SessionPlaces
 from hilserver.opcua.transport import Connection
 from tests.io.opcua_server.rig import Rig, connected
 
@@ -50,8 +50,8 @@ class Session:
         self.is_open = False
 
 
-def places() -> Places:
-    return Places(MOST, lambda user: (user.name or "").startswith("driver"))
+def places() -> SessionPlaces:
+    return SessionPlaces(MOST, lambda user: (user.name or "").startswith("driver"))
 
 
 def come_in(sessions: list[Session], newcomer: Session) -> bool:

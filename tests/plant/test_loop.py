@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from hilserver.plant.parameters import Controller, Process, RobotParameters
-from hilserver.plant.stability import Loop
+from hilserver.plant.stability import ControlLoop
 from tests.plant.rig import Rig
 
 KP, KI, LIMIT = 13.513, 195.84, 100.0
@@ -231,7 +231,7 @@ def decades(low, high):
 
 
 LOOPS = st.builds(
-    Loop,
+    ControlLoop,
     gain=decades(0.05, 20),
     t1_s=decades(0.0005, 100),
     t2_s=decades(0.0001, 10),
@@ -266,7 +266,7 @@ def test_and_so_it_is_where_both_lags_are_nearly_equal(loop, dt_s, apart):
 def test_a_slow_process_in_short_ticks_is_stable(dt_s):
     """Its poles differ from 1 in their last digits: Jury's table in z found it unstable."""
     gains = {"k_p": 0.25, "k_i": 1.0, "k_d": 1.0, "derivative_n": 2.0}
-    slow = Loop(gain=2.0, t1_s=1.515625, t2_s=0.046875, euler=False, **gains)
+    slow = ControlLoop(gain=2.0, t1_s=1.515625, t2_s=0.046875, euler=False, **gains)
     assert slow.is_stable(dt_s)
 
 

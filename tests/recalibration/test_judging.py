@@ -9,7 +9,7 @@ from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.schema.evidence import Diagnosis, Evidence, FittedTerm
 from hilserver.diagnosis.schema.findings import Finding, Parameter, Verdict
 from hilserver.measured.channels import DUTIES
-from hilserver.recalibration.judging import Judge, proposed, steady, values_of
+from hilserver.recalibration.judging import OrderJudge, proposed, steady, values_of
 from hilserver.recalibration.orders import Todo
 from tests.diagnosis.sample import findings
 from tests.recalibration.windows import order, record, stopped, write
@@ -18,7 +18,7 @@ HIDDEN = {"rotation_gain": 0.06}
 
 
 def judged(path, todo, **fields):
-    return Judge(order(path, todo, **fields)).result()
+    return OrderJudge(order(path, todo, **fields)).result()
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def test_a_window_that_is_gone_is_named(tmp_path):
 
 def duty_beyond_the_model(path):
     """Root mean square of what the model leaves of the duties [%]."""
-    judge = Judge(order(path))
+    judge = OrderJudge(order(path))
     stage = DriveStage(judge.log, judge.robot, block_s=1.0)
     rows = np.concatenate(
         [np.arange(len(stage.stack))[stage.stack.edges[n]] for n in DUTIES]

@@ -7,23 +7,30 @@ import pytest
 from hypothesis import strategies as st
 
 from hilserver.errors import ControlRefused
-from hilserver.recalibration.loop import Loop, present
-from hilserver.recalibration.orders import Compared, Looked, Order, Result, Share, Todo
+from hilserver.recalibration.loop import RecalibrationLoop, present
+from hilserver.recalibration.orders import (
+    JudgeOrder,
+    JudgeResult,
+    Looked,
+    ModelsCompared,
+    Share,
+    Todo,
+)
 from hilserver.recalibration.proposals import (
     FOLLOWING,
     Proposal,
+    ProposalStage,
+    ProposedTerm,
     Quantity,
-    Stage,
     Step,
-    Term,
 )
 from hilserver.recalibration.spending import Spending
 
 WINDOW_S = 1800.0
 GAIN = {"yaw_rad": Quantity(0.06, 0.01, 6.0, (4.0, 8.0))}
-BETTER = Compared(1e-5, 1e-5, 72, GAIN)
-NO_BETTER = Compared(0.4, 1e-5, 72, {"yaw_rad": Quantity(0.01, 0.01, 1.0)})
-TERM = Term(0.03, "1", (0.028, 0.032))
+BETTER = ModelsCompared(1e-5, 1e-5, 72, GAIN)
+NO_BETTER = ModelsCompared(0.4, 1e-5, 72, {"yaw_rad": Quantity(0.01, 0.01, 1.0)})
+TERM = ProposedTerm(0.03, "1", (0.028, 0.032))
 NAMED = Looked(
     "named",
     "The robot turns 3 % too little.",
@@ -37,7 +44,7 @@ class Robot:
     """A loop and its clock; windows are answered as they are asked."""
 
     def __init__(self, every_s=WINDOW_S):
-        self.loop = Loop(every_s, Spending(), 0.0)
+        self.loop = RecalibrationLoop(every_s, Spending(), 0.0)
         self.window, self.loaded, self.notes = 0, {}, []
 
     def next(self, look=NOTHING, confirm=NO_BETTER, measure=NO_BETTER):
@@ -48,7 +55,7 @@ class Robot:
         if todo is None:
             return None
         is_confirmed = todo.confirm is not None and confirm.holds(todo.level)
-        result = Result(
+        result = JudgeResult(
             measure if todo.measure is not None else None,
             confirm if todo.confirm is not None else None,
             look if todo.look and not is_confirmed else None,
@@ -59,7 +66,7 @@ class Robot:
     def proposed(self):
         self.next(NAMED)
         self.next(confirm=BETTER)
-        assert self.loop.proposal.stage is Stage.OPEN
+        assert self.loop.proposal.stage is ProposalStage.OPEN
         return self.loop.proposal
 
     def decide(self, step):
@@ -99,7 +106,7 @@ def test_named_twice_and_never_confirmed_is_no_proposal():
 def test_too_few_blocks_are_no_test_and_the_history_says_so():
     robot = Robot()
     robot.next(NAMED)
-    robot.next(confirm=Compared(2.0**-6, 2.0**-6, 6, GAIN))
+    robot.next(confirm=ModelsCompared(2.0**-6, 2.0**-6, 6, GAIN))
     assert robot.loop.proposal is None
     assert robot.notes[1].fields["verdict"] == "no_test"
     assert robot.notes[1].fields["resolution"] == 2.0**-6
@@ -139,7 +146,7 @@ def test_the_gap_after_a_decision_is_measured_on_a_window_of_its_own():
     assert robot.next() is None  # it began before
     todo = robot.next(measure=BETTER)
     assert todo.measure == {}
-    assert robot.loop.proposal.stage is Stage.BETTER
+    assert robot.loop.proposal.stage is ProposalStage.BETTER
     assert robot.loop.proposal.effect == GAIN
 
 
@@ -157,7 +164,7 @@ def test_a_decision_that_did_not_help_offers_the_former_model():
         "nav_latency": 0.1,
     }
     offered = robot.loop.proposal
-    assert offered.stage is Stage.OPEN
+    assert offered.stage is ProposalStage.OPEN
     assert {n: t.value for n, t in offered.terms.items()} == {
         "rotation_gain": 0.01,
         "nav_latency": 0.1,
@@ -172,16 +179,16 @@ def test_a_window_that_cannot_say_leaves_the_effect_to_the_next():
     robot.proposed()
     robot.decide(Step.ACCEPT)
     robot.next()
-    robot.next(measure=Compared(1.0, 1.0, 0))
+    robot.next(measure=ModelsCompared(1.0, 1.0, 0))
     assert robot.notes[-2].fields["verdict"] == "too_short"
     assert (
         robot.notes[-2]
         .fields["sentence"]
         .startswith("In 0 stretches of window 4 the robot")
     )
-    assert robot.loop.proposal.stage is Stage.ACCEPTED
+    assert robot.loop.proposal.stage is ProposalStage.ACCEPTED
     robot.next(measure=BETTER)
-    assert robot.loop.proposal.stage is Stage.BETTER
+    assert robot.loop.proposal.stage is ProposalStage.BETTER
 
 
 @pytest.mark.parametrize("loaded", [{}, {"rotation_gain": 0.03, "nav_latency": 0.1}])
@@ -193,7 +200,7 @@ def test_what_no_longer_runs_as_it_was_accepted_is_not_measured(loaded):
     robot.next()
     robot.loaded = loaded
     assert robot.next() is None
-    assert robot.loop.proposal.stage is Stage.REPLACED
+    assert robot.loop.proposal.stage is ProposalStage.REPLACED
     assert robot.notes[-1].fields["proposal"]["stage"] == "replaced"
     n = len(robot.notes)
     assert robot.next() is None
@@ -212,7 +219,7 @@ def test_two_models_of_which_none_is_better_do_not_take_turns():
     robot.next()
     assert (robot.loop.proposal.number, robot.loop.proposal.stage) == (
         2,
-        Stage.NOT_BETTER,
+        ProposalStage.NOT_BETTER,
     )
 
 
@@ -222,11 +229,13 @@ def test_what_was_rejected_is_not_proposed_again():
     robot.decide(Step.REJECT)
     robot.next(NAMED)
     robot.next(confirm=BETTER)
-    assert robot.loop.proposal.stage is Stage.REJECTED
-    other = replace(NAMED, terms={"rotation_gain": Term(0.06, "1", (0.05, 0.07))})
+    assert robot.loop.proposal.stage is ProposalStage.REJECTED
+    other = replace(
+        NAMED, terms={"rotation_gain": ProposedTerm(0.06, "1", (0.05, 0.07))}
+    )
     robot.next(other)
     robot.next(confirm=BETTER)
-    assert robot.loop.proposal.stage is Stage.OPEN
+    assert robot.loop.proposal.stage is ProposalStage.OPEN
 
 
 def test_what_was_rejected_for_another_model_is_proposed_for_this_one():
@@ -236,13 +245,15 @@ def test_what_was_rejected_for_another_model_is_proposed_for_this_one():
     robot.loaded = {"rotation_gain": 0.01}
     robot.next(replace(NAMED, terms={"rotation_gain": replace(TERM, present=0.01)}))
     robot.next(confirm=BETTER)
-    assert robot.loop.proposal.stage is Stage.OPEN
+    assert robot.loop.proposal.stage is ProposalStage.OPEN
 
 
 def test_a_newer_proposal_replaces_an_open_one():
     robot = Robot()
     robot.proposed()
-    robot.next(replace(NAMED, terms={"rotation_gain": Term(0.06, "1", (0.05, 0.07))}))
+    robot.next(
+        replace(NAMED, terms={"rotation_gain": ProposedTerm(0.06, "1", (0.05, 0.07))})
+    )
     robot.next(confirm=BETTER)
     assert robot.loop.proposal.number == 2
     assert robot.kinds[-3:] == ["confirmation", "decision", "proposal"]
@@ -261,7 +272,7 @@ def test_a_look_that_failed_is_said_and_forgotten():
     robot = Robot()
     robot.next(NAMED)
     todo = robot.loop.todo(2, {}, 2 * WINDOW_S)
-    notes = robot.loop.take(todo, Result(error="it was killed"), 2 * WINDOW_S)
+    notes = robot.loop.take(todo, JudgeResult(error="it was killed"), 2 * WINDOW_S)
     assert notes[0].sentence == "window 2 could not be diagnosed: it was killed"
     assert robot.loop.todo(3, {}, 3 * WINDOW_S).confirm is None
 
@@ -270,15 +281,19 @@ def test_a_restart_restores_what_waits_and_what_was_rejected():
     robot = Robot()
     robot.proposed()
     lines = [note.fields for note in robot.notes]
-    after = Loop(WINDOW_S, Spending(), 0.0)
+    after = RecalibrationLoop(WINDOW_S, Spending(), 0.0)
     after.restore(lines, {}, 2)
     assert after.proposal == robot.loop.proposal
     robot.decide(Step.ACCEPT)
     lines.append({"proposal": robot.loop.proposal.as_json()})
     after.restore(lines, {}, 2)
-    assert after.proposal.stage is Stage.OPEN  # the daemon runs the configuration again
+    assert (
+        after.proposal.stage is ProposalStage.OPEN
+    )  # the daemon runs the configuration again
     after.restore(lines, robot.loaded, 2)
-    assert after.proposal.stage is Stage.ACCEPTED  # it was started with its patch
+    assert (
+        after.proposal.stage is ProposalStage.ACCEPTED
+    )  # it was started with its patch
     assert after.todo(3, robot.loaded, 3 * WINDOW_S).measure == {}
 
 
@@ -308,15 +323,15 @@ def test_nothing_follows_a_rejection_and_nothing_is_accepted_that_is_not_open(st
         except ControlRefused:
             assert before not in FOLLOWING[step][0]
             continue
-        assert before is not Stage.REJECTED
-        if proposal.stage is Stage.ACCEPTED:
-            assert before in (Stage.OPEN, Stage.POSTPONED)
+        assert before is not ProposalStage.REJECTED
+        if proposal.stage is ProposalStage.ACCEPTED:
+            assert before in (ProposalStage.OPEN, ProposalStage.POSTPONED)
 
 
 TERMS = st.dictionaries(
     st.sampled_from(["rotation_gain", "wheel_radius", "nav_latency"]),
     st.builds(
-        Term,
+        ProposedTerm,
         st.floats(-1, 1),
         st.just("1"),
         st.none(),
@@ -336,7 +351,7 @@ def test_a_proposal_survives_its_file(terms, gone):
 
 def test_orders_and_results_survive_the_pipe():
     todo = Todo(3, {"rotation_gain": 0.1}, {}, None, 0.001, look=True)
-    order = Order(
+    order = JudgeOrder(
         todo,
         "/w",
         {"plant": {}},
@@ -345,9 +360,9 @@ def test_orders_and_results_survive_the_pipe():
         "/r",
         Share(15, (1,), 2**30, 7),
     )
-    assert Order.of(order.text()) == order
-    result = Result(BETTER, None, NAMED)
-    assert Result.of(result.text()) == result
+    assert JudgeOrder.of(order.text()) == order
+    result = JudgeResult(BETTER, None, NAMED)
+    assert JudgeResult.of(result.text()) == result
 
 
 @pytest.mark.parametrize(
@@ -359,7 +374,9 @@ def test_orders_and_results_survive_the_pipe():
     ],
 )
 def test_what_acts_by_itself_lies_within_ranges(ranges, is_within):
-    terms = {"a": Term(0.03, "1"), "kept": Term(0.5, "1", None, 0.5)}
+    terms = {"a": ProposedTerm(0.03, "1"), "kept": ProposedTerm(0.5, "1", None, 0.5)}
     proposal = Proposal(1, (), "", terms, {"gone": 0.1})
     assert proposal.within(ranges) == is_within
-    assert not Proposal(1, (), "", {"a": Term(0.2, "1")}).within({"a": (0.0, 0.1)})
+    assert not Proposal(1, (), "", {"a": ProposedTerm(0.2, "1")}).within(
+        {"a": (0.0, 0.1)}
+    )

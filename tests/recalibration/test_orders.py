@@ -5,21 +5,33 @@ from dataclasses import asdict
 
 import pytest
 
-from hilserver.recalibration.orders import Compared, Looked, Order, Result, Share, Todo
-from hilserver.recalibration.proposals import Proposal, Quantity, Stage, Term
+from hilserver.recalibration.orders import (
+    JudgeOrder,
+    JudgeResult,
+    Looked,
+    ModelsCompared,
+    Share,
+    Todo,
+)
+from hilserver.recalibration.proposals import (
+    Proposal,
+    ProposalStage,
+    ProposedTerm,
+    Quantity,
+)
 
-TERM = Term(0.03, "1", (0.02, 0.04))
+TERM = ProposedTerm(0.03, "1", (0.02, 0.04))
 GAIN = {"yaw_rad": Quantity(0.06, 0.01, 6.0, (4.0, 8.0))}
-ORDER = Order(
+ORDER = JudgeOrder(
     Todo(7, {"x": 1.0}, level=0.01), "w", {"a": [1]}, "/", {}, "", Share(4, (0, 1))
 )
-RESULT = Result(
-    Compared(0.4, 1e-6, 72),
-    Compared(1e-6, 1e-6, 72, GAIN),
+RESULT = JudgeResult(
+    ModelsCompared(0.4, 1e-6, 72),
+    ModelsCompared(1e-6, 1e-6, 72, GAIN),
     Looked("named", terms={"x": TERM}),
 )
 PROPOSAL = Proposal(
-    1, ("x",), "", {"x": TERM}, gain=GAIN, windows=(1, 2), stage=Stage.REJECTED
+    1, ("x",), "", {"x": TERM}, gain=GAIN, windows=(1, 2), stage=ProposalStage.REJECTED
 )
 
 
@@ -27,7 +39,7 @@ def proposal_of(text):
     return Proposal.from_json(json.loads(text))
 
 
-READ = [(Order.of, ORDER), (Result.of, RESULT), (proposal_of, PROPOSAL)]
+READ = [(JudgeOrder.of, ORDER), (JudgeResult.of, RESULT), (proposal_of, PROPOSAL)]
 
 
 def changed(made, path, value):
@@ -50,16 +62,16 @@ def test_what_was_written_is_read(read, made):
     ("read", "made", "path", "value"),
     [
         *((read, made, "else", 1) for read, made in READ),
-        (Order.of, ORDER, "todo.else", 1),
-        (Order.of, ORDER, "todo.window", "7"),
-        (Order.of, ORDER, "share.else", 1),
-        (Order.of, ORDER, "share.nice", 4.0),
-        (Result.of, RESULT, "confirm.else", 1),
-        (Result.of, RESULT, "confirm.p", "0.1"),
-        (Result.of, RESULT, "confirm.gain.yaw_rad.else", 1),
-        (Result.of, RESULT, "look.else", 1),
-        (Result.of, RESULT, "look.terms.x.value", "0.03"),
-        (Result.of, RESULT, "error", 3),
+        (JudgeOrder.of, ORDER, "todo.else", 1),
+        (JudgeOrder.of, ORDER, "todo.window", "7"),
+        (JudgeOrder.of, ORDER, "share.else", 1),
+        (JudgeOrder.of, ORDER, "share.nice", 4.0),
+        (JudgeResult.of, RESULT, "confirm.else", 1),
+        (JudgeResult.of, RESULT, "confirm.p", "0.1"),
+        (JudgeResult.of, RESULT, "confirm.gain.yaw_rad.else", 1),
+        (JudgeResult.of, RESULT, "look.else", 1),
+        (JudgeResult.of, RESULT, "look.terms.x.value", "0.03"),
+        (JudgeResult.of, RESULT, "error", 3),
         (proposal_of, PROPOSAL, "number", "1"),
         (proposal_of, PROPOSAL, "number", True),
         (proposal_of, PROPOSAL, "stage", "lost"),
@@ -78,4 +90,4 @@ def test_a_result_has_all_its_fields(name):
     data = asdict(RESULT)
     del data[name]
     with pytest.raises(ValueError, match=name):
-        Result.of(json.dumps(data))
+        JudgeResult.of(json.dumps(data))

@@ -17,19 +17,33 @@ from hilserver.errors import ControlRefused, FailedError
 from hilserver.program.whole_file import write_whole
 from hilserver.recalibration import link, patches, process
 from hilserver.recalibration.history import FILE, broken
-from hilserver.recalibration.orders import Compared, Looked, Order, Result, Todo
-from hilserver.recalibration.proposals import Quantity, Stage, Step, Term
-from hilserver.recalibration.windows import Window
+from hilserver.recalibration.orders import (
+    JudgeOrder,
+    JudgeResult,
+    Looked,
+    ModelsCompared,
+    Todo,
+)
+from hilserver.recalibration.proposals import (
+    ProposalStage,
+    ProposedTerm,
+    Quantity,
+    Step,
+)
+from hilserver.recalibration.windows import RecalibrationWindow
 from tests.io.opcua_server.rig import RobotClient
 from tests.loopback.rig import configuration, scrape, wait_until
 
 GAIN = {"yaw_rad": Quantity(0.06, 0.01, 6.0, (4.0, 8.0))}
-BETTER, NO_BETTER = Compared(1e-6, 1e-6, 72, GAIN), Compared(0.4, 1e-6, 72, GAIN)
+BETTER, NO_BETTER = (
+    ModelsCompared(1e-6, 1e-6, 72, GAIN),
+    ModelsCompared(0.4, 1e-6, 72, GAIN),
+)
 NAMED = Looked(
     "named",
     "The robot turns 3 % more than its wheels say.",
     ("rotation_gain",),
-    {"rotation_gain": Term(0.03, "1", (0.02, 0.04))},
+    {"rotation_gain": ProposedTerm(0.03, "1", (0.02, 0.04))},
 )
 NUMBER = ua.VariantType.UInt32
 
@@ -67,13 +81,13 @@ async def windows(part, answers, *results):
     for result in results:
         answers.append(result)
         number = part._news.last = part._news.last + 1
-        await part._next(Window(number, part._folder / "window.mcap"))
+        await part._next(RecalibrationWindow(number, part._folder / "window.mcap"))
         answers.clear()
 
 
 async def proposed(part, answers):
-    await windows(part, answers, Result(look=NAMED), Result(confirm=BETTER))
-    assert part.loop.proposal.stage is Stage.OPEN
+    await windows(part, answers, JudgeResult(look=NAMED), JudgeResult(confirm=BETTER))
+    assert part.loop.proposal.stage is ProposalStage.OPEN
 
 
 def lines(folder):
@@ -114,9 +128,11 @@ async def test_a_proposal_is_shown_accepted_and_measured(tmp_path, answers):
         decision = lines(tmp_path)[-1]
         assert (decision["kind"], decision["who"]) == ("decision", "anonymous engineer")
         assert decision["proposal"]["stage"] == "accepted"
-        await windows(part, answers, Result(look=Looked("as_running")))
-        await windows(part, answers, Result(measure=BETTER, look=Looked("as_running")))
-        assert part.loop.proposal.stage is Stage.BETTER
+        await windows(part, answers, JudgeResult(look=Looked("as_running")))
+        await windows(
+            part, answers, JudgeResult(measure=BETTER, look=Looked("as_running"))
+        )
+        assert part.loop.proposal.stage is ProposalStage.BETTER
         await exported(daemon, 'effect_ratio{quantity="yaw_rad"} 6.0')
         await exported(daemon, 'looks_total{verdict="named"} 1.0')
         assert broken(lines(tmp_path)) is None
@@ -150,7 +166,10 @@ async def test_one_that_does_not_help_is_taken_back(tmp_path, answers):
         await part.accept(1, "eve")
         nothing = Looked("as_running")
         await windows(
-            part, answers, Result(look=nothing), Result(measure=NO_BETTER, look=nothing)
+            part,
+            answers,
+            JudgeResult(look=nothing),
+            JudgeResult(measure=NO_BETTER, look=nothing),
         )
         assert part.loop.proposal.number == 2
         await part.accept(2, "eve")
@@ -166,8 +185,8 @@ async def test_one_that_was_reset_before_its_effect_is_measured_is_closed(
         async with client_of(daemon) as client:
             assert (await client.call("ResetParameters")).StatusCode.is_good()
         assert daemon.core.parameters.differing == {}
-        await windows(part, answers, Result(look=Looked("nothing")))
-        assert part.loop.proposal.stage is Stage.REPLACED
+        await windows(part, answers, JudgeResult(look=Looked("nothing")))
+        assert part.loop.proposal.stage is ProposalStage.REPLACED
         closed = next(line for line in lines(tmp_path) if line.get("window") == 3)
         assert (closed["kind"], closed["proposal"]["stage"]) == ("decision", "replaced")
         said = [e.message for e in daemon.events.recent if e.kind == "recalibration"]
@@ -222,7 +241,7 @@ async def test_what_cannot_be_written_down_is_not_done(tmp_path, answers, monkey
             await part.accept(1, "eve")
         monkeypatch.undo()
         assert daemon.core.parameters.differing == {}
-        assert part.loop.proposal.stage is Stage.OPEN
+        assert part.loop.proposal.stage is ProposalStage.OPEN
 
 
 @pytest.mark.parametrize(
@@ -257,7 +276,7 @@ async def test_a_plant_that_takes_nothing_leaves_the_proposal_open(
         with pytest.raises(ControlRefused, match="a snapshot is being loaded"):
             await part.accept(1, "eve")
         assert daemon.core.parameters.differing == {}
-        assert part.loop.proposal.stage is Stage.OPEN
+        assert part.loop.proposal.stage is ProposalStage.OPEN
         assert [line["kind"] for line in lines(tmp_path)][-2:] == ["decision", "undone"]
 
 
@@ -282,7 +301,7 @@ async def test_who_leaves_before_it_acts_has_accepted(tmp_path, answers, monkeyp
         with pytest.raises(asyncio.CancelledError):
             await accepting
         assert daemon.core.parameters.differing == {"terms.rotation_gain": 0.03}
-        assert part.loop.proposal.stage is Stage.ACCEPTED
+        assert part.loop.proposal.stage is ProposalStage.ACCEPTED
         assert lines(tmp_path)[-1]["kind"] == "decision"
 
 
@@ -312,21 +331,25 @@ async def test_parameters_that_changed_meanwhile_are_not_undone(tmp_path, answer
 async def test_within_ranges_it_acts_by_itself(tmp_path, answers, high, acts):
     ranges = {"rotation_gain": [-0.05, high]}
     async with daemon_in(tmp_path, accept="automatic", ranges=ranges) as (daemon, part):
-        await windows(part, answers, Result(look=NAMED), Result(confirm=BETTER))
+        await windows(
+            part, answers, JudgeResult(look=NAMED), JudgeResult(confirm=BETTER)
+        )
         assert bool(daemon.core.parameters.differing) == acts
-        assert part.loop.proposal.stage is (Stage.ACCEPTED if acts else Stage.OPEN)
+        assert part.loop.proposal.stage is (
+            ProposalStage.ACCEPTED if acts else ProposalStage.OPEN
+        )
 
 
 async def test_what_an_engineer_has_postponed_does_not_act_by_itself(tmp_path, answers):
     ranges = {"rotation_gain": [-0.05, 0.05]}
     async with daemon_in(tmp_path, accept="automatic", ranges=ranges) as (daemon, part):
-        await windows(part, answers, Result(look=NAMED))
+        await windows(part, answers, JudgeResult(look=NAMED))
         part._config = part._config.model_copy(update={"accept": "engineer"})
-        await windows(part, answers, Result(confirm=BETTER))
+        await windows(part, answers, JudgeResult(confirm=BETTER))
         await part.postpone(1, "eve")
         part._config = part._config.model_copy(update={"accept": "automatic"})
-        await windows(part, answers, Result(look=Looked("nothing")))
-        assert part.loop.proposal.stage is Stage.POSTPONED
+        await windows(part, answers, JudgeResult(look=Looked("nothing")))
+        assert part.loop.proposal.stage is ProposalStage.POSTPONED
         assert daemon.core.parameters.differing == {}
 
 
@@ -339,7 +362,7 @@ async def test_a_kill_between_decision_and_patch_leaves_the_proposal_open(
         decided = part.loop.decided(Step.ACCEPT, 1)
         part._history.append("decision", who="eve", proposal=decided.as_json())
     async with daemon_in(tmp_path) as (daemon, part):
-        assert part.loop.proposal.stage is Stage.OPEN
+        assert part.loop.proposal.stage is ProposalStage.OPEN
         assert daemon.core.parameters.differing == {}
         await part.accept(1, "eve")
         assert daemon.core.parameters.differing == {"terms.rotation_gain": 0.03}
@@ -361,7 +384,7 @@ async def test_a_look_that_a_kill_cut_short_is_named_by_the_next_run(tmp_path, a
     async with daemon_in(tmp_path) as (_, part):
         await proposed(part, answers)
     todo = Todo(9, {}, look=True)
-    order = Order(todo, "/window_0009.mcap", {}, "/", {}, "").text()
+    order = JudgeOrder(todo, "/window_0009.mcap", {}, "/", {}, "").text()
     (tmp_path / "recalibration" / process.ORDER).write_text(order)
     async with daemon_in(tmp_path) as (daemon, part):
         said = [e.message for e in daemon.events.recent if e.kind == "recalibration"]
@@ -370,7 +393,7 @@ async def test_a_look_that_a_kill_cut_short_is_named_by_the_next_run(tmp_path, a
             " it was applied"
         ]
         assert daemon.core.parameters.differing == {}
-        assert part.loop.proposal.stage is Stage.OPEN
+        assert part.loop.proposal.stage is ProposalStage.OPEN
     last = lines(tmp_path)[-1]
     assert (last["kind"], last["window"]) == ("failed", 9)
     assert broken(lines(tmp_path)) is None
@@ -387,7 +410,7 @@ async def test_a_disk_that_takes_no_patch_leaves_nothing_to_accept(tmp_path, ans
         ):
             await part.accept(1, "eve")
         assert daemon.core.parameters.differing == {}
-        assert part.loop.proposal.stage is Stage.OPEN
+        assert part.loop.proposal.stage is ProposalStage.OPEN
         assert lines(tmp_path)[-1]["kind"] == "proposal"
 
 
@@ -458,9 +481,9 @@ async def test_who_leaves_while_the_patch_is_written_has_not_accepted(
             assert part._turn.locked()
         with pytest.raises(asyncio.CancelledError):
             await accepting
-        assert part.loop.proposal.stage is Stage.OPEN
+        assert part.loop.proposal.stage is ProposalStage.OPEN
         await part.accept(1, "eve")
-        assert part.loop.proposal.stage is Stage.ACCEPTED
+        assert part.loop.proposal.stage is ProposalStage.ACCEPTED
 
 
 async def test_who_starts_with_what_was_accepted_has_it_measured(tmp_path, answers):
@@ -469,15 +492,19 @@ async def test_who_starts_with_what_was_accepted_has_it_measured(tmp_path, answe
         await part.accept(1, "eve")
     patch = tmp_path / "patches" / "recalibrated-0001.yaml"
     async with daemon_in(tmp_path, patch=patch) as (_, part):
-        assert part.loop.proposal.stage is Stage.ACCEPTED
-        await windows(part, answers, Result(measure=BETTER, look=Looked("as_running")))
-        assert part.loop.proposal.stage is Stage.BETTER
+        assert part.loop.proposal.stage is ProposalStage.ACCEPTED
+        await windows(
+            part, answers, JudgeResult(measure=BETTER, look=Looked("as_running"))
+        )
+        assert part.loop.proposal.stage is ProposalStage.BETTER
 
 
 async def test_a_number_that_is_none_is_an_event(tmp_path, answers):
     endless = replace(BETTER, gain={"yaw_rad": Quantity(0.06, 0.0, float("inf"))})
     async with daemon_in(tmp_path) as (daemon, part):
-        await windows(part, answers, Result(look=NAMED), Result(confirm=endless))
+        await windows(
+            part, answers, JudgeResult(look=NAMED), JudgeResult(confirm=endless)
+        )
         said = [e.message for e in daemon.events.recent if e.kind == "recalibration"]
         assert any(
             "a proposal contains a number that is not finite" in text for text in said

@@ -12,7 +12,7 @@ from hilserver.daemon.patches import Patches
 from hilserver.errors import FailedError
 from hilserver.recalibration import patches
 from hilserver.recalibration.loop import file_of
-from hilserver.recalibration.proposals import Proposal, Term
+from hilserver.recalibration.proposals import Proposal, ProposedTerm
 
 FITTED = {"speed_m_s": [-0.5, 0.7]}
 
@@ -36,7 +36,7 @@ def written(folder, made, others=None):
 
 
 def test_terms_say_where_they_were_fitted(tmp_path):
-    made = proposal({"rotation_gain": Term(0.03, "1", (0.02, 0.04))})
+    made = proposal({"rotation_gain": ProposedTerm(0.03, "1", (0.02, 0.04))})
     forth, back = written(tmp_path, made)
     assert forth.model.terms["rotation_gain"].fitted_in.speed_m_s == (-0.5, 0.7)
     assert forth.values == {"terms.rotation_gain": 0.03}
@@ -44,14 +44,22 @@ def test_terms_say_where_they_were_fitted(tmp_path):
 
 
 CASES = [
-    ({}, {"rotation_gain": Term(0.03, "1")}, {}),
-    ({"rotation_gain": 0.01}, {"rotation_gain": Term(0.03, "1", None, 0.01)}, {}),
+    ({}, {"rotation_gain": ProposedTerm(0.03, "1")}, {}),
+    (
+        {"rotation_gain": 0.01},
+        {"rotation_gain": ProposedTerm(0.03, "1", None, 0.01)},
+        {},
+    ),
     (
         {"nav_latency": 0.1, "rotation_gain": 0.02},
         {},
         {"nav_latency": 0.1, "rotation_gain": 0.02},
     ),
-    ({"nav_latency": 0.1}, {"wheel_radius": Term(0.01, "1")}, {"nav_latency": 0.1}),
+    (
+        {"nav_latency": 0.1},
+        {"wheel_radius": ProposedTerm(0.01, "1")},
+        {"nav_latency": 0.1},
+    ),
     ({"saturation_limit": 55.0}, {}, {"saturation_limit": 55.0}),
 ]
 
@@ -94,4 +102,4 @@ def test_a_folder_that_takes_nothing_is_named(tmp_path):
     with pytest.raises(
         FailedError, match=r"recalibrated-0001\.yaml: cannot be written"
     ):
-        written(tmp_path / "file", proposal({"rotation_gain": Term(0.03, "1")}))
+        written(tmp_path / "file", proposal({"rotation_gain": ProposedTerm(0.03, "1")}))

@@ -13,14 +13,14 @@ import pytest
 from hilserver.config.root import Config, without_passwords
 from hilserver.program import children
 from hilserver.recalibration import process
-from hilserver.recalibration.orders import Order, Share, Todo
-from hilserver.recalibration.windows import News, complete, first_file
+from hilserver.recalibration.orders import JudgeOrder, Share, Todo
+from hilserver.recalibration.windows import WindowNews, complete, first_file
 
 
 def order(folder, path="window_0001.mcap"):
     config, share = without_passwords(Config()), Share(0, (), 2_000_000_000)
     todo = Todo(1, {}, look=True)
-    return Order(todo, str(folder / path), config, str(folder), {}, "", share)
+    return JudgeOrder(todo, str(folder / path), config, str(folder), {}, "", share)
 
 
 @pytest.fixture
@@ -208,7 +208,7 @@ def test_the_newest_file_is_no_window_yet_and_none_comes_twice(tmp_path):
         first_file(tmp_path).with_name(f"window_{number:04d}.mcap").touch()
 
     begin(3)  # of an earlier run
-    news = News(tmp_path)
+    news = WindowNews(tmp_path)
     assert news.next() is None
     begin(4)
     assert news.next() is None

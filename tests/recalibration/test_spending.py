@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
-from hilserver.recalibration.flips import Answer, fewest_blocks, gains, seen
+from hilserver.recalibration.flips import FlipTest, fewest_blocks, gains, seen
 from hilserver.recalibration.spending import (
     LONGEST_S,
     NAMED_LEVEL,
@@ -38,7 +38,7 @@ def test_a_long_pause_saves_nothing_up():
 def test_few_blocks_are_no_test():
     rng = np.random.default_rng(0)
     answer = gains(np.full(8, 100.0), rng)
-    assert answer == Answer(2.0**-8, 2.0**-8, 8)
+    assert answer == FlipTest(2.0**-8, 2.0**-8, 8)
     assert answer.holds(0.01)
     assert not answer.resolves(0.001)
     assert not answer.holds(0.001)

@@ -4,14 +4,14 @@ import yaml
 
 from hilserver.recalibration.history import History
 from hilserver.recalibration.loop import file_of
-from hilserver.recalibration.proposals import Proposal, Quantity, Term
+from hilserver.recalibration.proposals import Proposal, ProposedTerm, Quantity
 
 ON = "recalibration: {enabled: true}\n"
 PROPOSAL = Proposal(
     number=1,
     causes=("rotation_gain",),
     sentence="The robot turns 3 % more than its wheel speeds say.",
-    terms={"rotation_gain": Term(0.03, "1", (0.028, 0.032))},
+    terms={"rotation_gain": ProposedTerm(0.03, "1", (0.028, 0.032))},
     gain={"yaw_rad": Quantity(0.06, 0.01, 6.0, (4.0, 8.0))},
     patch=file_of(1),
     former=file_of(1, "-former"),

@@ -7,7 +7,7 @@ from hilserver_injector.make import make
 from hilserver_injector.recipe import Recipe
 
 from hilserver.config.root import Config, without_passwords
-from hilserver.recalibration.orders import Order, Todo
+from hilserver.recalibration.orders import JudgeOrder, Todo
 
 LENGTH_S = 120.0
 AT_REST = {
@@ -88,4 +88,4 @@ def order(path, todo=None, **fields):
     """Return the order to look at a window with the default configuration."""
     what = {"folder": str(path.parent), "parameters": {}, "report": ""} | fields
     todo = Todo(1, {}, look=True) if todo is None else todo
-    return Order(todo, str(path), without_passwords(Config()), **what)
+    return JudgeOrder(todo, str(path), without_passwords(Config()), **what)

@@ -10,14 +10,14 @@ from hilserver.daemon.assembly import assemble_config
 from hilserver.plant.layout import WHEELS
 from hilserver.ros import outgoing
 from hilserver.ros.flavours import FLAVOURS
-from hilserver.ros.robot import Odometer, Robot, Shape
+from hilserver.ros.robot import Odometer, RosFrame, Shape
 from hilserver.ros.types import Types
 
 
 def robot_with(drive, rpm=(0.0,) * 4):
     assembly = assemble_config(Config.model_validate({"plant": {"drive": drive}}))
     shape = Shape.of(assembly.robot, assembly.composition.parameters)
-    robot = Robot(Types(), shape, Odometer(shape))
+    robot = RosFrame(Types(), shape, Odometer(shape))
     robot.values = {f"wheel.{w}.speed_rpm": v for w, v in zip(WHEELS, rpm, strict=True)}
     robot.values["drive.enable"] = 1.0
     return robot

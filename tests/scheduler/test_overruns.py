@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from hilserver.scheduler import OverrunLimits, OverrunPolicy, Slice, StopReason
-from hilserver.scheduler.causes import Cause, CauseFinder, Evidence, judge
+from hilserver.scheduler.causes import Cause, CauseFinder, OverrunEvidence, judge
 from hilserver.scheduler.exchange import (
     RECORDS_LOST,
     Exchange,
@@ -188,7 +188,7 @@ def evidence(**known):
         "gc_ns": 0,
         "stopped": False,
     }
-    return Evidence(**(quiet | known))
+    return OverrunEvidence(**(quiet | known))
 
 
 @pytest.mark.parametrize(

@@ -40,8 +40,8 @@ from hilserver.opcua.trust_list import (
     KEPT_WITHIN_S,
     MAX_LIST_BYTES,
     MAX_REJECTED,
+    CertificateVerdict,
     TrustList,
-    Verdict,
     file_name,
     files_in,
     write_private,
@@ -129,8 +129,8 @@ async def test_server_under_another_name(pki: Pki, tmp_path: Path) -> None:
     trust.make_folders()
     write_private(tmp_path / "trusted" / "server.der", pki.server.der)
     judge, der, uri = trust.judge_server, pki.server.der, pki.server.uri
-    assert judge(der, "127.0.0.1", uri) is Verdict.GOOD
-    assert judge(der, "LocalHost", uri) is Verdict.GOOD
+    assert judge(der, "127.0.0.1", uri) is CertificateVerdict.GOOD
+    assert judge(der, "LocalHost", uri) is CertificateVerdict.GOOD
     assert judge(der, "192.0.2.1", uri) == "BadCertificateHostNameInvalid"
     assert judge(der, "127.0.0.1", "urn:else") == "BadCertificateUriInvalid"
     assert judge(pki.client.der, "127.0.0.1", uri) == "BadCertificateUntrusted"
@@ -153,7 +153,7 @@ async def test_one_host_in_two_ways_of_writing(
     certificate = make_certificate(pki.client.key, "urn:x", [host])
     trust = TrustList(tmp_path)
     verdict = trust.judge_server(to_der(certificate), asked, "urn:x", only=certificate)
-    assert verdict is Verdict.GOOD
+    assert verdict is CertificateVerdict.GOOD
 
 
 async def test_a_client_is_no_server_nor_the_other_way_round(
@@ -272,8 +272,8 @@ async def test_a_long_revocation_list_counts(pki: Pki, list_path: Path) -> None:
     data = long_list(authority, issued.certificate.serial_number)
     assert len(data) > 1_000_000
     write_private(list_path, data)
-    assert pki.trust.judge(issued.der) is Verdict.REVOKED
-    assert pki.trust.judge(other.der) is Verdict.GOOD
+    assert pki.trust.judge(issued.der) is CertificateVerdict.REVOKED
+    assert pki.trust.judge(other.der) is CertificateVerdict.GOOD
 
 
 @pytest.mark.parametrize("damage", ["garbage", "half", "too large", "folder"])
@@ -284,14 +284,14 @@ async def test_while_a_file_in_revoked_cannot_be_read_nobody_is_let_in(
     issued = pki.identity("issued", issuer=authority)
     data = long_list(authority, issued.certificate.serial_number)
     with damaged(list_path, data, damage), capture_logs() as lines:
-        assert pki.trust.judge(issued.der) is Verdict.REVOCATION_UNKNOWN
-        assert pki.trust.judge(pki.client.der) is Verdict.REVOCATION_UNKNOWN
+        assert pki.trust.judge(issued.der) is CertificateVerdict.REVOCATION_UNKNOWN
+        assert pki.trust.judge(pki.client.der) is CertificateVerdict.REVOCATION_UNKNOWN
     errors = [line for line in lines if line["log_level"] == "error"]
     (error,) = errors  # however many knock
     assert error["file"] == str(list_path)
     assert error["reason"]
     assert "replace or remove" in error["event"]
-    assert pki.trust.judge(issued.der) is Verdict.GOOD
+    assert pki.trust.judge(issued.der) is CertificateVerdict.GOOD
 
 
 async def test_an_error_that_passes_locks_nobody_out_after_it(
@@ -308,10 +308,10 @@ async def test_an_error_that_passes_locks_nobody_out_after_it(
         trust = TrustList(pki.trust.folder)
         trust.ours = pki.client.certificate
         verdicts = [trust.judge(pki.client.der) for _ in range(3)]
-    assert verdicts == [Verdict.REVOCATION_UNKNOWN] * 3
+    assert verdicts == [CertificateVerdict.REVOCATION_UNKNOWN] * 3
     revoked = [line for line in lines if line.get("file") == str(list_path)]
     assert len(revoked) == 1, "it says so once"
-    assert trust.judge(pki.client.der) is Verdict.GOOD
+    assert trust.judge(pki.client.der) is CertificateVerdict.GOOD
 
 
 async def test_a_list_that_is_written_anew_in_its_place_counts(
@@ -320,9 +320,9 @@ async def test_a_list_that_is_written_anew_in_its_place_counts(
     authority = pki.authority()
     issued = pki.identity("issued", issuer=authority)
     write(list_path, long_list(authority, 99))
-    assert pki.trust.judge(issued.der) is Verdict.GOOD
+    assert pki.trust.judge(issued.der) is CertificateVerdict.GOOD
     write(list_path, long_list(authority, issued.certificate.serial_number))
-    assert pki.trust.judge(issued.der) is Verdict.REVOKED
+    assert pki.trust.judge(issued.der) is CertificateVerdict.REVOKED
 
 
 async def test_stolen_certificate_without_its_key(ours: Rig, pki: Pki) -> None:
@@ -335,19 +335,22 @@ async def test_stolen_certificate_without_its_key(ours: Rig, pki: Pki) -> None:
 async def test_weak_keys_and_other_uses_are_refused(pki: Pki) -> None:
     weak = pki._store("weak", "urn:x", make_key(1024))
     pki.trust_it(weak)
-    assert pki.trust.judge(weak.der) is Verdict.POLICY
-    assert pki.trust.judge(b"") is Verdict.INVALID
-    assert pki.trust.judge(weak.der[:-1]) is Verdict.INVALID
+    assert pki.trust.judge(weak.der) is CertificateVerdict.POLICY
+    assert pki.trust.judge(b"") is CertificateVerdict.INVALID
+    assert pki.trust.judge(weak.der[:-1]) is CertificateVerdict.INVALID
 
 
 async def test_chain_counts_by_its_first_certificate(pki: Pki) -> None:
     assert first_of_chain(pki.client.der + pki.server.der) == pki.client.der
-    assert pki.trust.judge(pki.client.der + pki.server.der) is Verdict.GOOD
+    assert pki.trust.judge(pki.client.der + pki.server.der) is CertificateVerdict.GOOD
 
 
 @given(data=st.binary(max_size=300))
 async def test_no_bytes_are_a_certificate_by_chance(data: bytes) -> None:
-    assert TrustList(Path("/nonexistent")).judge(b"0\x82" + data) is Verdict.INVALID
+    assert (
+        TrustList(Path("/nonexistent")).judge(b"0\x82" + data)
+        is CertificateVerdict.INVALID
+    )
 
 
 async def test_rejected_folder_does_not_grow_without_end(

@@ -14,7 +14,12 @@ from hypothesis import strategies as st
 
 from benchmarks.wire import Wire, frame, hello
 from hilserver.opcua.decoding import bound_decoder, within_bounds
-from hilserver.opcua.frames import FrameReader, Stage, TransportError, check_order
+from hilserver.opcua.frames import (
+    ConnectionStage,
+    FrameReader,
+    TransportError,
+    check_order,
+)
 from tests.io.opcua_server.rig import Rig, RobotClient
 from tests.security.pki import Pki
 
@@ -60,12 +65,12 @@ async def test_nothing_but_messages_is_kept(data: bytes) -> None:
 @pytest.mark.parametrize(
     ("stage", "allowed"),
     [
-        (Stage.NEW, {b"HEL"}),
-        (Stage.GREETED, {b"OPN"}),
-        (Stage.OPEN, {b"OPN", b"MSG", b"CLO"}),
+        (ConnectionStage.NEW, {b"HEL"}),
+        (ConnectionStage.GREETED, {b"OPN"}),
+        (ConnectionStage.OPEN, {b"OPN", b"MSG", b"CLO"}),
     ],
 )
-async def test_order(stage: Stage, allowed: set[bytes]) -> None:
+async def test_order(stage: ConnectionStage, allowed: set[bytes]) -> None:
     for kind in (b"HEL", b"OPN", b"MSG", b"CLO", b"ERR"):
         if kind in allowed:
             check_order(stage, kind)

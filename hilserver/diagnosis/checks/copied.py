@@ -3,7 +3,7 @@
 import numpy as np
 
 from hilserver.arrays import Array
-from hilserver.diagnosis.checks.runs import Fault, classified, corrected
+from hilserver.diagnosis.checks.runs import RunFault, classified, corrected
 from hilserver.diagnosis.checks.support import along, data_fault, listed, row_period_s
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import (
@@ -42,7 +42,7 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
     return corrected(log, copies), [finding]
 
 
-def copy_of(sent: Channel, speed: Channel, fastest_rpm_s: float) -> Fault | None:
+def copy_of(sent: Channel, speed: Channel, fastest_rpm_s: float) -> RunFault | None:
     """Return by how much `speed` is a late copy of `sent`, None if it is not a copy."""
     period_s = row_period_s(speed)
     if period_s <= 0 or len(sent) < FEWEST_CHANGES:
@@ -56,7 +56,7 @@ def copy_of(sent: Channel, speed: Channel, fastest_rpm_s: float) -> Fault | None
         at = at[speed.span[at] == speed.span[at + rows]]
         now, before = speed.values[at + rows], speed.values[at + rows - 1]
         if is_copy(now, held[at], before, held[at - 1], 1.5 * fastest_rpm_s * period_s):
-            return Fault(None, rows * period_s)
+            return RunFault(None, rows * period_s)
     return None
 
 

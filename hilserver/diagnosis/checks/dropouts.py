@@ -3,7 +3,7 @@
 import numpy as np
 
 from hilserver.diagnosis.checks.repetitions import repeated
-from hilserver.diagnosis.checks.runs import Fault, Faults, classified, corrected
+from hilserver.diagnosis.checks.runs import Faults, RunFault, classified, corrected
 from hilserver.diagnosis.checks.support import (
     SPAN_S,
     along,
@@ -32,9 +32,9 @@ def find_missing(
     if not log.has_stamps:
         return log, []
     shares = {n: missing(log[n], SHORTEST_BURST) for n in names}
-    gone = {n: Fault(log[n], s) for n, s in shares.items() if s > MISSING_IN_BURSTS}
+    gone = {n: RunFault(log[n], s) for n, s in shares.items() if s > MISSING_IN_BURSTS}
     if not gone and (share := missing(_rows(log), 1)) > IRREGULAR:
-        gone = {n: Fault(log[n], share) for n in names}
+        gone = {n: RunFault(log[n], share) for n in names}
     return log, [_finding(gone, "are missing")] if gone else []
 
 

@@ -13,8 +13,8 @@ import numpy as np
 from hilserver.arrays import Array, Mask
 from hilserver.diagnosis.checks.repetitions import changes_s, held
 from hilserver.diagnosis.checks.runs import (
-    Fault,
     Faults,
+    RunFault,
     alternates,
     corrected,
     rate_fault,
@@ -47,7 +47,9 @@ def find(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Findin
         evenly = (held(log[name], runs_of(log[name]), changes) for name in names)
         if found is not None and None in evenly:  # `repetitions` handles clocks better
             again, share = found
-            faults = {name: Fault(subset(log[name], ~again), share) for name in names}
+            faults = {
+                name: RunFault(subset(log[name], ~again), share) for name in names
+            }
             findings.append(_finding(log, faults))
             log = corrected(log, faults)
     return log, findings

@@ -11,8 +11,8 @@ import numpy as np
 
 from hilserver.arrays import Array, Indices, Mask
 from hilserver.diagnosis.checks.runs import (
-    Fault,
     Faults,
+    RunFault,
     Runs,
     alternates,
     classified,
@@ -176,7 +176,7 @@ def changes_s(log: MeasuredLog) -> Array:
     return np.unique(np.concatenate(found))
 
 
-def held(channel: Channel, runs: Runs, changes: Array) -> Fault | None:
+def held(channel: Channel, runs: Runs, changes: Array) -> RunFault | None:
     """Return the rate of a slower clock and its standard error; None if nothing is held."""
     steps = np.abs(np.diff(channel.values))[np.diff(channel.span) == 0]
     moving = steps[steps > 0]
@@ -200,7 +200,9 @@ def held(channel: Channel, runs: Runs, changes: Array) -> Fault | None:
         return None
     if rate_hz < HELD_SLOWEST_HZ or rate_hz * row_s > 0.67:
         return None
-    return Fault(None, rate_hz, rate_hz**2 * float(usual.std()) / np.sqrt(len(usual)))
+    return RunFault(
+        None, rate_hz, rate_hz**2 * float(usual.std()) / np.sqrt(len(usual))
+    )
 
 
 def _on_a_clock(periods: Array, row: float) -> bool:
@@ -241,9 +243,9 @@ def _fresh(channel: Channel, begins: Mask, period_s: float) -> Mask:
     return np.asarray(begins | (np.diff(number, prepend=0.0) > 0.0))
 
 
-def _alike(faults: Faults) -> list[dict[str, Fault]]:
+def _alike(faults: Faults) -> list[dict[str, RunFault]]:
     """Return the channels by source: those with the same rate within 15 %."""
-    groups: list[dict[str, Fault]] = []
+    groups: list[dict[str, RunFault]] = []
     for name, fault in faults.items():
         for group in groups:
             first = next(iter(group))
@@ -256,7 +258,7 @@ def _alike(faults: Faults) -> list[dict[str, Fault]]:
     return groups
 
 
-def repeated(channel: Channel, stands: Mask) -> Fault | None:
+def repeated(channel: Channel, stands: Mask) -> RunFault | None:
     """Return a channel without the samples that repeat the previous one; None if sound.
 
     Judged only where equal values are no accident: in a channel with noise of its own, unlike a
@@ -293,4 +295,4 @@ def repeated(channel: Channel, stands: Mask) -> Fault | None:
         return None
     again = np.repeat(burst, runs.length)
     again[runs.first] = False
-    return Fault(subset(channel, ~again), float(again.mean()))
+    return RunFault(subset(channel, ~again), float(again.mean()))

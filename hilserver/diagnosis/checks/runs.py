@@ -18,7 +18,7 @@ from hilserver.diagnosis.thresholds import ALTERNATING
 from hilserver.measured.data import Channel, MeasuredLog
 
 
-class Fault(NamedTuple):
+class RunFault(NamedTuple):
     """What a classifier finds in a channel."""
 
     left: Channel | None  # the real samples; None if there are none
@@ -27,12 +27,12 @@ class Fault(NamedTuple):
     sd: float = 0.0
 
 
-Faults = Mapping[str, Fault]  # by channel
+Faults = Mapping[str, RunFault]  # by channel
 
 
 def classified(
-    names: Iterable[str], classifier: Callable[[str], Fault | None]
-) -> dict[str, Fault]:
+    names: Iterable[str], classifier: Callable[[str], RunFault | None]
+) -> dict[str, RunFault]:
     """Return the channels in which a classifier finds a fault."""
     return {name: fault for name in names if (fault := classifier(name)) is not None}
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from hilserver.arrays import Array, Indices, Mask
 from hilserver.diagnosis.checks.runs import (
-    Fault,
+    RunFault,
     classified,
     corrected,
     rate_fault,
@@ -57,14 +57,14 @@ def find_interpolated(
     return corrected(log, faults), findings
 
 
-def interpolated(channel: Channel) -> Fault | None:
+def interpolated(channel: Channel) -> RunFault | None:
     """Return the samples that the slower clock sent, and its rate; None if there is none."""
     found = period_rows(channel)
     if found is None:
         return None
     rows, corners = found
     rate_hz = 1.0 / (rows * row_period_s(channel))
-    return Fault(
+    return RunFault(
         subset(channel, _on_clock(channel, rows, corners)), rate_hz, KNOWN_TO * rate_hz
     )
 
@@ -131,14 +131,14 @@ def find_sparse(
     return corrected(log, faults), findings
 
 
-def sparse(channel: Channel, speed: Channel) -> Fault | None:
+def sparse(channel: Channel, speed: Channel) -> RunFault | None:
     """Return straight lines between set-points if a speed followed sooner than they came."""
     known = sent_rate(channel)
     if known is None:
         return None
     lines = _lines(channel, 1.0 / known[0])
     return (
-        Fault(lines, *known)
+        RunFault(lines, *known)
         if _followed(channel, lines, speed, 1.0 / known[0])
         else None
     )

@@ -11,7 +11,7 @@ from hilserver.faults.links import Lane
 from hilserver.io.opcua_client.acquisition import Acquisition
 from hilserver.io.opcua_client.security import LinkSecurity
 from hilserver.io.opcua_client.session import Session, utc_ns_of
-from hilserver.io.opcua_client.writer import Writer
+from hilserver.io.opcua_client.writer import PeerWriter
 from hilserver.io.peer_link.link import Peer, describe
 from hilserver.io.peer_link.samples import OF_OPCUA, FaultKind
 from hilserver.tasks import together
@@ -69,7 +69,7 @@ class PeerLink(Peer):
             session, self.config, status, intake, self._report_slow
         )
         self._intake.expect(acquisition.nodes, now_ns)
-        writer = Writer(
+        writer = PeerWriter(
             session,
             self.config,
             status,

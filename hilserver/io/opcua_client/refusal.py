@@ -5,13 +5,13 @@ from collections.abc import Iterable, Sequence
 from asyncua import ua
 from cryptography import x509
 
-from hilserver.io.peer_link.samples import FaultKind, RefusedError
+from hilserver.io.peer_link.samples import FaultKind, LinkRefusedError
 from hilserver.opcua.certificate import (
     host_names,
     parse_certificate,
     thumbprint,
 )
-from hilserver.opcua.trust_list import Verdict
+from hilserver.opcua.trust_list import CertificateVerdict
 
 _SHOWN = 5
 _LONGEST = 100
@@ -28,27 +28,32 @@ _POLICY_CODES = {
 
 
 def certificate_refused(
-    verdict: Verdict, data: bytes, host: str, application_uri: str, trust_with: str
-) -> RefusedError:
+    verdict: CertificateVerdict,
+    data: bytes,
+    host: str,
+    application_uri: str,
+    trust_with: str,
+) -> LinkRefusedError:
     """Return what is wrong with the certificate that a peer presents.
 
     `trust_with`: how to trust the certificate, with ``THUMBPRINT`` for its thumbprint.
     """
+    of = CertificateVerdict
     sentence = {
-        Verdict.USE: "its certificate may not be used by a server: its key usage forbids it",
-        Verdict.REVOKED: "its certificate is revoked",
-        Verdict.REVOCATION_UNKNOWN: "its certificate may be revoked: a file in 'revoked' cannot be"
+        of.USE: "its certificate may not be used by a server: its key usage forbids it",
+        of.REVOKED: "its certificate is revoked",
+        of.REVOCATION_UNKNOWN: "its certificate may be revoked: a file in 'revoked' cannot be"
         " read; replace or remove it, the log names it",
-        Verdict.POLICY: "its certificate is too weak: RSA 2048 to 4096 bits and SHA-256 are needed",
-        Verdict.ISSUER_TIME: "the certificate of its authority is not valid now",
-        Verdict.URI: f"it announces the application URI {_quoted(application_uri)}, which its"
+        of.POLICY: "its certificate is too weak: RSA 2048 to 4096 bits and SHA-256 are needed",
+        of.ISSUER_TIME: "the certificate of its authority is not valid now",
+        of.URI: f"it announces the application URI {_quoted(application_uri)}, which its"
         " certificate does not name: issue that certificate again",
     }.get(verdict)
-    if verdict is Verdict.INVALID:
+    if verdict is of.INVALID:
         sentence = "it presents no readable certificate"
     if sentence is None:
         sentence = _about(parse_certificate(data), verdict, host, trust_with)
-    return RefusedError(
+    return LinkRefusedError(
         FaultKind.CERTIFICATE,
         verdict.value,
         f"not connected: {sentence} ({verdict.value})",
@@ -56,15 +61,18 @@ def certificate_refused(
 
 
 def _about(
-    certificate: x509.Certificate, verdict: Verdict, host: str, trust_with: str
+    certificate: x509.Certificate,
+    verdict: CertificateVerdict,
+    host: str,
+    trust_with: str,
 ) -> str:
-    if verdict is Verdict.HOST:
+    if verdict is CertificateVerdict.HOST:
         names = _listed(host_names(certificate)) or "no host"
         return (
             f"its certificate names {names}, not {_quoted(host)}: if it is the right one, put a"
             " name of the certificate into endpoint or peer_host"
         )
-    if verdict is Verdict.TIME:
+    if verdict is CertificateVerdict.TIME:
         begin, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
         return (
             f"its certificate is valid from {begin:%Y-%m-%d %H:%M} to {end:%Y-%m-%d %H:%M} UTC,"
@@ -78,14 +86,14 @@ def policy_missing(
     wanted: str,
     endpoints: Sequence[ua.EndpointDescription],
     policy_names: dict[str, str],
-) -> RefusedError:
+) -> LinkRefusedError:
     """Return that no endpoint has the configured policy and mode, and those there are."""
     offered = dict.fromkeys(
         f"{policy_names.get(e.SecurityPolicyUri or '', _quoted(e.SecurityPolicyUri))}"
         f" ({e.SecurityMode.name})"
         for e in endpoints
     )
-    return RefusedError(
+    return LinkRefusedError(
         FaultKind.SECURITY_POLICY,
         "endpoint",
         f"not connected: there is no endpoint with {wanted}; the server offers:"
@@ -96,7 +104,7 @@ def policy_missing(
 
 def token_missing(
     user: str | None, offered: Iterable[ua.UserTokenPolicy]
-) -> RefusedError:
+) -> LinkRefusedError:
     """Return that the endpoint does not accept our kind of log-in."""
     kinds = _listed([policy.TokenType.name for policy in offered]) or "nothing"
     remedy = (
@@ -105,16 +113,16 @@ def token_missing(
         else "remove user and password_file"
     )
     what = "anonymous clients" if user is None else "user names"
-    return RefusedError(
+    return LinkRefusedError(
         FaultKind.LOG_IN,
         "token",
         f"not connected: it accepts no {what} at this endpoint, only {kinds}: {remedy}",
     )
 
 
-def password_exposed(policy: str) -> RefusedError:
+def password_exposed(policy: str) -> LinkRefusedError:
     """Return that the password would be sent without sufficient encryption."""
-    return RefusedError(
+    return LinkRefusedError(
         FaultKind.LOG_IN,
         "exposed",
         f"not connected: it asks for the password with {_quoted(policy) or 'no'} encryption: set"
@@ -125,7 +133,7 @@ def password_exposed(policy: str) -> RefusedError:
 
 def refused_by_peer(
     error: ua.UaStatusCodeError, user: str | None, ours: str
-) -> RefusedError | None:
+) -> LinkRefusedError | None:
     """Return why the peer refuses us, None if the reason is not one of security."""
     code = ua.StatusCode(ua.UInt32(error.code)).name
     if code in _LOG_IN_CODES:
@@ -147,12 +155,12 @@ def refused_by_peer(
         kind, sentence = FaultKind.CERTIFICATE, f"it refuses {which}: {remedy}"
     else:
         return None
-    return RefusedError(kind, code, f"not connected: {sentence} ({code})")
+    return LinkRefusedError(kind, code, f"not connected: {sentence} ({code})")
 
 
-def hung_up(ours: str) -> RefusedError:
+def hung_up(ours: str) -> LinkRefusedError:
     """Return that the peer closed the connection instead of answering our certificate `ours`."""
-    return RefusedError(
+    return LinkRefusedError(
         FaultKind.CERTIFICATE,
         "closed",
         f"not connected: it closes the connection after receiving our certificate {ours}: trust it"

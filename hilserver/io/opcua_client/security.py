@@ -21,7 +21,7 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from hilserver.config.peers import PeerConfig
 from hilserver.errors import ConfigError
 from hilserver.io.opcua_client import refusal
-from hilserver.io.peer_link.samples import FaultKind, RefusedError
+from hilserver.io.peer_link.samples import FaultKind, LinkRefusedError
 from hilserver.opcua.certificate import (
     application_uris,
     first_of_chain,
@@ -31,7 +31,7 @@ from hilserver.opcua.certificate import (
 )
 from hilserver.opcua.passwords import MAX_PASSWORD_BYTES
 from hilserver.opcua.settings import OpcUaSettings
-from hilserver.opcua.trust_list import TrustList, Verdict, is_open_to_others
+from hilserver.opcua.trust_list import CertificateVerdict, TrustList, is_open_to_others
 
 _POLICIES: dict[str, Any] = {
     "Basic256Sha256": security_policies.SecurityPolicyBasic256Sha256,
@@ -45,7 +45,7 @@ _MODES = {
     "sign_and_encrypt": ua.MessageSecurityMode.SignAndEncrypt,
 }
 _WARN_BEFORE = timedelta(days=30)
-_TAKEN_AWAY = {Verdict.UNTRUSTED, Verdict.REVOKED}
+_TAKEN_AWAY = {CertificateVerdict.UNTRUSTED, CertificateVerdict.REVOKED}
 
 _log = structlog.get_logger(__name__)
 
@@ -121,7 +121,7 @@ class LinkSecurity:
             try:
                 password = _read_password(self._password_file)
             except ConfigError as error:
-                raise RefusedError(
+                raise LinkRefusedError(
                     FaultKind.LOG_IN, "file", f"not connected: {error}"
                 ) from None
             client.set_user(self.user)
@@ -193,22 +193,28 @@ class LinkSecurity:
         assert self._identity is not None
         shown, uri = data or b"", server.ApplicationUri or ""
         verdict = self._verdict(shown, uri)
-        if verdict is not Verdict.GOOD:
-            kept = verdict is Verdict.UNTRUSTED and self._identity.trust.keep_rejected(
-                shown
+        if verdict is not CertificateVerdict.GOOD:
+            kept = (
+                verdict is CertificateVerdict.UNTRUSTED
+                and self._identity.trust.keep_rejected(shown)
             )
             raise self._refuse(verdict, shown, uri, is_kept=kept is not None)
         self._shown = (shown, uri)
         return x509.load_der_x509_certificate(first_of_chain(shown))
 
-    def _verdict(self, data: bytes, uri: str) -> Verdict:
+    def _verdict(self, data: bytes, uri: str) -> CertificateVerdict:
         assert self._identity is not None
         trust, only = self._identity.trust, self._identity.only
         return trust.judge_server(data, self._host, uri, only=only)
 
     def _refuse(
-        self, verdict: Verdict, data: bytes, uri: str, *, is_kept: bool = True
-    ) -> RefusedError:
+        self,
+        verdict: CertificateVerdict,
+        data: bytes,
+        uri: str,
+        *,
+        is_kept: bool = True,
+    ) -> LinkRefusedError:
         identity = self._identity
         assert identity is not None
         remedy = (

@@ -21,8 +21,8 @@ from hilserver.io.peer_link import samples
 from hilserver.io.peer_link.samples import (
     FaultKind,
     LinkLostError,
-    RefusedError,
-    Verdict,
+    LinkRefusedError,
+    SampleVerdict,
 )
 from hilserver.time_limit import time_limit
 
@@ -106,7 +106,7 @@ class Session:
             raise
         return self
 
-    def _refusal(self, error: Exception) -> RefusedError | None:
+    def _refusal(self, error: Exception) -> LinkRefusedError | None:
         security = self._security
         ours = "" if security is None else security.thumbprint
         if isinstance(error, ua.UaStatusCodeError):
@@ -240,12 +240,12 @@ def utc_ns_of(stamp: datetime | None) -> int | None:
     return (stamp - _EPOCH) // _MICROSECOND * 1000
 
 
-def judge(sample: ua.DataValue) -> Verdict:
+def judge(sample: ua.DataValue) -> SampleVerdict:
     """Judge one sample; only status Good and finite numbers pass."""
     return replace(_judged(sample), stamp_ns=utc_ns_of(sample.SourceTimestamp))
 
 
-def _judged(sample: ua.DataValue) -> Verdict:
+def _judged(sample: ua.DataValue) -> SampleVerdict:
     status = sample.StatusCode
     if status is not None and not status.is_good():
         kind = FaultKind.BAD_STATUS
@@ -254,8 +254,10 @@ def _judged(sample: ua.DataValue) -> Verdict:
             ua.StatusCodes.BadNodeIdInvalid,
         ):
             kind = FaultKind.MISSING_NODE
-        return Verdict(fault=kind, detail=f"status {status.name}")
+        return SampleVerdict(fault=kind, detail=f"status {status.name}")
     value = sample.Value.Value if sample.Value is not None else None
     if value is None:
-        return Verdict(fault=FaultKind.NO_VALUE, detail="status Good without a value")
+        return SampleVerdict(
+            fault=FaultKind.NO_VALUE, detail="status Good without a value"
+        )
     return samples.judge_value(value)

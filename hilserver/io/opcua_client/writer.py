@@ -7,7 +7,7 @@ from datetime import datetime
 from asyncua import ua
 
 from hilserver.config.peers import PeerConfig
-from hilserver.faults.links import Lane, Line
+from hilserver.faults.links import Lane, PeerLine
 from hilserver.io.link_status import FaultBook, PeerStatus
 from hilserver.io.opcua_client.outgoing import (
     Form,
@@ -25,7 +25,7 @@ from hilserver.status import GOOD, is_bad
 LOOK_AGAIN_S = 1.0
 
 
-class Writer:
+class PeerWriter:
     """Writes outputs to one peer during a session."""
 
     def __init__(
@@ -44,7 +44,7 @@ class Writer:
         self._faults = faults
         self._read_output = read_output
         self._utc = utc
-        self._lane = lane or Lane(Line(config.name), "out")
+        self._lane = lane or Lane(PeerLine(config.name), "out")
         self._targets: dict[str, tuple[ua.NodeId, ua.VariantType]] = {}
         self._forms: dict[str, Form] = {}
         self._look_again_s = 0.0

@@ -10,9 +10,9 @@ import time
 from collections.abc import Callable, Iterable
 
 from hilserver.config.peers import PeerConfig
-from hilserver.faults.links import Lane, Line
+from hilserver.faults.links import Lane, PeerLine
 from hilserver.io.peer_link.latency import ClockOffset, StampWatch, one_way_ns
-from hilserver.io.peer_link.samples import FaultKind, SequenceWatch, Verdict
+from hilserver.io.peer_link.samples import FaultKind, SampleVerdict, SequenceWatch
 from hilserver.io.source import Source
 
 SEQUENCE_SIGNAL = "input.sequence"
@@ -69,7 +69,9 @@ class Intake:
         )
         self._drop(node, now_ns)
 
-    def receive(self, samples: Iterable[tuple[str, Verdict]], now_ns: int) -> None:
+    def receive(
+        self, samples: Iterable[tuple[str, SampleVerdict]], now_ns: int
+    ) -> None:
         """Take one batch that arrived at `now_ns` (CLOCK_MONOTONIC).
 
         Parameters
@@ -107,7 +109,7 @@ class Intake:
         elif changed:
             self._watch_repeats(now_ns)
 
-    def _compare(self, node: str, verdict: Verdict) -> tuple[bool, bool]:
+    def _compare(self, node: str, verdict: SampleVerdict) -> tuple[bool, bool]:
         """Return (value or stamp is new, value has changed) and remember both."""
         before, value = self._last_values.get(node), verdict.value
         now = (verdict.stamp_ns, value)
@@ -131,7 +133,7 @@ class Intake:
         for name in self._inputs.get(node, (node,)):
             self._staleness.unusable(name, now_ns)
 
-    def _count(self, verdict: Verdict, now_ns: int) -> bool:
+    def _count(self, verdict: SampleVerdict, now_ns: int) -> bool:
         value = verdict.value
         if not isinstance(value, int | float) or value != int(value):
             sentence = f"{self._counter}: {value!r} is not a counter value"
@@ -154,7 +156,7 @@ class Intake:
                 self._picture[SEQUENCE_SIGNAL] = int(value) % 2**32
         return step.advanced and not is_old
 
-    def _judge_stamp(self, node: str, verdict: Verdict, now_ns: int) -> None:
+    def _judge_stamp(self, node: str, verdict: SampleVerdict, now_ns: int) -> None:
         stamp_ns = verdict.stamp_ns
         stamp = self._stamps.observe(node, stamp_ns, verdict.value)
         if stamp.fault is not None:
@@ -206,13 +208,13 @@ class Intake:
             self._faults.report(FaultKind.SEQUENCE_REPEATS, node, sentence, now_ns)
 
 
-Batch = list[tuple[str, Verdict]]
+Batch = list[tuple[str, SampleVerdict]]
 
 
 class FaultyIntake:
     """Hands batches on through the injected faults of the link, without them at once."""
 
-    def __init__(self, intake: Intake, line: Line) -> None:
+    def __init__(self, intake: Intake, line: PeerLine) -> None:
         self._intake = intake
         self._lane: Lane[Batch] = Lane(line, "in")
         self._news = asyncio.Event()
@@ -221,7 +223,9 @@ class FaultyIntake:
         """Report a node that the peer does not have."""
         self._intake.missing(node, why, now_ns)
 
-    def receive(self, samples: Iterable[tuple[str, Verdict]], now_ns: int) -> None:
+    def receive(
+        self, samples: Iterable[tuple[str, SampleVerdict]], now_ns: int
+    ) -> None:
         """Take one batch; one that is not delayed is handed on at once."""
         self._lane.put(list(samples))
         for batch in self._lane.take():

@@ -14,14 +14,14 @@ from hilserver.config.peers import PeerConfig
 from hilserver.core.clock import UtcClock
 from hilserver.core.events import EventBus
 from hilserver.core.inputs import InputGate
-from hilserver.faults.links import Line
+from hilserver.faults.links import PeerLine
 from hilserver.io.arrival import WATCH_S
 from hilserver.io.link_status import LinkState, PeerStatus
 from hilserver.io.peer_link.intake import FaultyIntake, Intake
 from hilserver.io.peer_link.samples import (
     FaultKind,
     LinkLostError,
-    RefusedError,
+    LinkRefusedError,
     refusal_in,
 )
 from hilserver.io.source import Source
@@ -86,7 +86,7 @@ class Peer(Part):
         events: EventBus,
         read_output: Callable[[str], Output],
         clock: UtcClock,
-        line: Line | None = None,
+        line: PeerLine | None = None,
         tasks: Supervisor | None = None,
     ) -> None:
         self.config, self.label = config, config.name
@@ -106,7 +106,7 @@ class Peer(Part):
         )
         self._faults = self._source.faults
         self._intake = Intake(config, self._source, clock.utc_ns)
-        self._line = line or Line(config.name)
+        self._line = line or PeerLine(config.name)
         self._tasks = Supervisor() if tasks is None else tasks
         self._jobs: list[SupervisedTask] = []
 
@@ -211,7 +211,7 @@ class Peer(Part):
             _log.warning("peer link ended", peer=self.config.name, why=why)
         self.status.last_error = why
 
-    def _note_refusal(self, refused: RefusedError) -> None:
+    def _note_refusal(self, refused: LinkRefusedError) -> None:
         """Report the reason once, however often the attempt is repeated."""
         self.status.last_error = str(refused)
         self._faults.refuse(

@@ -4,13 +4,13 @@ from collections.abc import Callable, Collection, Iterator
 from typing import Final
 
 from hilserver.io.link_status import PeerStatus
-from hilserver.metrics import MS, US, Metric, Reading, Row, S, counter, durations
+from hilserver.metrics import MS, US, Metric, MetricReading, Row, S, counter, durations
 
 Peers = Collection[PeerStatus]
 
 
 def _each(
-    figure: Callable[[PeerStatus], float | Reading | None],
+    figure: Callable[[PeerStatus], float | MetricReading | None],
 ) -> Callable[[Peers], Iterator[Row]]:
     """Return a reader of one figure of every peer."""
     return lambda peers: (((peer.name,), figure(peer)) for peer in peers)

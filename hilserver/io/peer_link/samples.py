@@ -44,7 +44,7 @@ OF_OPCUA: Final = frozenset(FaultKind) - OF_S7
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class SampleVerdict:
     """A usable value, or what is wrong with the sample."""
 
     value: object = None  # None if it cannot be used
@@ -54,7 +54,7 @@ class Verdict:
     stamp_ns: int | None = None
 
 
-def judge_value(value: object) -> Verdict:
+def judge_value(value: object) -> SampleVerdict:
     """Judge a value, or a list of them, with status Good; only finite numbers pass."""
     parts = value if isinstance(value, list | tuple) else [value]
     for part in parts:
@@ -62,11 +62,13 @@ def judge_value(value: object) -> Verdict:
             continue
         if not isinstance(part, int | float):
             detail = f"{type(part).__name__} '{str(part)[:40]}' with status Good"
-            return Verdict(fault=FaultKind.TEXT_IN_NUMBER, detail=detail)
+            return SampleVerdict(fault=FaultKind.TEXT_IN_NUMBER, detail=detail)
         if not math.isfinite(part):
             detail = f"{part} with status Good (often text written into a number)"
-            return Verdict(fault=FaultKind.NOT_FINITE, detail=detail)
-    return Verdict(value=list(parts) if isinstance(value, list | tuple) else value)
+            return SampleVerdict(fault=FaultKind.NOT_FINITE, detail=detail)
+    return SampleVerdict(
+        value=list(parts) if isinstance(value, list | tuple) else value
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +108,7 @@ class LinkLostError(Exception):
     """The session ended; the message has the reason."""
 
 
-class RefusedError(Exception):
+class LinkRefusedError(Exception):
     """There is no session, and another attempt without a change would fail, too."""
 
     def __init__(self, kind: FaultKind, subject: str, sentence: str) -> None:
@@ -117,8 +119,8 @@ class RefusedError(Exception):
         self.pause_s = LOG_IN_PAUSE_S if kind is FaultKind.LOG_IN else REFUSED_PAUSE_S
 
 
-def refusal_in(error: BaseException) -> RefusedError | None:
+def refusal_in(error: BaseException) -> LinkRefusedError | None:
     """Return the refusal that ended a session or an attempt, None if it was something else."""
     if isinstance(error, BaseExceptionGroup):
         return next(filter(None, map(refusal_in, error.exceptions)), None)
-    return error if isinstance(error, RefusedError) else None
+    return error if isinstance(error, LinkRefusedError) else None

@@ -14,7 +14,7 @@ from hilserver.config.doors import Right
 from hilserver.config.ros2 import LOOPBACK, Ros2Config
 from hilserver.core.events import Event, EventKind
 from hilserver.core.staleness import Transition
-from hilserver.faults.links import Lane, Line
+from hilserver.faults.links import Lane, PeerLine
 from hilserver.io.arrival import WATCH_S
 from hilserver.io.link_status import LinkState
 from hilserver.io.ros2 import graph
@@ -24,7 +24,7 @@ from hilserver.io.ros2.parameters import NODE, ParameterServices
 from hilserver.io.ros2.participant import Arrival, In, Out, Participant
 from hilserver.io.ros2.real_robot import RealRobot
 from hilserver.io.ros2.replies import Replies
-from hilserver.io.ros2.services import Service
+from hilserver.io.ros2.services import RosService
 from hilserver.io.ros2.status import CommandState, Ros2Fault, Ros2Status
 from hilserver.io.ros2.way_back import WayBack
 from hilserver.io.ros2.wire import WireTypes
@@ -39,7 +39,7 @@ from hilserver.ros.flavours import (
     Served,
     Subscribed,
 )
-from hilserver.ros.robot import Odometer, Robot
+from hilserver.ros.robot import Odometer, RosFrame
 from hilserver.ros.types import Types
 from hilserver.signals import State
 from hilserver.tasks import SupervisedTask
@@ -57,13 +57,13 @@ class Ros2Node(Part):
     section, label, is_early = NAME, "ROS 2", True  # joining takes a second
     status: Ros2Status  # always up to date
 
-    def __init__(self, config: Ros2Config, world: World, line: Line) -> None:
+    def __init__(self, config: Ros2Config, world: World, line: PeerLine) -> None:
         self.config, self._world = config, world
         self._flavour = FLAVOURS[config.flavour]
         self._types = Types(config.service_fields)
         self._wire = WireTypes(self._types)
         space = (config.namespace or self._flavour.namespace).strip("/")
-        self.robot = Robot(
+        self.robot = RosFrame(
             self._types,
             world.shape,
             Odometer(world.shape),
@@ -89,7 +89,7 @@ class Ros2Node(Part):
         self._participant: Participant | None = None
         self._outs: dict[str, tuple[Published, Out]] = {}
         self._ins: dict[str, tuple[Subscribed, In]] = {}
-        self._services: list[Service] = []
+        self._services: list[RosService] = []
         self._jobs: list[SupervisedTask] = []
         self._cycle = 0
         self._news_ns: int | None = None
@@ -168,7 +168,7 @@ class Ros2Node(Part):
             opened(participant.reader, topic) for topic in self._flavour.subscribed
         )
         self._services = [
-            Service(served, self.config, self._types, wire, participant)
+            RosService(served, self.config, self._types, wire, participant)
             for served in (*self._flavour.served, *self._parameter_services())
         ]
         if self.real is not None:
@@ -388,7 +388,7 @@ class Ros2Node(Part):
         ):
             self._way_back.withdraw()
 
-    def _serve(self, service: Service, request: Any) -> None:
+    def _serve(self, service: RosService, request: Any) -> None:
         if self._replies is None:
             return
         number = self._replies.number(request)

@@ -14,7 +14,7 @@ from hilserver.io.ros2.wire import WireTypes
 from hilserver.ros.flavours import Served
 from hilserver.ros.incoming import Answer
 from hilserver.ros.qos import Qos
-from hilserver.ros.robot import Robot
+from hilserver.ros.robot import RosFrame
 from hilserver.ros.types import Types
 
 HEADER_BYTES: Final = 4
@@ -23,7 +23,7 @@ WAITING: Final = 1000
 IDENTITY: Final = struct.calcsize("<Qq")
 
 
-class Service:
+class RosService:
     """One service of the node."""
 
     def __init__(
@@ -59,7 +59,7 @@ class Service:
         """Return the requests that came in."""
         return self._reader.take()
 
-    def understand(self, robot: Robot, request: Arrival) -> Answer:
+    def understand(self, robot: RosFrame, request: Arrival) -> Answer:
         """Return what to write and what to answer.
 
         ValueError if it is not a request of this service.

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple, Self
 
 from hilserver.config.s7 import Endpoint
-from hilserver.io.peer_link.samples import FaultKind, LinkLostError, RefusedError
+from hilserver.io.peer_link.samples import FaultKind, LinkLostError, LinkRefusedError
 from hilserver.io.s7 import wire
 from hilserver.io.s7.wire import Code, Function, Item, Job, WireError
 from hilserver.time_limit import time_limit
@@ -30,7 +30,7 @@ WHY = {
 }
 
 
-class Run(NamedTuple):
+class S7Write(NamedTuple):
     """Bytes, or one bit, to write from a given bit of a block on."""
 
     item: Item
@@ -41,7 +41,7 @@ class AnswerError(Exception):
     """The controller answered that it cannot read or write; the connection stays open."""
 
 
-class Connection:
+class S7Connection:
     """An open connection; use it as an async context manager."""
 
     def __init__(self, endpoint: Endpoint) -> None:
@@ -100,7 +100,7 @@ class Connection:
             data += piece
         return data
 
-    async def write(self, runs: Sequence[Run]) -> None:
+    async def write(self, runs: Sequence[S7Write]) -> None:
         """Write, in several messages if needed, the last bytes first.
 
         AnswerError or LinkLostError.
@@ -139,12 +139,12 @@ class Connection:
         return await wire.receive(self._reader)
 
 
-def _no_slot(rack: int, slot: int) -> RefusedError:
+def _no_slot(rack: int, slot: int) -> LinkRefusedError:
     sentence = (
         f"not connected: there is no controller in rack {rack}, slot {slot}, or it has no free"
         f" connection: an S7-1500 or S7-1200 is in slot 1, an S7-300 in slot 2"
     )
-    return RefusedError(FaultKind.NO_SLOT, "slot", sentence)
+    return LinkRefusedError(FaultKind.NO_SLOT, "slot", sentence)
 
 
 def _check(block: int, code: int) -> None:
@@ -153,10 +153,10 @@ def _check(block: int, code: int) -> None:
         raise AnswerError(f"DB{block}: {why}")
 
 
-def parts(runs: Sequence[Run], pdu_bytes: int) -> Iterator[list[Run]]:
+def parts(runs: Sequence[S7Write], pdu_bytes: int) -> Iterator[list[S7Write]]:
     """Yield the runs for one message each, from the last byte to the first."""
     room = pdu_bytes - wire.WRITE_OVERHEAD + wire.ITEM_OVERHEAD
-    part: list[Run] = []
+    part: list[S7Write] = []
     left = room
     for run in reversed(list(_short(runs, (room - wire.ITEM_OVERHEAD) // 2 * 2))):
         needed = wire.ITEM_OVERHEAD + len(run.data)
@@ -169,8 +169,8 @@ def parts(runs: Sequence[Run], pdu_bytes: int) -> Iterator[list[Run]]:
         yield part
 
 
-def _short(runs: Sequence[Run], longest: int) -> Iterator[Run]:
+def _short(runs: Sequence[S7Write], longest: int) -> Iterator[S7Write]:
     for item, data in runs:
         for at in range(0, len(data), longest):
             piece = data[at : at + longest]
-            yield Run(item._replace(bit=item.bit + 8 * at, size=len(piece)), piece)
+            yield S7Write(item._replace(bit=item.bit + 8 * at, size=len(piece)), piece)

@@ -13,7 +13,7 @@ from hilserver.io.peer_link.intake import FaultyIntake
 from hilserver.io.peer_link.link import Peer
 from hilserver.io.peer_link.samples import FaultKind, judge_value
 from hilserver.io.s7.blocks import COUNTING, check_type, packed, unpacked
-from hilserver.io.s7.connection import AnswerError, Connection, Run
+from hilserver.io.s7.connection import AnswerError, S7Connection, S7Write
 from hilserver.io.s7.wire import Item
 from hilserver.period import every
 from hilserver.signals import SignalTable
@@ -24,7 +24,7 @@ LOOK_AGAIN_S = 1.0  # pause after the controller has refused a block
 SOONER = 8  # reads come 1/8 period early, and every 1/8 period while the counter stands
 
 
-class Pace:
+class ReadPace:
     """When a block is read next: soon while its counter stands, so that reads follow the writes.
 
     Two cycles of equal length keep the lag they started with. Reading a little early, and then
@@ -67,7 +67,7 @@ class S7Peer(Peer):
 
     async def converse(self) -> None:
         """Serve one connection."""
-        async with Connection(Endpoint.parse(self.config.endpoint)) as connection:
+        async with S7Connection(Endpoint.parse(self.config.endpoint)) as connection:
             intake, status = self.enter(), self.status
             status.mode, status.mode_reason = (
                 "poll",
@@ -84,10 +84,10 @@ class S7Peer(Peer):
     # --- in ---------------------------------------------------------------------------------------
 
     async def _read_on(
-        self, block: Block, connection: Connection, intake: FaultyIntake
+        self, block: Block, connection: S7Connection, intake: FaultyIntake
     ) -> None:
         status, period_s = self.status, self.config.poll_ms / 1000
-        pace = Pace(period_s)
+        pace = ReadPace(period_s)
 
         async def cycle() -> float | None:
             sent_ns = time.monotonic_ns()
@@ -127,8 +127,8 @@ class S7Peer(Peer):
 
     # --- out --------------------------------------------------------------------------------------
 
-    async def _write_on(self, block: Block, connection: Connection) -> None:
-        status, lane = self.status, Lane[list[Run]](self._line, "out")
+    async def _write_on(self, block: Block, connection: S7Connection) -> None:
+        status, lane = self.status, Lane[list[S7Write]](self._line, "out")
 
         async def cycle() -> None:
             outgoing = self._outgoing(block)
@@ -165,18 +165,18 @@ class S7Peer(Peer):
         return found
 
 
-def runs(block: int, pieces: Mapping[Place, bytes]) -> Iterator[Run]:
+def runs(block: int, pieces: Mapping[Place, bytes]) -> Iterator[S7Write]:
     """Yield the runs to write, ascending: adjacent bytes together, every bit separately."""
     data, begin = b"", 0
     for place in sorted(pieces, key=lambda place: place.bits.start):
         is_bit = place.type == "BOOL"
         if data and (is_bit or begin + len(data) != place.byte):
-            yield Run(Item(block, 8 * begin, len(data)), data)
+            yield S7Write(Item(block, 8 * begin, len(data)), data)
             data = b""
         if is_bit:
-            yield Run(Item(block, place.bits.start, 1, kind=1), pieces[place])
+            yield S7Write(Item(block, place.bits.start, 1, kind=1), pieces[place])
             continue
         begin = begin if data else place.byte
         data += pieces[place]
     if data:
-        yield Run(Item(block, 8 * begin, len(data)), data)
+        yield S7Write(Item(block, 8 * begin, len(data)), data)

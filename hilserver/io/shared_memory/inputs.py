@@ -43,7 +43,7 @@ def layout_number(table: SignalTable) -> int:
     return number >> 1  # positive as a signed number, too
 
 
-class Inputs:
+class SharedInputs:
     """The daemon's side of the memory that a program writes."""
 
     def __init__(self, image: str, table: SignalTable) -> None:

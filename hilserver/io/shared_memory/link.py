@@ -5,7 +5,7 @@ import time
 from hilserver.config.shared_memory import SharedMemoryConfig
 from hilserver.io.arrival import WATCH_S
 from hilserver.io.link_status import LinkState, PeerStatus
-from hilserver.io.shared_memory.inputs import Inputs
+from hilserver.io.shared_memory.inputs import SharedInputs
 from hilserver.io.source import Source
 from hilserver.io.world import Part, World
 from hilserver.tasks import SupervisedTask
@@ -28,7 +28,7 @@ class SharedMemoryLink(Part):
             world.events.publish,
             fresh=lambda: "shared memory: a program writes",
         )
-        self._inputs: Inputs | None = None
+        self._inputs: SharedInputs | None = None
         self._jobs: list[SupervisedTask] = []
 
     @property
@@ -38,7 +38,7 @@ class SharedMemoryLink(Part):
 
     async def start(self) -> None:
         """Make the file; FailedError if that is impossible."""
-        inputs = self._inputs = Inputs(self._world.image.name, self._world.table)
+        inputs = self._inputs = SharedInputs(self._world.image.name, self._world.table)
         self.status.endpoint, self.status.state = str(inputs.path), LinkState.CONNECTING
         every = self._world.tasks.every
         self._jobs = [
@@ -58,7 +58,7 @@ class SharedMemoryLink(Part):
             self._inputs.close()
         self.status.connected, self.status.state = False, LinkState.STOPPED
 
-    def _take(self, inputs: Inputs) -> None:
+    def _take(self, inputs: SharedInputs) -> None:
         values = inputs.news()
         if values is None:
             return

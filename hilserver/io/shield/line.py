@@ -13,7 +13,7 @@ from hilserver.errors import FailedError
 
 
 @dataclass(frozen=True)
-class Line:
+class SerialLine:
     """An open line."""
 
     file: int  # file descriptor, opened without blocking
@@ -28,7 +28,7 @@ class Line:
         os.close(self.file)
 
 
-def open_pseudo_terminal(link: Path) -> Line:
+def open_pseudo_terminal(link: Path) -> SerialLine:
     """Make a pseudo-terminal that behaves as a serial line, and a link to it.
 
     FailedError if the link cannot be made, or its name is taken.
@@ -49,7 +49,7 @@ def open_pseudo_terminal(link: Path) -> Line:
         raise FailedError(f"shield.link: cannot make {link}: {reason}") from None
     finally:
         os.close(host)  # only a host keeps it open, so that its hang-up is seen
-    return Line(file, path, link)
+    return SerialLine(file, path, link)
 
 
 def _point(link: Path, path: Path) -> None:
@@ -59,7 +59,7 @@ def _point(link: Path, path: Path) -> None:
     made.replace(link)
 
 
-def open_device(path: Path) -> Line:
+def open_device(path: Path) -> SerialLine:
     """Open a serial line for this process alone.
 
     FailedError if it does not exist, is not a serial line, or another program uses it.
@@ -85,7 +85,7 @@ def open_device(path: Path) -> Line:
     except FailedError:
         os.close(file)
         raise
-    return Line(file, path)
+    return SerialLine(file, path)
 
 
 def _set_up(file: int) -> None:

@@ -22,13 +22,13 @@ from hilserver.io.arrival import WATCH_S
 from hilserver.io.link_status import LinkState
 from hilserver.io.shield import words as w
 from hilserver.io.shield.device import Device, ShieldFault
-from hilserver.io.shield.line import Line, open_device, open_pseudo_terminal
+from hilserver.io.shield.line import SerialLine, open_device, open_pseudo_terminal
 from hilserver.io.shield.protocol import BYTE_NS, REQUEST_BYTES, RESPONSE_BYTES, Request
 from hilserver.io.shield.status import NAME, ShieldStatus
 from hilserver.io.source import Source
 from hilserver.io.world import Part, World
 from hilserver.scheduler.realtime import (
-    Grant,
+    AuditFinding,
     RealtimeSettings,
     request_for_this_thread,
 )
@@ -42,7 +42,7 @@ END_WITHIN_S = 5.0
 _log = structlog.get_logger(__name__)
 
 
-class Gains:
+class HostGains:
     """Applies the gains that a host sets to the plant's controller."""
 
     def __init__(self, world: World) -> None:
@@ -92,12 +92,12 @@ class ShieldLink(Part):
             kinds=ShieldFault,
             is_exact=True,  # the thread of the line stamps arrivals
         )
-        max_rpm, gains = world.table["wheel.fl.setpoint_rpm"].high, Gains(world)
+        max_rpm, gains = world.table["wheel.fl.setpoint_rpm"].high, HostGains(world)
         self.device = Device(
             config, status, self._source, max_rpm=max_rpm, apply=gains.apply
         )
         self.grants: list[
-            Grant
+            AuditFinding
         ] = []  # what the system granted to the thread of the line
         self._config, self._world, self._image = config, world, world.image
         mechatronic = world.config.mechatronic
@@ -109,7 +109,7 @@ class ShieldLink(Part):
         self._seen: dict[ShieldFault, int] = {}
         self._thread = threading.Thread(target=self._run, name="shield", daemon=True)
         self._stopping = threading.Event()
-        self._line: Line | None = None
+        self._line: SerialLine | None = None
         words = status.words
         words[w.CRC], words[w.RAW] = config.variant == "crc", 1
         words[w.BYTE] = BYTE_NS if config.pace else 0
@@ -154,7 +154,7 @@ class ShieldLink(Part):
             self._line.close()
         self.status.connected, self.status.state = False, LinkState.STOPPED
 
-    def _opened(self) -> Line:
+    def _opened(self) -> SerialLine:
         if self._config.device is not None:
             return open_device(self._config.device)
         return open_pseudo_terminal(self._world.folder / self._config.link)
@@ -202,7 +202,7 @@ class ShieldLink(Part):
                 return
             line = self._reopen(line)
 
-    def _reopen(self, line: Line) -> Line | None:
+    def _reopen(self, line: SerialLine) -> SerialLine | None:
         """Wait until a lost device is back."""
         self._line = None
         line.close()

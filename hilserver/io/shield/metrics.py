@@ -6,7 +6,7 @@ from typing import Final
 from hilserver.compiled.histogram import N_BUCKETS
 from hilserver.io.shield import words as w
 from hilserver.io.shield.status import ShieldStatus
-from hilserver.metrics import MS, US, Metric, Reading, Row, counter
+from hilserver.metrics import MS, US, Metric, MetricReading, Row, counter
 
 Shields = Collection[ShieldStatus]  # one, or none if the shield is not enabled
 
@@ -20,7 +20,7 @@ def _requests(shields: Shields) -> Iterator[Row]:
 def _lateness(shields: Shields) -> Iterator[Row]:
     for shield in shields:
         counts = shield.words[w.LATE_COUNTS : w.LATE_COUNTS + N_BUCKETS].copy()
-        yield (), Reading(counts, shield.count(w.LATE_SUM))
+        yield (), MetricReading(counts, shield.count(w.LATE_SUM))
 
 
 METRICS: Final[tuple[Metric[Shields], ...]] = (

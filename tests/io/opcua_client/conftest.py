@@ -16,7 +16,7 @@ from hilserver.config.peers import PeerConfig
 from hilserver.core.clock import UtcClock
 from hilserver.core.events import EventBus, EventKind
 from hilserver.core.inputs import Refusal
-from hilserver.faults import Line
+from hilserver.faults import PeerLine
 from hilserver.io.opcua_client import LinkSecurity, PeerLink
 from hilserver.opcua.standard_nodes import QuickInternalServer
 from tests.helpers.daemons import free_port
@@ -112,7 +112,9 @@ class Harness:
 
 
 def make_harness(
-    config: PeerConfig, line: Line | None = None, security: LinkSecurity | None = None
+    config: PeerConfig,
+    line: PeerLine | None = None,
+    security: LinkSecurity | None = None,
 ) -> Harness:
     gate, events = RecordingGate(), EventBus()
     outputs: dict[str, tuple[object, int]] = {}

@@ -10,7 +10,7 @@ from hilserver.core.events import EventBus
 from hilserver.io.link_status import HOLD_NS, PeerStatus
 from hilserver.io.opcua_client.session import judge
 from hilserver.io.peer_link.intake import Intake
-from hilserver.io.peer_link.samples import FaultKind, Verdict
+from hilserver.io.peer_link.samples import FaultKind, SampleVerdict
 from hilserver.io.source import Source
 from tests.io.opcua_client.conftest import URI, RecordingGate, peer_config
 
@@ -148,9 +148,9 @@ def test_how_old_samples_are_follows_from_the_stamp_of_the_number():
     stamps = (0, 10_000_000, 15_000_000, 20_000_000)
     for k, stamp_ns in enumerate((*stamps, -5_000_000_000, 500_000_000)):
         bench.now_ns += 10_000_000
-        verdict = Verdict(value=k, stamp_ns=1_000_000 + stamp_ns)
+        verdict = SampleVerdict(value=k, stamp_ns=1_000_000 + stamp_ns)
         bench.intake.receive(
-            [(FL, Verdict(value=float(k))), (SEQ, verdict)], bench.now_ns
+            [(FL, SampleVerdict(value=float(k))), (SEQ, verdict)], bench.now_ns
         )
     # the first proves nothing, then 10, 15 and 20 ms; one is older, the last one from the future
     assert bench.gate.ages_ns == [0, 10_000_000, 15_000_000, 20_000_000, 0, 0]

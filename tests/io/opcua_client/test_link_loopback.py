@@ -8,7 +8,7 @@ import pytest
 from asyncua import ua
 
 from hilserver.core.inputs import Refusal
-from hilserver.faults import Line
+from hilserver.faults import PeerLine
 from hilserver.faults.model import parse_fault
 from hilserver.plant.layout import WHEELS
 from tests.helpers.daemons import free_port
@@ -285,7 +285,7 @@ async def test_restarts_with_other_namespace_numbers_leave_nothing_behind():
 
 
 async def test_a_link_that_breaks_while_it_is_stopped_ends_all_the_same(peer):
-    line = Line(peer_config(peer.port).name)
+    line = PeerLine(peer_config(peer.port).name)
     harness = make_harness(peer_config(peer.port), line)
     await harness.link.start()
     await wait_until(lambda: harness.status.connected)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from hilserver.config.s7 import Endpoint
 from hilserver.io.s7 import wire
-from hilserver.io.s7.connection import Connection, Run, parts
+from hilserver.io.s7.connection import S7Connection, S7Write, parts
 from hilserver.io.s7.server import Answers
 from hilserver.io.s7.wire import Item
 
@@ -30,7 +30,7 @@ class Memory:
         return {}
 
 
-class Wired(Connection):
+class Wired(S7Connection):
     """A connection whose other end answers at once; no message may be longer than agreed."""
 
     def __init__(self, pdu_bytes, memory):
@@ -53,7 +53,7 @@ def test_any_length_is_read_and_written_whole_in_the_fewest_messages(pdu, start,
     memory = Memory(start + size)
     wired = Wired(pdu, memory)
     content = bytes(i * 11 % 253 for i in range(size))
-    asyncio.run(wired.write([Run(Item(1, 8 * start, size), content)]))
+    asyncio.run(wired.write([S7Write(Item(1, 8 * start, size), content)]))
     assert wired.jobs == -(-size // ((pdu - wire.WRITE_OVERHEAD) // 2 * 2))
     wired.jobs = 0
     assert asyncio.run(wired.read(1, start, size)) == content
@@ -71,7 +71,7 @@ def test_scattered_runs_arrive_and_what_stands_between_stays(pdu, gaps):
     runs, at = [], 0
     for gap, size in gaps:
         at += gap
-        runs.append(Run(Item(1, 8 * at, size), bytes([1 + len(runs)]) * size))
+        runs.append(S7Write(Item(1, 8 * at, size), bytes([1 + len(runs)]) * size))
         at += size
     memory = Memory(at)
     asyncio.run(Wired(pdu, memory).write(runs))
@@ -93,7 +93,7 @@ def test_no_torn_block_has_the_same_counter_at_both_ends(pdu, words, turns):
             if not writing:
                 version += 1
                 block = struct.pack(">I", version) * words
-                writing = list(parts([Run(Item(1, 0, len(block)), block)], pdu))
+                writing = list(parts([S7Write(Item(1, 0, len(block)), block)], pdu))
             for item, data in writing.pop(0):
                 memory.written(item, data)
             continue

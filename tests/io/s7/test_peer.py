@@ -7,8 +7,8 @@ from snap7.type import SrvArea
 
 from hilserver.config.s7 import Endpoint
 from hilserver.io.link_status import LinkState
-from hilserver.io.s7.connection import AnswerError, Connection, Run
-from hilserver.io.s7.peer import SOONER, Pace
+from hilserver.io.s7.connection import AnswerError, S7Connection, S7Write
+from hilserver.io.s7.peer import SOONER, ReadPace
 from hilserver.io.s7.wire import Item
 from tests.io.s7.rig import Link, controller, free_port
 from tests.loopback.rig import wait_until
@@ -73,7 +73,7 @@ async def test_a_counter_that_stands_still_is_silence_though_the_server_answers(
 @pytest.mark.parametrize("phase", [0.0, 0.3, 0.999])
 def test_reads_follow_the_writes_of_a_controller_of_the_same_cycle(cycle_s, phase):
     period_s, now_s = 0.01, phase * cycle_s
-    pace, lags_s, reads, seen = Pace(period_s), [], 0, -1
+    pace, lags_s, reads, seen = ReadPace(period_s), [], 0, -1
     while now_s < 10.0:
         number = int(now_s / cycle_s)
         if number != seen:
@@ -87,7 +87,7 @@ def test_reads_follow_the_writes_of_a_controller_of_the_same_cycle(cycle_s, phas
 
 
 def test_a_counter_that_stands_and_one_that_is_torn_are_read_once_a_period_in_the_end():
-    pace = Pace(0.01)
+    pace = ReadPace(0.01)
     waits = [pace.after(number) for number in (1, *(None, 1) * SOONER)]
     assert waits[: SOONER + 1] == [
         0.01 * (SOONER - 1) / SOONER,
@@ -125,11 +125,11 @@ async def test_blocks_of_any_length_travel_in_parts():
     port = free_port()
     with controller(port, size=1000) as plc:
         plc.coming[:] = bytes(i * 7 % 251 for i in range(1000))
-        async with Connection(Endpoint("127.0.0.1", port, 0, 1)) as connection:
+        async with S7Connection(Endpoint("127.0.0.1", port, 0, 1)) as connection:
             for size in (1, 221, 222, 223, 461, 462, 463, 464, 900, 925):
                 assert await connection.read(1, 3, size) == plc.coming[3 : 3 + size]
                 sent = bytes(i * 5 % 241 for i in range(size))
-                await connection.write([Run(Item(2, 8 * 4, size), sent)])
+                await connection.write([S7Write(Item(2, 8 * 4, size), sent)])
                 assert plc.going[4 : 4 + size] == sent
             with pytest.raises(AnswerError, match="DB9: "):
                 await connection.read(9, 0, 4)

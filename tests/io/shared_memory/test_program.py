@@ -18,7 +18,7 @@ from hilserver.io.shared_memory.headers import to_c, to_csharp
 from hilserver.io.shared_memory.inputs import (
     COUNTER,
     LAYOUT,
-    Inputs,
+    SharedInputs,
     inputs_of,
     name_of,
 )
@@ -151,7 +151,7 @@ def counted(inputs, values, counter):
 @pytest.fixture
 def inputs():
     table = assemble_config(configuration()).table
-    made = Inputs("auto-inputs-test", table)
+    made = SharedInputs("auto-inputs-test", table)
     yield made
     made.close()
 
