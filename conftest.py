@@ -9,6 +9,8 @@ import hypothesis
 import pytest
 import structlog
 
+from hilserver.program.shared_memory import path_of
+
 ROOT = Path(__file__).parent
 sys.path.insert(0, str(ROOT / "tests" / "injector"))
 
@@ -27,6 +29,26 @@ _INSTALLED = any(point.name == "hilserver" for point in entry_points(group="pyte
 pytest_plugins = (
     ["pytester"] if _INSTALLED else ["pytester", "hilserver.testing.plugin"]
 )
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Keep the tests of the page in one process: they share a daemon and a browser."""
+    from xdist.scheduler import LoadFileScheduling  # noqa: PLC0415 - where it is in use
+
+    class OnePage(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            file = super()._split_scope(nodeid)
+            return "tests/page" if file.startswith("tests/page/") else file
+
+    return OnePage(config, log) if config.getoption("dist") == "loadfile" else None
+
+
+def pytest_unconfigure():
+    """Remove the images that tests of this process have left in shared memory."""
+    left = path_of(f"test-{os.getpid()}-")
+    for image in left.parent.glob(f"{left.name}*"):
+        image.unlink()
 
 
 @pytest.fixture(autouse=True)

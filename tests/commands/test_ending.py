@@ -155,7 +155,15 @@ def test_the_first_line_comes_before_anything_is_loaded(tmp_path):
     assert min(took_s) < max(FIRST_LINE_S, 10 * min(bare_s))
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "number",
+    [
+        # the same handler; a cold start ends by it in the campaign above
+        pytest.param(signal.SIGINT, marks=pytest.mark.long),
+        signal.SIGTERM,
+        signal.SIGKILL,
+    ],
+)
 def test_a_cold_start_compiles_in_a_child_that_ends_with_it(tmp_path, number):
     with starting(tmp_path) as (process, image):
         while b"hilserver is compiling" not in (line := process.stderr.readline()):

@@ -5,13 +5,22 @@ object of arrival times [s] by "<kind> <period> <queue>".
 """
 
 import json
+import os
 import sys
-import threading
 import time
+import traceback
 
 from opcua import Client, ua
+from opcua.client.ua_client import UASocketClient
 
 NAMESPACE = "urn:hilserver:robot"
+PATIENCE_S = 60
+
+_header = UASocketClient._create_request_header
+# It asks for every answer within a second, which a busy computer refuses with BadTimeout.
+UASocketClient._create_request_header = lambda self, timeout_ms: _header(
+    self, timeout_ms and PATIENCE_S * 1000
+)
 
 
 class Notes:
@@ -26,7 +35,7 @@ class Notes:
 
 
 def main(endpoint, seconds, rows):
-    client = Client(endpoint, timeout=60)
+    client = Client(endpoint, timeout=PATIENCE_S)
     client.connect()
     index = client.get_namespace_index(NAMESPACE)
     node = client.get_node(f"ns={index};s=pose.x_m")
@@ -45,9 +54,11 @@ def main(endpoint, seconds, rows):
 
 
 if __name__ == "__main__":
-    threading.excepthook = lambda args: None  # it has an error of its own at the end
-    main(sys.argv[1], sys.argv[2], json.loads(sys.argv[3]))
-    sys.stdout.flush()
-    import os
-
-    os._exit(0)
+    code = 1
+    try:
+        main(sys.argv[1], sys.argv[2], json.loads(sys.argv[3]))
+        code = 0
+    finally:
+        if code:
+            traceback.print_exc()
+        os._exit(code)  # its threads would go on for minutes

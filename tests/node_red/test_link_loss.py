@@ -80,7 +80,7 @@ async def seconds_to_return(daemon: Daemon) -> float:
     return took_s
 
 
-@pytest.mark.parametrize("rounds", [5, pytest.param(20, marks=pytest.mark.long)])
+@pytest.mark.parametrize("rounds", [3, pytest.param(20, marks=pytest.mark.long)])
 async def test_killed_and_restarted(node_red, rounds):
     peer = node_red(shipped_flow())
     held, back_s, safe_s, tasks = [], [], [], 0

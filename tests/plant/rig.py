@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from hilserver.compiled.cache import part
 from hilserver.plant.battery import battery_step
 from hilserver.plant.imu import imu_step
 from hilserver.plant.layout import MODE_DUTY, Inputs, Outputs, Status
@@ -15,6 +16,32 @@ from hilserver.status import BAD_WAITING_FOR_INITIAL_DATA
 
 SENSOR_TICKS = 10
 VELOCITY = slice(Outputs.where("linear").start, Outputs.where("angular").stop)
+
+
+@part
+def all_sensors(p, x, u, y, q, hall):
+    imu_step(p, x, u, y, q)
+    battery_step(p, x, u, y, q)
+    shield_step(p, x, u, y, q)
+    tof_step(p, x, u, y, q, hall)
+    nav_step(p, x, u, y, q)
+
+
+# Called once for many ticks: a call from Python costs more than a hundred ticks.
+@part
+def run(p, x, u, y, q, hall, first, ticks, sensor_ticks):
+    for tick in range(first, first + ticks):
+        robot_step(p, x, u, y, q)
+        if sensor_ticks and tick % sensor_ticks == 0:
+            all_sensors(p, x, u, y, q, hall)
+
+
+@part
+def read_again_and_again(p, x, u, y, q, hall, outputs, rows):
+    for i in range(len(rows)):
+        all_sensors(p, x, u, y, q, hall)
+        for k in range(len(outputs)):
+            rows[i, k] = outputs[k]
 
 
 class Rig:
@@ -45,27 +72,28 @@ class Rig:
         return self
 
     def step(self, ticks=1):
-        for _ in range(ticks):
-            robot_step(self.p, self.x, self.u, self.y, self.q)
-            self.ticks += 1
-        return self
-
-    def sense(self):
-        imu_step(self.p, self.x, self.u, self.y, self.q)
-        battery_step(self.p, self.x, self.u, self.y, self.q)
-        shield_step(self.p, self.x, self.u, self.y, self.q)
-        tof_step(self.p, self.x, self.u, self.y, self.q, self.robot.hall)
-        nav_step(self.p, self.x, self.u, self.y, self.q)
-        return self
+        return self._run(ticks, 0)
 
     def drive(self, ticks):
         """Tick with the sensors every `SENSOR_TICKS`."""
-        for _ in range(ticks):
-            due = self.ticks % SENSOR_TICKS == 0
-            self.step()
-            if due:
-                self.sense()
+        return self._run(ticks, SENSOR_TICKS)
+
+    def _run(self, ticks, sensor_ticks):
+        words = self.p, self.x, self.u, self.y, self.q
+        run(*words, self.robot.hall, self.ticks, ticks, sensor_ticks)
+        self.ticks += ticks
         return self
+
+    def sense(self):
+        all_sensors(self.p, self.x, self.u, self.y, self.q, self.robot.hall)
+        return self
+
+    def sensed(self, times):
+        """Read the sensors again and again; return all outputs of each reading."""
+        rows = np.empty((times, len(self.y.numbers)))
+        words = self.p, self.x, self.u, self.y, self.q
+        read_again_and_again(*words, self.robot.hall, self.y.numbers, rows)
+        return rows
 
     @property
     def pose(self):

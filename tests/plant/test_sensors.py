@@ -8,6 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from hilserver.plant.battery import open_circuit_voltage
+from hilserver.plant.layout import Outputs
 from hilserver.plant.parameters import Imu, Navigation, RangeFinders
 from hilserver.plant.reference.cases import cases
 from hilserver.plant.tof import tof_step
@@ -65,7 +66,7 @@ def test_imu_latency(late_s):
 
 def test_imu_noise_has_its_deviation():
     rig = Rig(imu=Imu(gyro_noise_rad_s=0.006), seed=7).step()
-    samples = np.array([rig.sense().y.gyro for _ in range(5000)])
+    samples = rig.sensed(5000)[:, Outputs.where("gyro")].ravel()
     assert samples.std() == pytest.approx(0.006, rel=0.05)
     assert abs(samples.mean()) < 0.0005
     assert abs(np.corrcoef(samples[1:], samples[:-1])[0, 1]) < 0.05
@@ -76,8 +77,8 @@ def test_imu_noise_has_its_deviation():
 
 def test_battery_stays_in_its_range_and_falls():
     rig = Rig().wheels(90, 90, 90, 90).step(500)
-    volts = [rig.sense().y.battery for _ in range(20_000)]
-    assert 17.5 <= min(volts) <= max(volts) <= 23.5
+    volts = rig.sensed(20_000)[:, Outputs.where("battery")].ravel()
+    assert 17.5 <= volts.min() <= volts.max() <= 23.5
     assert np.all(np.diff(volts[1:]) <= 0)
     assert volts[0] - volts[-1] > 0.01
 
@@ -238,7 +239,7 @@ def test_yaw_latency_across_the_wrap():
 
 def test_noise_is_white_plus_correlated():
     rig = Rig(nav=Navigation(enabled=True), seed=3).step()
-    samples = np.array([rig.sense().y.nav.copy() for _ in range(100_000)])[::5]
+    samples = rig.sensed(100_000)[::5, Outputs.where("nav")]
     x, yaw = samples[:, 0], samples[:, 2]
     assert x.std() == pytest.approx(math.hypot(0.08, 0.01), rel=0.06)
     assert yaw.std() == pytest.approx(0.0175, rel=0.12)
@@ -251,7 +252,7 @@ def test_outliers_have_share_and_size():
     rig = Rig(
         nav=QUIET, terms={"nav_outliers.share": 0.03, "nav_outliers.size": 1.5}
     ).step()
-    samples = np.array([rig.sense().y.nav[:2].copy() for _ in range(50_000)])[::5]
+    samples = rig.sensed(50_000)[::5, Outputs.where("nav")][:, :2]
     far = np.hypot(*samples.T)
     assert np.mean(far > 0.1) == pytest.approx(0.03, abs=0.006)
     assert far[far > 0.1] == pytest.approx(1.5)

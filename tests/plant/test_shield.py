@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from hilserver.plant.layout import Outputs
 from hilserver.plant.parameters import Battery
 from hilserver.plant.shield import BLINK_S, TURN_S, WARMING_S
 from hilserver.signals import LIGHTS
@@ -13,7 +14,8 @@ from tests.plant.rig import Rig
 def lit(rig, pattern, runs=200):
     """Return the red of the lamps fl, fr, rl, rr over `runs` runs of 10 ms, shape (runs, 4)."""
     rig.u.light_pattern, rig.u.light_colour = LIGHTS.index(pattern), (200, 100, 0)
-    return np.array([rig.sense().y.lights[:, 0].copy() for _ in range(runs)])
+    lamps = rig.sensed(runs)[:, Outputs.where("lights")]
+    return lamps.reshape(runs, 4, 3)[:, :, 0]
 
 
 def test_every_pattern_shows_its_number_and_ends_with_off():
@@ -73,8 +75,7 @@ def test_current_and_temperature_follow_the_duty():
     idle, busy = Rig().step().sense(), Rig().duties(100, 100, -100, -100).step().sense()
     assert busy.y.current - idle.y.current == pytest.approx(6.0)
     start = busy.y.temperature
-    for _ in range(round(WARMING_S / 0.01)):
-        busy.sense()
+    busy.sensed(round(WARMING_S / 0.01))
     rise = busy.y.temperature - start
     assert rise == pytest.approx(2.5 * busy.y.current * (1 - np.exp(-1)), rel=1e-3)
 

@@ -71,28 +71,30 @@ async def driven(folder, table, patch=None, seconds=SECONDS):
     measured = np.stack([table.columns[name] for name in NAV], axis=1)
     async with hil.running(), hil.capture(*POSE) as trace:
         for k, t_s in enumerate(table.t_s[table.t_s < seconds].tolist()):
+            now = [float(table.columns[name][k]) for name in SETPOINTS]
+            is_due = aligned_s is None or t_s - aligned_s >= HORIZON_S
+            aligns = is_due and np.isfinite(measured[k]).all()
+            if now == shown and not aligns:
+                continue
+
             if (tick := round(t_s * 1e3)) > last:
                 await hil.step(tick - last)
                 last = tick
-            now = [float(table.columns[name][k]) for name in SETPOINTS]
             if now != shown:
                 hil.write(dict(zip(SETPOINTS, now, strict=True)))
                 shown = now
-            if np.isfinite(measured[k]).all():
+            if aligns:
                 there = measured[k].tolist()
                 hil.write(
                     {f"measured.{n}": v for n, v in zip(POSE, there, strict=True)}
                 )
-                if aligned_s is None or t_s - aligned_s >= HORIZON_S:
-                    await hil.step(1)
-                    last += 1
-                    if aligned_s is not None:
-                        gap = model_gap(
-                            daemon.gate, daemon.table, daemon.image.latest()
-                        )
-                        gaps.append([gap.get(n, np.nan) for n in POSE])
-                    daemon.control.set_pose(*there)
-                    aligned_s = t_s
+                await hil.step(1)
+                last += 1
+                if aligned_s is not None:
+                    gap = model_gap(daemon.gate, daemon.table, daemon.image.latest())
+                    gaps.append([gap.get(n, np.nan) for n in POSE])
+                daemon.control.set_pose(*there)
+                aligned_s = t_s
         await hil.step(1)
         page = await on_the_page(daemon, "hil_model_gap")
         gap = model_gap(daemon.gate, daemon.table, daemon.image.latest())
