@@ -34,12 +34,11 @@ from hilserver.diagnosis.thresholds import (
     SIGN_SURE,
     SLOWEST_TURN_RAD_S,
 )
-from hilserver.measured.channels import GYRO, IMU_YAW, NAV_X, NAV_Y, TAG, YAW
+from hilserver.measured.channels import GYRO, IMU_YAW, NAV_X, NAV_Y, SIDES, TAG, YAW
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
 from hilserver.plant.parameters import RobotParameters
 
-SIDES = (LEFT_WHEELS, RIGHT_WHEELS)
 MIRROR = dict(zip(WHEELS, RIGHT_WHEELS + LEFT_WHEELS, strict=True))
 Found = tuple[MeasuredLog, list[Finding]]
 

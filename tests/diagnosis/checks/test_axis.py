@@ -48,7 +48,7 @@ def test_a_small_angle_is_left_to_the_fit(degrees):
 def test_an_angle_that_may_be_small_is_left_to_the_fit():
     """Errors of the position turned the course by 0.31 rad on average; that was named an axis."""
     rng = np.random.default_rng(2)
-    t, columns = drive()
+    _, columns = drive()
     moved = {}
     for name in ("nav.x_m", "nav.y_m"):
         seen = np.isfinite(columns[name])
