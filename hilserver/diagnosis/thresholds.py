@@ -188,6 +188,9 @@ EFFECTIVE_LEVEL: Final = (
     0.01  # of the paired test of its gain over the blocks, one-sided
 )
 ONE_SIZE: Final = 0.05  # p of Cochran's Q below which its size differs along the log
+# parts of the log in which it must have one size: enough to see a change of half a log, and each of
+# several blocks, without which the scatter inside a part is not known
+STRETCHES: Final = 8
 
 # Drift and comparison
 COMPARE_LEVEL: Final = 0.01  # family-wise error (specification)
@@ -204,3 +207,9 @@ DETECTABLE_SELECTION_SD: Final = 1.25
 # times the least size: at exactly that, half of the fits fall below
 DETECTABLE_LEAST_TIMES: Final = 1.3
 HOPELESS: Final = 12.0  # times its reference size; from there a cause is not judged
+# times the hopeless size: no machine has a hundred times the reference, so the number would tell
+# nobody anything
+BEYOND: Final = 10.0
+# share of the shapes of a cause, such as edges of a floor, that show at the size that is stated: a
+# log does not tell which shape it would have been
+DETECTABLE_SHAPES: Final = 0.8

@@ -18,7 +18,7 @@ from hilserver.diagnosis.decide import one_topic
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.encoders import driven
 from hilserver.diagnosis.replay.pose_stage import PoseStage
-from hilserver.diagnosis.replay.wheel_speeds import SIDES, WheelSpeeds
+from hilserver.diagnosis.replay.wheel_speeds import PAIRS, WheelSpeeds
 from hilserver.diagnosis.thresholds import BLOCK_S, STILL_RPM
 from hilserver.errors import LogError
 from hilserver.identify.wheels import files
@@ -219,7 +219,7 @@ def all_four(shares: Mapping[int, Array]) -> Array:
     An unmeasured wheel turns as the other one of its side, whose share is then that of both.
     """
     wheels = {}
-    for front, rear in SIDES:
+    for front, rear in PAIRS:
         if front in shares and rear in shares:
             wheels[front] = shares[front]
             wheels[rear] = shares[rear]

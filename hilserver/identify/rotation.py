@@ -15,10 +15,10 @@ from hilserver.arrays import Array, Indices, Mask
 from hilserver.errors import LogError
 from hilserver.identify.estimates import Estimate, blocks_of, regress
 from hilserver.identify.wheels import at, files, need, per_span, present, side_sum_rpm
-from hilserver.measured.channels import GYRO, IMU_YAW, YAW
+from hilserver.measured.channels import GYRO, IMU_YAW, SIDES, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.lag import LARGEST_S, integral, lag_behind, wheel_motion
-from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS
+from hilserver.plant.layout import LEFT_WHEELS
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RAD_S_PER_RPM
 
@@ -162,7 +162,7 @@ def identify_rotation(
     channel = next((name for name in YAW_RATES if name in log), None)
     if channel is None:
         raise LogError(f"{files(log)}: K_om needs one of {', '.join(YAW_RATES)}")
-    for side in (LEFT_WHEELS, RIGHT_WHEELS):
+    for side in SIDES:
         if not present(log, "speed_rpm", side):
             need(log, f"wheel.{side[0]}.speed_rpm")
     data = _Samples(log, robot, channel)

@@ -6,8 +6,9 @@ import numpy as np
 
 from hilserver.arrays import Array
 from hilserver.errors import LogError
+from hilserver.measured.channels import SIDES
 from hilserver.measured.data import Channel, MeasuredLog
-from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
+from hilserver.plant.layout import WHEELS
 
 
 def present(
@@ -57,7 +58,7 @@ def per_span(
 def side_sum_rpm(log: MeasuredLog, span: int, t_s: Array) -> Array:
     """Return w_L + w_R [rpm]; a side is the mean of its measured wheels."""
     total = np.zeros(len(t_s))
-    for side in (LEFT_WHEELS, RIGHT_WHEELS):
+    for side in SIDES:
         wheels = present(log, "speed_rpm", side)
         total += np.mean(
             [at(log[f"wheel.{w}.speed_rpm"], span, t_s) for w in wheels], axis=0

@@ -2,8 +2,9 @@
 
 from typing import Final
 
-from hilserver.plant.layout import WHEELS
+from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
 
+SIDES: Final = (LEFT_WHEELS, RIGHT_WHEELS)
 SPEEDS: Final = tuple(f"wheel.{w}.speed_rpm" for w in WHEELS)
 DUTIES: Final = tuple(f"wheel.{w}.duty_pct" for w in WHEELS)
 SETPOINTS: Final = tuple(f"wheel.{w}.setpoint_rpm" for w in WHEELS)

@@ -29,11 +29,12 @@ def test_every_number_has_a_meaning_and_a_use(module, used):
     text = Path(module.__file__).read_text(encoding="utf-8")
     lines = ["", *text.splitlines()]
     numbers = {
-        s.target.id: s.lineno
+        s.target.id: (s.lineno, s.end_lineno)
         for s in ast.parse(text).body
         if isinstance(s, ast.AnnAssign)
     }
     assert len(numbers) > 10
-    for name, at in numbers.items():
-        assert "#" in lines[at] or lines[at - 1].startswith("# "), f"no word on {name}"
+    for name, (first, last) in numbers.items():
+        beside = "#" in "".join(lines[first : last + 1])
+        assert beside or lines[first - 1].startswith("# "), f"no word on {name}"
     assert not set(numbers) - used, "nobody uses them"

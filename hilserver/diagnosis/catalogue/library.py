@@ -6,7 +6,7 @@ takes the best of them.
 """
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 from hilserver.diagnosis.catalogue.candidate import (
@@ -81,8 +81,14 @@ OF_THE_POSE = (
 """Step of the finite differences, least size worth a name, lower and upper bound."""
 
 
-def drive_candidates() -> list[Candidate]:
-    """Return the candidates that set-points, wheel speeds and duties judge."""
+def drive_candidates(periods_s: Sequence[float] = ()) -> list[Candidate]:
+    """Return the candidates that set-points, wheel speeds and duties judge.
+
+    Parameters
+    ----------
+    periods_s : sequence of float
+        Of the controller, as the duties show them.
+    """
     stage: StageName = "drive"
     found = [single(name, stage, *sizes) for name, *sizes in OF_THE_DRIVE]
     gains, both = "controller_gains", ("controller_gains.p", "controller_gains.i")
@@ -97,7 +103,7 @@ def drive_candidates() -> list[Candidate]:
     found += [_stribeck(n_s) for n_s in (3.0, 6.0, 12.0)]
     for name, null, values, *sizes in STARTS_OF_THE_DRIVE:
         found += start_grid(single(name, stage, *sizes), null, values)
-    tried = {"control_period": USUAL_PERIODS_S}
+    tried = {"control_period": (*USUAL_PERIODS_S, *periods_s)}
     return [replace(c, tried=tried.get(c.cause, ())) for c in found]
 
 

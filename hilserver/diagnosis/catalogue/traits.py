@@ -35,6 +35,7 @@ class Traits:
     # (``hilserver bench diagnose --class single``)
     abrupt: float = 0.0
     whole_ticks: bool = False  # a time that acts in whole ticks of the plant
+    adds_up: bool = False  # a period: the smallest error of it adds up along the log
     is_limit: bool = (
         False  # it has no finite null: a smaller parameter has a larger effect
     )
@@ -71,7 +72,7 @@ TRAITS: Final[Mapping[str, Traits]] = MappingProxyType({
     "battery_sag": Traits(needs=(Need.VOLTAGE,), abrupt=0.015),
     "actuation_delay": Traits(needs=(Need.STAMPS,), whole_ticks=True),
     "setpoint_rate_limit": Traits(is_limit=True),
-    "control_period": Traits(needs=(Need.STAMPS,), whole_ticks=True),
+    "control_period": Traits(needs=(Need.STAMPS,), whole_ticks=True, adds_up=True),
     "controller_gains": Traits(abrupt=0.01),
     "encoder_scale": Traits(needs=(Need.DUTY,)),
     "encoder_filter": Traits(whole_ticks=True),

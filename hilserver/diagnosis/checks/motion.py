@@ -7,8 +7,9 @@ import numpy as np
 
 from hilserver.arrays import Array, Mask
 from hilserver.diagnosis.checks.support import SPAN_S, along, slope_of
+from hilserver.measured.channels import SIDES
 from hilserver.measured.data import Channel, MeasuredLog
-from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
+from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RAD_S_PER_RPM
 
@@ -102,9 +103,7 @@ def rolled(
     log: MeasuredLog, what: str, windows: Windows, robot: RobotParameters
 ) -> Array | None:
     """Return how fast the wheels would move the robot ahead, back or sideways [m/s]."""
-    left, right = (
-        side_mean(log, side, what, windows) for side in (LEFT_WHEELS, RIGHT_WHEELS)
-    )
+    left, right = (side_mean(log, side, what, windows) for side in SIDES)
     lateral = lateral_mean(log, what, windows) if robot.is_mecanum else 0.0
     if left is None or right is None or lateral is None:
         return None
@@ -114,9 +113,7 @@ def rolled(
 def turned(log: MeasuredLog, windows: Windows, robot: RobotParameters) -> Array | None:
     """Return the turn rate by the wheels, or else by their set-points [rad/s]."""
     for what in ("speed_rpm", "setpoint_rpm"):
-        left, right = (
-            side_mean(log, side, what, windows) for side in (LEFT_WHEELS, RIGHT_WHEELS)
-        )
+        left, right = (side_mean(log, side, what, windows) for side in SIDES)
         if left is not None and right is not None:
             return np.asarray(
                 robot.yaw_sign * robot.wheel_radius_m * robot.k_om * (left + right)

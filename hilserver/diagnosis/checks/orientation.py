@@ -34,12 +34,11 @@ from hilserver.diagnosis.thresholds import (
     SIGN_SURE,
     SLOWEST_TURN_RAD_S,
 )
-from hilserver.measured.channels import GYRO, IMU_YAW, NAV_X, NAV_Y, TAG, YAW
+from hilserver.measured.channels import GYRO, IMU_YAW, NAV_X, NAV_Y, SIDES, TAG, YAW
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
 from hilserver.plant.parameters import RobotParameters
 
-SIDES = (LEFT_WHEELS, RIGHT_WHEELS)
 MIRROR = dict(zip(WHEELS, RIGHT_WHEELS + LEFT_WHEELS, strict=True))
 Found = tuple[MeasuredLog, list[Finding]]
 
@@ -242,11 +241,13 @@ def _axis(log: MeasuredLog, robot: RobotParameters) -> Found:
     middle = float(np.median(away))
     askew_rad = float(np.angle(np.exp(1j * (mean + middle))))
     spread = np.abs(away - middle)
-    of_axis = abs(np.sin(askew_rad)) > np.sin(LARGEST_SKEW_RAD)
+    half = 1.96 * 1.4826 * float(np.median(spread)) / np.sqrt(len(spread))
+
+    # an angle that may be small is: errors of the position turn the course as well
+    of_axis = abs(np.sin(askew_rad)) > np.sin(min(LARGEST_SKEW_RAD + half, 0.5 * np.pi))
     if not of_axis or _resultant(off, found.speed) < AXIS_SURE:
         return log, []
 
-    half = 1.96 * 1.4826 * float(np.median(spread)) / np.sqrt(len(spread))
     yaw = log[YAW]
     turned_back = np.angle(np.exp(1j * (yaw.values - askew_rad)))
     text = (

@@ -42,7 +42,12 @@ from hilserver.measured.channels import POSITION
 
 ANCHOR_LEVEL: Final = 0.5 * REST_LEVEL
 """A test of its own, in addition to that of all structure, which includes it."""
-SIDES = ("low x and low y", "high x and low y", "high x and high y", "low x and high y")
+CORNERS = (
+    "low x and low y",
+    "high x and low y",
+    "high x and high y",
+    "low x and high y",
+)
 
 
 @dataclass(frozen=True)
@@ -80,7 +85,7 @@ def _fields(problem: Problem, point: Point) -> tuple[Array, Array] | None:
 
 
 def _anchor(moved: Array, number: int, error_m: float, half_m: float) -> Anchor:
-    return Anchor(SIDES[number], error_m, half_m, float(np.hypot(*moved.T).max()))
+    return Anchor(CORNERS[number], error_m, half_m, float(np.hypot(*moved.T).max()))
 
 
 def anchor_off(

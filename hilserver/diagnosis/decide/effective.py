@@ -24,11 +24,14 @@ from hilserver.diagnosis.regression.screen import critical, null_maxima
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.decisions import Decision
-from hilserver.diagnosis.thresholds import EFFECTIVE_BLOCKS, FEWEST_BLOCKS, ONE_SIZE
+from hilserver.diagnosis.thresholds import (
+    EFFECTIVE_BLOCKS,
+    FEWEST_BLOCKS,
+    ONE_SIZE,
+    STRETCHES,
+)
 
 ACTS: Final = "predicts better on held-out blocks, and asserts no cause"
-STRETCHES: Final = 8
-"""Parts of the log, each of several blocks, in which an effective item must have one size."""
 
 
 def with_effective(

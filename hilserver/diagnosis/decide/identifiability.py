@@ -17,6 +17,7 @@ from hilserver.diagnosis.regression.problem import Point, Problem, apart
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.thresholds import (
     GROUP_COSINE,
+    INEXACT,
     LEAST_GAIN,
     RIVAL_CLEAR_Z,
     RIVAL_COSINE,
@@ -40,6 +41,7 @@ class Rival:
     )
     z: float  # significance of the difference over the blocks, see `deviations`
     gross: bool  # the accepted cause leaves far more than noise
+    tie: float = TIE  # additional deviance that does not count
 
     @property
     def fitted(self) -> Fitted:
@@ -49,7 +51,7 @@ class Rival:
     @property
     def close(self) -> bool:
         """Whether it explains the data about as well as the accepted cause."""
-        return self.worse < TIE or self.z < RIVAL_CLEAR_Z
+        return self.worse < self.tie or self.z < RIVAL_CLEAR_Z
 
     @property
     def ties(self) -> bool:
@@ -161,8 +163,9 @@ def _in_its_place(
     difference = trial.loss - point.loss
     penalty = cost(c, saved) - cost(point.model.fitted[index].candidate, saved)
     worse = float(difference.sum()) + penalty
+    tie = max(TIE, INEXACT * saved)  # forms are no more exact
     return Rival(
-        c, trial, alike, worse, deviations(difference, penalty), point.is_gross
+        c, trial, alike, worse, deviations(difference, penalty), point.is_gross, tie
     )
 
 

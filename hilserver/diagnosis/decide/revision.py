@@ -22,6 +22,7 @@ from hilserver.diagnosis.decide.selection import Selected, with_noise_anew
 from hilserver.diagnosis.decide.structure import (
     Imitation,
     Unknown,
+    beside_structure,
     imitated,
     remaining,
     without_unknown,
@@ -83,7 +84,7 @@ def revised(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     # without them the misfit is no less gross
     if is_missed or (bare and not unknown and fitted.is_gross):
         unknown = _remaining(problem, point, rng, 0.0 if bare else explained)
-    if not drift and fails(p, point):
+    if not drift and fails(p, point, unknown):
         rows += left_out(
             problem,
             point,
@@ -329,11 +330,15 @@ def with_fewer(
     return None
 
 
-def fails(p: Prepared, point: Point) -> bool:
+def fails(p: Prepared, point: Point, unknown: Sequence[Unknown] = ()) -> bool:
     """Return whether causes leave a gross misfit that is no small part of the original one.
 
-    What is left then is not noise, and whatever causes it may well cause the rest, too.
+    What is left then is not noise, and whatever causes it may well cause the rest, too. Noise is
+    learned from a misfit as well; what unknown structure explains of it is none.
     """
-    if not point.model.fitted or not point.is_gross:
+    if not point.model.fitted:
         return False
-    return point.deviance > LEFT_SHARE * p.problem.point(Model(), p.base.poses).deviance
+    noise = beside_structure(p.problem, point, unknown)
+    left = float((point.left**2 / noise).sum())
+    before = p.problem.point(Model(), p.base.poses).left
+    return left > max(GROSS * len(noise), LEFT_SHARE * float((before**2 / noise).sum()))

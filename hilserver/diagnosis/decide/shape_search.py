@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
+from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.decide.trial import Trial, cost, possible
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.problem import Point, Problem
@@ -19,6 +20,7 @@ NOISE_ERROR: Final = (
     1.1  # variance of whitened residuals that is the noise model's own error
 )
 FIRST_STRIDE, LAST_STRIDE = 0.4, 0.004
+OF_A_CLOCK: Final = 2e-5  # the last stride of what adds up along the log
 FAR_OFF: Final = 3.0  # times the loss of an ordinary block
 SHIFTS_M = (0.6, 0.3, 0.15, 0.08, 0.04, 0.02)
 
@@ -42,7 +44,8 @@ def searched(
     least, best, theta = min(tried, key=lambda item: item[0])
     far = theta if best.is_limit else theta - best.null[0]
     stride = FIRST_STRIDE
-    while stride > LAST_STRIDE:
+    last = OF_A_CLOCK if traits_of(best.cause).adds_up else LAST_STRIDE
+    while stride > last:
         for factor in (1.0 + stride, 1.0 / (1.0 + stride)):
             moved = theta + far * (factor - 1.0)
             found = deviance(best, moved)

@@ -61,18 +61,19 @@ def remaining(
     -----
     A gross misfit of a model without any cause is always reported: if no family is significant,
     because the misfit is in few blocks, the one that explains most is returned. Single samples that
-    are far off, such as those of a slow sensor near a step, are no gross misfit. This does
-    not apply where set-points are followed: one may have come and gone between two rows.
+    are far off, such as those of a slow sensor near a step, are no gross misfit.
     """
     stack, accepted = problem.stack, problem.accepted(point)
     blocks = Blocks.of(stack.block, stack.n_blocks)
-    bounded = float(np.minimum(point.left**2, OUTLIER_SD**2).sum())
-    gross = not point.model.fitted and bounded > GROSS * len(point.left)
-    gross = (
-        gross
-        and stack.n_blocks >= FEWEST_BLOCKS
-        and not problem.stage.follows_setpoints
-    )
+    bounded = np.minimum(point.left**2, OUTLIER_SD**2)
+    misfit = float(bounded.mean())
+    # a set-point may have come and gone between two rows, which few blocks show
+    if problem.stage.follows_setpoints:
+        count = np.bincount(stack.block, minlength=stack.n_blocks)
+        sums = stack.block_sums(bounded)
+        misfit = float(np.median(sums[count > 0] / count[count > 0]))
+    blank = not point.model.fitted and stack.n_blocks >= FEWEST_BLOCKS
+    gross = blank and misfit > GROSS
     least = max(REST_LEAST_GAIN, LEAST_USEFUL * len(stack), INEXACT * explained)
     scores, strong = [], []
     most: Unknown | None = None
@@ -204,6 +205,24 @@ def holds_out(
         part = stack.fold == test
         gained.append(float(stack.block_sums(left**2 - rest**2)[part].sum()))
     return sum(gained) > least and min(gained) > 0.0
+
+
+def beside_structure(
+    problem: Problem, point: Point, unknown: Sequence[Unknown]
+) -> Array:
+    """Return the variance of every whitened sample that is noise: what structure leaves, at most 1.
+
+    A misfit of some seconds passes for noise of its channel, and then hides how large it is.
+    """
+    noise = np.ones(len(point.left))
+    if not unknown:
+        return noise
+    columns, _ = np.linalg.qr(unknown[0].family.white + 1e-12)
+    rest = point.left - columns @ (columns.T @ point.left)
+    for edge in problem.stack.edges.values():
+        if edge.stop > edge.start:
+            noise[edge] = min(float(np.mean(rest[edge] ** 2)), 1.0)
+    return noise
 
 
 def without_unknown(

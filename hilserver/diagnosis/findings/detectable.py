@@ -1,11 +1,13 @@
 """The smallest effect of every cause that these data would have shown."""
 
+import math
+from collections import Counter
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
+from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.findings.explain import number
 from hilserver.diagnosis.regression.columns import Library
@@ -14,15 +16,14 @@ from hilserver.diagnosis.regression.screen import Scores, critical, null_maxima,
 from hilserver.diagnosis.replay.judgeable import UNSEEN
 from hilserver.diagnosis.schema.findings import Detectable, NotJudged
 from hilserver.diagnosis.thresholds import (
+    BEYOND,
     DETECTABLE_LEAST_TIMES,
     DETECTABLE_POWER_SD,
     DETECTABLE_SELECTION_SD,
+    DETECTABLE_SHAPES,
     HOPELESS,
     LEAST_GAIN,
 )
-
-BEYOND: Final = 10.0
-"""Times the hopeless size beyond which a number tells nobody anything."""
 
 
 def smallest_of(
@@ -46,13 +47,14 @@ def smallest(
     """Return sizes for the causes of one stage, and those that the drive did not excite."""
     least = np.maximum(student(t_critical, scores.freedom), np.sqrt(LEAST_GAIN))
     needed = least + DETECTABLE_SELECTION_SD + DETECTABLE_POWER_SD
-    found: dict[str, tuple[float, str, float]] = {}
+    found: dict[str, list[tuple[float, str, float]]] = {}  # one of each candidate
     for i, c in enumerate(library.candidates):
         norms = (
             library.norms[i] if c.n > 1 else np.ones(1)
         )  # by which `spread` divided columns
         names = list(c.terms(c.start))
         mine = np.flatnonzero(library.owner == i)[: max(c.n, 1)]
+        own: list[tuple[float, str, float]] = []
         for k, j in enumerate(mine):
             information = scores.information[j]
             if information <= 1e-12:
@@ -66,12 +68,22 @@ def smallest(
                 if k < len(names) and not names[k].endswith("phase")
                 else names[0]
             )
-            smaller = c.cause not in found or (size < found[c.cause][0]) != c.is_limit
-            if smaller:
-                largest = max(c.high[k] - c.null[k], c.null[k] - c.low[k])
-                found[c.cause] = (size, name, np.inf if c.is_limit else float(largest))
+            largest = max(c.high[k] - c.null[k], c.null[k] - c.low[k])
+            own.append((size, name, np.inf if c.is_limit else float(largest)))
+        if own:
+            best = max(own) if c.is_limit else min(own)
+            found.setdefault(c.cause, []).append(best)
+
+    shapes = Counter(c.cause for c in library.candidates if c.hidden)
+    sizes: dict[str, tuple[float, str, float]] = {}
+    for cause, each in found.items():
+        each.sort(reverse=traits_of(cause).is_limit)
+        # any start of a search will do, but a shape is what it is
+        shown = math.ceil(DETECTABLE_SHAPES * shapes[cause])
+        sizes[cause] = each[min(max(shown, 1), len(each)) - 1]
+
     judged, not_judged = [], []
-    for cause, (size, name, largest) in found.items():
+    for cause, (size, name, largest) in sizes.items():
         parts = CAUSES[cause].parts
         part = next((p for p in parts if p.name == name), parts[0])
         hopeless = np.inf if part.reference is None else HOPELESS * abs(part.reference)

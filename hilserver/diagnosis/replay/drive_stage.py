@@ -1,6 +1,7 @@
 """Replay from the set-points: wheel speeds and duties of the whole chain (cut points A and B)."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import ClassVar, Final
 
 import numpy as np
@@ -11,6 +12,7 @@ from hilserver.diagnosis.catalogue.library import drive_candidates
 from hilserver.diagnosis.catalogue.traits import Need
 from hilserver.diagnosis.catalogue.vocabulary import SPEED_SCALES, SPEED_STEP
 from hilserver.diagnosis.replay.battery import voltage
+from hilserver.diagnosis.replay.control_clock import periods_shown
 from hilserver.diagnosis.replay.kernels import (
     place_inputs,
     run_drive,
@@ -31,7 +33,7 @@ from hilserver.measured.channels import (
 from hilserver.measured.clock import cut
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.resolution import step_of
-from hilserver.plant.layout import MODE_TWIST, WHEELS, Inputs, Outputs, State
+from hilserver.plant.layout import MODE_TWIST, RING, WHEELS, Inputs, Outputs, State
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import NOMINAL_V, RAD_S_PER_RPM
@@ -57,6 +59,22 @@ SETTLING_S: Final = 1.0
 MOVING_RPM: Final = 1.0
 ON_TIME: Final = 1e-3
 """Share of a tick by which a stamp may miss it: seconds since 1970 are rounded to 2.4e-7 s."""
+TICK_PARTS: Final = (1, 2, 5, 10)
+"""Into which a tick is divided for a controller whose period is no whole number of ticks."""
+
+
+def parts_of_tick(robot: RobotParameters) -> int:
+    """Return into how many parts a tick is divided, so that the controller runs at ends of some.
+
+    The most parts come close for every period.
+    """
+    tick_s, terms = robot.period_s, robot.terms
+    ticks = (terms.get("control_period") or tick_s) / tick_s
+    delay = (terms.get("actuation_delay") or 0.0) / tick_s
+    able = [n for n in TICK_PARTS if n == 1 or n * delay < RING - 1]
+    return next(
+        (n for n in able if abs(n * ticks - round(n * ticks)) < ON_TIME), able[-1]
+    )
 
 
 class DriveStage(Stage):
@@ -125,15 +143,38 @@ class DriveStage(Stage):
         robot = robot_with(
             self.robot, {k: v for k, v in terms.items() if "shift." not in k}
         )
-        p, phase = pack(robot), terms.get("shift.control_phase", 0.0)
+        phase = terms.get("shift.control_phase", 0.0)
+        parts = parts_of_tick(robot)
+
+        if parts == 1:
+            self._replay(robot, 1, phase, speed, seen, duty)
+            return
+
+        # a controller that runs between the ticks sees and acts up to a whole tick earlier
+        fine = [np.empty((parts * self.segments.ticks, 4)) for _ in range(3)]
+        finer = replace(robot, period_s=robot.period_s / parts)
+        self._replay(finer, parts, phase * parts, *fine)
+        for out, own in zip((speed, seen, duty), fine, strict=True):
+            out[:] = own[::parts]
+
+    def _replay(
+        self,
+        robot: RobotParameters,
+        parts: int,
+        phase: float,
+        speed: Array,
+        seen: Array,
+        duty: Array,
+    ) -> None:
+        """Run the drive, each tick of the log in some parts."""
         run_drive(
-            p,
+            pack(robot),
             self._rest,
             State.zeros(),
-            self.segments.first,
+            self.segments.first * parts,
             self._inputs,
-            self._row,
-            self._volts,
+            np.repeat(self._row, parts),
+            np.repeat(self._volts, parts),
             self._speed_0,
             phase,
             Outputs.zeros(),
@@ -144,7 +185,7 @@ class DriveStage(Stage):
 
     def candidates(self) -> list[Candidate]:
         """Return the causes of the drive, its controller and the log's speeds."""
-        return drive_candidates()
+        return drive_candidates(periods_shown(self.log))
 
     def signals(self, terms: Mapping[str, float], poses: Array) -> Mapping[str, Array]:
         """Return shown speed, duty and angle of every wheel at every tick."""

@@ -22,7 +22,7 @@ GOES_ON_S: Final = 0.11
 MARGIN_S: Final = 1.0
 STEADY_WINDOW_S: Final = 0.4
 NOISE_MEMORY: Final = 0.15
-SIDES: Final = ((0, 1), (2, 3))
+PAIRS: Final = ((0, 1), (2, 3))
 
 
 @dataclass(frozen=True)
@@ -46,21 +46,21 @@ class WheelSpeeds:
     def sides(self) -> tuple[Array, Array]:
         """Return dense sums of both sides' wheel speeds [rpm]."""
         left, right = (
-            sum(self.shares[w] for w in side if w in self.shares) for side in SIDES
+            sum(self.shares[w] for w in side if w in self.shares) for side in PAIRS
         )
         return np.ascontiguousarray(left), np.ascontiguousarray(right)
 
     def apart(self) -> Array:
         """Return dense front minus rear wheel of both sides [rpm], shape (2, ticks)."""
         return np.stack(
-            [self._wheel(front) - self._wheel(rear) for front, rear in SIDES]
+            [self._wheel(front) - self._wheel(rear) for front, rear in PAIRS]
         )
 
     @cached_property
     def shares(self) -> dict[int, Array]:
         """By wheel: its part of the sum of its side; none if unmeasured beside a measured one."""
         chosen = [
-            [w for w in side if SPEEDS[w] in self.log] or list(side) for side in SIDES
+            [w for w in side if SPEEDS[w] in self.log] or list(side) for side in PAIRS
         ]
         return {w: 2.0 / len(side) * self._wheel(w) for side in chosen for w in side}
 

@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hilserver.diagnosis.decide.revision import revised
+from hilserver.diagnosis.decide.revision import fails, revised
 from hilserver.diagnosis.decide.selection import select
+from hilserver.diagnosis.decide.structure import Unknown
 from hilserver.diagnosis.decide.unknown import Family
+from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.stages import Prepared
 from tests.diagnosis import toy
 
@@ -83,3 +85,24 @@ def test_a_cause_that_is_none_excuses_no_structure_by_its_own_inexactness(monkey
     )
     assert found.point.model.causes == ()
     assert [u.family.name for u in found.unknown] == ["turn"]
+
+
+@pytest.mark.parametrize(("said_sd", "stays"), [(2.4, False), (1.0, True)])
+def test_a_misfit_that_passed_for_noise_takes_the_name_from_a_cause(said_sd, stays):
+    """A cable's drag on the turn passed for noise of the gyro, and was named as a distortion.
+
+    Without structure the same rest is noise.
+    """
+    rng = np.random.default_rng(7)
+    column, other = 5.0 * toy.smooth(rng, N), 12.0 * toy.smooth(rng, N)
+    rest = other if said_sd > 1.0 else 0.0 * other
+    problem = toy.problem(
+        column + rest + 0.3 * rng.normal(size=N), {"c": column}, noise_sd=said_sd
+    )
+    library, base = toy.library(problem)
+    point = fit(problem, toy.model("c"), base)
+    white = problem.shown(point, other[:, None])
+    found = [Unknown(Family("turn", ("t_s",), white), 9.0, 4.0, 0.001, 1e3)]
+    p = Prepared(problem, library, base)
+    assert not fails(p, point), "all that is left looks like noise"
+    assert fails(p, point, found) is not stays

@@ -22,3 +22,18 @@ def test_single_misplaced_samples_are_no_gross_misfit(monkeypatch, blocks):
     point = problem.point(toy.Model(), np.zeros((0, 3)))
     assert point.deviance > 2.0 * len(values)
     assert remaining(problem, point, rng, [wave], 0.0) == []
+
+
+@pytest.mark.parametrize(("blocks", "found"), [(15, False), (25, True)])
+def test_a_drive_that_is_missed_nearly_everywhere_is_no_silence(blocks, found):
+    """A controller of an unknown clock left 70 million, and nothing was found.
+
+    Few blocks may be those of a set-point that came and went between two rows.
+    """
+    rng = np.random.default_rng(3)
+    values = rng.normal(size=BLOCKS * ROWS)
+    values[: blocks * ROWS] *= 20.0
+    problem = toy.problem(values, {})
+    wave = Family("time", ("t_s",), np.sin(np.arange(len(values)))[:, None])
+    point = problem.point(toy.Model(), np.zeros((0, 3)))
+    assert bool(remaining(problem, point, rng, [wave], 0.0)) is found
