@@ -39,7 +39,7 @@ def main() -> int:
         "--story", action="store_true", help="print what the daemon said"
     )
     options = parser.parse_args()
-    if os.environ.get("PYTHONHASHSEED") != "0":  # sets of names have an order then
+    if "PYTHONHASHSEED" not in os.environ:  # sets of names have an order then
         os.execve(
             sys.executable,
             [sys.executable, "-m", "tests.hours", *sys.argv[1:]],

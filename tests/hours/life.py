@@ -157,7 +157,8 @@ class Life:
             user.found.clear()
         frame = self.town.reader.latest()
         self._digest.update(frame.values.tobytes() + frame.status.tobytes())
-        self._digest.update(repr((self.town.loop.turns, frame.tick)).encode())
+        loop = self.town.loop
+        self._digest.update(repr((loop.turns, loop.clock.now_ns, frame.tick)).encode())
         self.judges.look_at_limits()
 
     def _heard(self, user: str) -> None:

@@ -8,11 +8,13 @@ from typing import Any
 from numba.experimental.function_type import _get_wrapper_address
 
 from hilserver.scheduler.law import PLANNED, begin
+from hilserver.scheduler.loop import TIMESPEC
 from hilserver.scheduler.pacing import StopReason
 from hilserver.scheduler.pacing_loop import run_batch
 from hilserver.scheduler.step import STEP_TYPE
 from hilserver.scheduler.turn import ENDED, RING, STANDING
 from tests.hours.clock import CLOCK
+from tests.hours.loop import NS
 
 
 class ClockPacing:
@@ -51,6 +53,7 @@ class ClockPacing:
 
     def _advance(self, now_ns: int) -> None:
         law, machine = self._machine.law, self._machine
+        machine.loop.scratch[TIMESPEC : TIMESPEC + 2] = divmod(now_ns, NS)
         while not self._is_over and (late_ns := now_ns - int(law[PLANNED])) >= 0:
             due = late_ns // machine.base_period_ns + 1
             flags = run_batch(machine.step, machine.loop, due)
