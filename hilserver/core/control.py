@@ -183,7 +183,11 @@ class Control:
     def _adopt_interlock(self) -> None:
         """Let automatic sources wait if they did so in the state that was restored."""
         self._gate.interlock.adopt()
-        if self._gate.interlock.waits and self.state is State.RUNNING:
+        if not self._gate.interlock.waits:
+            return
+        # A command that came while the state was restored began a lease that none may renew now.
+        self._gate.end()
+        if self.state is State.RUNNING:
             self._go(self.state, WAITING)
 
     def set_pose(self, x_m: float, y_m: float, yaw_rad: float) -> None:

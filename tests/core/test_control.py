@@ -386,6 +386,35 @@ async def test_a_hand_that_drives_while_a_snapshot_is_loaded_has_to_let_go(world
     assert world.value("twist.linear_m_s") == 0.0
 
 
+async def test_a_controller_is_not_called_silent_after_a_snapshot_in_which_it_waits(
+    world,
+):
+    """Before, what it said while that was loaded left a lease that nobody could renew."""
+    control, gate = world.control, world.gate
+    gate.leases.add("peer:a", 500.0, "ramp")
+    gate.take("peer")
+    task = asyncio.create_task(latching(world))
+    control.stop()
+    control.reset()
+    world.latch()
+    await control.save_snapshot("waiting")
+    task.cancel()
+    control.start()
+    before = world.image.control.request
+    loading = asyncio.create_task(control.load_snapshot("waiting"))
+    while world.image.control.request == before:  # noqa: ASYNC110 - a word of shared memory
+        await asyncio.sleep(0)
+    world.latch()
+    gate.write("peer:a", HELD)
+    world.latch()
+    await loading
+    for _ in range(600):
+        gate.write("peer:a", HELD)
+        world.pacing.tick += 1
+        world.latch()
+    assert not gate.leases.has_lapsed("peer:a")
+
+
 @pytest.mark.parametrize(
     "name", ["../x", "/etc/passwd", "", "a/b", ".hidden", "x" * 200]
 )

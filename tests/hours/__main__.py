@@ -1,7 +1,7 @@
 """Lives of the town from the command line: ``python -m tests.hours 17`` repeats seed 17.
 
 ``python -m tests.hours 0:1000`` lives a thousand; the town is built once, and forked for each.
-With ``--journal FILE`` it goes on where it was interrupted.
+With ``--results FILE`` it goes on where it was interrupted.
 """
 
 import argparse
@@ -30,7 +30,7 @@ def main() -> int:
         "--mutant", help="plant a fault of the product first; all: one by one"
     )
     parser.add_argument(
-        "--journal", type=Path, help="keep results here; what is there is done"
+        "--results", type=Path, help="keep results here; what is there is done"
     )
     parser.add_argument(
         "--until-found", action="store_true", help="end with the first breach"
@@ -82,17 +82,19 @@ class _Lives:
 
     def live(self, seeds: range, plant: Callable[[Any], None] | None) -> int:
         """Live seeds; return 1 if the judges found something."""
-        options, journal = self._options, self._options.journal
+        options, results_file = self._options, self._options.results
         simulated_s = cpu_s = 0.0
         n_seeds = bad = 0
         done: dict[int, dict[str, Any]] = {}
-        if journal is not None and journal.exists():
-            results = map(json.loads, journal.read_text(encoding="utf-8").splitlines())
+        if results_file is not None and results_file.exists():
+            results = map(
+                json.loads, results_file.read_text(encoding="utf-8").splitlines()
+            )
             done = {result["seed"]: result for result in results}
         for seed in seeds:
             result = done.get(seed) or self._forked(seed, plant)
-            if journal is not None and seed not in done:
-                with journal.open("a", encoding="utf-8") as file:
+            if results_file is not None and seed not in done:
+                with results_file.open("a", encoding="utf-8") as file:
                     print(json.dumps(result), file=file)
             simulated_s, cpu_s = (
                 simulated_s + result["simulated_s"],

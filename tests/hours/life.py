@@ -106,7 +106,7 @@ class Life:
             yield f"{at_s - self.begun_s:.3f} {line}"
         for act in self.ledger.acts:
             where = (at(act.mark.came_ns), at(act.mark.read_ns)) if act.mark else ()
-            said = f"{act.user}: {act.name} {act.is_accepted}"
+            said = f"{act.user}: {act.name} {act.is_accepted} {act.refusal}"
             yield f"{at(act.sent_ns)} {said} {where} {at(act.done_ns)}"
         for speed in self.ledger.speeds.values():
             said = [at(mark.came_ns) for mark in speed.said] or [
@@ -221,6 +221,8 @@ class Life:
                 if state == State.SAFE:
                     await user.act("Reset")
                 elif state == State.PAUSED or town.frame("control.waits_for_start"):
+                    # Whoever vanished while driving may still be in control.
+                    await user.write({"control.source": "page"})
                     await user.act("Start")
                 elif town.daemon.gate.owner != "peer":
                     await user.write({"control.source": "page"})
