@@ -178,7 +178,9 @@ class Control:
         self._gate.interlock.engage()
         self._image.control.first_fault = 0
         self._image.control.stop_acknowledged = self._stop_taken
-        self._image.push([Row(self._table.slot("drive.enable"), 1.0)])
+        # Only what a silence has disabled: a host may have disabled the drive itself.
+        if not self._gate.is_disabled_by_host:
+            self._image.push([Row(self._table.slot("drive.enable"), 1.0)])
 
     def _adopt_interlock(self) -> None:
         """Let automatic sources wait if they did so in the state that was restored."""

@@ -258,6 +258,25 @@ def test_in_the_safe_state_nobody_enables_the_drive(world):
     assert world.value("drive.enable") == 1.0
 
 
+@pytest.mark.parametrize("when", ["before Stop", "after Stop"])
+def test_reset_enables_no_drive_that_its_host_has_disabled(world, when):
+    control, disable = world.control, {"drive.enable": False}
+    for said in ("before Stop", "after Stop"):
+        if when == said:
+            assert world.gate.write("opcua", disable) == {}
+        world.latch()
+        control.stop()
+    for _ in range(6):
+        world.latch()
+    control.reset()
+    for _ in range(3):
+        world.latch()
+        assert world.value("drive.enable") == 0.0
+    control.start()
+    world.latch()
+    assert world.value("drive.enable") == 0.0
+
+
 def test_the_safe_state_reaches_the_plant_although_the_queue_was_full(world):
     rows = [Row(world.table.slot("lights.red"), 1.0)]
     while world.image.push(rows):
