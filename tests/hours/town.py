@@ -188,7 +188,6 @@ class Town:
                 MOST_UNSENT_BYTES,
             ),
             "refused values by name": (len(daemon.gate.rejected), MOST_NAMES),
-            "errors of the loop": (len(self.loop.errors), 0),
         }
 
     def not_good(self) -> list[str]:
