@@ -193,7 +193,7 @@ class Life:
         if not limits:
             return
         await asyncio.sleep(max(self.chance.choice(limits) - loop.time() - 0.01, 0.0))
-        self.town.stand_still(self.chance.uniform(0.02, 0.3))
+        self.town.stand_still(self.chance.uniform(0.02, 0.6))
 
     # --- peace ------------------------------------------------------------------------------------
 

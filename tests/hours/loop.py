@@ -47,6 +47,12 @@ class _Future(asyncio.Future):
     __eq__ = object.__eq__
 
 
+def _is_of_the_product(limit: asyncio.TimerHandle) -> bool:
+    holder = getattr(limit._callback, "__self__", None)
+    task = getattr(getattr(holder, "_wait", holder), "_task", None)
+    return task is not None and "/hilserver/" in task.get_coro().cr_code.co_filename
+
+
 class StuckError(AssertionError):
     """Nothing is left that could ever happen, or nothing ever rests."""
 
@@ -84,10 +90,13 @@ class VirtualLoop(asyncio.BaseEventLoop):
         self.clock.advance_to(self.clock.now_ns + round(seconds * NS))
 
     def limits(self) -> list[asyncio.TimerHandle]:
-        """Return the timers of time limits."""
-        names = ("Timeout._on_timeout", "_release_waiter")
+        """Return the timers of time limits: of tasks of the product only, if it has any."""
+        names = ("Timeout._on_timeout", "_Prolonging._look", "_release_waiter")
         timers = [timer for timer in self._scheduled if not timer._cancelled]
-        return [t for t in timers if getattr(t._callback, "__qualname__", "") in names]
+        limits = [
+            t for t in timers if getattr(t._callback, "__qualname__", "") in names
+        ]
+        return list(filter(_is_of_the_product, limits)) or limits
 
     # --- one turn ---------------------------------------------------------------------------------
 
