@@ -31,8 +31,10 @@ async def time_limit(
     task = asyncio.current_task()
     asked = 0 if task is None else task.cancelling()
     try:
-        async with asyncio.timeout(limit_s) as limit:
-            prolonging = None if at_most_s is None else _Prolonging(limit, at_most_s)
+        async with asyncio.timeout(limit_s if at_most_s is None else None) as wait:
+            prolonging = None
+            if limit_s is not None and at_most_s is not None:
+                prolonging = _Prolonging(wait, limit_s, at_most_s)
             try:
                 yield
             except asyncio.CancelledError as error:
@@ -50,21 +52,33 @@ async def time_limit(
 
 
 class _Prolonging:
-    """Gives a limit back what the loop loses, until it is stopped."""
+    """Ends a wait after its limit, without the time that the loop loses, until it is stopped.
 
-    def __init__(self, limit: asyncio.Timeout, at_most_s: float) -> None:
-        self._limit, self._loop = limit, asyncio.get_running_loop()
-        self._looked_s = self._loop.time()
-        self._last_s = self._looked_s + at_most_s
-        self._timer = self._loop.call_later(_TURN_S, self._look)
+    `asyncio.timeout` itself has no limit here: it would be first where both are due.
+    """
+
+    def __init__(self, wait: asyncio.Timeout, limit_s: float, at_most_s: float) -> None:
+        self._wait, self._loop = wait, asyncio.get_running_loop()
+        begun_s = self._loop.time()
+        self._ends_s, self._last_s = begun_s + limit_s, begun_s + at_most_s
+        self._plan(begun_s)
+
+    def _plan(self, now_s: float) -> None:
+        self._due_s = min(now_s + _TURN_S, self._ends_s)
+        self._timer = self._loop.call_at(self._due_s, self._look)
 
     def _look(self) -> None:
-        now_s, ends_s = self._loop.time(), self._limit.when()
-        lost_s, self._looked_s = now_s - self._looked_s - _TURN_S, now_s
-        if lost_s > _TURN_S and ends_s is not None:
-            self._limit.reschedule(min(ends_s + lost_s, self._last_s))
-        self._timer = self._loop.call_later(_TURN_S, self._look)
+        now_s = self._loop.time()
+        lost_s = now_s - self._due_s
+        if lost_s > _TURN_S:
+            # What has come meanwhile is still to be read: one look more at least.
+            ends_s = max(self._ends_s + lost_s, now_s + _TURN_S)
+            self._ends_s = min(ends_s, self._last_s)
+        if now_s < self._ends_s:
+            self._plan(now_s)
+        else:
+            self._wait.reschedule(now_s)
 
     def stop(self) -> None:
-        """Leave the limit as it is."""
+        """Leave the wait as it is."""
         self._timer.cancel()

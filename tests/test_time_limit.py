@@ -7,6 +7,8 @@ import pytest
 import wait_for2
 
 from hilserver.time_limit import AbandonedError, time_limit
+from tests.hours.clock import Clock
+from tests.hours.loop import VirtualLoop
 
 
 async def answered_as_the_time_ends():
@@ -81,3 +83,26 @@ async def test_a_limit_that_is_prolonged_still_ends():
     with pytest.raises(TimeoutError):
         async with time_limit(0.1, at_most_s=0.2):
             await answer_after(4.0, blocked_s=0.3)
+
+
+@pytest.mark.parametrize("stands_s", [0.02, 0.3, 20.0])
+def test_the_loop_may_stand_still_just_before_the_time_is_up(stands_s):
+    """Before, the limit ended the wait first, and what prolongs it failed where nobody saw it."""
+    loop = VirtualLoop(Clock())
+
+    async def waits():
+        async with time_limit(0.12, at_most_s=60.0):
+            await asyncio.sleep(0.11)
+            loop.stand_still(stands_s)
+            await asyncio.sleep(0.005)
+
+    try:
+        if stands_s < 0.05:  # the computer's ordinary delay is part of the limit
+            with pytest.raises(TimeoutError):
+                loop.run_until_complete(waits())
+        else:
+            loop.run_until_complete(waits())
+        loop.run_until_complete(asyncio.sleep(1.0))
+        assert not loop.errors
+    finally:
+        loop.close()

@@ -178,12 +178,18 @@ class Control:
         self._gate.interlock.engage()
         self._image.control.first_fault = 0
         self._image.control.stop_acknowledged = self._stop_taken
-        self._image.push([Row(self._table.slot("drive.enable"), 1.0)])
+        # Only what a silence has disabled: a host may have disabled the drive itself.
+        if not self._gate.is_disabled_by_host:
+            self._image.push([Row(self._table.slot("drive.enable"), 1.0)])
 
     def _adopt_interlock(self) -> None:
         """Let automatic sources wait if they did so in the state that was restored."""
         self._gate.interlock.adopt()
-        if self._gate.interlock.waits and self.state is State.RUNNING:
+        if not self._gate.interlock.waits:
+            return
+        # A command that came while the state was restored began a lease that none may renew now.
+        self._gate.end()
+        if self.state is State.RUNNING:
             self._go(self.state, WAITING)
 
     def set_pose(self, x_m: float, y_m: float, yaw_rad: float) -> None:

@@ -532,6 +532,13 @@ class InputGate(HandOver):
         found = self._newest.get(self._table.slot(name))
         return None if found is None else found[1]
 
+    @property
+    def is_disabled_by_host(self) -> bool:
+        """Whether the source in control has disabled the drive by what it wrote last."""
+        slot = self._table.slot("drive.enable")
+        source, value = self._newest.get(slot, ("", 1.0))
+        return kind_of(source) == self.owner and not value
+
     def take_change(self, latched_rows: int) -> int | None:
         """Return when the oldest unpublished change came in [ns], once a frame contains it."""
         if self._change is None or latched_rows < self._change[1]:

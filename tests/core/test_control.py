@@ -258,6 +258,25 @@ def test_in_the_safe_state_nobody_enables_the_drive(world):
     assert world.value("drive.enable") == 1.0
 
 
+@pytest.mark.parametrize("when", ["before Stop", "after Stop"])
+def test_reset_enables_no_drive_that_its_host_has_disabled(world, when):
+    control, disable = world.control, {"drive.enable": False}
+    for said in ("before Stop", "after Stop"):
+        if when == said:
+            assert world.gate.write("opcua", disable) == {}
+        world.latch()
+        control.stop()
+    for _ in range(6):
+        world.latch()
+    control.reset()
+    for _ in range(3):
+        world.latch()
+        assert world.value("drive.enable") == 0.0
+    control.start()
+    world.latch()
+    assert world.value("drive.enable") == 0.0
+
+
 def test_the_safe_state_reaches_the_plant_although_the_queue_was_full(world):
     rows = [Row(world.table.slot("lights.red"), 1.0)]
     while world.image.push(rows):
@@ -384,6 +403,35 @@ async def test_a_hand_that_drives_while_a_snapshot_is_loaded_has_to_let_go(world
     await loading
     world.latch()
     assert world.value("twist.linear_m_s") == 0.0
+
+
+async def test_a_controller_is_not_called_silent_after_a_snapshot_in_which_it_waits(
+    world,
+):
+    """Before, what it said while that was loaded left a lease that nobody could renew."""
+    control, gate = world.control, world.gate
+    gate.leases.add("peer:a", 500.0, "ramp")
+    gate.take("peer")
+    task = asyncio.create_task(latching(world))
+    control.stop()
+    control.reset()
+    world.latch()
+    await control.save_snapshot("waiting")
+    task.cancel()
+    control.start()
+    before = world.image.control.request
+    loading = asyncio.create_task(control.load_snapshot("waiting"))
+    while world.image.control.request == before:  # noqa: ASYNC110 - a word of shared memory
+        await asyncio.sleep(0)
+    world.latch()
+    gate.write("peer:a", HELD)
+    world.latch()
+    await loading
+    for _ in range(600):
+        gate.write("peer:a", HELD)
+        world.pacing.tick += 1
+        world.latch()
+    assert not gate.leases.has_lapsed("peer:a")
 
 
 @pytest.mark.parametrize(

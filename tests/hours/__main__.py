@@ -1,10 +1,11 @@
 """Lives of the town from the command line: ``python -m tests.hours 17`` repeats seed 17.
 
 ``python -m tests.hours 0:1000`` lives a thousand; the town is built once, and forked for each.
-With ``--journal FILE`` it goes on where it was interrupted.
+With ``--results FILE`` it goes on where it was interrupted.
 """
 
 import argparse
+import contextlib
 import gc
 import json
 import os
@@ -30,7 +31,7 @@ def main() -> int:
         "--mutant", help="plant a fault of the product first; all: one by one"
     )
     parser.add_argument(
-        "--journal", type=Path, help="keep results here; what is there is done"
+        "--results", type=Path, help="keep results here; what is there is done"
     )
     parser.add_argument(
         "--until-found", action="store_true", help="end with the first breach"
@@ -39,7 +40,7 @@ def main() -> int:
         "--story", action="store_true", help="print what the daemon said"
     )
     options = parser.parse_args()
-    if os.environ.get("PYTHONHASHSEED") != "0":  # sets of names have an order then
+    if "PYTHONHASHSEED" not in os.environ:  # sets of names have an order then
         os.execve(
             sys.executable,
             [sys.executable, "-m", "tests.hours", *sys.argv[1:]],
@@ -82,22 +83,17 @@ class _Lives:
 
     def live(self, seeds: range, plant: Callable[[Any], None] | None) -> int:
         """Live seeds; return 1 if the judges found something."""
-        options, journal = self._options, self._options.journal
+        options = self._options
         simulated_s = cpu_s = 0.0
         n_seeds = bad = 0
-        done: dict[int, dict[str, Any]] = {}
-        if journal is not None and journal.exists():
-            results = map(json.loads, journal.read_text(encoding="utf-8").splitlines())
-            done = {result["seed"]: result for result in results}
+        done = self._done()
         for seed in seeds:
-            result = done.get(seed) or self._forked(seed, plant)
-            if journal is not None and seed not in done:
-                with journal.open("a", encoding="utf-8") as file:
-                    print(json.dumps(result), file=file)
-            simulated_s, cpu_s = (
-                simulated_s + result["simulated_s"],
-                cpu_s + result["cpu_s"],
-            )
+            result = done.get(seed)
+            if result is None:
+                result = self._forked(seed, plant)
+                self._keep(result)
+            simulated_s += result["simulated_s"]
+            cpu_s += result["cpu_s"]
             n_seeds, bad = n_seeds + 1, bad + bool(result["found"])
             print(f"seed {seed} {result.get('digest', '')}", flush=True)
             if result["found"] or len(seeds) == 1:
@@ -111,6 +107,28 @@ class _Lives:
             flush=True,
         )
         return min(bad, 1)
+
+    def _done(self) -> dict[int, dict[str, Any]]:
+        """Return what the file of results has of lives like these, by seed."""
+        path, found = self._options.results, dict[int, dict[str, Any]]()
+        if path is None or not path.exists():
+            return found
+        for line in path.read_text(encoding="utf-8").splitlines():
+            with contextlib.suppress(ValueError):  # the last one may be torn
+                result = json.loads(line)
+                if result["like"] == self._like:
+                    found[result["seed"]] = result
+        return found
+
+    def _keep(self, result: dict[str, Any]) -> None:
+        if self._options.results is not None:
+            with self._options.results.open("a", encoding="utf-8") as file:
+                print(json.dumps(result | {"like": self._like}), file=file)
+
+    @property
+    def _like(self) -> list[Any]:
+        options = self._options
+        return [options.mode, options.seconds, options.mutant]
 
     def _forked(self, seed: int, plant: Callable[[Any], None] | None) -> dict[str, Any]:
         """Live one seed in a process of its own."""

@@ -262,12 +262,15 @@ class Judges:
     # --- limits -----------------------------------------------------------------------------------
 
     def look_at_limits(self) -> None:
-        """Compare every queue with its limit."""
+        """Compare every queue with its limit; nothing may fail where nobody would see it."""
+        now_ns = self._town.loop.clock.now_ns
         for name, (found, most) in self._town.limited().items():
             if found > most:
-                self.breach(
-                    self._town.loop.clock.now_ns, f"{name}: {found}, but at most {most}"
-                )
+                self.breach(now_ns, f"{name}: {found}, but at most {most}")
+        for error in self._town.loop.errors:
+            what = error.get("future") or error.get("handle") or ""
+            why = error.get("exception", "")
+            self.breach(now_ns, f"{error['message']}: {why!r} of {what}")
 
     def breach(self, at_ns: int, sentence: str) -> None:
         key = hash(sentence.partition(",")[0][:40])

@@ -36,6 +36,7 @@ class Act:
     mark: Mark | None = None
     done_ns: int | None = None  # when its answer came
     is_accepted: bool | None = None  # None: nobody knows, the answer was lost
+    refusal: str = ""
     argument: object = None
 
 

@@ -8,20 +8,23 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hilserver.errors import FailedError
 from hilserver.io.recorder.recorder import Recorder
 from hilserver.signals import State
 from hilserver.tasks import end
 from tests.hours import clock
+from tests.hours.disk import TROUBLES, Disk, put_under
 from tests.hours.judges import Judges
 from tests.hours.ledger import Ledger
 from tests.hours.loop import NS, run_in
-from tests.hours.recording import difference, recorder_of
+from tests.hours.recording import damaged, difference, recorder_of
 from tests.hours.town import Town
 from tests.hours.users import LOST, Browser, Controller, Program, Terminal, User
 from tests.hours.watchers import Engineer, Watcher
 
 LOOK_S = 1.0
 RECORDED_EVERY = 5  # seeds
+SNAPSHOTS, RECORDING = "snapshots", "drive.mcap"
 PEACE_S = 5.0  # within so long after the last fault everything is good again
 STALLS_S = (0.005, 0.05, 0.3, 0.8)
 HOLDS_S = (0.05, 0.4)
@@ -50,9 +53,11 @@ class Life:
         town.loop.chance.seed(seed)
         self.town, self.seed, self.seconds = town, seed, seconds
         self.chance = town.loop.chance
-        snapshots = town.folder / f"seed {seed}"
-        snapshots.mkdir(exist_ok=True)
-        town.daemon.core.snapshots._folder = snapshots
+        folder = town.folder / f"seed {seed}"
+        folder.mkdir(exist_ok=True)
+        self.disk = Disk(folder, town.folder / f"after {seed}", self.chance)
+        put_under(self.disk)
+        town.daemon.core.snapshots._folder = folder / SNAPSHOTS
         self.ledger = Ledger()
         self.judges = Judges(town, self.ledger)
         self.controller = Controller(town, self.ledger)
@@ -62,7 +67,7 @@ class Life:
         self.recorder: Recorder | None = None
         if seed % RECORDED_EVERY == 0:
             town.is_recorded = True
-            self.recorder = recorder_of(town.image, town.folder / f"seed {seed}.mcap")
+            self.recorder = recorder_of(town.image, folder / RECORDING)
         self._digest = hashlib.sha256()
         self.begun_s, self._until_found = town.loop.time(), False
 
@@ -81,20 +86,34 @@ class Life:
             self.judges.found.append(f"{type(error).__name__}: {error}")
             if not isinstance(error, AssertionError | TimeoutError):
                 raise
-        if self.recorder is not None:
-            self.recorder.close()
-            if where := difference(self.recorder.path):
-                self.judges.found.append(f"its replay differs: {where}")
+        self._judge_files()
         result.found = self.judges.found
         result.simulated_s = (self.town.loop.clock.now_ns - from_ns) / NS
         result.cpu_s = time.process_time() - began_s
         result.figures = {
             "ticks": self.judges.ticks, "moving": self.judges.moving, "steady": self.judges.steady,
             "acts": len(self.ledger.acts), "came": sum(user.came for user in self.users),
-            "turns": self.town.loop.turns,
+            "turns": self.town.loop.turns, "lost power": self.disk.after.exists(),
         }  # fmt: skip
         result.digest = self._digest.hexdigest()[:16]
         return result
+
+    def _judge_files(self) -> None:
+        """Every file is whole or not there, now and after a loss of power."""
+        found, disk = self.judges.found, self.disk
+        disk.trouble = ""
+        if self.recorder is not None:
+            try:
+                self.recorder.close()
+            except FailedError as error:
+                if not disk.was_in_trouble:
+                    found.append(str(error))
+        for folder in (disk.folder, disk.after):
+            found += damaged(folder / SNAPSHOTS)
+            recording = folder / RECORDING
+            if recording.exists() and (where := difference(recording)):
+                found.append(f"the replay of {recording} differs: {where}")
+        found += [f"{path} is left" for path in disk.folder.rglob("*.part")]
 
     def story(self) -> Iterator[str]:
         """Yield what the daemon said, and what users did: when, and when that came and was read."""
@@ -106,7 +125,7 @@ class Life:
             yield f"{at_s - self.begun_s:.3f} {line}"
         for act in self.ledger.acts:
             where = (at(act.mark.came_ns), at(act.mark.read_ns)) if act.mark else ()
-            said = f"{act.user}: {act.name} {act.is_accepted}"
+            said = f"{act.user}: {act.name} {act.is_accepted} {act.refusal}"
             yield f"{at(act.sent_ns)} {said} {where} {at(act.done_ns)}"
         for speed in self.ledger.speeds.values():
             said = [at(mark.came_ns) for mark in speed.said] or [
@@ -128,6 +147,7 @@ class Life:
             )
         ]  # fmt: skip
         tasks.append(asyncio.ensure_future(self._note_pauses()))
+        tasks.append(asyncio.ensure_future(self._disk_trouble()))
         looking = asyncio.ensure_future(self._look_on())
         until_s = town.loop.time() + self.seconds - PEACE_S
         while town.loop.time() < until_s:
@@ -157,7 +177,8 @@ class Life:
             user.found.clear()
         frame = self.town.reader.latest()
         self._digest.update(frame.values.tobytes() + frame.status.tobytes())
-        self._digest.update(repr((self.town.loop.turns, frame.tick)).encode())
+        loop = self.town.loop
+        self._digest.update(repr((loop.turns, loop.clock.now_ns, frame.tick)).encode())
         self.judges.look_at_limits()
 
     def _heard(self, user: str) -> None:
@@ -185,6 +206,14 @@ class Life:
             else:
                 self.town.hold(self.chance.choice(HOLDS_S))
 
+    async def _disk_trouble(self) -> None:
+        """Let the disk be full or broken for a while."""
+        while True:
+            await asyncio.sleep(self.chance.uniform(1.0, 15.0))
+            self.disk.trouble = self.chance.choice(TROUBLES)
+            await asyncio.sleep(self.chance.uniform(0.5, 3.0))
+            self.disk.trouble = ""
+
     async def _stand_still_over_a_limit(self) -> None:
         """Stand still while somebody's time is up, so that the answer may come in the same turn."""
         loop = self.town.loop
@@ -192,7 +221,7 @@ class Life:
         if not limits:
             return
         await asyncio.sleep(max(self.chance.choice(limits) - loop.time() - 0.01, 0.0))
-        self.town.stand_still(self.chance.uniform(0.02, 0.3))
+        self.town.stand_still(self.chance.uniform(0.02, 0.6))
 
     # --- peace ------------------------------------------------------------------------------------
 
@@ -200,6 +229,8 @@ class Life:
         """End all faults: soon every link is good, and whoever comes can drive and stop."""
         town, judges = self.town, self.judges
         offering, *others = tasks
+        for user in self.users:
+            user.is_over = True  # the client library swallows some cancellations
         await end(*others)
         for old in self.users:
             await old.go()
@@ -220,6 +251,8 @@ class Life:
                 if state == State.SAFE:
                     await user.act("Reset")
                 elif state == State.PAUSED or town.frame("control.waits_for_start"):
+                    # Whoever vanished while driving may still be in control.
+                    await user.write({"control.source": "page"})
                     await user.act("Start")
                 elif town.daemon.gate.owner != "peer":
                     await user.write({"control.source": "page"})

@@ -8,18 +8,24 @@ soon.
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 
 def _peer_link_dies(town: Any) -> None:
-    """A foreign cancellation ends the task of a link for good, and nobody says so."""
+    """A foreign cancellation ends the task of a link for good, and nobody says so.
+
+    Both happen where an answer comes in the turn of the loop in which the time is up.
+    """
     from hilserver import tasks
     from hilserver.io.opcua_client import session
     from hilserver.io.peer_link import link
 
     @contextlib.asynccontextmanager
-    async def time_limit(limit_s: float | None) -> AsyncIterator[None]:
+    async def time_limit(
+        limit_s: float | None, *, at_most_s: float | None = None
+    ) -> AsyncIterator[None]:
         async with asyncio.timeout(limit_s):
             yield
 
@@ -169,6 +175,24 @@ def _dead_man_never_ends(town: Any) -> None:
         town.daemon.gate.leases.limit(source, None)
 
 
+def _snapshots_in_place(_town: Any) -> None:
+    """A snapshot has its name while it is still being written."""
+    from hilserver.core import snapshot
+
+    @contextlib.contextmanager
+    def whole(path: Path) -> Iterator[Path]:
+        yield path
+
+    snapshot.whole = whole
+
+
+def _half_a_record(_town: Any) -> None:
+    """What could not be written to its end stays in the recording, half."""
+    from hilserver.logs.writer import WholeFile
+
+    WholeFile.cut = lambda self, size: None
+
+
 MUTANTS = {
     "reset restarts a held stick": _reset_restarts,
     "reset starts controllers": _reset_starts_controllers,
@@ -181,6 +205,8 @@ MUTANTS = {
     "half-open keep their places": _half_open_keep_their_places,
     "dead-man never ends": _dead_man_never_ends,
     "peer link dies": _peer_link_dies,
+    "snapshots in place": _snapshots_in_place,
+    "half a record": _half_a_record,
 }
 
 

@@ -3,16 +3,22 @@
 It stands for the thread of the product, which does not stop when the event loop does.
 """
 
+from functools import cache
 from typing import Any
 
-from numba.experimental.function_type import _get_wrapper_address
+from numba.experimental import function_type
 
 from hilserver.scheduler.law import PLANNED, begin
+from hilserver.scheduler.loop import TIMESPEC
 from hilserver.scheduler.pacing import StopReason
 from hilserver.scheduler.pacing_loop import run_batch
-from hilserver.scheduler.step import STEP_TYPE
 from hilserver.scheduler.turn import ENDED, RING, STANDING
 from tests.hours.clock import CLOCK
+from tests.hours.loop import NS
+
+# Looked up anew in every batch, the addresses of the step would take most of its time.
+for name in ("_get_wrapper_address", "_get_jit_address"):
+    setattr(function_type, name, cache(getattr(function_type, name)))
 
 
 class ClockPacing:
@@ -23,19 +29,10 @@ class ClockPacing:
     def __init__(self, machine: Any, _settings: Any, rung: Any, ended: Any) -> None:
         self._machine, self._rung, self._ended = machine, rung, ended
         self._is_rung = self._is_over = False
+        self._planned_ns = 0
 
     async def start(self) -> list[Any]:
         self._machine.prefault()
-        # Otherwise the step's address is looked up anew in every batch.
-        step, signature = self._machine.step, STEP_TYPE.signature
-        address, found = (
-            _get_wrapper_address(step, signature),
-            step.get_compile_result(signature),
-        )
-        step.__wrapper_address__, step.get_compile_result = (
-            lambda: address,
-            lambda _: found,
-        )
         begin(self._machine.law, CLOCK.now_ns + self._machine.base_period_ns)
         CLOCK.on_advance = self._advance
         self._loop = CLOCK.loop
@@ -50,7 +47,10 @@ class ClockPacing:
         self._advance(CLOCK.now_ns)
 
     def _advance(self, now_ns: int) -> None:
+        if now_ns < self._planned_ns:
+            return
         law, machine = self._machine.law, self._machine
+        machine.loop.scratch[TIMESPEC : TIMESPEC + 2] = divmod(now_ns, NS)
         while not self._is_over and (late_ns := now_ns - int(law[PLANNED])) >= 0:
             due = late_ns // machine.base_period_ns + 1
             flags = run_batch(machine.step, machine.loop, due)
@@ -60,6 +60,7 @@ class ClockPacing:
                 self._end(StopReason.OVERRUN)
             if flags & STANDING and law[PLANNED] <= now_ns:
                 law[PLANNED] = now_ns + machine.base_period_ns
+        self._planned_ns = int(law[PLANNED])
 
     def _ring(self) -> None:
         if not self._is_rung:

@@ -1,17 +1,62 @@
-"""A recording of the town, and whether its replay gives the same bits."""
+"""The files of the town: recordings and snapshots, and whether they hold what they have to."""
 
 import asyncio
 from pathlib import Path
 
+import hilserver.io.recorder.recorder
+from hilserver.core.snapshot import read_snapshot
+from hilserver.errors import ControlRefused
 from hilserver.io.recorder.recorder import Recorder
 from hilserver.io.recorder.series import Settings
+from hilserver.io.recorder.write_behind import Item, WriteBehind
 from hilserver.logs.reading import read_log
 from hilserver.replay import Comparison, Engine, assembly_of, plan_exact
 
 
+class WriteAtOnce(WriteBehind):
+    """Writes what it gets, and hands it to the disk, before it returns; it needs no thread."""
+
+    def put(self, item: Item, *, wait: bool = False) -> bool:
+        if self.error is not None:
+            return False
+        super().put(item, wait=wait)
+        try:
+            self._closing = True  # with what there is, it is done
+            self._write_all()
+            self._writer.sync()
+            self._check(self._writer)
+        except Exception as error:  # noqa: BLE001 - as in the thread
+            self.error = error
+            self._close_after_error()
+        return True
+
+    def close(self, timeout_s: float) -> bool:
+        if self.error is None:
+            try:
+                self._writer.close()
+            except Exception as error:  # noqa: BLE001 - as in the thread
+                self.error = error
+        return True
+
+    def _run(self) -> None:
+        """Nothing is left for a thread."""
+
+
 def recorder_of(image: str, path: Path) -> Recorder:
     """Return a recorder of everything; its `look` has to be called once per ring of frames."""
+    hilserver.io.recorder.recorder.WriteBehind = WriteAtOnce
     return Recorder(image, Settings(path=path, signals=("*",), waits=True))
+
+
+def damaged(snapshots: Path) -> list[str]:
+    """Return what is wrong with the snapshots of a folder, a sentence each."""
+    found = []
+    for path in sorted(snapshots.glob("*.npz")):
+        try:
+            read_snapshot(path)
+        except ControlRefused as error:
+            found.append(f"{path}: {error}")
+    return found
 
 
 def difference(path: Path) -> str:

@@ -14,7 +14,7 @@ LIMIT_S = 850
 CAMPAIGN, PIECE = 10_000, 100
 
 
-def lives(seeds, *options, seconds=SECONDS):
+def lives(seeds, *options, seconds=SECONDS, **environment):
     """Live seeds in a process of their own, which has no clock but ours; return what it says."""
     command = [
         sys.executable,
@@ -25,7 +25,8 @@ def lives(seeds, *options, seconds=SECONDS):
         str(seconds),
         *options,
     ]
-    env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    path = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    env = os.environ | path | environment
     run = subprocess.run(
         command, capture_output=True, text=True, timeout=LIMIT_S, env=env, check=False
     )
@@ -35,14 +36,19 @@ def lives(seeds, *options, seconds=SECONDS):
 
 @pytest.mark.long  # one seed in ten still ends with a breach that is not understood
 @pytest.mark.parametrize("mode", ["poll", "subscribe"])
-def test_nobody_finds_anything_and_a_seed_is_the_same_life_every_time(mode):
+def test_nobody_finds_anything(mode):
     first = 0 if mode == "poll" else SEEDS // 2
     said = lives(f"{first}:{first + SEEDS // 2}", "--mode", mode)
     print(said)  # seconds simulated per second of processor time
     again = f"python -m tests.hours SEED --mode {mode} --story"
     assert " 0 with a breach" in said, f"repeat one with: {again}\n{said}"
-    if mode == "poll":
-        assert digests(lives(str(first + 1)))[0] == digests(said)[1]
+
+
+def test_a_seed_is_the_same_life_in_every_process(tmp_path):
+    """Whatever the order of sets of names, the folder, the time of day and the load."""
+    one = lives("0:2", PYTHONHASHSEED="1")
+    other = lives("0:2", PYTHONHASHSEED="2", TMPDIR=str(tmp_path))
+    assert digests(one) == digests(other)
 
 
 def digests(said):

@@ -115,7 +115,8 @@ class User:
             await self.answer(task)
             act.is_accepted = True
         except (ua.UaStatusCodeError, RefusedError) as error:
-            lost = "does not answer" in str(error)
+            act.refusal = str(error)
+            lost = "does not answer" in act.refusal
             act.is_accepted = None if lost else False
         finally:
             act.done_ns = CLOCK.now_ns
