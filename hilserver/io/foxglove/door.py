@@ -127,7 +127,9 @@ class Door:
         async with time_limit(HEAD_S):
             head = await reader.readuntil(b"\r\n\r\n")
         refusal = b"" if self._may_enter(head) else _REFUSED
-        protocols = _protocols(head)
+        # RFC 6455, 4.1: names separated by commas, in one header or several
+        lists = b",".join(values for _, values in _PROTOCOLS.findall(head))
+        protocols = set(re.findall(rb"[^\s,]+", lists))
         if not refusal and not protocols & {SDK_PROTOCOL, EARLIER_PROTOCOL}:
             refusal = _UNKNOWN
             _log.warning(
@@ -164,12 +166,6 @@ class Door:
             if name.strip().lower() == b"origin"
         ]
         return all(origin in self._origins for origin in named)
-
-
-def _protocols(head: bytes) -> set[bytes]:
-    """Return the subprotocols that a viewer asks for (RFC 6455, 4.1: in one header or several)."""
-    lists = (values.split(b",") for _, values in _PROTOCOLS.findall(head))
-    return {name.strip() for names in lists for name in names} - {b""}
 
 
 def _naming(head: bytes, protocol: bytes) -> bytes:
