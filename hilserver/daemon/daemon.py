@@ -230,7 +230,11 @@ class Daemon:
             return
         what = (self.config.recording, self.image.name, self.assembly.folder)
         if self.clock.simulated:
-            look = self._resources.enter_context(recorder_inside(*what))
+
+            def tell(why: str) -> None:
+                self.events.publish(Event(EventKind.STATE, 700, "recording", why))
+
+            look = self._resources.enter_context(recorder_inside(*what, tell))
             self.scheduler.after_batch.append(look)
         else:
             end = await self._resources.enter_async_context(

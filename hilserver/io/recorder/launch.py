@@ -86,13 +86,14 @@ async def running_recorder(
 
 @contextlib.contextmanager
 def recorder_inside(
-    config: RecordingConfig, image: str, folder: Path
+    config: RecordingConfig, image: str, folder: Path, tell: Callable[[str], object]
 ) -> Iterator[Callable[[], None]]:
     """Record the image `image` from inside its daemon; give a function to call after every batch.
 
-    In virtual time no other process could keep up. Here time waits: no frame is lost. FailedError
-    if the file cannot be made.
+    In virtual time no other process could keep up. Here time waits: no frame is lost. `tell` is
+    called with the reason once nothing more can be written. FailedError if the file cannot be made.
     """
+    has_told = False
     recorder = Recorder(
         image,
         Settings(
@@ -108,8 +109,16 @@ def recorder_inside(
             waits=True,
         ),
     )
+
+    def look() -> None:
+        nonlocal has_told
+        recorder.look()
+        if not has_told and (why := recorder.why_ended):
+            has_told = True
+            tell(why)
+
     try:
-        yield recorder.look
+        yield look
     finally:
         allow(STOP_LIMIT_S)
         try:
