@@ -1,9 +1,10 @@
 """Events: what happened, published once to all subscribers (log, OPC UA, tests)."""
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 
@@ -31,12 +32,17 @@ class Event:
     message: str
     # CLOCK_MONOTONIC at which it was seen
     monotonic_ns: int = field(default_factory=time.monotonic_ns)
+    simulated_s: float = math.nan  # simulated time then; the bus knows it
 
 
 class EventBus:
-    """Hands every event to all subscribers; keeps the newest 256, and as many overruns."""
+    """Hands every event to all subscribers; keeps the newest 256, and as many overruns.
 
-    def __init__(self) -> None:
+    `simulated_s` gives the simulated time [s], which every event gets.
+    """
+
+    def __init__(self, simulated_s: Callable[[], float] = lambda: math.nan) -> None:
+        self._simulated_s = simulated_s
         self._events: deque[Event] = deque(maxlen=256)
         self._overruns: deque[Event] = deque(maxlen=256)
         self._subscribers: list[Callable[[Event], None]] = []
@@ -60,6 +66,7 @@ class EventBus:
 
     def publish(self, event: Event) -> None:
         """Hand `event` to every subscriber, in order of subscription."""
+        event = replace(event, simulated_s=self._simulated_s())
         (self._overruns if event.kind == EventKind.OVERRUN else self._events).append(
             event
         )

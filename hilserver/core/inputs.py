@@ -426,6 +426,8 @@ class InputGate(HandOver):
                 return f"a person drives by '{other}'"
             if other:
                 return f"'{other}' writes it, until it falls silent"
+            if kind == "page":  # whoever uses it sees a button, not a signal
+                return f"'{self.owner}' has control; take control on the page first"
             return f"'{self.owner}' has control; write '{kind}' to control.source to take it"
         if reason is Refusal.NOT_GRANTED:
             door = self._doors.get(source) or self._doors[kind_of(source)]

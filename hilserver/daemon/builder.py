@@ -199,7 +199,7 @@ def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
     limit_silence(image, pace.command_limit_ticks)
     tasks = Supervisor()
     scheduler = _scheduler(assembly, pace, image, step, tasks)
-    events = EventBus()
+    events = EventBus(lambda: scheduler.tick * assembly.base_period_ns * 1e-9)
     gate = InputGate(
         table,
         image,

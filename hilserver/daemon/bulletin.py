@@ -42,6 +42,7 @@ class Surroundings:
         return {
             "version": __version__,
             "monotonic_s": time.monotonic(),  # at which all this was so
+            "utc_s": time.time(),
             "state": self.control.state.name.lower(),
             "reason": self.control.reason,
             "waits_for_start": core.gate.interlock.waits,
@@ -92,6 +93,8 @@ class Surroundings:
             elif len(shown) < EVENTS:
                 shown[key] = {
                     "age_s": round((now_ns - event.monotonic_ns) * 1e-9, 1),
+                    "monotonic_s": round(event.monotonic_ns * 1e-9, 3),
+                    "simulated_s": _number(round(event.simulated_s, 6)),
                     "kind": event.kind.value,
                     "severity": event.severity,
                     "source": event.source,

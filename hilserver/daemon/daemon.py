@@ -37,6 +37,8 @@ from hilserver.errors import (
     EXIT_DONE,
     EXIT_FAILED,
     EXIT_SAFETY_LIMIT,
+    FailedError,
+    UserError,
     address_refused,
 )
 from hilserver.faults import Play
@@ -228,12 +230,23 @@ class Daemon:
             return
         what = (self.config.recording, self.image.name, self.assembly.folder)
         if self.clock.simulated:
-            look = self._resources.enter_context(recorder_inside(*what))
+
+            def tell(why: str) -> None:
+                self.events.publish(Event(EventKind.STATE, 700, "recording", why))
+
+            look = self._resources.enter_context(recorder_inside(*what, tell))
             self.scheduler.after_batch.append(look)
         else:
-            await self._resources.enter_async_context(
+            end = await self._resources.enter_async_context(
                 running_recorder(*what, self.core.tasks)
             )
+
+            async def until_it_ends() -> None:
+                await end.by_itself.wait()
+                raise FailedError(end.why or "the recording has ended by itself")
+
+            watching = self.core.tasks.spawn(until_it_ends, "recording")
+            self._resources.callback(watching.cancel)
 
     def _take_audit(self) -> None:
         """Check what the system granted, publish it and log what is missing."""
@@ -315,7 +328,9 @@ class Daemon:
         """Name a task that ended although nobody asked it to."""
         is_expected = ended.error is None or isinstance(ended.error, EXPECTED_ERRORS)
         _log.error(str(ended), exc_info=None if is_expected else ended.error)
-        self.events.publish(Event(EventKind.STATE, 700, ended.name, str(ended)))
+        is_said = isinstance(ended.error, UserError)  # in a sentence for users
+        text = str(ended.error) if is_said else str(ended)
+        self.events.publish(Event(EventKind.STATE, 700, ended.name, text))
 
     def _on_event(self, event: Event) -> None:
         if (

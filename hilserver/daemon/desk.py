@@ -5,9 +5,10 @@ Names are plain, files lie in the configured folders; existing ones are not over
 
 import asyncio
 import contextlib
+import re
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import structlog
@@ -18,18 +19,14 @@ from hilserver.core.leases import NOBODY
 from hilserver.core.recalibration import Decisions
 from hilserver.daemon.builder import Core
 from hilserver.daemon.patches import Patches, file_of
-from hilserver.errors import ControlRefused, UserError
+from hilserver.errors import ControlRefused, FailedError, UserError, reason
 from hilserver.faults import Play, load_scenario
 from hilserver.faults.scenario import ScenarioPlayer
 from hilserver.io.recorder.launch import running_recorder
 from hilserver.tasks import SupervisedTask, Supervisor, first_of
 
 SUFFIXES = (".mcap", ".csv")
-NOT_RECORDED = (
-    ".mf4",
-    ".parquet",
-    ".db3",
-)  # log formats that `hilserver convert` makes
+VERSION = re.compile(r"v\d+")  # of `drive.v2`, whose point begins no suffix
 
 _log = structlog.get_logger(__name__)
 
@@ -126,7 +123,8 @@ class Recordings:
 
         ControlRefused if a recording runs, the suffix is not one of ours, or the file exists.
         """
-        has_suffix = name.endswith(SUFFIXES + NOT_RECORDED)
+        ending = PurePath(name).suffix[1:]
+        has_suffix = ending[:1].isalpha() and not VERSION.fullmatch(ending)
         path = self._folder / (name if has_suffix else name + SUFFIXES[0])
         if self._is_running:
             raise ControlRefused(
@@ -146,15 +144,25 @@ class Recordings:
         return self._running is not None and not self._running.done
 
     async def _run(self, path: Path, asked: asyncio.Event) -> None:
+        """Record until asked to end.
+
+        FailedError, which the supervisor makes known to all who watch, if it ends otherwise.
+        """
         config = self._config.changed(file=path.name, rotate_mb=None)
         try:
             await asyncio.to_thread(self._folder.mkdir, parents=True, exist_ok=True)
             async with running_recorder(
                 config, self._image, self._folder, self._tasks
-            ) as ended:
-                await first_of(asked.wait(), ended.wait())  # a full disk ends it, too
-        except (UserError, OSError) as error:
-            _log.error("no recording", file=str(path), reason=str(error))
+            ) as end:
+                await first_of(asked.wait(), end.by_itself.wait())
+        except UserError as error:
+            why = str(error)
+        except OSError as error:
+            why = f"{path.name}: cannot be recorded: {reason(error)}"
+        else:
+            why = end.why
+        if why:  # on the page a file has no folder
+            raise FailedError(why.replace(f"{self._folder}/", ""))
 
     def stop(self) -> None:
         """End the recording; its file is complete soon after.

@@ -4,8 +4,10 @@ import "./style.css";
 import type { Context, View } from "./context";
 import { may } from "./context";
 import { capital, considerate, driver, isBusy, SETPOINTS } from "./driver";
+import { watchHappenings } from "./happened";
 import { call, CONFIRM_MS, get, live, type Session, type Signal } from "./net";
 import { lateness } from "./overruns";
+import { plotted } from "./plotted";
 import { Wheel } from "./wheel";
 import { action, alarm, alarmed, ask, field, h, micros, number, recall, setText, store, svg, toast } from "./ui";
 import { diagnosisView } from "./views/diagnosis";
@@ -14,6 +16,7 @@ import { signalsView } from "./views/signals";
 import { timeView } from "./views/time";
 import { tuneView } from "./views/tune";
 import { watchView } from "./views/watch";
+import { workStrip } from "./work";
 
 const VIEWS: { id: string; name: string; icon: string; make: (context: Context) => View }[] = [
   { id: "drive", name: "Drive", icon: "M12 3a9 9 0 1 0 0 18 9 9 0 0 0 0-18m0 6v12M3.5 10h17", make: driveView },
@@ -28,8 +31,8 @@ function icon(path: string): SVGElement {
   return svg("svg", { viewBox: "0 0 24 24", "aria-hidden": "true", class: "icon" }, svg("path", { d: path }));
 }
 
-const stateChip = h("span", { class: "chip state" });
-const owner = h("span", { class: "owner" });
+const stateChip = h("span", { class: "chip state", role: "status" });
+const owner = h("span", { class: "owner", role: "status" });
 const figures = h("dl", { class: "figures" });
 const wheel = h("button", { type: "button", class: "wheel" });
 const controller = h("button", { type: "button", hidden: true, onclick: () => void letControllerDrive() }, "Let the controller drive");
@@ -193,6 +196,7 @@ function show(context: Context): void {
   current = view.make(context);
   main.replaceChildren(h("h1", { class: "hidden" }, view.name), current.element);
   main.dataset.view = view.id;
+  main.scrollTop = 0;
   document.title = `${view.name} – hilserver`;
   links.forEach((link, i) => {
     if (VIEWS[i] === view) link.setAttribute("aria-current", "page");
@@ -250,6 +254,7 @@ async function start(): Promise<void> {
   document.body.replaceChildren(
     header(context),
     banner,
+    workStrip(),
     h("nav", { "aria-label": "Views", class: "rail" }, ...links),
     main,
   );
@@ -260,6 +265,8 @@ async function start(): Promise<void> {
   live.onRefused = (text) => toast(text, "error");
   live.onSlow(() => showBoard(context));
   live.want("frame", ["battery.voltage_v", "sim.state", "sim.time_s", "control.mode", ...SETPOINTS.flat().filter((name) => table.signals.some((signal) => signal.name === name))]);
+  plotted.begin(table.signals);
+  watchHappenings();
   window.setInterval(() => showAge(context), 200);
   window.addEventListener("hashchange", () => show(context));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => window.dispatchEvent(new Event("themechange")));

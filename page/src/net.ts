@@ -50,8 +50,24 @@ export interface Proposal {
   windows: number[];
 }
 
+/** Something that happened; of the overruns of a slice the newest one, and how many there were. */
+export interface Happening {
+  age_s: number;
+  monotonic_s: number;
+  /** Simulated time then; null: not known. */
+  simulated_s: number | null;
+  kind: string;
+  severity: number;
+  source: string;
+  text: string;
+  count: number;
+}
+
 export interface Board {
   version: string;
+  /** When all this was so, on two clocks of the daemon's computer. */
+  monotonic_s: number;
+  utc_s: number;
   state: string;
   reason: string;
   waits_for_start: boolean;
@@ -70,7 +86,7 @@ export interface Board {
   recalibration?: { look: Record<string, string | number | boolean>; proposal: Proposal | null } | null;
   recording?: { name: string; bytes: number } | null;
   scenario?: { name: string; seconds: number; length_s: number } | null;
-  events: { age_s: number; kind: string; severity: number; source: string; text: string; count: number }[];
+  events: Happening[];
 }
 
 export interface Job {
@@ -210,6 +226,7 @@ export class Live {
   private stamp = 0;
   private tickAgeMs = 0;
   private lastSlow = 0;
+  private utcAheadMs = 0;
   private wanted = new Map<string, Set<string>>();
   private names: string[] = [];
   private number = 0;
@@ -262,6 +279,17 @@ export class Live {
 
   get stale(): boolean {
     return !this.connected || this.silentMs > STALE_MS;
+  }
+
+  /** UTC now by the clock of the daemon's computer [ms since 1970]. */
+  get utcMs(): number {
+    return Date.now() + this.utcAheadMs;
+  }
+
+  /** When something happened, by the clock of the daemon's computer [ms since 1970]. */
+  utcMsOf(event: Happening): number {
+    const { utc_s = 0, monotonic_s = 0 } = this.slow.board;
+    return (utc_s - monotonic_s + event.monotonic_s) * 1000;
   }
 
   /** The time now by the clock of the page's server, as far as a frame has told it. */
@@ -358,6 +386,8 @@ export class Live {
     } else {
       this.slow = message as Slow;
       this.lastSlow = performance.now();
+      const { utc_s } = this.slow.board;
+      if (utc_s !== undefined) this.utcAheadMs = (utc_s + this.slow.age_s) * 1000 - Date.now();
     }
     this.tell(this.slowListeners);
   }

@@ -1,6 +1,6 @@
 /** Elements, messages and numbers: what every view is made of. */
 
-import type { Signal } from "./net";
+import { live, type Signal } from "./net";
 
 type Child = Node | string | null | false | undefined;
 type Attributes = Record<string, unknown>;
@@ -47,16 +47,32 @@ export function toast(text: string, kind: "info" | "error" = "info"): void {
 }
 
 const alarms = new Map<string, HTMLElement>();
+const alarmShelf = h("div", { class: "alarms" });
+
+interface Alarm {
+  /** News rather than a fault. */
+  calm?: boolean;
+  /** Where more is to be read, and what that link says. */
+  href?: string;
+  label?: string;
+  onSeen?: () => void;
+}
 
 /** Say something that stays until it is acknowledged; a later one of the same kind takes its place. */
-export function alarm(kind: string, text: string): void {
+export function alarm(kind: string, text: string, { calm, href, label, onSeen }: Alarm = {}): void {
+  if (!alarmShelf.isConnected) document.body.append(alarmShelf);
   const known = alarms.get(kind);
-  if (known) return setText(known.firstElementChild!, text);
-  const note = h("div", { class: "alarm", role: "alert" }, h("p", {}, text));
-  const seen = h("button", { type: "button", onclick: () => (note.remove(), alarms.delete(kind)) }, "Understood");
-  note.append(seen);
+  const note = h("div", { class: calm ? "alarm calm" : "alarm", role: "alert" }, h("p", {}, text));
+  const close = (): void => {
+    note.remove();
+    alarms.delete(kind);
+    onSeen?.();
+  };
+  if (href) note.append(h("a", { href, onclick: close }, label ?? "Show"));
+  note.append(h("button", { type: "button", onclick: close }, "Understood"));
   alarms.set(kind, note);
-  document.body.append(note);
+  if (known) known.replaceWith(note);
+  else alarmShelf.append(note);
 }
 
 export function alarmed(kind: string): boolean {
@@ -95,6 +111,16 @@ export function bytes(value: number): string {
   if (value < 1024) return `${value} B`;
   if (value < 1 << 20) return `${(value / 1024).toFixed(0)} kB`;
   return `${(value / (1 << 20)).toFixed(1)} MB`;
+}
+
+/** Local time of day, to the second. */
+export function timeOfDay(utcMs: number): string {
+  return Number.isFinite(utcMs) ? new Date(utcMs).toLocaleTimeString("en-GB") : "–";
+}
+
+/** Date and time as names of files carry them: in UTC, and saying so. */
+export function stamp(): string {
+  return `${new Date(live.utcMs).toISOString().slice(0, 19).replaceAll(":", "-")}Z`;
 }
 
 export function seconds(value: number): string {

@@ -1,5 +1,6 @@
 """What the board says: of events, a flood of overruns hides nothing; of who drives."""
 
+import time
 from types import SimpleNamespace
 
 from asyncua import Client, ua
@@ -14,12 +15,14 @@ from tests.loopback.rig import wait_until
 
 
 def test_the_overruns_of_a_slice_are_one_line():
-    bus = EventBus()
+    bus = EventBus(lambda: 1.25)
     bus.publish(Event(EventKind.STATE, 200, "daemon", "the operator asked for a stop"))
     for number in range(1000):
         bus.publish(Event(EventKind.OVERRUN, 400, "plant", f"late wake {number}"))
     bus.publish(Event(EventKind.OVERRUN, 400, "sensors", "long run"))
     shown = Surroundings._events(SimpleNamespace(core=SimpleNamespace(events=bus)))
+    assert {event["simulated_s"] for event in shown} == {1.25}
+    assert all(0 <= time.monotonic() - event["monotonic_s"] < 60 for event in shown)
     assert [(event["source"], event["count"]) for event in shown] == [
         ("sensors", 1),
         ("plant", 255),

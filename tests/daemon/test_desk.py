@@ -241,12 +241,15 @@ async def test_a_scenario_without_room_for_its_faults_changes_nothing(run, tmp_p
 
 async def test_a_recording_that_has_ended_by_itself_is_over(run, tmp_path):
     core, _ = run
+    told = []
+    core.tasks.tell = told.append
     recordings = Recordings(
         tmp_path, RecordingConfig(keep_free_mb=1e9), core.image.name, core.tasks
     )
     try:
-        with pytest.raises(ControlRefused, match=r"'hall\.parquet' does not end in"):
-            recordings.start("hall.parquet")
+        for name in ("hall.parquet", "drive.xyz", "run.h5"):
+            with pytest.raises(ControlRefused, match=rf"'{name}' does not end in"):
+                recordings.start(name)
         for asked, name in (("first.csv", "first.csv"), ("hall.v2", "hall.v2.mcap")):
             recordings.start(asked)
             assert recordings.view()["name"] == name
@@ -256,6 +259,12 @@ async def test_a_recording_that_has_ended_by_itself_is_over(run, tmp_path):
             assert not (
                 tmp_path / name
             ).exists()  # it could not begin: the disk is too full
+            ended = told.pop()
+            assert ended.name == "recording"
+            assert str(ended.error).startswith(f"{name}: ")
+            assert "MB are left on the disk; remove some files" in str(ended.error)
+        assert core.tasks.failures["recording"] == 2
+        assert not told
         with pytest.raises(ControlRefused, match="nothing is being recorded"):
             recordings.stop()
     finally:

@@ -28,10 +28,11 @@ async function leave() {
 }
 
 /** A tab of its own, without the cookies of the one before. */
-async function fresh({ width = 1280, height = 800, scheme = "light", touch = false } = {}) {
+async function fresh({ width = 1280, height = 800, scheme = "light", touch = false, forced = false } = {}) {
   await leave();
   const context = await browser.newContext({
     viewport: { width, height }, colorScheme: scheme, hasTouch: touch, isMobile: touch, ignoreHTTPSErrors: true,
+    forcedColors: forced ? "active" : "none",
   });
   context.setDefaultTimeout(LONG);
   page = await context.newPage();
@@ -149,6 +150,12 @@ const doing = {
     await page.mouse.move(x + width * (0.5 + dx), y + height * 0.5 + width * dy, { steps: 3 });
   },
   drop: () => page.mouse.up(),
+  /** Turn the wheel over an element, at a share of its width. */
+  wheel: async ({ selector, at = 0.5, dy }) => {
+    const { x, y, width, height } = await page.locator(selector).first().boundingBox();
+    await page.mouse.move(x + width * at, y + height / 2);
+    await page.mouse.wheel(0, dy);
+  },
   /** Mark a stretch of an element with the mouse, from one share of its width to another. */
   mark: async ({ selector, begin, end }) => {
     const { x, y, width, height } = await page.locator(selector).first().boundingBox();

@@ -19,7 +19,7 @@ async def upload(visitor, name, data, **headers):  # noqa: F811
 
 
 async def test_a_log_goes_up_and_comes_down_again(visitor, daemon):  # noqa: F811
-    data = bytes(range(256)) * 1000
+    data = b"\x89MCAP0\r\n" + bytes(range(256)) * 1000
     assert (await upload(visitor, "sent.mcap", data))[0] == 200
     assert (daemon.folder / "recordings" / "sent.mcap").read_bytes() == data
     async with visitor.session.get(f"{visitor.url}api/logs/sent.mcap") as response:

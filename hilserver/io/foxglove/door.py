@@ -2,11 +2,14 @@
 
 The SDK does not check the Origin and has no limit of rate. It therefore listens at a random
 loopback address, which no web page can find; what comes to our address is checked here and
-handed on. A viewer that asks for nothing, as a subscription, is the first to yield its place.
+handed on. The SDK knows one name of its protocol; here older viewers are served by the earlier
+name, as the messages are the same. A viewer that asks for nothing, as a subscription, is the first
+to yield its place.
 """
 
 import asyncio
 import random
+import re
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Final
@@ -29,6 +32,17 @@ _REFUSED: Final = (
     b"HTTP/1.1 403 Forbidden\r\nConnection: close\r\nContent-Type: text/plain\r\n\r\n"
     b"this web page is not named in foxglove.origins\n"
 )
+SDK_PROTOCOL: Final = b"foxglove.sdk.v1"
+EARLIER_PROTOCOL: Final = b"foxglove.websocket.v1"
+_UNKNOWN: Final = (
+    b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\nContent-Type: text/plain\r\n\r\n"
+    b"this is a WebSocket of Foxglove: ask for its subprotocol "
+    + SDK_PROTOCOL
+    + b" or "
+    + EARLIER_PROTOCOL
+    + b"\n"
+)
+_PROTOCOLS: Final = re.compile(rb"(?im)^(sec-websocket-protocol:)([^\r\n]*)")
 _CONTINUED, _CONTROL = 0x0, 0x8
 
 _log = structlog.get_logger(__name__)
@@ -112,13 +126,30 @@ class Door:
     ) -> None:
         async with time_limit(HEAD_S):
             head = await reader.readuntil(b"\r\n\r\n")
-        if not self._may_enter(head):
-            writer.write(_REFUSED)
+        refusal = b"" if self._may_enter(head) else _REFUSED
+        # RFC 6455, 4.1: names separated by commas, in one header or several
+        lists = b",".join(values for _, values in _PROTOCOLS.findall(head))
+        protocols = set(re.findall(rb"[^\s,]+", lists))
+        if not refusal and not protocols & {SDK_PROTOCOL, EARLIER_PROTOCOL}:
+            refusal = _UNKNOWN
+            _log.warning(
+                "foxglove viewer refused: it speaks another version",
+                address=place.address,
+                asks_for=b", ".join(sorted(protocols)).decode("latin-1")[:200]
+                or "none",
+                known=f"{SDK_PROTOCOL.decode()}, {EARLIER_PROTOCOL.decode()}",
+            )
+        if refusal:
+            writer.write(refusal)
             await writer.drain()
             return
+        speaks = SDK_PROTOCOL if SDK_PROTOCOL in protocols else EARLIER_PROTOCOL
         inner, outer = await asyncio.open_connection(*self._behind, limit=PIECE_BYTES)
         try:
-            outer.write(head)
+            outer.write(_naming(head, SDK_PROTOCOL))
+            async with time_limit(HEAD_S):
+                answer = await inner.readuntil(b"\r\n\r\n")
+            writer.write(_naming(answer, speaks))
             asks = partial(self._places.progress, place)
             await first_of(
                 _sent(reader, outer, asks), _shown(inner, writer, place.address)
@@ -135,6 +166,11 @@ class Door:
             if name.strip().lower() == b"origin"
         ]
         return all(origin in self._origins for origin in named)
+
+
+def _naming(head: bytes, protocol: bytes) -> bytes:
+    """Return the head of a request or an answer with this subprotocol alone."""
+    return _PROTOCOLS.sub(rb"\1 " + protocol, head)
 
 
 async def _shown(

@@ -1,7 +1,11 @@
-"""Diagnoses started on the page: processes with idle priority and a memory limit, one at a time."""
+"""Diagnoses started on the page: processes with idle priority and a memory limit, one at a time.
+
+Others wait for their turn.
+"""
 
 import asyncio
 import contextlib
+import logging
 import os
 import re
 import sys
@@ -19,10 +23,13 @@ from hilserver.program.whole_file import write_whole
 from hilserver.tasks import SupervisedTask, Supervisor
 
 MAX_KEPT = 20
+MAX_WAITING = 10
 SHARE_OVER_S = 8.0
 MAPPING_CHARACTERS = 32_768
 MAPPING = ".mapping.yaml"
 _PROGRESS = re.compile(r"^\s*(\d{1,3})% (.{1,200})$")
+
+_log = logging.getLogger(__name__)
 
 
 class ShareOfTime:
@@ -62,12 +69,13 @@ class Job:
     number: int
     log: str
     folder: Path
-    state: str = "running"
+    state: str = "waiting"
     share: float = 0.0
     stage: str = "starting"
     text: str = ""
     started_s: float = field(default_factory=time.time)
     process: asyncio.subprocess.Process | None = None
+    task: SupervisedTask | None = None
     share_of_time: ShareOfTime = field(default_factory=ShareOfTime)
     files: list[str] = field(default_factory=list)
 
@@ -100,7 +108,7 @@ class Jobs:
         self._tasks = Supervisor() if tasks is None else tasks
         self._setup = setup
         self._jobs: deque[Job] = deque(maxlen=MAX_KEPT)
-        self._running: SupervisedTask | None = None
+        self._turn = asyncio.Lock()
         reports = setup.folder("reports")
         earlier = [row for row in reports_in(reports) if row["title"] is not None][
             :MAX_KEPT
@@ -117,10 +125,10 @@ class Jobs:
         return [job.view() for job in reversed(self._jobs)]
 
     def diagnose(self, log: object, mapping: str = "") -> int:
-        """Start a diagnosis of a log; return its number.
+        """Start a diagnosis of a log, which waits for its turn; return its number.
 
         `mapping` names a built-in one; without it the one saved for the log is used.
-        RefusedError if there is no such log, or one is running.
+        RefusedError if there is no such log, or too many wait.
         """
         path = file_in(self._setup.folder("recordings"), log)
         if mapping and mapping not in self._setup.mappings:
@@ -128,17 +136,18 @@ class Jobs:
         own = path.with_name(path.name + MAPPING)
         if not mapping and own.is_file():
             mapping = str(own)
-        running = next((job for job in self._jobs if job.state == "running"), None)
-        if running is not None:
+        if sum(job.state == "waiting" for job in self._jobs) >= MAX_WAITING:
             raise RefusedError(
-                f"the diagnosis of {running.log} is running: wait or cancel it"
+                f"{MAX_WAITING} diagnoses are waiting: cancel one, or try again later"
             )
-        stamp = time.strftime("%Y%m%d-%H%M%S")
+        stamp = time.strftime("%Y%m%d-%H%M%SZ", time.gmtime())
         folder = self._setup.folder("reports") / f"{path.stem[:60]}-{stamp}"
+        while any(job.folder == folder for job in self._jobs):
+            folder = folder.with_name(f"{folder.name}-{self._next}")
         job = Job(self._next, path.name, folder)
         self._next += 1
         self._jobs.append(job)
-        self._running = self._tasks.spawn(
+        job.task = self._tasks.spawn(
             partial(self._run, job, path, mapping), "diagnosis"
         )
         return job.number
@@ -156,7 +165,9 @@ class Jobs:
 
     def cancel(self, number: object) -> None:
         """End a diagnosis; there is no report then."""
-        job = self._find(number, "running")
+        job = self._find(number, "running", "waiting")
+        if job.state == "waiting":  # nothing of it is left
+            self._jobs.remove(job)
         job.state = "cancelled"
         _terminate(job)
 
@@ -170,11 +181,11 @@ class Jobs:
         _store(target, source.read_bytes())
         return target.name
 
-    def _find(self, number: object, state: str) -> Job:
+    def _find(self, number: object, *states: str) -> Job:
         for job in self._jobs:
-            if job.number == number and job.state == state:
+            if job.number == number and job.state in states:
                 return job
-        raise RefusedError(f"there is no such diagnosis in state {state}")
+        raise RefusedError(f"there is no such diagnosis that is {' or '.join(states)}")
 
     def report(self, folder: str, name: str) -> Path | None:
         """Return a file of a finished diagnosis."""
@@ -188,8 +199,9 @@ class Jobs:
         """End whatever runs."""
         for job in self._jobs:
             _terminate(job)
-        if self._running is not None:
-            await self._running.end()
+        for job in tuple(self._jobs):
+            if job.task is not None:
+                await job.task.end()
 
     async def _run(self, job: Job, log: Path, mapping: str) -> None:
         words = [
@@ -204,28 +216,33 @@ class Jobs:
             words += ["--mapping", mapping]
         if self._setup.config_file:
             words += ["-c", self._setup.config_file]
-        try:
-            job.process = await asyncio.create_subprocess_exec(
-                *words,
-                stdin=asyncio.subprocess.DEVNULL,
-                stdout=asyncio.subprocess.PIPE,
-                stderr=asyncio.subprocess.STDOUT,
-                start_new_session=True,
-            )
-            if job.state != "running":  # cancelled meanwhile
-                _terminate(job)
-            await self._follow(job, job.process)
-            code = await job.process.wait()
-            if job.state == "running":
-                job.state, job.share = (
-                    ("done", 1.0) if code == 0 else ("failed", job.share)
+        async with self._turn:
+            if job.state != "waiting":  # cancelled meanwhile
+                return
+            job.state, job.started_s = "running", time.time()
+            try:
+                job.process = await asyncio.create_subprocess_exec(
+                    *words,
+                    stdin=asyncio.subprocess.DEVNULL,
+                    stdout=asyncio.subprocess.PIPE,
+                    stderr=asyncio.subprocess.STDOUT,
+                    start_new_session=True,
                 )
-        except (OSError, ValueError) as error:
-            job.state, job.text = "failed", str(error)
-        finally:
-            if job.process is not None and job.process.returncode is None:
-                job.process.kill()
-                await job.process.wait()
+                if job.state != "running":  # cancelled meanwhile
+                    _terminate(job)
+                await self._follow(job, job.process)
+                code = await job.process.wait()
+                if job.state == "running":
+                    job.state, job.share = (
+                        ("done", 1.0) if code == 0 else ("failed", job.share)
+                    )
+            except (OSError, ValueError) as error:
+                job.state, job.text = "failed", str(error)
+            finally:
+                if job.process is not None and job.process.returncode is None:
+                    job.process.kill()
+                    await job.process.wait()
+            _log.info("page: the diagnosis of %s: %s", job.log, job.state)
 
     async def _follow(self, job: Job, process: asyncio.subprocess.Process) -> None:
         lines: deque[str] = deque(maxlen=12)

@@ -1,6 +1,7 @@
 """Logs from and to a browser: bounded, streamed, never overwriting an existing one."""
 
 import asyncio
+import codecs
 import os
 import shutil
 import tempfile
@@ -20,6 +21,13 @@ PIECE_BYTES = 1 << 18
 PIECE_S = 30.0
 UPLOADS_AT_ONCE = 2
 PROGRESS_BYTES = 1 << 16
+HEAD_BYTES = 1 << 16
+LEAST_LINES = 3  # a header and two rows
+BEGINNINGS = {
+    ".mcap": ("an MCAP", b"\x89MCAP0\r\n"),
+    ".parquet": ("a Parquet", b"PAR1"),
+    ".db3": ("an SQLite", b"SQLite format 3\0"),
+}
 """An upload that takes longer than `hilserver.io.places.YIELDS_AFTER_S` for so many makes room."""
 _Part = IO[bytes]
 
@@ -45,7 +53,8 @@ class Uploads:
     async def take(self, name: str, request: web.Request) -> int:
         """Store the content of a request; return its size in bytes.
 
-        RefusedError if the name is taken or not a log's, others are uploaded, or it is too large.
+        RefusedError if the name is taken or not a log's, the content is none of that kind, others
+        are uploaded, or it is too large.
         """
         if not is_plain(name) or Path(name).suffix not in LOG_SUFFIXES:
             raise RefusedError(
@@ -65,6 +74,7 @@ class Uploads:
             part = await asyncio.to_thread(self._begin, target)
             with part:
                 size = await self._copy(request, part, place)
+                await asyncio.to_thread(_refuse_what_is_no_log, part, target)
                 await asyncio.to_thread(_complete, part, target)
         except FileExistsError:
             raise RefusedError(
@@ -103,6 +113,28 @@ class Uploads:
                     f"the log is larger than the {max(room, 0) >> 20} MB that are free here"
                 )
             await asyncio.to_thread(part.write, piece)
+
+
+def _refuse_what_is_no_log(part: _Part, target: Path) -> None:
+    part.seek(0)
+    head = part.read(HEAD_BYTES)
+    is_whole = len(head) < HEAD_BYTES
+    part.seek(0, os.SEEK_END)
+    if not head.strip():
+        raise RefusedError(f"{target.name} is empty")
+    if target.suffix in BEGINNINGS:
+        kind, beginning = BEGINNINGS[target.suffix]
+        if not head.startswith(beginning):
+            raise RefusedError(f"{target.name} is not {kind} file: it begins otherwise")
+        return
+    if b"\0" in head and not head.startswith(
+        (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+    ):
+        raise RefusedError(f"{target.name} is not a text: a CSV log is one")
+    if is_whole and sum(map(bool, map(bytes.strip, head.splitlines()))) < LEAST_LINES:
+        raise RefusedError(
+            f"{target.name} holds no series: a log has a header and at least two rows"
+        )
 
 
 def _complete(part: _Part, target: Path) -> None:

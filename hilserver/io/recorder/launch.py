@@ -3,7 +3,9 @@
 import asyncio
 import contextlib
 import re
+from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -25,22 +27,35 @@ STOP_LIMIT_S = 30.0
 _log = structlog.get_logger(__name__)
 
 
+@dataclass
+class RecorderEnd:
+    """How a recorder has ended."""
+
+    by_itself: asyncio.Event = field(default_factory=asyncio.Event)
+    why: str = ""  # once it has ended, why the recording is not whole; empty: it is
+
+
 @contextlib.asynccontextmanager
 async def running_recorder(
     config: RecordingConfig, image: str, folder: Path, tasks: Supervisor
-) -> AsyncIterator[asyncio.Event]:
+) -> AsyncIterator[RecorderEnd]:
     """Record the image `image` while the context lasts; entered once the recorder is attached.
 
-    Gives an event that is set when the recording ends by itself. FailedError if the recorder does
-    not start.
+    Gives how it ends, complete when the context has ended. FailedError if the recorder does not
+    start.
     """
     messages: SupervisedTask | None = None
-    ended = asyncio.Event()
+    end, said = RecorderEnd(), deque[str](maxlen=1)
 
-    async def watch(process: asyncio.subprocess.Process) -> None:
-        code = await process.wait()
-        _log.error("the recording has ended; the daemon keeps running", exit_code=code)
-        ended.set()
+    async def look(process: asyncio.subprocess.Process) -> None:
+        await process.wait()
+        if messages is not None:
+            await asyncio.wait({messages.task})  # ends with the process
+        if process.returncode:
+            has_said = process.returncode > 0 and said
+            how = f"the recorder {children.how_ended(process.returncode)}"
+            end.why = said[-1] if has_said else how
+        end.by_itself.set()
 
     try:
         async with children.started(
@@ -51,30 +66,34 @@ async def running_recorder(
             stderr=asyncio.subprocess.PIPE,
         ) as process:
             messages = tasks.spawn(
-                partial(_log_messages, process), "recorder's messages"
+                partial(_log_messages, process, said), "recorder's messages"
             )
             if await children.line_of(process, READY, START_LIMIT_S) is None:
-                raise FailedError("the recorder did not start; see its message above")
-            watching = tasks.spawn(partial(watch, process), "recorder")
+                await asyncio.wait({messages.task}, timeout=STOP_LIMIT_S)
+                raise FailedError(
+                    said[-1] if said else "the recorder did not start in time"
+                )
+            looking = tasks.spawn(partial(look, process), "recorder")
             try:
-                yield ended
+                yield end
             finally:
-                watching.cancel()
                 allow(STOP_LIMIT_S)
+        await asyncio.wait({looking.task})
     finally:
         if messages is not None:
-            await asyncio.wait({messages.task})  # ends with the process
+            await asyncio.wait({messages.task})
 
 
 @contextlib.contextmanager
 def recorder_inside(
-    config: RecordingConfig, image: str, folder: Path
+    config: RecordingConfig, image: str, folder: Path, tell: Callable[[str], object]
 ) -> Iterator[Callable[[], None]]:
     """Record the image `image` from inside its daemon; give a function to call after every batch.
 
-    In virtual time no other process could keep up. Here time waits: no frame is lost. FailedError
-    if the file cannot be made.
+    In virtual time no other process could keep up. Here time waits: no frame is lost. `tell` is
+    called with the reason once nothing more can be written. FailedError if the file cannot be made.
     """
+    has_told = False
     recorder = Recorder(
         image,
         Settings(
@@ -90,8 +109,16 @@ def recorder_inside(
             waits=True,
         ),
     )
+
+    def look() -> None:
+        nonlocal has_told
+        recorder.look()
+        if not has_told and (why := recorder.why_ended):
+            has_told = True
+            tell(why)
+
     try:
-        yield recorder.look
+        yield look
     finally:
         allow(STOP_LIMIT_S)
         try:
@@ -123,10 +150,14 @@ def _command(config: RecordingConfig, image: str, folder: Path) -> list[str]:
     return words
 
 
-async def _log_messages(process: asyncio.subprocess.Process) -> None:
-    """Log the recorder's messages: its lines must not be mixed with ours."""
+async def _log_messages(process: asyncio.subprocess.Process, said: deque[str]) -> None:
+    """Log the recorder's messages, whose lines must not be mixed with ours; keep its complaints."""
     assert process.stderr is not None
     while line := await process.stderr.readline():
         text = line.decode(errors="replace").rstrip()
-        log = _log.warning if text.startswith(PREFIX) else _log.info
-        log(text.removeprefix(PREFIX))
+        if text.startswith(PREFIX):
+            text = text.removeprefix(PREFIX)
+            said.append(text)
+            _log.warning(text)
+        else:
+            _log.info(text)

@@ -110,6 +110,14 @@ class Recorder:
         self._read()
         return self._close()
 
+    @property
+    def why_ended(self) -> str:
+        """Why nothing more can be written; empty while it can."""
+        error = self._writing.error
+        if isinstance(error, OSError):
+            return f"{self.path}: recording ended: {reason(error)}"
+        return str(error) if error is not None else ""
+
     def look(self) -> None:
         """Take new frames, between two batches of simulated time; none once writing has failed."""
         now_s = time.monotonic()
@@ -183,7 +191,7 @@ class Recorder:
         error = self._writing.error
         counts = f"{self._writing.written} frames in {self.path}"
         if isinstance(error, OSError):
-            raise FailedError(f"{self.path}: recording ended: {reason(error)}")
+            raise FailedError(self.why_ended)
         if error is not None:
             raise error
         if not in_time:

@@ -1,7 +1,8 @@
 /** Diagnosis: choose a log, follow the work, read the report, load the patch, see the gap. */
 
 import { may, type Context, type View } from "../context";
-import { call, get, live, upload, type Job } from "../net";
+import { call, get, live, type Job } from "../net";
+import { isDiagnosing, send as upload, startedHere } from "../work";
 import { proposalCard } from "./proposal";
 import { action, ask, bytes, download, field, h, number, setText, svg, toast } from "../ui";
 
@@ -51,7 +52,9 @@ export function diagnosisView(context: Context): View {
   }
 
   async function diagnose(log: string, mapping = ""): Promise<void> {
-    toast(`Diagnosis ${await call("diagnose", log, mapping)} has started.`);
+    const waits = isDiagnosing();
+    startedHere(await call<number>("diagnose", log, mapping));
+    toast(waits ? `The diagnosis of ${log} waits for its turn.` : `The diagnosis of ${log} has started.`);
   }
 
   /** A log of others: which of its columns is which signal? */
@@ -124,7 +127,7 @@ export function diagnosisView(context: Context): View {
       job.text && !done && h("pre", { tabindex: "0" }, job.text),
       done && h("pre", { tabindex: "0" }, job.text),
       h("div", { class: "buttons" },
-        job.state === "running" && action("Cancel", () => call("cancel", job.number)),
+        (job.state === "running" || job.state === "waiting") && action("Cancel", () => call("cancel", job.number)),
         job.mapping && action("Name the columns …", () => name(job), { class: "primary", disabled: !mayWork }),
         done && job.files.includes("report.html") && h("button", { type: "button", class: "primary", onclick: () => read(job.folder) }, "Read the report"),
         done && job.files.includes("model_patch.yaml") && action("Load the patch", async () => { await call("LoadPatch", await call("keep", job.number)); await load(); }, { disabled: !may(context, "LoadPatch") })),

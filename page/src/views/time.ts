@@ -2,8 +2,9 @@
 
 import { may, type Context, type View } from "../context";
 import { considerate } from "../driver";
-import { call, get, live } from "../net";
-import { action, bytes, download, field, h, micros, seconds, setText, toast } from "../ui";
+import { call, get, live, type Happening } from "../net";
+import { plotted } from "../plotted";
+import { action, ask, bytes, download, field, h, micros, setText, stamp, timeOfDay, toast } from "../ui";
 
 interface File {
   name: string;
@@ -43,27 +44,43 @@ export function timeView(context: Context): View {
   // --- snapshots and recording ------------------------------------------------------------------
 
   const snapshots = h("ul", { class: "list" });
+  let saved: string[] = [];
   const name = h("input", { value: "snapshot-1", pattern: "[A-Za-z0-9_][A-Za-z0-9_.\\-]*", "aria-label": "Name of the snapshot" });
   const save = action("Save", async () => {
+    await load(); // somebody else may have saved one meanwhile
+    const isThere = saved.includes(name.value);
+    if (isThere && !(await ask(`There is a snapshot ${name.value}.`, "Replace it? The state that it holds is lost.", "Replace"))) return;
     await call("SaveSnapshot", name.value);
-    name.value = name.value.replace(/(\d+)?$/, (digits) => String(Number(digits || 0) + 1));
     await load();
+    name.value = free(name.value);
   }, { disabled: !may(context, "SaveSnapshot") });
   const recordings = h("ul", { class: "list" });
-  const file = h("input", { value: `run-${new Date().toISOString().slice(0, 16).replace(/[T:]/g, "-")}.mcap`, "aria-label": "Name of the recording" });
+  const file = h("input", { value: `run-${stamp()}.mcap`, "aria-label": "Name of the recording" });
   const record = action("Record", async () => {
-    await call(live.slow.board.recording ? "StopRecording" : "StartRecording", ...(live.slow.board.recording ? [] : [file.value]));
+    const isEnd = !!live.slow.board.recording;
+    await call(isEnd ? "StopRecording" : "StartRecording", ...(isEnd ? [] : [file.value]));
+    if (isEnd) file.value = `run-${stamp()}.mcap`;
     await load();
   }, { disabled: !may(context, "StartRecording") });
   const recording = h("p", { class: "hint", role: "status" });
 
+  /** The next name of that kind that no snapshot has. */
+  function free(taken: string): string {
+    let next = taken;
+    while (saved.includes(next)) next = next.replace(/(\d+)?$/, (digits) => String(Number(digits || 0) + 1));
+    return next;
+  }
+
   async function load(): Promise<void> {
     const files = await get<{ snapshots: File[]; logs: File[]; folders: Record<string, string> }>("logs");
+    saved = files.snapshots.map((each) => each.name.replace(/\.npz$/, ""));
     snapshots.replaceChildren(...entries(files.snapshots, "No snapshots yet.", (each) =>
       action("Load", () => considerate("Load the snapshot", () => call("LoadSnapshot", each.name)), { disabled: !may(context, "LoadSnapshot"), "aria-label": `Load ${each.name}` })));
     recordings.replaceChildren(...entries(files.logs, "No recordings yet.", (each) => download(each.name)));
   }
-  load().catch((error: Error) => toast(error.message, "error"));
+  load()
+    .then(() => (name.value = free(name.value)))
+    .catch((error: Error) => toast(error.message, "error"));
 
   // --- what has happened ------------------------------------------------------------------------
 
@@ -114,11 +131,13 @@ export function timeView(context: Context): View {
     const shown = known.filter((event) => !hiddenGroups.has(event.group) && event.severity >= Number(least.value) && `${event.source} ${event.text}`.toLowerCase().includes(words));
     const rest = (group: string): number => (group === "Overruns" ? 1 : 0); // one line each, below what was done
     shown.sort((one, other) => rest(one.group) - rest(other.group) || one.age_s - other.age_s);
-    events.replaceChildren(...(shown.length ? shown : []).map((event) =>
-      h("li", { class: event.severity >= 500 ? "severe" : "" }, h("time", {}, `${seconds(event.age_s)} ago`),
-        h("span", {}, h("b", {}, event.source), ` ${event.text.replace(`${event.source}: `, "")}`, event.count > 1 && h("small", { class: "chip" }, `${event.count} times`)))));
+    const list = JSON.stringify(shown.map((event) => [event.monotonic_s, event.source, event.count]));
+    if (list === listed && events.children.length) return; // a button that is being pressed stays
+    listed = list;
+    events.replaceChildren(...shown.map(item));
     if (!shown.length) events.append(h("li", { class: "note" }, "No recent events of this kind."));
   }
+  let listed = "";
   slow();
   live.want("time", ["sim.time_s", "sim.tick"]);
   const stopFrames = live.onFrame(() => {
@@ -148,6 +167,22 @@ export function timeView(context: Context): View {
       live.want("time", []);
     },
   };
+}
+
+/** One event, on both clocks; pressed, the plots show what was then. */
+function item(event: Happening): HTMLElement {
+  const { simulated_s: t, source, count } = event;
+  const utcMs = live.utcMsOf(event);
+  const both = [h("time", { datetime: new Date(utcMs).toISOString() }, timeOfDay(utcMs)), h("small", {}, t === null ? "" : `${t.toFixed(2)} s`)];
+  const show = (): void => {
+    const first = plotted.history.times[0];
+    if (first === undefined || t! < first) return toast(first === undefined ? "Nothing is plotted." : `The plots begin at ${first.toFixed(1)} s.`);
+    plotted.goTo = t;
+    location.hash = "watch";
+  };
+  const when = t === null ? h("span", { class: "when" }, ...both) : h("button", { type: "button", class: "quiet when", title: "Show it in the plots", onclick: show }, ...both);
+  return h("li", { class: event.severity >= 500 ? "severe" : "" }, when,
+    h("span", {}, h("b", {}, source), ` ${event.text.replace(`${source}: `, "")}`, count > 1 && h("small", { class: "chip" }, `${count} times`)));
 }
 
 function entries(files: File[], none: string, act: (file: File) => HTMLElement | null): HTMLElement[] {

@@ -7,7 +7,7 @@ import os
 import pytest
 
 from hilserver.io.page.hand import RefusedError
-from hilserver.io.page.jobs import Jobs, ShareOfTime
+from hilserver.io.page.jobs import MAX_WAITING, Jobs, ShareOfTime
 from hilserver.io.page.setup import OpcUaAccess, Serving, Setup
 
 
@@ -75,3 +75,37 @@ def test_a_full_disk_is_a_sentence_and_leaves_no_half_file(tmp_path, monkeypatch
         jobs.map("a.csv", "channels: {}")
     assert list((tmp_path / "patches").iterdir()) == []
     assert [path.name for path in (tmp_path / "recordings").iterdir()] == ["a.csv"]
+
+
+async def test_a_second_diagnosis_waits_for_its_turn(tmp_path, monkeypatch):
+    """Before, it was refused: wait or cancel the other."""
+    (tmp_path / "recordings").mkdir()
+    names = [f"{letter}.csv" for letter in "abc"]
+    for name in names:
+        (tmp_path / "recordings" / name).write_text("t_s\n", encoding="utf-8")
+    folders = {name: str(tmp_path / name) for name in ("reports", "recordings")}
+    jobs = Jobs(Setup("", Serving(), OpcUaAccess(), [], {}, [], folders))
+    worker, ends = tmp_path / "worker", tmp_path / "ends"
+    worker.write_text(f"#!/bin/sh\nuntil [ -e {ends} ]; do sleep 0.01; done\n")
+    worker.chmod(0o755)
+    monkeypatch.setattr("hilserver.io.page.jobs.sys.executable", str(worker))
+
+    def states():
+        return {job["log"]: job["state"] for job in jobs.view()}
+
+    numbers = [jobs.diagnose(name) for name in names]
+    await asyncio.sleep(0)
+    assert states() == {"a.csv": "running", "b.csv": "waiting", "c.csv": "waiting"}
+    jobs.cancel(numbers[1])
+    ends.touch()
+    async with asyncio.timeout(60):
+        while states() != {"a.csv": "done", "c.csv": "done"}:  # noqa: ASYNC110
+            await asyncio.sleep(0.01)
+    ends.unlink()
+    for _ in range(MAX_WAITING + 1):
+        jobs.diagnose("a.csv")
+        await asyncio.sleep(0)
+    with pytest.raises(RefusedError, match="10 diagnoses are waiting: cancel one"):
+        jobs.diagnose("a.csv")
+    assert len({job["folder"] for job in jobs.view()}) == MAX_WAITING + 3
+    await jobs.close()

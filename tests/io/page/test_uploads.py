@@ -51,6 +51,36 @@ async def test_names_are_those_of_logs(send, name):
     assert (await send(name, b"x"))[0] == 409
 
 
+@pytest.mark.parametrize(
+    ("name", "data", "why"),
+    [
+        ("a.csv", b"", "a.csv is empty"),
+        ("a.csv", b"\r\n \n", "a.csv is empty"),
+        ("a.csv", b"\x7fELF\2\1\1\0\0", "not a text"),
+        ("a.csv", b"t_s,x\n", "at least two rows"),
+        ("a.csv", b"t_s,x\n0.0,1\n\n", "at least two rows"),
+        ("a.mcap", b"t_s,x\n0,1\n1,2\n", "not an MCAP file"),
+        ("a.parquet", b"PK\3\4", "not a Parquet file"),
+        ("a.db3", b"", "a.db3 is empty"),
+    ],
+)
+async def test_what_is_no_log_is_refused_and_not_kept(send, tmp_path, name, data, why):
+    status, text = await send(name, data)
+    assert (status, why in text) == (409, True), text
+    assert not (tmp_path / "logs" / name).exists()
+
+
+async def test_logs_of_each_kind_come_in(send):
+    for name, data in {
+        "a.csv": b"t_s,x\n0.0,1\n0.1,2",
+        "b.csv": "t_s;x\n0;1\n1;2\n".encode("utf-16"),
+        "a.mcap": b"\x89MCAP0\r\n",
+        "a.parquet": b"PAR1" + bytes(8),
+        "a.db3": b"SQLite format 3\0",
+    }.items():
+        assert await send(name, data) == (200, len(data))
+
+
 async def test_whoever_sends_a_byte_now_and_then_keeps_nobody_out(
     send, tmp_path, monkeypatch
 ):
@@ -58,9 +88,10 @@ async def test_whoever_sends_a_byte_now_and_then_keeps_nobody_out(
     ends, begun = asyncio.Event(), asyncio.Semaphore(0)
 
     async def trickle():
-        yield b"t"
+        yield b"t\n0\n"
         begun.release()
         await ends.wait()
+        yield b"1\n"
 
     async def slow(number):
         with contextlib.suppress(aiohttp.ClientConnectionError):
@@ -72,7 +103,7 @@ async def test_whoever_sends_a_byte_now_and_then_keeps_nobody_out(
     for _ in slow_ones:
         await begun.acquire()
     await asyncio.sleep(0.1)  # until their requests are at work
-    assert await send("run.csv", b"t,x\n") == (200, 4)
+    assert await send("run.csv", b"t,x\n0,1\n1,2\n") == (200, 12)
     ends.set()
     answers = await asyncio.gather(*slow_ones)
     assert len(list((tmp_path / "logs").glob("slow*"))) == module.UPLOADS_AT_ONCE - 1
