@@ -6,10 +6,10 @@ from itertools import pairwise
 from typing import Final
 
 from hilserver.errors import LogError
-from hilserver.logs.csv_dialects import utc_ns
+from hilserver.logs.csv_times import utc_ns
 from hilserver.measured.channels import GYRO, NAV_X, NAV_Y, VOLTAGE, YAW
 from hilserver.measured.mapping import DATED
-from hilserver.measured.names import conversion, known_signals
+from hilserver.measured.names import mapped_units, unit_in_name
 
 FILE: Final = "mapping.yaml"
 _WORD: Final = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
@@ -71,15 +71,6 @@ _ORDER: Final = {2: ("left", "right"), 4: ("fl", "fr", "rl", "rr")}
 _TURN: Final = {"yaw", "theta", "heading", "psi"}
 _GYRO: Final = {"gyro", "yawrate", "wz", "gz", "imu"}
 _VOLTAGE: Final = {"voltage", "battery", "vbat", "volt"}
-_UNITS: Final = (
-    (r"rad(ps|s|_?p?er_?s|_s)(ec)?(?![a-z])", "rad/s"),
-    (r"deg(ps|s|_s|_per_s)(?![a-z])|(?<![a-z])dps(?![a-z])", "deg/s"),
-    (r"rpm", "rpm"),
-    (r"(?<![a-z])m_?p?s(?![a-z])", "m/s"),
-    (r"(?<![a-z])rad(?![a-z])", "rad"),
-    (r"(?<![a-z])deg(?![a-z])", "deg"),
-    (r"(?<![a-z])(cm|mm|mv)(?![a-z])", ""),
-)
 
 
 class ForeignLog(LogError):
@@ -230,13 +221,8 @@ def _signals(words: set[str], unit: str) -> list[str]:
 
 def _unit(name: str, signal: str) -> str:
     """Return the unit at the end of a column's name, as part of a line; or nothing."""
-    wanted = known_signals()[signal].unit
-    for pattern, meant in _UNITS:
-        found = re.search(pattern, name.lower())
-        unit = meant or (found[0].replace("mv", "mV") if found else "")
-        if found and unit != wanted and conversion(unit, wanted) is not None:
-            return f", unit: {unit}"
-    return ""
+    unit = unit_in_name(name, mapped_units()[signal])
+    return "" if unit is None or unit == mapped_units()[signal] else f", unit: {unit}"
 
 
 def quoted(name: str) -> str:
