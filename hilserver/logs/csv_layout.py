@@ -134,8 +134,9 @@ def _separator(lines: Sequence[str]) -> str:
         counts = {line.count(other) for line in inside}
         if len(counts) == 1 and 0 not in counts:
             return other
-    # As trajectories of the TUM format are written, below a comment.
-    is_spaced = _is_remark(first) and all(len(line.split()) > 1 for line in inside)
+    # As trajectories of the TUM and KITTI formats are written.
+    words = [line.split() for line in inside]
+    is_spaced = all(len(row) > 1 and all(map(kind_of, row)) for row in words)
     return " " if is_spaced else mark
 
 
@@ -177,36 +178,48 @@ def _above(
     """Return the layout of a table whose numbers begin in row `begin`, counted from 0."""
     width = len(rows[begin])
     scope_keys = {row[0] for row in rows[:begin] if row and len(row) == width}
-    units: list[str] = []
-    units_row = 0
+    if {_SCOPE_NAME, "Data-Type"} <= scope_keys:
+        return _of_scope(path, rows, begin, separator)
+
+    above: list[tuple[int, list[str]]] = []  # rows of texts, upwards
     for at in range(begin - 1, -1, -1):
         row = rows[at]
-        if lines[at].startswith(_COMMENT):
+        is_comment = lines[at].startswith(_COMMENT)
+        if is_comment:
             row = _cells(lines[at].lstrip(f"{_COMMENT} "), separator)
         if row[width:] == [_LABVIEW_REMARK]:
             row = row[:width]
-        named = [text for text in row if text]
-        if len(row) != width or not named:
+        if len(row) != width or not any(row) or (is_comment and above):
+            if above:
+                break
             continue
-        if row[0] in (_SCOPE_NAME, _SCOPE_UNITS) and "Data-Type" in scope_keys:
-            return _of_scope(path, rows, begin, separator)
 
         # A row of numbers with something broken in it, which the reader will name.
+        named = [text for text in row if text]
         is_broken = 2 * shapes[at].count(NUMBER) >= len(named)
         alike = shapes[begin].replace(NOTHING, f"[{NUMBER}{NOTHING}]")
         is_inside = any(re.fullmatch(alike, shape) for shape in shapes[:at])
+        if above and (is_broken or NUMBER in shapes[at]):
+            break
         if is_broken or is_inside:
             begin = at
-        elif all(map(_TYPE.fullmatch, named)):
-            continue
-        elif not units and at and all(map(_UNIT.fullmatch, named)):
-            units, units_row = [text.strip("[](){}<> ") for text in row], at + 1
         else:
-            first = tuple(rows[begin])
-            return CsvLayout(separator, row, at + 1, begin + 1, tuple(units), first)
-    if units:  # what looks like units is all that could be a header
-        return CsvLayout(separator, units, units_row, begin + 1, (), tuple(rows[begin]))
-    return None
+            above.append((at, row))
+    if not above:
+        return None
+
+    # The highest row names the columns; below it stand units, types and the like.
+    full = [(at, row) for at, row in above if all(row)] or above
+    at, header = full[-1]
+    below = [row for lower, row in above if lower > at]
+    found = (row for row in below if any(map(_UNIT.fullmatch, filter(None, row))))
+    of_types = (
+        row for row in found if not all(map(_TYPE.fullmatch, filter(None, row)))
+    )
+    units = [text.strip("[](){}<> ") for text in next(of_types, [])]
+    return CsvLayout(
+        separator, header, at + 1, begin + 1, tuple(units), tuple(rows[begin])
+    )
 
 
 def _of_scope(

@@ -115,6 +115,8 @@ _SPELT: Final = {
     "kmh": "km/h",
     "m s^-2": "m/s2",
     "m/s^2": "m/s2",
+    "meters": "m",
+    "metres": "m",
     "volt": "V",
     "volts": "V",
     "percent": "%",
@@ -139,9 +141,21 @@ def unit_in_text(text: str, wanted: str) -> str | None:
     return unit if unit is not None and conversion(unit, wanted) is not None else None
 
 
+def is_other_unit(text: str, wanted: str) -> bool:
+    """Return whether a text is a unit, but none that measures what `wanted` does."""
+    lower = text.strip().lower()
+    known = {unit.lower() for units in _DIMENSIONS.values() for unit in units} - {"1"}
+    return (lower in known or lower in _SPELT) and unit_in_text(text, wanted) is None
+
+
+def in_brackets(name: str) -> list[str]:
+    """Return what stands in brackets in a name."""
+    return re.findall(r"[\[(]([^\])]+)[\])]", name)
+
+
 def unit_in_name(name: str, wanted: str) -> str | None:
     """Return the unit in the name of a column, if it measures what `wanted` does."""
-    for bracketed in re.findall(r"[\[(]([^\])]+)[\])]", name):
+    for bracketed in in_brackets(name):
         if (unit := unit_in_text(bracketed, wanted)) is not None:
             return unit
     for pattern, unit in _IN_NAMES:

@@ -1,5 +1,6 @@
 """Parquet tables, if the library for them is installed."""
 
+import contextlib
 from collections.abc import Container
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from hilserver.errors import LogError
 from hilserver.logs.csv_times import stamp_ns
 from hilserver.logs.table import EXACT, Table
 from hilserver.logs.unpacking import Budget
+from hilserver.measured.evidence import MOST_ROWS, Samples, samples
 
 
 def read_parquet(
@@ -57,6 +59,32 @@ def read_parquet(
         result.stamps = "durations" if is_duration else "moments"
     result.origin = dict(zip(names, origins, strict=True)).get(str(time), 0)
     return result
+
+
+def parquet_samples(
+    path: Path,
+) -> tuple[list[str], dict[str, Samples], dict[str, str]]:
+    """Return header, numbers of the columns, and the units of those that are times by type.
+
+    LogError as in `read_parquet`.
+    """
+    header = read_parquet(path, ()).header
+    tables = {}
+    for name in header:
+        with contextlib.suppress(LogError):  # no numbers
+            tables[name] = read_parquet(path, (name,), name)
+    typed = {name: table.units[name] for name, table in tables.items() if table.units}
+    n = max((len(table.lines) for table in tables.values()), default=0)
+    t = np.arange(n, dtype=np.float64)
+    for name in typed:
+        t = tables[name].column(name)
+        break
+    step = max(1, n // MOST_ROWS)
+    found = {
+        name: samples(t[::step], table.column(name)[::step])
+        for name, table in tables.items()
+    }
+    return header, found, typed
 
 
 def _numbers(path: Path, name: str, column: Any) -> tuple[Array, str, int]:

@@ -10,10 +10,14 @@ import yaml
 from hilserver.arrays import Array, Indices
 from hilserver.errors import LogError, meant, nearest
 from hilserver.logs import Log, read_log
-from hilserver.logs.csv_layout import read_layout
+from hilserver.logs.csv_layout import CsvLayout, read_layout
 from hilserver.logs.csv_reader import NO_NAME, read_table
+from hilserver.logs.csv_times import kind_of
+from hilserver.logs.csv_writer import meta_path
 from hilserver.logs.provenance import configuration_of
 from hilserver.logs.table import BLOCK, SEGMENT, TIME, Table, in_time
+from hilserver.measured.candidates import has_wheels
+from hilserver.measured.evidence import table_samples
 from hilserver.measured.frames import (
     Sampling,
     frames_of,
@@ -29,8 +33,15 @@ from hilserver.measured.names import (
     unit_in_name,
     unit_in_text,
 )
-from hilserver.measured.parquet import read_parquet
-from hilserver.measured.proposal import ForeignLog, propose
+from hilserver.measured.other_machines import refuse_other_machine
+from hilserver.measured.parquet import parquet_samples, read_parquet
+from hilserver.measured.proposal import (
+    ForeignLog,
+    Head,
+    candidates_of,
+    propose,
+    time_column,
+)
 from hilserver.measured.stamps import columns_of, refuse_coarse, times_of
 from hilserver.measured.thresholds import ABSURD
 
@@ -74,34 +85,71 @@ def read_own(path: Path, sampling: Sampling | None = None) -> Recording:
 
 
 def refuse_foreign(path: Path) -> None:
-    """Refuse a table without any signal as a column, with a mapping file that may fit it."""
+    """Refuse a table with columns that are no signals, with a mapping file that may fit it."""
     if path.suffix == ".parquet":
-        header, first, row = read_parquet(path, ()).header, [], 1
-    elif path.suffix == ".csv":
+        header, of_columns, types = parquet_samples(path)
+        head = Head(header, (), of_columns, types)
+    elif path.suffix == ".csv" and not meta_path(path).exists():
         layout = read_layout(path)
-        if layout is None:
+        first = "" if layout is None else next(iter(layout.header), NO_NAME[0])
+        if layout is None or first.startswith((*NO_NAME, "\0")):
             return  # the reader will report it
-        header, first, row = layout.header, list(layout.first), layout.header_row
-        for name in known_signals().keys() & set(header):
-            wanted = mapped_units()[name]
-            said = unit_in_text(layout.unit(name), wanted)
-            if said not in (None, wanted):
-                raise LogError(
-                    f"{path}: column '{name}': the row of units says {said}, the name {wanted};"
-                    " correct the one that is wrong, or give the column another name and map it"
-                )
+        _refuse_units(path, layout)
+        numbers = table_samples(path, layout, time_column(layout.header))
+        units = dict(zip(layout.header, layout.units, strict=False))
+        head = Head(layout.header, layout.first, numbers, {}, units, layout.header_row)
     else:
         return
-    if header[0].startswith(NO_NAME):
-        return  # the reader will report it
-    is_misspelt = any("." in name and nearest(name, known_columns()) for name in header)
-    if not is_misspelt and {*known_columns(), BLOCK, SEGMENT}.isdisjoint(header):
-        columns = ", ".join(f"'{name}'" for name in header)
-        if proposal := propose(header, first):  # else the reader will report the error
-            raise ForeignLog(
-                f"{path}: row {row}: none of the columns {columns:.600} is a hilserver signal; name"
-                " them in a mapping file and give it with --mapping",
-                proposal,
+    known = (*known_columns(), TIME, SEGMENT, BLOCK)
+    others = [name for name in head.header if name and name not in known]
+    is_ours = not {*known_columns(), BLOCK, SEGMENT}.isdisjoint(head.header)
+    has_names = any(kind_of(name) == "" for name in others)
+    if not has_names and (others or is_ours):
+        return  # all is known, or there is no header, which the reader will report
+    if others:
+        _refuse(path, head, others, is_ours=is_ours)
+
+
+def _refuse(path: Path, head: Head, others: Sequence[str], *, is_ours: bool) -> None:
+    """Refuse a table with the columns `others`, which are no signals."""
+    at = f"{path}: row {head.row}"
+    found = candidates_of(head)
+    seen = [n for n in others if n not in head.numbers or head.numbers[n].moves]
+    joints = [text for text in head.first if text and not kind_of(text)]
+    refuse_other_machine(at, [*seen, *joints], (), has_wheels=has_wheels(found))
+    proposal = propose(head)
+    if not proposal and TIME in head.header:
+        return  # the reader names the first of them, and what may be meant
+    columns = ", ".join(f"'{name}'" for name in others)
+    remedy = "name them in a mapping file and give it with --mapping"
+    near = next((n for n in others if "." in n and nearest(n, known_columns())), None)
+    if near is not None:
+        place = f"column {head.header.index(near) + 1} '{near:.60}'"
+        hint = meant(near, known_columns(), "")
+        what = f"{at}, {place}: there is no such signal; {hint} Else {remedy}"
+    elif is_ours and TIME not in head.header:
+        what = (
+            f"{at}: there is no column '{TIME}'; give the time column this name, in s, or map it"
+            " with --mapping"
+        )
+    elif is_ours:
+        what = f"{at}: the columns {columns:.600} are no hilserver signals; {remedy}"
+    else:
+        what = (
+            f"{at}: none of the columns {columns:.600} is a hilserver signal; {remedy}"
+        )
+    raise ForeignLog(what, proposal)
+
+
+def _refuse_units(path: Path, layout: CsvLayout) -> None:
+    """Refuse a row of units that contradicts the names of our signals."""
+    for name in known_signals().keys() & set(layout.header):
+        wanted = mapped_units()[name]
+        said = unit_in_text(layout.unit(name), wanted)
+        if said not in (None, wanted):
+            raise LogError(
+                f"{path}: column '{name}': the row of units says {said}, the name {wanted};"
+                " correct the one that is wrong, or give the column another name and map it"
             )
 
 

@@ -75,6 +75,11 @@ def written(folder, text, n=60):
         ("ID,7,\nDate,2026-01-01,\nt,left,frame\n{t},{i},base", ["t", "left", "frame"], (3, 4), ""),
         (LABVIEW + "{i}\t{i},5\t1,0", ["X_Value", "left", "right"], (21, 22), ""),
         (SCOPE + "{ms}\t{i}\t{ms}\t1", ["time", "left", "", "right"], (6, 14), "rad/s"),
+        (
+            '"TOA5","6843","CR3000"\n"TIMESTAMP","left","co2","diag"\n"TS","m/s","mg/m^3",""\n'
+            '"","Smp","Smp","Smp"\n"{t}",{i},1,0',
+            ["TIMESTAMP", "left", "co2", "diag"], (2, 5), "m/s",
+        ),
         ("v,w\n{t},{i}", ["v", "w"], (1, 2), ""),
         ("made by me\nv,w\n{t},{i}", ["v", "w"], (2, 3), ""),
     ],
