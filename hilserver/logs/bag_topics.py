@@ -1,5 +1,6 @@
 """The topics of a bag that hilserver writes: every signal as float64, plus EduArt's topics."""
 
+import math
 from typing import Any, Final
 
 import numpy as np
@@ -36,39 +37,77 @@ def absolute(topic: str) -> str:
     return topic if topic.startswith("/") else f"/{topic}"
 
 
-class Eduart:
-    """Turns frames into EduArt's messages, as far as the recorded signals allow."""
+_MADE_UP: Final = {"iotbot/temperature": "shield.temperature_degc"}
+"""Signals for which the live node has a substitute, and a bag has none."""
 
-    def __init__(self, types: Types, names: list[str], period_ns: int) -> None:
+
+class _Row(dict[str, float]):
+    """The values of a frame; what was not measured is not there."""
+
+    def __getitem__(self, name: str) -> float:
+        value = super().__getitem__(name)
+        if math.isnan(value):
+            raise KeyError(name)
+        return value
+
+
+class Eduart:
+    """Turns frames into EduArt's messages, as far as the recorded signals allow.
+
+    A message exists only where its data do, and no more often than its source measures: the shield
+    sends everything at its own rate, but the tag comes from a node of its own.
+    """
+
+    def __init__(
+        self,
+        types: Types,
+        names: list[str],
+        period_ns: int,
+        tag_ticks: int | None = None,
+    ) -> None:
         nowhere = Shape(
             1.0, 1.0, 1.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0
         )  # dimensions are in none of these messages
         self._robot = RosFrame(types, nowhere, Odometer(nowhere))
         self._names = names
-        self._robot.values = dict.fromkeys(names, 0.0)
-        self.topics = [
-            published for published in EDUART if self._is_possible(published)
-        ]
+        zeros = _Row(dict.fromkeys(names, 0.0))
+        self.topics = [p for p in EDUART if self._made(p, zeros)]
         self.every = {
             published.topic: max(
                 1, round((published.period_s or 1.0) * 1e9 / period_ns)
             )
             for published in self.topics
         }
+        tag = EXTRAS["pose_stamped"].topic
+        if tag_ticks is not None and tag in self.every:
+            self.every[tag] = tag_ticks
+        self._latest: dict[str, int] = {}
 
-    def _is_possible(self, published: Published) -> bool:
+    def _made(self, published: Published, row: _Row) -> list[Any]:
+        """Return the messages of a topic; none if the frame lacks their data."""
+        self._robot.values = row
         try:
-            return bool(list(published.make(self._robot)))
+            needed = _MADE_UP.get(published.topic)
+            if needed is not None:
+                row[needed]
+            return list(published.make(self._robot))
         except KeyError:
-            return False
+            return []
+
+    def _is_due(self, topic: str, tick: int) -> bool:
+        """Return whether a period of a topic has begun: recordings may leave out ticks."""
+        every = self.every[topic]
+        before = self._latest.get(topic, (tick - 1) // every)
+        self._latest[topic] = tick // every
+        return self._latest[topic] != before
 
     def messages(
         self, tick: int, stamp_ns: int, values: np.ndarray
     ) -> list[tuple[str, Any]]:
         """Return topic and message of everything that is due at a tick."""
-        due = [p for p in self.topics if tick % self.every[p.topic] == 0]
+        due = [p for p in self.topics if self._is_due(p.topic, tick)]
         if not due:
             return []
-        self._robot.values = dict(zip(self._names, values.tolist(), strict=True))
+        row = _Row(zip(self._names, values.tolist(), strict=True))
         self._robot.stamp_ns = stamp_ns
-        return [(p.topic, message) for p in due for message in p.make(self._robot)]
+        return [(p.topic, message) for p in due for message in self._made(p, row)]

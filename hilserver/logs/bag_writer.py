@@ -16,6 +16,7 @@ from hilserver.logs import bag_topics as topics
 from hilserver.logs import changes as sparse
 from hilserver.logs.log import State
 from hilserver.logs.message import CDR_LITTLE_ENDIAN, make_layout
+from hilserver.logs.provenance import tag_ticks
 from hilserver.logs.writer import Segmented
 from hilserver.ros.types import Types
 
@@ -51,7 +52,9 @@ class BagWriter:
         self._types.add(topics.STATE_TYPE, topics.STATE_TEXT)
         # Foreign rows come at any time: with the longest period, each becomes a message.
         period_ns = 1_000_000_000 if run.get("foreign") else int(run["base_period_ns"])
-        self._eduart = topics.Eduart(self._types, list(self._layout.names), period_ns)
+        self._eduart = topics.Eduart(
+            self._types, list(self._layout.names), period_ns, tag_ticks(run)
+        )
         plugin = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}[storage]
         path.parent.mkdir(parents=True, exist_ok=True)
         self._writer = Writer(path, version=BAG_VERSION, storage_plugin=plugin)

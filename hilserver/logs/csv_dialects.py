@@ -5,31 +5,30 @@ half of Europe export, they may have a comma: one kind of mark in the whole file
 """
 
 import re
-from collections.abc import Iterable, Iterator
-from datetime import UTC, datetime, timedelta
+from collections.abc import Container, Iterable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
 from hilserver.errors import LogError
+from hilserver.logs.csv_times import COMMA, stamp_ns
 from hilserver.logs.table import Table, place_of
 
-COMMA: Final = ","
-_OTHERS: Final = (";", "\t")
-_NAMES: Final = {";": "semicolons", "\t": "tabs"}
+OTHERS: Final = (";", "\t")
+_NAMES: Final = {";": "semicolons", "\t": "tabs", " ": "spaces"}
 _QUOTED: Final = re.compile(r'"[^"]*"')
-_BEGIN: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def separator_of(head: str) -> str:
     """Return what separates the columns of a file with this first row; a comma takes precedence."""
     bare = _QUOTED.sub("", head)
-    found = (mark for mark in _OTHERS if mark in bare and COMMA not in bare)
+    found = (mark for mark in OTHERS if mark in bare and COMMA not in bare)
     return next(found, COMMA)
 
 
 def decimal_notice(path: Path, separator: str) -> str:
     """Return the notice about a file whose numbers were read with decimal commas."""
-    return f"{path}: {_NAMES[separator]} separate its columns: commas are read as decimal marks"
+    named = _NAMES.get(separator, repr(separator))
+    return f"{path}: {named} separate its columns: commas are read as decimal marks"
 
 
 def with_points(
@@ -37,13 +36,16 @@ def with_points(
     reader: Any,
     rows: Iterable[list[str]],
     separator: str,
-    dates: str | None,
+    dates: Container[str] = (),
 ) -> Iterator[list[str]]:
     """Yield the rows of a file not separated by commas; numbers that are read get points.
 
-    `dates`: a column without numbers. LogError if the file has both marks.
+    `dates`: columns without numbers. LogError if the file has both marks.
     """
-    used, places = "", [place for place in table.read if table.header[place] != dates]
+    used, places = (
+        "",
+        [place for place in table.read if table.header[place] not in dates],
+    )
     for row in rows:
         for place in (place for place in places if place < len(row)):
             text = row[place]
@@ -69,17 +71,26 @@ def with_points(
 
 
 def with_stamps(
-    table: Table, reader: Any, rows: Iterable[list[str]], time: str
+    table: Table,
+    reader: Any,
+    rows: Iterable[list[str]],
+    time: str,
+    rest: str | None = None,
 ) -> Iterator[list[str]]:
-    """Yield the rows with nanoseconds instead of the dates in column `time`.
+    """Yield the rows with nanoseconds instead of the texts in column `time`.
 
-    LogError if it contains something else.
+    `rest`: a column of times of day beside dates. LogError if there is something else.
     """
     place = table.header.index(time)
+    is_split = rest is not None and rest in table.header
+    second = table.header.index(str(rest)) if is_split else place
     for row in rows:
-        text = row[place] if place < len(row) else ""
-        if text.strip():
-            ns = utc_ns(text)
+        text = row[place].strip() if place < len(row) else ""
+        if text:
+            whole = text
+            if is_split and second < len(row):
+                whole, row[second] = f"{text} {row[second].strip()}", ""
+            ns = stamp_ns(whole)
             if ns is None:
                 where = place_of(table.path, reader.line_num, table.header, time)
                 raise LogError(
@@ -88,17 +99,3 @@ def with_stamps(
                 )
             row[place] = str(ns)
         yield row
-
-
-def utc_ns(text: str) -> int | None:
-    """Return the nanoseconds since 1970 of a date with time (ISO 8601), None if it is not one.
-
-    Without a time zone it counts as UTC, since only differences matter. Digits beyond microseconds
-    are dropped.
-    """
-    try:
-        moment = datetime.fromisoformat(text.strip().replace(COMMA, "."))
-    except ValueError:
-        return None
-    aware = moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)
-    return (aware - _BEGIN) // timedelta(microseconds=1) * 1000

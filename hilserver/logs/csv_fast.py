@@ -6,31 +6,37 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.logs.csv_dialects import COMMA, separator_of
+from hilserver.logs.csv_dialects import separator_of
+from hilserver.logs.csv_layout import CsvLayout
+from hilserver.logs.csv_times import COMMA
 
 _NEWLINE, _COMMA = 10, 44
+_SEPARATORS = (COMMA, ";", "\t")
 _LONGEST_LINE = 10_000
 _PIECE = 1 << 24
 _CLEAN = b"0123456789+-.eE,\nnaNifIF"
 
 
-def parse_clean(data: bytes) -> tuple[list[str], NDArray[np.float64], str] | None:
+def parse_clean(
+    data: bytes, layout: CsvLayout | None = None
+) -> tuple[list[str], NDArray[np.float64], str] | None:
     """Return header and numbers of a CSV file, or None if only the strict reader can judge it.
 
     The numbers, shape (n_rows, n_columns), are bit for bit what `float` gives; empty fields are
-    NaN. Row i is line i + 2 of the file. The last item is the column separator, if numbers
-    have decimal commas.
+    NaN. Row i is line `data_row` + i of the file. The last item is the column separator, if
+    numbers have decimal commas. Without a layout the header is the first line.
     """
-    begin = data.find(b"\n") + 1
-    head = data[:begin].rstrip(b"\r\n")
-    if not begin or not data.endswith(b"\n") or b'"' in head:
+    layout = layout or _of_first_line(data)
+    if layout is None or layout.separator not in _SEPARATORS:
         return None
-    try:
-        first = head.decode("utf-8-sig")
-    except UnicodeDecodeError:
+    separator, header = layout.separator, layout.header
+    begin = 0
+    for _ in range(layout.data_row - 1):
+        begin = data.find(b"\n", begin) + 1
+        if not begin:
+            return None
+    if not data.endswith(b"\n"):
         return None
-    separator = separator_of(first)
-    header = first.split(separator)
     has_comma, has_point = (data.find(mark, begin) >= 0 for mark in (b",", b"."))
     decimal = separator if separator != COMMA and has_comma else ""
     if decimal and has_point:
@@ -49,6 +55,19 @@ def parse_clean(data: bytes) -> tuple[list[str], NDArray[np.float64], str] | Non
     if not found:
         return None
     return header, np.concatenate(found).reshape(-1, len(header)), decimal
+
+
+def _of_first_line(data: bytes) -> CsvLayout | None:
+    """Return the layout of a table whose header is the first line; None if it has quotes."""
+    head = data[: data.find(b"\n") + 1].rstrip(b"\r\n")
+    if not head or b'"' in head:
+        return None
+    try:
+        first = head.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return None
+    separator = separator_of(first)
+    return CsvLayout(separator, first.split(separator))
 
 
 def _pieces(data: bytes, begin: int) -> Iterator[bytes]:

@@ -11,19 +11,23 @@ import numpy as np
 
 from hilserver.errors import LogError, meant
 from hilserver.logs import changes as sparse
-from hilserver.logs.csv_dialects import (
-    COMMA,
-    decimal_notice,
-    separator_of,
-    utc_ns,
-    with_points,
-    with_stamps,
-)
+from hilserver.logs.csv_dialects import decimal_notice, with_points, with_stamps
 from hilserver.logs.csv_fast import parse_clean
+from hilserver.logs.csv_layout import CsvLayout, read_layout
+from hilserver.logs.csv_times import COMMA, TEXTS
 from hilserver.logs.csv_writer import changes_path, meta_path
 from hilserver.logs.log import Change, Log, State
 from hilserver.logs.provenance import unpack_meta
-from hilserver.logs.table import BLOCK, EXACT, SEGMENT, TIME, Table, in_time, place_of
+from hilserver.logs.table import (
+    BLOCK,
+    EXACT,
+    NS_PER,
+    SEGMENT,
+    TIME,
+    Table,
+    in_time,
+    place_of,
+)
 
 MAX_FIELD_CHARACTERS = 10_000
 NO_NAME = ("#", "sep=")
@@ -35,9 +39,12 @@ def read_csv(path: Path, known: Container[str] | None = None) -> Log:
     run, states = _read_meta(path)
     names = None if known is None and run is None else _Names(known, run)
     table = in_time(read_table(path, names, ours=run is not None), TIME)
+    t_s = table.column(TIME)
+    if table.stamps == "texts":
+        t_s = t_s * (NS_PER["ns"] / NS_PER["s"])
     return Log(
         path=path,
-        t_s=table.column(TIME),
+        t_s=t_s,
         segment=table.segment(),
         block=table.integers(BLOCK),
         columns={
@@ -75,7 +82,8 @@ def read_table(
     ours: bool = False,
     time: str | None = TIME,
     used: Container[str] | None = None,
-    dated: bool = False,
+    rest: str | None = None,
+    layout: CsvLayout | None = None,
 ) -> Table:
     """Read the numbers of a CSV file.
 
@@ -88,31 +96,63 @@ def read_table(
     ours : bool
         Whether a last line without an end is torn, even if it looks whole.
     time : str or None
-        A column that it must have.
+        A column that it must have. Dates, times of day and numbers with a unit become nanoseconds.
     used : container of str, optional
         Columns to read; the content of the others does not matter. None for all that have a name.
-    dated : bool
-        Whether the time column holds dates; they are read as nanoseconds.
+    rest : str, optional
+        A column of times of day, if the dates in `time` have none.
+    layout : CsvLayout, optional
+        If it is known already.
     """
-    clean = None if dated else parse_clean(path.read_bytes())
+    layout = layout or (None if ours else read_layout(path)) or CsvLayout(COMMA, [])
+    clean = None
+    if layout.kind(time) not in TEXTS:
+        clean = parse_clean(path.read_bytes(), layout if layout.header else None)
     if clean is not None:
         header, numbers, decimal = clean
-        table = _begin(path, header, names, time, used)
+        table = _begin(path, header, names, time, used, layout)
         table.notices += [decimal_notice(path, decimal)] if decimal else []
         table.numbers = np.ascontiguousarray(numbers[:, table.read]).reshape(-1)
-        table.lines = range(2, len(numbers) + 2)
+        table.lines = range(layout.data_row, len(numbers) + layout.data_row)
         if time is None or not np.abs(table.column(time)[:1]).max(initial=0.0) >= EXACT:
             return table
+    return _read_strictly(path, layout, names, time, used, rest, ours=ours)
+
+
+def _read_strictly(
+    path: Path,
+    layout: CsvLayout,
+    names: "_Names | None",
+    time: str | None,
+    used: Container[str] | None,
+    rest: str | None,
+    *,
+    ours: bool,
+) -> Table:
+    """Read row by row what the fast parser leaves; it names each mistake."""
+    texts = layout.kind(time) in TEXTS
     csv.field_size_limit(MAX_FIELD_CHARACTERS)
     with path.open(encoding="utf-8-sig", newline="") as file:
         try:
-            separator = separator_of(file.readline(MAX_FIELD_CHARACTERS))
-            file.seek(0)
-            lines = _Lines(file)
-            reader = csv.reader(lines, delimiter=separator, strict=True)
-            first: list[str] | None = next(reader, None)
-            table = _begin(path, first, names, time, used)
-            rows = _plain(table, reader, first, separator, time if dated else None)
+            lines = _Lines(file, layout)
+            is_spaced = layout.separator == " "
+            reader = csv.reader(
+                lines,
+                delimiter=layout.separator,
+                strict=True,
+                skipinitialspace=is_spaced,
+            )
+            raw = next((row for row in reader if row), None)
+            is_first = layout.header_row == 1 and raw and not raw[0].startswith(NO_NAME)
+            names_row = raw if is_first or not layout.header else layout.header
+            table = _begin(path, names_row, names, time, used, layout)
+            rows: Iterable[list[str]] = _without(raw, table, reader)
+            if layout.separator != COMMA:
+                unread = [str(time), str(rest)] if texts else ()
+                rows = with_points(table, reader, rows, layout.separator, unread)
+            if texts and time is not None:
+                rows = with_stamps(table, reader, rows, time, rest)
+                table.stamps, table.units = "texts", {**table.units, time: "ns"}
             return _parse(table, reader, rows, lines, time, drop_unended=ours)
         except UnicodeDecodeError as error:
             raise _undecodable(path, error) from None
@@ -132,20 +172,6 @@ def _undecodable(path: Path, error: UnicodeDecodeError) -> LogError:
     return LogError(
         f"{path}: row {row}: byte {error.start} is not UTF-8; save the file as UTF-8"
     )
-
-
-def _plain(
-    table: Table,
-    reader: Any,
-    header: list[str] | None,
-    separator: str,
-    dates: str | None,
-) -> Iterable[list[str]]:
-    """Return the rows with decimal points, and with numbers in the column `dates`."""
-    rows: Iterable[list[str]] = _without(header, table, reader)
-    if separator != COMMA:
-        rows = with_points(table, reader, rows, separator, dates)
-    return rows if dates is None else with_stamps(table, reader, rows, dates)
 
 
 def _without(
@@ -193,16 +219,18 @@ def _parse(
 
 
 class _Lines:
-    """Lines of a file; remembers whether the last one was terminated."""
+    """Lines of a file, empty outside its table; remembers whether the last one was terminated."""
 
-    def __init__(self, file: TextIO) -> None:
-        self._file = file
+    def __init__(self, file: TextIO, layout: CsvLayout) -> None:
+        self._file, self._layout = file, layout
         self.ended = True
 
     def __iter__(self) -> Iterator[str]:
-        for line in self._file:
+        layout = self._layout
+        for number, line in enumerate(self._file, 1):
             self.ended = line.endswith(("\n", "\r"))
-            yield line
+            is_outside = number < layout.data_row and number != layout.header_row
+            yield "\n" if is_outside else line
 
 
 def _begin(
@@ -211,6 +239,7 @@ def _begin(
     names: _Names | None,
     time: str | None,
     used: Container[str] | None,
+    layout: CsvLayout,
 ) -> Table:
     """Return the checked, empty table of a header."""
     if header is None:
@@ -228,9 +257,10 @@ def _begin(
             f"{path}: row 1 contains numbers instead of a header; put 't_s,<signal>,...' in the"
             " first row"
         )
+    row = f"{path}: row {layout.header_row}"
     if time is not None and time not in header:
         raise LogError(
-            f"{path}: row 1: there is no column '{time}'; give the time column this name, in s,"
+            f"{row}: there is no column '{time}'; give the time column this name, in s,"
             " or map it with --mapping"
         )
     read = [
@@ -240,13 +270,16 @@ def _begin(
         name = header[index]
         if name in header[:index]:
             raise LogError(
-                f"{path}: row 1, column {index + 1} '{name:.60}': the column appears twice;"
+                f"{row}, column {index + 1} '{name:.60}': the column appears twice;"
                 " remove one of them"
             )
         if names is not None and name not in names:
-            where = place_of(path, 1, header, name)
+            where = place_of(path, layout.header_row, header, name)
             raise LogError(f"{where}: there is no such signal; {names.hint(name)}")
-    return Table(path, header, read=read)
+    table = Table(path, header, read=read, notices=layout.notices(path))
+    table.header_row, table.separator = layout.header_row, layout.separator
+    table.units = {name: unit for name in header if (unit := layout.unit(name))}
+    return table
 
 
 def _is_number(text: str) -> bool:
@@ -302,10 +335,9 @@ def _number(table: Table, line: int, index: int, text: str) -> float:
         return float(text)
     except ValueError:
         where = place_of(table.path, line, table.header, table.header[index])
-        remedy = "write one with a decimal point, or nothing"
-        if utc_ns(text) is not None:
-            remedy = "a mapping reads dates, as time: {unit: iso}"
-        raise LogError(f"{where}: {text!r:.60} is not a number; {remedy}") from None
+        raise LogError(
+            f"{where}: {text!r:.60} is not a number; write one with a decimal point, or nothing"
+        ) from None
 
 
 def _read_meta(path: Path) -> tuple[dict[str, Any] | None, list[State]]:

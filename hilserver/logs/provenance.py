@@ -51,6 +51,18 @@ def configuration_of(run: Mapping[str, Any] | None) -> dict[str, Any]:
     return found
 
 
+def tag_ticks(run: Mapping[str, Any]) -> int | None:
+    """Return the ticks between two samples of the navigation tag; None if a run does not say."""
+    try:
+        configuration = configuration_of(run)
+        scheduler, nav = configuration["scheduler"], configuration["sensors"]["nav"]
+        slice_ms = scheduler["slices"][nav["slice"]]
+        period_ms = max(round(1e3 / (nav["rate_hz"] * slice_ms)), 1) * slice_ms
+        return max(round(float(period_ms) / float(scheduler["base_period_ms"])), 1)
+    except (ValueError, KeyError, TypeError):
+        return None
+
+
 def _without_secrets(node: Any) -> Any:
     if isinstance(node, Mapping):
         return {

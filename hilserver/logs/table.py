@@ -1,10 +1,11 @@
 """Tables of numbers as in a file, and their rows in time: one for every stamp."""
 
+import csv
 from array import array
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from hilserver.errors import LogError
 
 TIME, SEGMENT, BLOCK = "t_s", "segment", "block"
 EXACT: Final = 1 << 53  # whole numbers from here on may not fit a double
+NS_PER: Final = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 FEW_ROWS: Final = 10  # rows slightly out of order are sorted; more are a separate run
 
 
@@ -34,6 +36,13 @@ class Table:
     # indices in the header of the columns that were read; all if not given
     read: list[int] = field(default_factory=list)
     origin: int = 0  # what the stamps count from, if they are too long for a double
+    # what the file itself says: a row of units, the type of a column; by name
+    units: Mapping[str, str] = field(default_factory=dict)
+    header_row: int = 1
+    separator: str = ""  # of the columns, if the file is text
+    # what the times are; texts stand for dates, times of day and numbers with a unit
+    stamps: Literal["numbers", "texts", "moments", "durations"] = "numbers"
+    repeated: int = 0  # rows of which something was dropped, as they repeat a stamp
 
     def __post_init__(self) -> None:
         self.read = self.read or list(range(len(self.header)))
@@ -55,6 +64,20 @@ class Table:
     def where(self, row: int, name: str) -> str:
         """Return the place of a number in words."""
         return place_of(self.path, int(self.lines[row]), self.header, name)
+
+    def shown(self, row: int, name: str) -> str:
+        """Return a time as the file shows it."""
+        number = float(self.column(name)[row])
+        if self.stamps == "texts" and self.separator:
+            with self.path.open(encoding="utf-8-sig", newline="") as file:
+                reader = csv.reader(file, delimiter=self.separator)
+                rows = (cells for cells in reader if reader.line_num == self.lines[row])
+                return repr(next(rows)[self.header.index(name)].strip())
+        if self.stamps in ("moments", "durations"):
+            count, unit = self.origin + int(number), self.units[name]
+            kind = "datetime64" if self.stamps == "moments" else "timedelta64"
+            return f"'{np.array(count).astype(f'{kind}[{unit}]')}'".replace("T", " ")
+        return repr(number) if not self.origin else str(self.origin + int(number))
 
     def integers(self, name: str) -> NDArray[np.int64] | None:
         """Return a column of whole numbers, shape (n_rows,); None if there is none."""
@@ -101,7 +124,13 @@ def in_time(
         return table
     notices = [*table.notices, *repeated_stamps(str(table.path), repeated, "rows")]
     lines = np.asarray(table.lines)[first]
-    return replace(table, numbers=numbers.reshape(-1), lines=lines, notices=notices)
+    return replace(
+        table,
+        numbers=numbers.reshape(-1),
+        lines=lines,
+        notices=notices,
+        repeated=repeated,
+    )
 
 
 def _falls(
@@ -117,10 +146,16 @@ def _falls(
         if (begins_anew or rows > FEW_ROWS) and not is_backwards
         else "sort the rows by time"
     )
-    now, before = (
-        repr(float(t[i])) if not table.origin else str(table.origin + int(t[i]))
-        for i in (row, row - 1)
-    )
+    if table.stamps in ("texts", "moments") and not is_backwards:
+        hours = (t[row - 1] - t[row]) * NS_PER[table.units[time]] / 3.6e12
+        if 0.9 < hours <= 1.0:
+            remedy = (
+                "local time repeats an hour at the end of summer time: number the rows from here"
+                " on in a column 'segment', or write UTC"
+            )
+        elif 22.0 < hours <= 24.0:
+            remedy = "it is past midnight: write the date, too"
+    now, before = (table.shown(i, time) for i in (row, row - 1))
     return LogError(
         f"{table.where(row, time)}: {now} is not later than {before}; {remedy}"
     )

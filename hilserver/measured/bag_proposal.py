@@ -1,5 +1,6 @@
 """A mapping file for a foreign bag, guessed from its types, its topics and the names in them."""
 
+import contextlib
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -8,14 +9,18 @@ from typing import Any, Final, NoReturn
 import numpy as np
 
 from hilserver.errors import LogError
-from hilserver.logs.bag_messages import Topic, read_messages
+from hilserver.logs.bag_messages import Bag, Topic, read_messages
+from hilserver.measured.candidates import Candidate, choose, has_wheels
 from hilserver.measured.channels import GYRO, IMU_YAW, NAV_X, NAV_Y, TWIST, VOLTAGE, YAW
-from hilserver.measured.fields import items_of, names_of
+from hilserver.measured.evidence import samples
+from hilserver.measured.fields import Field, items_of, names_of
 from hilserver.measured.mapping import builtin_mappings, load_mapping
 from hilserver.measured.messages import Decoder, full_type
+from hilserver.measured.other_machines import refuse_other_machine
 from hilserver.measured.proposal import (
     ODOMETRY,
     SENT,
+    TRUTH,
     ForeignLog,
     line,
     lines,
@@ -25,7 +30,8 @@ from hilserver.measured.proposal import (
     words_of,
 )
 
-_READ: Final = 20  # messages of a topic: publishers may take turns
+_READ: Final = (4000, 20)  # messages of a topic; fewer if they are large
+_SEEN: Final = 400  # of them are decoded, evenly
 _LONGEST: Final = 16  # a longer list is an image or a scan
 _BESIDE: Final = ("header", "effort")  # what a message holds besides our measurements
 _POSE: Final = {"position.x": NAV_X, "position.y": NAV_Y, "orientation.yaw": YAW}
@@ -42,10 +48,14 @@ _MEASURED: Final[Mapping[str, Mapping[str, str]]] = {
     "sensor_msgs/msg/BatteryState": {"voltage": VOLTAGE},
     "sensor_msgs/msg/Imu": {
         "angular_velocity.z": GYRO,
+        "angular_velocity.x": GYRO,
+        "angular_velocity.y": GYRO,
         "orientation.yaw": IMU_YAW,
         "linear_acceleration.x": "imu.accel_x_m_s2",
         "linear_acceleration.y": "imu.accel_y_m_s2",
     },
+    "geometry_msgs/msg/Pose": _POSE,
+    "geometry_msgs/msg/Pose2D": {"x": NAV_X, "y": NAV_Y, "theta": YAW},
     "geometry_msgs/msg/PointStamped": {"point.x": NAV_X, "point.y": NAV_Y},
     "geometry_msgs/msg/PoseStamped": _below("pose", _POSE),
     "geometry_msgs/msg/PoseWithCovarianceStamped": _below("pose.pose", _POSE),
@@ -93,20 +103,22 @@ def _proposal(path: Path, topics: Mapping[str, Topic]) -> str:
     """Return the text of a mapping file; empty without a guess."""
     kinds = {name: full_type(topic.type) for name, topic in topics.items()}
     wanted = {name for name, kind in kinds.items() if _may_be_ours(kind)}
-    try:
-        bags = read_messages(path, wanted, _READ)
-    except LogError:  # messages too large
-        return ""
-    channels: dict[str, str] = {}
-    # A pose derived from the wheels' speeds comes last: it shows none of their errors.
-    for name in sorted(
-        wanted, key=lambda n: (bool(words_of(n) & ODOMETRY), kinds[n] == _ODOMETRY, n)
-    ):
-        sent = [data for bag in bags for _, data in bag.messages.get(name, ())]
-        if sent:
-            for signal, found in _guesses(name, topics[name], sent):
-                channels.setdefault(signal, found)
-    return text(channels)
+    bags: list[Bag] = []
+    for most in _READ:
+        try:
+            bags = read_messages(path, wanted, most)
+            break
+        except LogError:  # messages too large
+            continue
+    found: list[Candidate] = []
+    names = list(topics)
+    for name in sorted(wanted):
+        sent = [message for bag in bags for message in bag.messages.get(name, ())]
+        some = sent[:: max(1, len(sent) // _SEEN)]
+        found += _candidates(name, topics[name], some, names) if some else []
+    types = list(kinds.values())
+    refuse_other_machine(str(path), names, types, has_wheels=has_wheels(found))
+    return text(choose(found).lines)
 
 
 def _may_be_ours(kind: str) -> bool:
@@ -118,31 +130,49 @@ def _may_be_ours(kind: str) -> bool:
     )
 
 
-def _guesses(name: str, topic: Topic, sent: list[bytes]) -> Iterator[tuple[str, str]]:
-    """Yield signals of a topic, each with its line of a mapping file."""
+def _candidates(
+    name: str, topic: Topic, sent: list[tuple[int, bytes]], names: list[str]
+) -> Iterator[Candidate]:
+    """Yield what a topic may be, each with its line of a mapping file and its numbers.
+
+    Fields that are read by their names are appended to `names`.
+    """
     kind, words = full_type(topic.type), words_of(name)
     at = f"topic: {quoted(name)}, field: "
+    messages: list[tuple[int, Any]] = []
+    with contextlib.suppress(Exception):  # foreign bytes fail decoders in many ways
+        decode = Decoder(name, topic).decode
+        messages = [(stamp_ns, decode(data)) for stamp_ns, data in sent]
+
+    # A pose derived from the wheels' speeds comes last: it shows none of their errors.
+    is_truth = bool(words & TRUTH)
+    is_odometry = not is_truth and bool(words & ODOMETRY or kind == _ODOMETRY)
+    rank = 0 if is_truth else 1 + is_odometry
+    guesses: list[tuple[str, str, str, str]] = []
     by_type = _COMMANDED if words & {*SENT, *_ALSO_SENT} else _MEASURED
     if kind in _MEASURED or kind in _COMMANDED:
+        why = f"by its type, {kind.split('/')[-1]}"
         for field, signal in by_type.get(kind, {}).items():
-            yield signal, line(signal, field, words, at + quoted(field))
-        return
-    fields = _fields(name, topic, sent)
-    full = [f"{name}.{field}" for field in fields]
-    for field, long, meant in zip(fields, full, meanings(full, ()), strict=True):
-        yield from lines(long, meant, at + quoted(field))
-
-
-def _fields(name: str, topic: Topic, sent: list[bytes]) -> list[str]:
-    """Return the numbers in the messages of a topic, speeds first."""
-    found: dict[str, None] = {}
-    try:
-        decode = Decoder(name, topic).decode
-        for data in sent:
-            found |= dict.fromkeys(_numbers(decode(data)))
-    except Exception:  # noqa: BLE001 -- foreign bytes fail decoders in many ways
-        return []
-    return sorted(found, key=lambda field: not field.startswith("velocity"))
+            written = line(signal, field, words, at + quoted(field))
+            guesses.append((signal, field, written, why))
+    else:
+        fields = dict.fromkeys(f for _, message in messages for f in _numbers(message))
+        known = sorted(fields, key=lambda field: not field.startswith("velocity"))
+        full = [f"{name}.{field}" for field in known]
+        names += full
+        for field, long, meant in zip(known, full, meanings(full, ()), strict=True):
+            for signal, written in lines(long, meant, at + quoted(field)):
+                guesses.append((signal, field, written, "by its name"))
+    for signal, field, written, why in guesses:
+        read = Field(field)
+        t_s = np.array([stamp_ns * 1e-9 for stamp_ns, _ in messages])
+        values = np.array([read(message) for _, message in messages])
+        of_axis = int(signal == GYRO and field[-1:] in ("x", "y"))
+        seen = samples(t_s, values)
+        if not len(seen.t):
+            continue  # nothing was measured
+        own = of_axis if signal in (GYRO, IMU_YAW) else rank
+        yield Candidate(signal, written, name, own, why, seen)
 
 
 def _numbers(message: Any, place: str = "") -> Iterator[str]:

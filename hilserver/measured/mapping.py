@@ -23,8 +23,18 @@ class TimeMap(Section):
     """Where the stamps are."""
 
     column: str | None = Field(None, description="time column of a table; default t_s")
-    unit: Literal["s", "ms", "us", "ns", "iso"] = Field(
-        "s", description="its unit; iso: dates, as 2026-11-25T12:00:00.020"
+    unit: Literal["s", "ms", "us", "ns", "iso"] | None = Field(
+        None,
+        description="its unit; default: what the file says (type, row of units, name), else s;"
+        " iso: dates, as 2026-11-25T12:00:00.020",
+    )
+    rest: str | None = Field(
+        None,
+        description="second column of the time: nanosec beside sec, a time of day beside a date",
+    )
+    rest_unit: Literal["s", "ms", "us", "ns"] | None = Field(
+        None,
+        description="its unit, if it holds numbers; default: what the file says, else ns",
     )
     rate_hz: float | None = Field(
         None,
@@ -43,6 +53,8 @@ class TimeMap(Section):
             raise ValueError(
                 "column and rate_hz exclude each other; remove one of them"
             )
+        if self.rest is not None and self.column is None:
+            raise ValueError("rest belongs to a column; name the column, too")
         return self
 
 
@@ -63,7 +75,9 @@ class ChannelMap(Section):
         " computed",
     )
     unit: str | None = Field(
-        None, description="default: that of the signal; 1: any, see scale"
+        None,
+        description="default: what the file says (row of units, name), else that of the signal;"
+        " 1: any, see scale",
     )
     sign: Literal[-1, 1] = Field(1, description="-1 reverses it")
     scale: float | None = Field(None, description="factor, applied after the unit")
@@ -131,11 +145,16 @@ class LogMapping(Section):
         """Whether it names topics, not columns."""
         return any(channel.topic is not None for channel in self.channels.values())
 
-    def factor(self, signal: str) -> float:
-        """Return the factor for the numbers of a channel."""
+    def factor(self, signal: str, said: str | None = None) -> float:
+        """Return the factor for the numbers of a channel.
+
+        `said`: the unit that the file says, for a channel without one.
+        """
         channel = self.channels[signal]
         wanted = mapped_units()[signal]
         unit = wanted if channel.unit in (None, ANY_NUMBER) else str(channel.unit)
+        if channel.unit is None and channel.scale is None and said is not None:
+            unit = said
         factor = conversion(unit, wanted)
         if factor is None:
             raise ValueError(unit)

@@ -1,6 +1,7 @@
 """Which signals a measured log may hold, and which units fit them."""
 
 import math
+import re
 from functools import cache
 from typing import Final
 
@@ -93,4 +94,73 @@ def conversion(unit: str, wanted: str) -> float | None:
     for factors in _DIMENSIONS.values():
         if unit in factors and wanted in factors:
             return factors[unit] / factors[wanted]
+    return None
+
+
+_SPELT: Final = {
+    "1/min": "rpm",
+    "u/min": "rpm",
+    "r/min": "rpm",
+    "min^-1": "rpm",
+    "rad s^-1": "rad/s",
+    "rad/sec": "rad/s",
+    "°/s": "deg/s",
+    "dps": "deg/s",
+    "deg/sec": "deg/s",
+    "degrees": "deg",
+    "°": "deg",
+    "radians": "rad",
+    "m s^-1": "m/s",
+    "mps": "m/s",
+    "kmh": "km/h",
+    "m s^-2": "m/s2",
+    "m/s^2": "m/s2",
+    "meters": "m",
+    "metres": "m",
+    "volt": "V",
+    "volts": "V",
+    "percent": "%",
+}
+"""Other spellings of units, in lower case."""
+_IN_NAMES: Final = (
+    (r"rad(ps|s|_?p?er_?s|_s)(ec)?(?![a-z])", "rad/s"),
+    (r"deg(ps|s|_s|_per_s)(?![a-z])|(?<![a-z])dps(?![a-z])", "deg/s"),
+    (r"rpm", "rpm"),
+    (r"(?<![a-z])m_?p?s(?![a-z])", "m/s"),
+    (r"(?<![a-z])rad(?![a-z])", "rad"),
+    (r"(?<![a-z])deg(?![a-z])", "deg"),
+    (r"(?<![a-z])(cm|mm|mv)(?![a-z])", ""),
+)
+
+
+def unit_in_text(text: str, wanted: str) -> str | None:
+    """Return the unit that stands in a row of units, if it measures what `wanted` does."""
+    lower = text.strip().lower()
+    known = {unit.lower(): unit for unit in units_of(wanted)}
+    unit = _SPELT.get(lower) or known.get(lower)
+    return unit if unit is not None and conversion(unit, wanted) is not None else None
+
+
+def is_other_unit(text: str, wanted: str) -> bool:
+    """Return whether a text is a unit, but none that measures what `wanted` does."""
+    lower = text.strip().lower()
+    known = {unit.lower() for units in _DIMENSIONS.values() for unit in units} - {"1"}
+    return (lower in known or lower in _SPELT) and unit_in_text(text, wanted) is None
+
+
+def in_brackets(name: str) -> list[str]:
+    """Return what stands in brackets in a name."""
+    return re.findall(r"[\[(]([^\])]+)[\])]", name)
+
+
+def unit_in_name(name: str, wanted: str) -> str | None:
+    """Return the unit in the name of a column, if it measures what `wanted` does."""
+    for bracketed in in_brackets(name):
+        if (unit := unit_in_text(bracketed, wanted)) is not None:
+            return unit
+    for pattern, unit in _IN_NAMES:
+        found = re.search(pattern, name.lower())
+        named = unit or (found[0].replace("mv", "mV") if found else "")
+        if found and conversion(named, wanted) is not None:
+            return named
     return None

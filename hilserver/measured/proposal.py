@@ -3,13 +3,22 @@
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
-from typing import Final
+from typing import Final, NamedTuple
 
 from hilserver.errors import LogError
-from hilserver.logs.csv_dialects import utc_ns
-from hilserver.measured.channels import GYRO, NAV_X, NAV_Y, VOLTAGE, YAW
+from hilserver.logs.csv_times import TEXTS, kind_of
+from hilserver.logs.table import BLOCK, SEGMENT, TIME
+from hilserver.measured.candidates import Candidate, choose
+from hilserver.measured.channels import GYRO, IMU_YAW, NAV_X, NAV_Y, VOLTAGE, YAW
+from hilserver.measured.evidence import UNSEEN, Samples
 from hilserver.measured.mapping import DATED
-from hilserver.measured.names import conversion, known_signals
+from hilserver.measured.names import (
+    in_brackets,
+    is_other_unit,
+    mapped_units,
+    unit_in_name,
+)
+from hilserver.measured.stamps import DIGITS, TimeColumns, columns_of, unit_in_words
 
 FILE: Final = "mapping.yaml"
 _WORD: Final = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
@@ -18,16 +27,12 @@ _WHEELS: Final = (
     ({"rl", "rearleft", "leftrear", "bl"}, ("rl",)),
     ({"fr", "frontright", "rightfront"}, ("fr",)),
     ({"rr", "rearright", "rightrear", "br"}, ("rr",)),
-    ({"left", "l"}, ("fl", "rl")),
-    ({"right", "r"}, ("fr", "rr")),
+    ({"left"}, ("fl", "rl")),
+    ({"right"}, ("fr", "rr")),
 )
-_TIMES: Final = {"t", "time", "timestamp", "stamp", "secs", "seconds", "nsecs"}
-_TIME_UNITS: Final = {"ms": "ms", "us": "us", "ns": "ns", "nsecs": "ns"}
-_TIME_DIGITS: Final = {
-    19: "ns",
-    16: "us",
-    13: "ms",
-}  # of whole numbers counted from 1970
+_INITIALS: Final = {"l": ("fl", "rl"), "r": ("fr", "rr")}
+"""Of sides, in names that speak of wheels."""
+_TIMES: Final = {"t", "time", "timestamp", "stamp", "sec", "secs", "seconds", "nsecs"}
 SENT: Final = {
     "setpoint",
     "set",
@@ -62,24 +67,95 @@ _OTHER: Final = {
     "acc",
     "name",
     "id",
+    *(
+        "range",
+        "distance",
+        "dist",
+        "sonar",
+        "ir",
+        "tof",
+        "laser",
+        "lidar",
+        "bumper",
+        "line",
+    ),
+    *("voltage", "power", "status", "error", "err", "kp", "ki", "kd", "pid", "mid"),
 }
-"""Other quantities of a wheel, for which there is no signal."""
+"""Other quantities of a side, for which there is no signal."""
+_SEEN: Final = {
+    "marker",
+    "markers",
+    "aruco",
+    "fiducial",
+    "tvec",
+    "rvec",
+    "landmark",
+    "obstacle",
+}
+"""What a camera sees of its surroundings, which is neither the robot nor a part of it."""
+TRUTH: Final = {
+    "ground",
+    "truth",
+    "groundtruth",
+    "gt",
+    "mocap",
+    "vicon",
+    "optitrack",
+    "tracker",
+}
+_OF_IMU: Final = {"z", "wz", "gz", "gyro", "rate", "yawrate", "omega", "angular"}
+_OTHER_AXES: Final = {"x", "y", "pitch", "roll", "wx", "wy", "gx", "gy"}
+_NO_RATE: Final = {
+    "accel",
+    "acc",
+    "linear",
+    "mag",
+    "quat",
+    "temp",
+    "temperature",
+    "orientation",
+}
+_NO_PLACE: Final = {"imu", "gyro", "q", "v", "vel", "velocity", "b", "bias", *_NO_RATE}
+_AXES: Final = {
+    "x",
+    "y",
+    "px",
+    "py",
+    "tx",
+    "ty",
+    "posx",
+    "posy",
+    "m",
+    "cm",
+    "mm",
+    "rad",
+    "deg",
+    "pos",
+}
 ODOMETRY: Final = {"odom", "odometry", "wheelodom"}
 _NUMBERED: Final = re.compile(r"(.*?)\[?(\d)\]?(\D*)")
 _OF_WHEELS: Final = {*_SPEED, *_COUNTS, *_ANGLE, *_DUTY, "wheel", "motor", "joint"}
 _ORDER: Final = {2: ("left", "right"), 4: ("fl", "fr", "rl", "rr")}
 _TURN: Final = {"yaw", "theta", "heading", "psi"}
-_GYRO: Final = {"gyro", "yawrate", "wz", "gz", "imu"}
+_GYRO: Final = {"gyro", "yawrate", "wz", "gz"}
 _VOLTAGE: Final = {"voltage", "battery", "vbat", "volt"}
-_UNITS: Final = (
-    (r"rad(ps|s|_?p?er_?s|_s)(ec)?(?![a-z])", "rad/s"),
-    (r"deg(ps|s|_s|_per_s)(?![a-z])|(?<![a-z])dps(?![a-z])", "deg/s"),
-    (r"rpm", "rpm"),
-    (r"(?<![a-z])m_?p?s(?![a-z])", "m/s"),
-    (r"(?<![a-z])rad(?![a-z])", "rad"),
-    (r"(?<![a-z])deg(?![a-z])", "deg"),
-    (r"(?<![a-z])(cm|mm|mv)(?![a-z])", ""),
+
+_ANY_COMMAND: Final = {"vel", "velocity", "cmd", "command"}
+_RULES: Final[tuple[tuple[str, tuple[set[str], ...], set[str]], ...]] = (
+    ("twist.linear_m_s", (SENT, {"linear", "v", "vx"}), {"y", "z", "angular"}),
+    ("twist.angular_rad_s", (SENT, {"angular", "w", "wz", "omega"}), {"x", "y"}),
+    ("twist.linear_m_s", (SENT, _ANY_COMMAND, {"x"}), {"linear", "angular"}),
+    ("twist.angular_rad_s", (SENT, _ANY_COMMAND, {"z"}), {"linear", "angular"}),
+    ("", (SENT,), set()),
+    (IMU_YAW, (_TURN, {"imu"}), _OF_IMU),
+    (GYRO, (_GYRO,), _NO_RATE),
+    (GYRO, ({"imu"}, _OF_IMU), _NO_RATE),
+    (YAW, (_TURN,), set()),
+    (VOLTAGE, (_VOLTAGE,), set()),
+    (NAV_X, ({"x", "px", "tx", "posx"},), _NO_PLACE),
+    (NAV_Y, ({"y", "py", "ty", "posy"},), _NO_PLACE),
 )
+"""Signals of names: a word of each set is in them, and none of the last one."""
 
 
 class ForeignLog(LogError):
@@ -92,31 +168,103 @@ class ForeignLog(LogError):
         )
 
 
-def propose(header: Sequence[str], row: Sequence[str] = ()) -> str:
-    """Return the text of a mapping file for a table with these columns; empty without a guess.
+class Head(NamedTuple):
+    """What is known of a foreign table before it is mapped."""
 
-    Parameters
-    ----------
-    row : sequence of str
-        The first row: it holds the names of joints if columns are numbered.
-    """
-    time = ""
-    channels: dict[str, str] = {}
-    for name, words in zip(header, meanings(header, row), strict=True):
-        if not time and words & _TIMES:
-            first = dict(zip(header, row, strict=False)).get(name, "").strip()
-            unit = _TIME_DIGITS.get(len(first) if first.isdecimal() else 0, "s")
-            unit = next((u for word, u in _TIME_UNITS.items() if word in words), unit)
-            unit = DATED if _is_date(first) else unit
-            time = f"time: {{column: {quoted(name)}, unit: {unit}}}"
+    header: Sequence[str]
+    # the first row: it holds the names of joints if columns are numbered
+    first: Sequence[str] = ()
+    numbers: Mapping[str, Samples] = {}  # of the columns, as far as they were read
+    types: Mapping[
+        str, str
+    ] = {}  # columns that are times by their type, with their unit
+    units: Mapping[str, str] = {}  # what a row of units says, by column
+    row: int = 1  # of the header
+
+    @property
+    def stamps(self) -> TimeColumns:
+        """The columns of the time; an empty name if none is recognised."""
+        time = time_column(self.header, self.types) or ""
+        return columns_of(time, None, self.header, self.first)
+
+
+def propose(head: Head) -> str:
+    """Return the text of a mapping file for a table; empty without a guess."""
+    time = "time: {rate_hz: 50}   # no time column was recognised: write the row rate"
+    if head.stamps.time:
+        time = _time(head)
+    return text(choose(candidates_of(head)).lines, time)
+
+
+def candidates_of(head: Head) -> list[Candidate]:
+    """Return what each column of a table may be."""
+    found: list[Candidate] = []
+    apart = {head.stamps.time, head.stamps.rest, TIME, SEGMENT, BLOCK, ""}
+    for name, words in zip(head.header, meanings(head.header, head.first), strict=True):
+        seen = head.numbers.get(name, UNSEEN)
+        is_empty = name in head.numbers and not len(seen.t)
+        if name in apart or is_empty:
             continue
-        for signal, at in lines(name, words, f"column: {quoted(name)}"):
-            channels.setdefault(signal, at)
-    return text(
-        channels,
-        time
-        or "time: {rate_hz: 50}   # no time column was recognised: write the row rate",
+        at = f"column: {quoted(name)}"
+        if name in mapped_units():
+            own = f"  {name}: {{{at}}}"
+            found.append(Candidate(name, own, "own", -1, "its own name", seen))
+            continue
+        said = [head.units.get(name, ""), *in_brackets(name)]
+        for signal, written in lines(name, words, at):
+            rank = _rank(words, signal)
+            is_other = any(is_other_unit(unit, mapped_units()[signal]) for unit in said)
+            is_axis_unseen = signal == GYRO and rank > 0 and seen is UNSEEN
+            if not is_other and not is_axis_unseen:
+                group = _group(words)
+                found.append(
+                    Candidate(signal, written, group, rank, "by its name", seen)
+                )
+    return found
+
+
+def time_column(
+    header: Sequence[str], typed: Mapping[str, str] | None = None
+) -> str | None:
+    """Return the column of the times, by its type or else by its name."""
+    named = [name for name in header if words_of(name) & _TIMES]
+    return next(
+        (name for name in header if name in (typed or {})), next(iter(named), None)
     )
+
+
+def _time(head: Head) -> str:
+    """Return the line of the time, with the unit that its name or its first number shows."""
+    stamps = head.stamps
+    first = (
+        dict(zip(head.header, head.first, strict=False)).get(stamps.time, "").strip()
+    )
+    kind = kind_of(first)
+    parts = [f"column: {quoted(stamps.time)}"]
+    if stamps.rest is not None:
+        parts.append(f"rest: {quoted(stamps.rest)}")
+    if kind == "date":
+        parts.append(f"unit: {DATED}")
+    elif stamps.time not in head.types and kind not in TEXTS:
+        by_digits = DIGITS.get(len(first) if first.isdecimal() else 0, "s")
+        parts.append(f"unit: {unit_in_words(stamps.time) or by_digits}")
+    return f"time: {{{', '.join(parts)}}}"
+
+
+def _rank(words: set[str], signal: str) -> int:
+    """Return how likely a name is what it may be; 0 is the likeliest."""
+    if signal == GYRO:
+        return int(bool(words & _OTHER_AXES))
+    is_place = signal in (NAV_X, NAV_Y, YAW)
+    return 1 if is_place and words & ODOMETRY and not words & TRUTH else 0
+
+
+def _group(words: set[str]) -> str:
+    """Return what a name shares with those of the other axes."""
+    singles = {
+        word for word in words if not any(word != w and w in word for w in words)
+    }
+    return " ".join(sorted(singles - _AXES - _TURN))
 
 
 def text(channels: Mapping[str, str], *time: str) -> str:
@@ -124,7 +272,7 @@ def text(channels: Mapping[str, str], *time: str) -> str:
     if not channels:
         return ""
     parts = [
-        "# Guessed from names: check every line, especially units and signs.",
+        "# Guessed from types, numbers and names: check every line, especially units and signs.",
         "# Right wheels turn backward when the robot drives forward: if the log counts forward as",
         "# positive for them, 'sign: -1' reverses it.",
         *time,
@@ -143,10 +291,6 @@ def lines(name: str, words: set[str], at: str) -> Iterator[tuple[str, str]]:
         yield signal, line(signal, name, words, at)
 
 
-def _is_date(text: str) -> bool:
-    return not text.isdecimal() and utc_ns(text) is not None
-
-
 def line(signal: str, name: str, words: set[str], at: str) -> str:
     """Return the line of a signal `at` a column, or topic and field."""
     unit, note = _unit(name, signal), ""
@@ -161,7 +305,7 @@ def line(signal: str, name: str, words: set[str], at: str) -> str:
         unit, note = ", unit: rad/s", "   # rad/s, as in JointState?"
     elif signal.endswith("speed_rpm") and not unit and "rpm" not in words:
         note = "   # rpm? For counts use wheel.fl.angle_rad with a scale"
-    elif signal.startswith("nav.") and words & ODOMETRY:
+    elif signal.startswith("nav.") and words & ODOMETRY and not words & TRUTH:
         note = (
             "   # computed from the wheel speeds? "
             "Then it shows none of their errors: leave it out"
@@ -184,7 +328,8 @@ def meanings(header: Sequence[str], row: Sequence[str]) -> list[set[str]]:
     found = []
     for name in header:
         words = words_of(name)
-        if name in numbered and words & _OF_WHEELS:
+        is_of_wheels = words & _OF_WHEELS and not words & {"linear", "angular", *_SEEN}
+        if name in numbered and is_of_wheels:
             match = numbered[name]
             digits = sorted(alike[match[1], match[3]])
             order = _ORDER.get(len(digits), ("",) * len(digits))
@@ -202,6 +347,10 @@ def words_of(name: str) -> set[str]:
 def _signals(words: set[str], unit: str) -> list[str]:
     """Return the signals that a column with these words may be; `unit` is that of a speed."""
     wheels = next((found for names, found in _WHEELS if words & names), ())
+    if not wheels and words & _OF_WHEELS:
+        wheels = next((found for name, found in _INITIALS.items() if name in words), ())
+    if words & _SEEN:
+        return []
     if wheels:
         for names, quantity in ((SENT, "setpoint_rpm"), (_DUTY, "duty_pct")):
             if words & names:
@@ -213,30 +362,16 @@ def _signals(words: set[str], unit: str) -> list[str]:
             f"wheel.{wheel}.{'angle_rad' if is_angle else 'speed_rpm'}"
             for wheel in wheels
         ]
-    if words & SENT and words & {"linear", "v", "x"}:
-        return ["twist.linear_m_s"]
-    if words & SENT and words & {"angular", "w", "z", "omega"}:
-        return ["twist.angular_rad_s"]
-    if words & _GYRO and not words & {"accel", "acc", "x", "y"}:
-        return [GYRO]
-    if words & _TURN:
-        return [YAW]
-    if words & _VOLTAGE:
-        return [VOLTAGE]
-    if words & {"x", "px", "posx"}:
-        return [NAV_X]
-    return [NAV_Y] if words & {"y", "py", "posy"} else []
+    for signal, needed, without in _RULES:
+        if all(words & some for some in needed) and not words & without:
+            return [signal] if signal else []
+    return []
 
 
 def _unit(name: str, signal: str) -> str:
     """Return the unit at the end of a column's name, as part of a line; or nothing."""
-    wanted = known_signals()[signal].unit
-    for pattern, meant in _UNITS:
-        found = re.search(pattern, name.lower())
-        unit = meant or (found[0].replace("mv", "mV") if found else "")
-        if found and unit != wanted and conversion(unit, wanted) is not None:
-            return f", unit: {unit}"
-    return ""
+    unit = unit_in_name(name, mapped_units()[signal])
+    return "" if unit is None or unit == mapped_units()[signal] else f", unit: {unit}"
 
 
 def quoted(name: str) -> str:

@@ -10,20 +10,39 @@ import yaml
 from hilserver.arrays import Array, Indices
 from hilserver.errors import LogError, meant, nearest
 from hilserver.logs import Log, read_log
-from hilserver.logs.csv_dialects import separator_of
+from hilserver.logs.csv_layout import CsvLayout, read_layout
 from hilserver.logs.csv_reader import NO_NAME, read_table
+from hilserver.logs.csv_times import kind_of
+from hilserver.logs.csv_writer import meta_path
 from hilserver.logs.provenance import configuration_of
 from hilserver.logs.table import BLOCK, SEGMENT, TIME, Table, in_time
+from hilserver.measured.candidates import has_wheels
+from hilserver.measured.evidence import table_samples
 from hilserver.measured.frames import (
     Sampling,
     frames_of,
     is_of_the_daemon,
     own_sampling,
 )
-from hilserver.measured.mapping import DATED, PER_SECOND, LogMapping
-from hilserver.measured.names import known_columns
-from hilserver.measured.parquet import read_parquet
-from hilserver.measured.proposal import ForeignLog, propose
+from hilserver.measured.mapping import PER_SECOND, LogMapping
+from hilserver.measured.names import (
+    conversion,
+    known_columns,
+    known_signals,
+    mapped_units,
+    unit_in_name,
+    unit_in_text,
+)
+from hilserver.measured.other_machines import refuse_other_machine
+from hilserver.measured.parquet import parquet_samples, read_parquet
+from hilserver.measured.proposal import (
+    ForeignLog,
+    Head,
+    candidates_of,
+    propose,
+    time_column,
+)
+from hilserver.measured.stamps import columns_of, refuse_coarse, times_of
 from hilserver.measured.thresholds import ABSURD
 
 
@@ -66,32 +85,71 @@ def read_own(path: Path, sampling: Sampling | None = None) -> Recording:
 
 
 def refuse_foreign(path: Path) -> None:
-    """Refuse a table without any signal as a column, with a mapping file that may fit it."""
+    """Refuse a table with columns that are no signals, with a mapping file that may fit it."""
     if path.suffix == ".parquet":
-        header, first = read_parquet(path, ()).header, []
-    elif path.suffix == ".csv":
-        with path.open("rb") as file:
-            rows = file.readline(1 << 20), file.readline(1 << 20)
-        try:
-            texts = [row.decode("utf-8-sig").rstrip("\r\n") for row in rows]
-        except UnicodeDecodeError:
+        header, of_columns, types = parquet_samples(path)
+        head = Head(header, (), of_columns, types)
+    elif path.suffix == ".csv" and not meta_path(path).exists():
+        layout = read_layout(path)
+        first = "" if layout is None else next(iter(layout.header), NO_NAME[0])
+        if layout is None or first.startswith((*NO_NAME, "\0")):
             return  # the reader will report it
-        separator = separator_of(texts[0])
-        header, first = (
-            [text.strip().strip('"') for text in row.split(separator)] for row in texts
-        )
+        _refuse_units(path, layout)
+        numbers = table_samples(path, layout, time_column(layout.header))
+        units = dict(zip(layout.header, layout.units, strict=False))
+        head = Head(layout.header, layout.first, numbers, {}, units, layout.header_row)
     else:
         return
-    if header[0].startswith(NO_NAME):
-        return  # the reader will report it
-    is_misspelt = any("." in name and nearest(name, known_columns()) for name in header)
-    if not is_misspelt and {*known_columns(), BLOCK, SEGMENT}.isdisjoint(header):
-        columns = ", ".join(f"'{name}'" for name in header)
-        if proposal := propose(header, first):  # else the reader will report the error
-            raise ForeignLog(
-                f"{path}: row 1: none of the columns {columns:.600} is a hilserver signal; name"
-                " them in a mapping file and give it with --mapping",
-                proposal,
+    known = (*known_columns(), TIME, SEGMENT, BLOCK)
+    others = [name for name in head.header if name and name not in known]
+    is_ours = not {*known_columns(), BLOCK, SEGMENT}.isdisjoint(head.header)
+    has_names = any(kind_of(name) == "" for name in others)
+    if not has_names and (others or is_ours):
+        return  # all is known, or there is no header, which the reader will report
+    if others:
+        _refuse(path, head, others, is_ours=is_ours)
+
+
+def _refuse(path: Path, head: Head, others: Sequence[str], *, is_ours: bool) -> None:
+    """Refuse a table with the columns `others`, which are no signals."""
+    at = f"{path}: row {head.row}"
+    found = candidates_of(head)
+    seen = [n for n in others if n not in head.numbers or head.numbers[n].moves]
+    joints = [text for text in head.first if text and not kind_of(text)]
+    refuse_other_machine(at, [*seen, *joints], (), has_wheels=has_wheels(found))
+    proposal = propose(head)
+    if not proposal and TIME in head.header:
+        return  # the reader names the first of them, and what may be meant
+    columns = ", ".join(f"'{name}'" for name in others)
+    remedy = "name them in a mapping file and give it with --mapping"
+    near = next((n for n in others if "." in n and nearest(n, known_columns())), None)
+    if near is not None:
+        place = f"column {head.header.index(near) + 1} '{near:.60}'"
+        hint = meant(near, known_columns(), "")
+        what = f"{at}, {place}: there is no such signal; {hint} Else {remedy}"
+    elif is_ours and TIME not in head.header:
+        what = (
+            f"{at}: there is no column '{TIME}'; give the time column this name, in s, or map it"
+            " with --mapping"
+        )
+    elif is_ours:
+        what = f"{at}: the columns {columns:.600} are no hilserver signals; {remedy}"
+    else:
+        what = (
+            f"{at}: none of the columns {columns:.600} is a hilserver signal; {remedy}"
+        )
+    raise ForeignLog(what, proposal)
+
+
+def _refuse_units(path: Path, layout: CsvLayout) -> None:
+    """Refuse a row of units that contradicts the names of our signals."""
+    for name in known_signals().keys() & set(layout.header):
+        wanted = mapped_units()[name]
+        said = unit_in_text(layout.unit(name), wanted)
+        if said not in (None, wanted):
+            raise LogError(
+                f"{path}: column '{name}': the row of units says {said}, the name {wanted};"
+                " correct the one that is wrong, or give the column another name and map it"
             )
 
 
@@ -120,7 +178,7 @@ def _own(log: Log, sampling: Sampling | None) -> Recording:
 
 def log_of_parquet(path: Path) -> tuple[Log, Table]:
     """Return a Parquet table as a log, and its rows, whose places complaints name."""
-    table = read_parquet(path)
+    table = read_parquet(path, time=TIME)
     if TIME not in table.header:
         raise LogError(
             f"{path}: there is no column 't_s'; give the time column this name, in s, or map it"
@@ -130,9 +188,8 @@ def log_of_parquet(path: Path) -> tuple[Log, Table]:
     table = in_time(table, TIME)
     columns = {name: table.column(name) for name in names}
     block = table.integers(BLOCK)
-    log = Log(
-        path, table.column(TIME), table.segment(), columns, block, notices=table.notices
-    )
+    t_s = table.column(TIME) * PER_SECOND[table.units.get(TIME, "s")]
+    log = Log(path, t_s, table.segment(), columns, block, notices=table.notices)
     return log, table
 
 
@@ -155,39 +212,47 @@ def read_mapped(path: Path, mapping: LogMapping) -> Recording:
         default if named is None else named.column
         for named, default in ((mapping.segment, SEGMENT), (mapping.block, BLOCK))
     )
-    used = {str(channel.column) for channel in mapping.channels.values()}
-    used |= {segment, block, *([] if time is None else [time])}
     is_parquet = path.suffix == ".parquet"
-    dated = mapping.time.unit == DATED and time is not None
-    if is_parquet and dated:
-        raise LogError(
-            f"{path}: Parquet has numbers or time stamps but no dates; give their unit, as"
-            " time: {unit: us}"
-        )
+    layout = None if is_parquet else read_layout(path)
+    header: Sequence[str] = []
+    first: Sequence[str] = ()
+    if is_parquet:
+        header = read_parquet(path, ()).header
+    elif layout is not None:
+        header, first = layout.header, layout.first
+    stamps = columns_of(time or "", mapping.time.rest, header, first)
+
+    used = {str(channel.column) for channel in mapping.channels.values()}
+    used |= {segment, block} | {n for n in (time, stamps.rest) if n is not None}
     table = (
-        read_parquet(path, used)
+        read_parquet(path, used, time)
         if is_parquet
-        else read_table(path, time=time, used=used, dated=dated)
+        else read_table(path, time=time, used=used, rest=stamps.rest, layout=layout)
     )
     for key, column, is_named in (
         ("time", str(time), time is not None),
+        ("time.rest", str(stamps.rest), stamps.rest is not None),
         (SEGMENT, segment, mapping.segment is not None),
         (BLOCK, block, mapping.block is not None),
     ):
         if is_named:
             _demand(table, column, key)
     if time is not None:
+        table, per_second = times_of(table, stamps, mapping.time)
+        rows = len(table.lines)
         table = in_time(table, time, segment, block)
-        t_s = table.column(time) * PER_SECOND[mapping.time.unit]
+        refuse_coarse(path, time, rows, table)
+        t_s = table.column(time) * per_second
     else:
         t_s = _counted(table.segment(segment), float(mapping.time.rate_hz or 1.0))
+    notices = list(table.notices)
     columns = {
-        name: _mapped(table, mapping, name)
+        name: _mapped(table, mapping, name, notices)
         for name, channel in mapping.channels.items()
         if not channel.optional or channel.column in table.header
     }
     part = Stamped(t_s, table.segment(segment), columns, table.integers(block))
-    return Recording(path, [part], time is not None, table.notices)
+    return Recording(path, [part], time is not None, list(dict.fromkeys(notices)))
 
 
 def _counted(segment: Indices, rate_hz: float) -> Array:
@@ -204,15 +269,31 @@ def _demand(table: Table, column: str, key: str) -> None:
             column, table.header, f"the columns are {', '.join(table.header):.200}"
         )
         raise LogError(
-            f"{table.path}: row 1: there is no column '{column}', which the mapping names for"
-            f" {key}; {hint}"
+            f"{table.path}: row {table.header_row}: there is no column '{column}', which the"
+            f" mapping names for {key}; {hint}"
         )
 
 
-def _mapped(table: Table, mapping: LogMapping, name: str) -> Array:
-    column = str(mapping.channels[name].column)
+def _mapped(table: Table, mapping: LogMapping, name: str, notices: list[str]) -> Array:
+    """Return a column as a signal, in the unit that the mapping, else the file says."""
+    channel, wanted = mapping.channels[name], mapped_units()[name]
+    column = str(channel.column)
     _demand(table, column, name)
-    return as_signal(mapping, name, table.column(column), column, table.where)
+    in_row = unit_in_text(table.units.get(column, ""), wanted)
+    said = in_row or unit_in_name(column, wanted)
+    if channel.unit is None and channel.scale is None and said not in (None, wanted):
+        notices.append(
+            f"{table.path}: column '{column}' is read in {said}, as the file says"
+        )
+    elif None not in (channel.unit, in_row) and conversion(
+        str(channel.unit), str(in_row)
+    ) not in (1.0, None):
+        notices.append(
+            f"{table.path}: column '{column}' is read in {channel.unit}, as the mapping says,"
+            f" though its row of units says {in_row}"
+        )
+    values = table.column(column)
+    return as_signal(mapping, name, values, column, table.where, said)
 
 
 def as_signal(
@@ -221,11 +302,17 @@ def as_signal(
     values: Array,
     at: str,
     where: Callable[[int, str], str],
+    said: str | None = None,
 ) -> Array:
-    """Return the numbers of a foreign log as a signal; LogError if one is impossibly large."""
+    """Return the numbers of a foreign log as a signal; LogError if one is impossibly large.
+
+    `said`: the unit that the file says, for a channel without one.
+    """
     refuse_absurd(values, at, where)
     with np.errstate(over="ignore"):
-        converted: Array = values * mapping.factor(name) + mapping.channels[name].offset
+        converted: Array = (
+            values * mapping.factor(name, said) + mapping.channels[name].offset
+        )
     refuse_absurd(converted, at, lambda row, at: f"{where(row, at)}, as {name}")
     return converted
 

@@ -5,6 +5,7 @@ import errno
 import itertools
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,8 +34,11 @@ def recording(tmp_path_factory):
         "  - {at_s: 0.1, write: {wheels.setpoints_rpm: [40, 40, -30, -30]}}\n"
         "  - {at_s: 0.5, write: {wheels.setpoints_rpm: [20, 20, -50, -50]}}\n"
     )
+    config = folder / "config.yaml"
+    config.write_text("sensors: {nav: {enabled: true}}\n")
     path = folder / "drive.mcap"
-    assert commands.main(["simulate", str(scenario), "-o", str(path)]) == 0
+    words = ["simulate", str(scenario), "-c", str(config), "-o", str(path)]
+    assert commands.main(words) == 0
     return path
 
 
@@ -199,13 +203,15 @@ def test_eduarts_topics_are_the_signals_rounded_to_float32(recording, tmp_path):
     convert(tmp_path / "bag", tmp_path / "mapped.csv", "--mapping", "iotbot")
     ours, theirs = read_log(recording), read_log(tmp_path / "mapped.csv")
     for name in (*WHEELS, "wheel.fl.setpoint_rpm", "battery.voltage_v"):
+        values = theirs.columns[name]
         expected = ours.columns[name][::20].astype(np.float32).astype(float)
-        np.testing.assert_array_equal(theirs.columns[name], expected, err_msg=name)
-    for name in ("imu.gyro_z_rad_s", "nav.x_m"):
-        np.testing.assert_array_equal(theirs.columns[name], ours.columns[name][::20])
-    np.testing.assert_allclose(
-        theirs.columns["nav.yaw_rad"], ours.columns["nav.yaw_rad"][::20]
-    )
+        sent = values[np.isfinite(values)]
+        np.testing.assert_array_equal(sent, expected, err_msg=name)
+    every = {"imu.gyro_z_rad_s": 20, "nav.x_m": 50, "nav.yaw_rad": 50}
+    for name, ticks in every.items():
+        values = theirs.columns[name]
+        sent = values[np.isfinite(values)]
+        np.testing.assert_allclose(sent, ours.columns[name][::ticks], atol=1e-15)
 
 
 def test_driven_by_a_twist_the_target_is_what_the_wheels_are_asked_to_do(tmp_path):
@@ -241,6 +247,54 @@ def test_the_recording_of_the_thesis_maps_the_targets(recording, tmp_path):
     np.testing.assert_array_equal(
         log.columns["wheel.fl.speed_rpm"], log.columns["wheel.fl.setpoint_rpm"]
     )
+
+
+def test_a_recording_is_no_fault_to_the_mapping_of_its_own_topics(recording, tmp_path):
+    """The tag measures 20 times a second and is written as often: no sample is held."""
+    convert(recording, tmp_path / "bag")
+    log = read_measured([tmp_path / "bag"], "iotbot")
+    assert np.allclose(np.diff(log["nav.x_m"].t_s), 0.05)
+    with Reader(tmp_path / "bag") as reader:
+        counts = {c.topic: c.msgcount for c in reader.connections}
+    assert counts["/poseStamped"] == math.ceil(len(read_log(recording)) / 50)
+
+
+def test_ticks_that_a_recording_leaves_out_cost_no_messages(recording, tmp_path):
+    log = read_log(recording)
+    some = slice(None, None, 3)
+    columns = {name: values[some] for name, values in log.columns.items()}
+    status = {name: words[some] for name, words in log.status.items()}
+    thin = replace(
+        log,
+        t_s=log.t_s[some],
+        segment=log.segment[some],
+        columns=columns,
+        status=status,
+    )
+    writing.write_log(thin, tmp_path / "bag", "mcap")
+    with Reader(tmp_path / "bag") as reader:
+        counts = {c.topic: c.msgcount for c in reader.connections}
+    assert counts["/iotbot/rpm/return"] == math.ceil(len(log) / 20)
+
+
+def test_nothing_is_made_up_for_what_a_log_does_not_hold(tmp_path):
+    """Neither a temperature of nobody, nor a pose where the tag was out of sight."""
+    rows = "".join(
+        f"{0.05 * i},20.0,{0.1 * i if i % 4 == 0 else ''},{0.2 * i if i % 2 == 0 else ''},0.0\n"
+        for i in range(12)
+    )
+    header = "t_s,battery.voltage_v,nav.x_m,nav.y_m,nav.yaw_rad"
+    (tmp_path / "0.csv").write_text(f"{header}\n{rows}")
+    convert(tmp_path / "0.csv", tmp_path / "bag")
+    with AnyReader([tmp_path / "bag"]) as reader:
+        topics = {c.topic: c for c in reader.connections}
+        poses = [
+            reader.deserialize(data, c.msgtype).pose.position.x
+            for c, _, data in reader.messages([topics["/poseStamped"]])
+        ]
+    assert "/iotbot/temperature" not in topics
+    assert topics["/iotbot/battery"].msgcount == 12
+    assert poses == pytest.approx([0.0, 0.4, 0.8])
 
 
 def test_every_row_of_others_is_a_message(tmp_path):

@@ -110,18 +110,12 @@ def test_dates_are_stamps(tmp_path, form, comma):
     assert log[SPEED].t_s[0] == 0.0
 
 
-def test_what_is_no_date_is_named_and_a_date_without_mapping_too(tmp_path):
+def test_what_is_no_date_is_named(tmp_path):
     mapping = "time: {column: when, unit: iso}\n" + LEFT
     with pytest.raises(
         LogError, match="row 3, column 1 'when': 'noon' is not a date with a time"
     ):
         measured(tmp_path, "when,left\n2026-11-25T12:00:00,1\nnoon,2\n", mapping)
-    path = tmp_path / "log.csv"
-    path.write_text(f"t_s,{SPEED}\n2026-11-25T12:00:00,1\n")
-    with pytest.raises(
-        LogError, match=r"row 2, .* a mapping reads dates, as time: \{unit: iso\}"
-    ):
-        read_measured([path])
 
 
 def test_rows_that_complete_each_other_are_one_row(tmp_path):

@@ -5,11 +5,16 @@ import yaml
 
 from hilserver.commands import main
 from hilserver.errors import LogError
+from hilserver.measured import proposal
 from hilserver.measured.mapping import load_mapping
-from hilserver.measured.proposal import ForeignLog, propose
+from hilserver.measured.proposal import ForeignLog, Head
 from hilserver.measured.reading import read_measured
 
 FOREIGN = "time_ms,left_rad_s,right_rad_s,cmd_left_rpm,cmd_right_rpm,x,y,heading_deg,gyro_z,vbat"
+
+
+def propose(header, row=()):
+    return proposal.propose(Head(header, row))
 
 
 def write(path, header=FOREIGN):
@@ -120,7 +125,9 @@ def test_numbered_columns_are_wheels_in_order(names, expected):
 
 
 def test_numbers_that_are_no_wheels_stay_what_they_are():
-    assert channels_of(propose(["t", "x1", "x2"])) == {"nav.x_m": "x1"}
+    found = channels_of(propose(["t", "x1", "x2", "y1"]))
+    assert found == {"nav.x_m": "x1", "nav.y_m": "y1"}
+    assert propose(["t", "x1", "x2"]) == ""  # half a position is none
 
 
 def test_the_first_row_names_the_joints_and_the_unit_of_time(tmp_path):
@@ -158,7 +165,7 @@ def test_the_proposal_has_a_plant_and_warns_of_what_it_cannot_know():
     assert "2 pi / counts per revolution" in said["wheel.fl.angle_rad"]
     assert "rpm?" in said["wheel.fr.speed_rpm"]
     assert "computed from the wheel speeds?" in said["nav.x_m"]
-    assert not said["nav.yaw_rad"]
+    assert said["nav.yaw_rad"] == " by its name"
     assert not said["time"]
 
 
