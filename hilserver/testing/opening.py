@@ -34,8 +34,9 @@ async def open_hil(
     *,
     faults: Sequence[str] = (),
     scenario: Path | None = None,
+    test_folder: Path | None = None,
 ) -> AsyncIterator[Hil]:
-    """Run a daemon for one test.
+    """Run a daemon for one test, whose file is in `test_folder`.
 
     Sections replace those of `_DEFAULTS`; `faults` are defects of the shield from the start.
     ConfigError has one sentence with file, line and key.
@@ -47,7 +48,7 @@ async def open_hil(
     assembly = assemble_config(for_test(read, mode), folder)
     play = None if scenario is None else Play(load_scenario(scenario), scenario)
     daemon = Daemon(assembly, play=play, paused=mode == "virtual")
-    hil = Hil(daemon, mode)
+    hil = Hil(daemon, mode, test_folder)
     if faults:
         hil.inject(*faults)
     async with hil.running():

@@ -269,6 +269,7 @@ def _wishes(request: pytest.FixtureRequest, given: Any) -> dict[str, Any]:
     return {
         "config": _config(marked.get("config") or given, config, here),
         "mode": mode,
+        "test_folder": here,
         "faults": config.getoption("--hil-fault") or (),
         "scenario": _path(marked.get("scenario"), here)
         or _path(config.getoption("--hil-scenario"), config.invocation_params.dir),
