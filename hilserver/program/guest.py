@@ -87,7 +87,7 @@ async def guest(
             preexec_fn=partial(end_with_parent, os.getpid()),
             **options,
         )
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, TypeError) as error:
         why = (getattr(error, "strerror", None) or str(error)).lower()
         raise NotStarted(
             f"the controller '{command[0]}' cannot be started: {why}"

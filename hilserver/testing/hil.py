@@ -5,7 +5,12 @@ import inspect
 import math
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
-from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
+from contextlib import (
+    AbstractAsyncContextManager,
+    AsyncExitStack,
+    asynccontextmanager,
+    closing,
+)
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
@@ -20,13 +25,14 @@ from hilserver.program.guest import Guest, NotStarted, filled, guest
 from hilserver.signals import Signal
 from hilserver.testing.journal import Journal
 from hilserver.testing.lockstep import (
-    WAIT_FOR_STEP_S,
     REMEDY,
+    WAIT_FOR_STEP_S,
     Lockstep,
     NotInStep,
     outsider,
 )
 from hilserver.testing.tap import Capture, Tap
+from hilserver.testing.tape import Tape
 
 __tracebackhide__ = True  # pytest then shows the failing line of the test
 Mode = Literal["virtual", "realtime"]
@@ -52,6 +58,12 @@ class Sample:
     value: float
     tick: int
     time_s: float
+
+
+def _check_time(what: str, seconds: Any) -> None:
+    is_number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
+    if not (is_number and 0.0 < seconds < math.inf):
+        raise HilError(f"{what} is a time above 0 s, not {seconds!r}")
 
 
 def _to_await(
@@ -82,13 +94,14 @@ class Hil:
             mode  # ``virtual``: time stands still between steps. ``realtime``: it runs
         )
         self.source = daemon.gate.owner
-        self.tap = Tap(daemon.image)
+        self.tap, self.tape = Tap(daemon.image), Tape(daemon)
         self.journal = Journal()
         self._period_s = daemon.assembly.base_period_ns * 1e-9
         self._chunk = max(1, daemon.config.image.ring_frames // 2)
         self._calls: list[Any] = []  # coroutines
         self._lockstep: Lockstep | None = None  # while a controller steps
         self._controller: Guest | None = None
+        self._insiders: set[object] = set()  # clients of this process
         self._controllers_made = self._controllers_begun = 0
 
     # --- time -------------------------------------------------------------------------------------
@@ -116,18 +129,21 @@ class Hil:
             ticks = min(n, self._chunk)
             await self._advance(ticks)
             self.tap.drain()
+            await self.tape.keep_up()
             n -= ticks
 
     async def _advance(self, n: int) -> None:
         """Let `n` ticks of virtual time pass."""
         self._check_runs()
         if self._lockstep is None:
-            if address := outsider(self.daemon.gate.present):
+            strangers = self.daemon.gate.present - self._insiders
+            if address := outsider(strangers):
                 raise HilError(
                     f"a controller in another process ({address}) commands the robot, which does"
                     " not wait for it: run it by 'async with hil.controller(...)', where it calls"
                     f" Step; {REMEDY}"
                 )
+            self._insiders |= strangers
             await self.daemon.scheduler.advance(n)
             return
         try:
@@ -138,6 +154,7 @@ class Hil:
     @_to_await
     async def run_for(self, seconds: float) -> None:
         """Advance by simulated `seconds`, rounded to ticks."""
+        _check_time("run_for", seconds)
         await self.step(max(1, round(seconds / self._period_s)))
 
     async def _wait_ticks(self, n: int) -> None:
@@ -253,6 +270,12 @@ class Hil:
         the last value.
         """
         timeout_s = timeout_s if timeout is None else timeout
+        _check_time("the timeout of wait_for", timeout_s)
+        if not callable(predicate):
+            raise HilError(
+                "wait_for takes a function of the value, such as lambda x: x > 1, not"
+                f" {predicate!r}"
+            )
         slot = self._slot(signal)
         self.tap.drain()
         frame = self.daemon.image.latest()
@@ -276,6 +299,7 @@ class Hil:
     async def _next_frames(self) -> list[Frame]:
         if self.mode == "virtual":
             await self._advance(1)
+            await self.tape.keep_up()
         else:
             self._check_runs()
             await asyncio.sleep(WATCH_EVERY_S)
@@ -403,13 +427,14 @@ class Hil:
     @asynccontextmanager
     async def running(self) -> AsyncIterator[Self]:
         """Run the daemon while the context lasts."""
-        async with self.daemon:
-            job = self.daemon.core.tasks.every("tap", DRAIN_EVERY_S, self._drain)
-            try:
-                await self.step(1)
-                yield self
-            finally:
-                job.cancel()
+        with closing(self.tape):
+            async with self.daemon:
+                job = self.daemon.core.tasks.every("tap", DRAIN_EVERY_S, self._drain)
+                try:
+                    await self.step(1)
+                    yield self
+                finally:
+                    job.cancel()
 
     def check_awaited(self) -> None:
         """HilError if a call was not awaited, or a controller not begun."""
@@ -435,6 +460,7 @@ class Hil:
             if inspect.getcoroutinestate(c) == inspect.CORO_CREATED
         ]
 
-    def _drain(self) -> None:
+    async def _drain(self) -> None:
         if self.mode == "realtime":
             self.tap.drain()
+            await self.tape.keep_up()

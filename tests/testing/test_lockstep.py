@@ -3,13 +3,16 @@
 import asyncio
 import contextlib
 import hashlib
+import re
 import sys
 from pathlib import Path
 
 import pytest
 
+from hilserver.__main__ import main
 from hilserver.program.children import python, started
 from hilserver.testing.hil import HilError
+from hilserver.testing.keep import command, keep
 from hilserver.testing.opening import open_hil
 
 HERE = Path(__file__).parent
@@ -52,6 +55,20 @@ async def test_every_repeat_is_equal_however_the_test_steps():
     ways = [(1500,), (1500,), (1500,), (7, 1, 41, 1451), (50,) * 30]
     hashes = {bits for _, bits in await asyncio.gather(*(drive("", w) for w in ways))}
     assert len(hashes) == 1
+
+
+async def test_what_failed_replays_without_its_controller(tmp_path, capsys):
+    async with open_hil(OPCUA, "virtual") as hil:
+        async with hil.controller(*CONTROLLER, "limit"), hil.capture(RATE) as trace:
+            hil.force("battery.voltage_v", 9.5)
+            await hil.step(300)
+        margin = trace.margins(REQUIRE[2])["keeps its limit"]
+        words = command(hil, keep(hil, tmp_path, "failed")).split()
+    assert margin < 0.0
+    assert await asyncio.to_thread(main, words[1:]) == 1
+    said = capsys.readouterr().out
+    assert "of 301 ticks are equal, bit for bit" in said
+    assert re.search(rf"NOT MET +{re.escape(f'{margin:.6g}')}  keeps its", said)
 
 
 @pytest.mark.long
