@@ -11,7 +11,15 @@ from contextlib import closing
 from pathlib import Path
 from typing import Final
 
-from hilserver.commands.options import add_config, add_mapping, add_out, add_patch, warn
+from hilserver.commands.judging import DriveJudge
+from hilserver.commands.options import (
+    add_config,
+    add_mapping,
+    add_out,
+    add_patch,
+    number,
+    warn,
+)
 from hilserver.commands.patching import assembled, patch_of
 from hilserver.core.snapshot import read_snapshot
 from hilserver.daemon.assembly import Assembly
@@ -38,6 +46,7 @@ from hilserver.replay import (
 )
 from hilserver.replay.origin import mapped_inputs
 
+LONGEST_S: Final = 86_400.0
 EXAMPLE = "hilserver replay run.mcap -o again.csv"
 
 
@@ -67,15 +76,35 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="exit with code 1 if the outputs differ from those in the log by a single bit",
     )
+    parser.add_argument(
+        "--require",
+        type=Path,
+        metavar="FILE",
+        help="requirements that the drive must meet, as in a sweep; exit code 1 if it does not",
+    )
+    parser.add_argument(
+        "--between",
+        type=number(0.0, LONGEST_S, f"time (0 .. {LONGEST_S:g} s)"),
+        nargs=2,
+        metavar="S",
+        help="with --require: judge only from the first to the second simulated time [s]",
+    )
 
 
-AS_INPUTS: Final = {"as_inputs": True, "check": False, "start": None}
+AS_INPUTS: Final = {
+    "as_inputs": True,
+    "check": False,
+    "start": None,
+    "between": None,
+}
 """Options of a replay of set-points alone."""
 
 
 def run(args: argparse.Namespace) -> int:
     """Replay; return 0, or 1 if ``--check`` finds a difference."""
     check_suffix(args.out)
+    if args.between is not None and args.require is None:
+        raise FailedError("--between says what --require judges: give a file with it")
     if args.out.exists() and args.log.exists() and args.out.samefile(args.log):
         raise FailedError(
             f"{args.out}: is the log itself; choose another file for the replay"
@@ -108,6 +137,12 @@ class _Replay:
     def __init__(self, args: argparse.Namespace, log: Log, assembly: Assembly) -> None:
         self._args, self._log, self._assembly = args, log, assembly
         self._exact = log.is_ours and not args.as_inputs
+        between_s = tuple(args.between or (0.0, LONGEST_S))
+        self._judge = (
+            None
+            if args.require is None
+            else DriveJudge(assembly, args.require, between_s)
+        )
         if args.start is not None and not self._exact:
             raise LogError(
                 f"{log.path}: a snapshot only fits a recording of the same run"
@@ -133,7 +168,9 @@ class _Replay:
             f"replayed {plan.n_ticks} ticks ({simulated:.3f} s) in {seconds:.2f} s into"
             f" {self._args.out}"
         )
-        return self._tell(comparison)
+        code = self._tell(comparison)
+        is_met = self._judge is None or self._judge.passed()
+        return code if is_met else EXIT_FAILED
 
     def _plan(self, engine: Engine) -> Plan:
         log, assembly = self._log, self._assembly
@@ -193,6 +230,8 @@ class _Replay:
                     writer.write(batch)
                     if comparison is not None:
                         comparison.add(batch)
+                    if self._judge is not None:
+                        self._judge.add(batch)
                     done += len(batch.frames)
                     progress("replaying", done / plan.n_ticks)
         return time.monotonic() - began_s

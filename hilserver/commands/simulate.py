@@ -8,10 +8,8 @@ import argparse
 import asyncio
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hilserver.commands import replay
+from hilserver.commands.judging import DriveJudge
 from hilserver.commands.options import (
     add_config,
     add_mapping,
@@ -23,12 +21,10 @@ from hilserver.commands.patching import assembled
 from hilserver.daemon.assembly import Assembly
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError, reason
 from hilserver.faults.scenario import Play, load_scenario
-from hilserver.logs import Segmented
 from hilserver.logs.writing import check_suffix
 from hilserver.monitoring.logging_setup import setup_logging
 from hilserver.program.progress import Progress
 from hilserver.replay.simulation import Simulation
-from hilserver.requirements import Drive, Judge, load_requirements
 
 EXAMPLE = "hilserver simulate drive.yaml -o drive.mcap"
 SCENARIOS = (".yaml", ".yml")
@@ -74,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     check_suffix(args.out)
     play = Play(load_scenario(args.scenario), args.scenario)
     assembly = assembled(args)
-    verdict = None if args.require is None else DriveVerdict(assembly, args.require)
+    verdict = None if args.require is None else DriveJudge(assembly, args.require)
     setup_logging("ERROR")
     try:
         asyncio.run(
@@ -91,37 +87,12 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_DONE if verdict is None or verdict.passed() else EXIT_FAILED
 
 
-class DriveVerdict:
-    """Requirements of a file, and the values of the drive that they need."""
-
-    def __init__(self, assembly: Assembly, path: Path) -> None:
-        self._judge = Judge(load_requirements(path), assembly.table, path)
-        self._period_s = assembly.base_period_ns * 1e-9
-        self._slots = [assembly.table.slot(name) for name in self._judge.signals]
-        self._values: list[NDArray[np.float64]] = []
-
-    def add(self, batch: Segmented) -> None:
-        """Keep the values that the requirements need."""
-        self._values.append(batch.frames.values[:, self._slots])
-
-    def passed(self) -> bool:
-        """Print every margin; return whether all requirements are met."""
-        values = np.concatenate(self._values)
-        drive = Drive(
-            self._period_s, dict(zip(self._judge.signals, values.T, strict=True))
-        )
-        margins = self._judge.margins(drive)
-        for name, margin in margins.items():
-            print(f"{'met' if margin >= 0.0 else 'NOT MET':8}{margin:12.6g}  {name}")
-        return all(margin >= 0.0 for margin in margins.values())
-
-
 async def _play(
     assembly: Assembly,
     play: Play,
     duration_s: float,
     out: Path,
-    verdict: DriveVerdict | None,
+    verdict: DriveJudge | None,
 ) -> None:
     period_s = assembly.base_period_ns * 1e-9
     n_ticks, done = max(round(duration_s / period_s), 1), 0

@@ -36,6 +36,12 @@ _WANTED = {
     "bool_parsing": "true or false",
 }
 """Kinds of errors of pydantic, in words that suit a configuration file."""
+_LENGTHS = {
+    "too_short": "a list with {min_length} or more entries",
+    "too_long": "a list with at most {max_length} entries",
+    "string_too_short": "a text of {min_length} or more characters",
+    "string_too_long": "a text of at most {max_length} characters",
+}
 _SECTIONS = ("model_type", "dict_type", "tuple_type", "list_type")
 
 
@@ -45,23 +51,38 @@ def load(path: Path, model: type[Model], most_bytes: int = MAX_BYTES) -> Model:
     ConfigError has one line per complaint: file, line, key, what is wrong, what to write instead.
     """
     root = _parse(path, most_bytes)
-    data = _construct(path, root)
-    try:
-        result = model.model_validate(data)
-        complaints = [
-            (location, f"{_key(location)}: {value} is not valid; it should be a number")
-            for location, value in _booleans(data, result)
-        ]
-    except ValidationError as error:
-        errors = error.errors(include_url=False)[:MAX_COMPLAINTS]
-        complaints = [(e["loc"], _sentence(model, e)) for e in errors]
-    if complaints:
-        lines = [
-            f"{path}:{_line(root, loc)}: {text}"
-            for loc, text in complaints[:MAX_COMPLAINTS]
-        ]
+    result, complaints = _judged(model, _construct(path, root))
+    if result is None or complaints:
+        lines = [f"{path}:{_line(root, loc)}: {text}" for loc, text in complaints]
         raise ConfigError("\n".join(lines))
     return result
+
+
+def checked(model: type[Model], data: Any, what: str = "") -> Model:
+    """Return data of a program, which has no file; ConfigError says the same of it as of a file.
+
+    `what` begins the sentence.
+    """
+    result, complaints = _judged(model, data)
+    if result is None or complaints:
+        raise ConfigError(what + complaints[0][1])
+    return result
+
+
+def _judged(
+    model: type[Model], data: Any
+) -> tuple[Model | None, list[tuple[Path_, str]]]:
+    """Return the model if it can be made, and what is wrong: locations and sentences."""
+    try:
+        result = model.model_validate(data)
+    except ValidationError as error:
+        errors = error.errors(include_url=False)[:MAX_COMPLAINTS]
+        return None, [(e["loc"], _sentence(model, e)) for e in errors]
+    complaints = [
+        (location, f"{_key(location)}: {value} is not valid; it should be a number")
+        for location, value in _booleans(data, result)
+    ]
+    return result, complaints[:MAX_COMPLAINTS]
 
 
 def place(path: Path | None, location: Path_) -> str:
@@ -297,6 +318,8 @@ def _sentence(model: type[BaseModel], error: Any) -> str:
     if kind == "string_pattern_mismatch":
         message = f"text that matches {error['ctx']['pattern']}"
     wanted = _WANTED.get(kind, message)
+    if kind in _LENGTHS:
+        wanted = _LENGTHS[kind].format_map(error["ctx"])
     if wanted == "a number" and "," in str(error["input"]):
         wanted += " with a decimal point"
     return f"{key}: {error['input']!r:.60} is not valid; it should be {wanted}"

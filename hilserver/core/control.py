@@ -6,8 +6,9 @@ Uncertain. Only Reset ends it, and only when its cause is gone.
 """
 
 import time
-from collections.abc import Callable
-from typing import Final
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Final, Protocol
 
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.core.inputs import InputGate
@@ -25,6 +26,22 @@ WAITING: Final = (
 DRIVING_ON: Final = (
     "automatic sources drive on without Start (control.after_reset: continue)"
 )
+
+
+class Timekeeper(Protocol):
+    """Who lets simulated time pass: the scheduler, or a test that stands above it."""
+
+    def resume(self) -> None:
+        """Let time pass freely."""
+
+    def pause(self) -> None:
+        """Let time stand still."""
+
+    def step(self, n: int) -> None:
+        """Let `n` ticks pass, then stand still."""
+
+    def set_speed(self, factor: float) -> None:
+        """Let time pass at `factor` times real time."""
 
 
 class Control:
@@ -56,12 +73,23 @@ class Control:
         self._image = image
         self._gate = gate
         self._events = events
-        self._scheduler = scheduler
+        self._time: Timekeeper = scheduler
+        self._stands = False  # between two steps, in every state
         self._snapshots = snapshots
         self._causes: dict[str, str] = {}
         self._stop_taken = 0
         self._pose_requests = 0.0
         snapshots.restored.append(self._adopt_interlock)
+
+    @contextmanager
+    def time_kept_by(self, keeper: Timekeeper) -> Iterator[None]:
+        """Let `keeper` say when time passes; it stands between steps, so every state takes Step."""
+        before = self._time, self._stands
+        self._time, self._stands = keeper, True
+        try:
+            yield
+        finally:
+            self._time, self._stands = before
 
     def _go(self, state: State, reason: str) -> None:
         if state is self.state and reason == self.reason:
@@ -95,14 +123,14 @@ class Control:
     def start(self) -> None:
         """Resume after a pause; after a safe state, let automatic sources drive again."""
         state = self._next(Command.START)
-        self._scheduler.resume()
+        self._time.resume()
         self._gate.interlock.release()
         self._go(state, state.word)
 
     def pause(self) -> None:
         """Stop the plant at the next tick; inputs and outputs stay visible."""
         state = self._next(Command.PAUSE)
-        self._scheduler.pause()
+        self._time.pause()
         self._gate.end()
         self._go(state, state.word)
 
@@ -110,8 +138,9 @@ class Control:
         """Run exactly `n` ticks, then pause again."""
         if not 1 <= n <= 1_000_000:
             raise ValueError(f"Step takes 1 to 1000000 ticks, not {n}")
-        self._next(Command.STEP)
-        self._scheduler.step(n)
+        if not self._stands:
+            self._next(Command.STEP)
+        self._time.step(n)
 
     def stop(self) -> None:
         """Emergency stop: go to the safe state."""
@@ -137,7 +166,7 @@ class Control:
         if state is self.state:
             return
         if self.state is State.PAUSED:
-            self._scheduler.resume()
+            self._time.resume()
         self._gate.may_fall_back = False
         self._go(state, reason)
 
@@ -245,7 +274,7 @@ class Control:
         """Run at `factor` times real time (0.01 .. 100)."""
         if not 0.01 <= factor <= 100:
             raise ValueError(f"the speed factor must be 0.01 to 100, not {factor}")
-        self._scheduler.set_speed(factor)
+        self._time.set_speed(factor)
         self.speed = factor
         self._speed_changed(factor)
 

@@ -4,6 +4,7 @@ import itertools
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.errors import ControlRefused
@@ -80,6 +81,8 @@ class Faults:
         self._leaving: dict[
             int, int
         ] = {}  # number: it is gone once this many commands are taken
+        # called with every command, in plain data: {"inject": [...], "start_tick"} or {"clear"}
+        self.watchers: list[Callable[[Mapping[str, Any]], None]] = []
         # A restored state brings modifiers of earlier runs along: none may have the same number.
         self._numbers = itertools.count(time.time_ns())
 
@@ -104,6 +107,8 @@ class Faults:
             commands += [Command(lay.OP_ADD, number, entry) for entry in entries]
             notes[number] = _note(fault, entries, self._mailbox.head + len(commands))
         self._send(commands, notes)
+        given = [f.model_dump(exclude_none=True, exclude_defaults=True) for f in parsed]
+        self._watched({"inject": given, "start_tick": start_tick})
         for fault in parsed:
             if fault.peer is not None:
                 self._line(fault.peer).inject(fault)
@@ -135,6 +140,7 @@ class Faults:
             self._forget(lambda note: note.fault.fault != FORCE)
             for line in self._lines.values():
                 line.clear()
+            self._watched({"clear": None})
             self._tell("all faults cleared", 300)
             return
         on_line = [line for line in self._lines.values() if line.clear(name)]
@@ -146,6 +152,7 @@ class Faults:
         self._mailbox.send(removals)
         self._leave(command.number for command in removals)
         self._forget(lambda note: note.fault.title == name)
+        self._watched({"clear": name})
         self._tell(f"fault cleared: {name}", 300)
 
     def force(self, signal: str, value: float) -> None:
@@ -310,6 +317,10 @@ class Faults:
         )
         name = kind.name.lower()
         return _shown(f"{name}:{place}", name, place, entry, tick)
+
+    def _watched(self, command: Mapping[str, Any]) -> None:
+        for watcher in self.watchers:
+            watcher(command)
 
     def _tell(self, text: str, severity: int) -> None:
         self._events.publish(Event(EventKind.STATE, severity, "faults", text))

@@ -5,9 +5,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import ConfigDict, Field, ValidationError, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
+from hilserver.config.loading import checked
 from hilserver.config.section import Section
+from hilserver.errors import ConfigError
 
 MAX_NUMBER = 1e12
 MAX_JSON = 65536
@@ -217,9 +219,9 @@ def parse_fault(data: object) -> Fault:
             "a fault is a mapping like {'fault': 'bias', 'signal': ..., 'offset': 1}"
         )
     try:
-        return Fault.model_validate(data)
-    except ValidationError as error:
-        raise ValueError(_first_sentence(error)) from None
+        return checked(Fault, data)
+    except ConfigError as error:
+        raise ValueError(str(error)) from None
 
 
 def parse_faults(text: str) -> list[Fault]:
@@ -231,16 +233,3 @@ def parse_faults(text: str) -> list[Fault]:
     except (ValueError, RecursionError) as error:
         raise ValueError(f"not JSON: {error}") from None
     return [parse_fault(item) for item in (data if isinstance(data, list) else [data])]
-
-
-def _first_sentence(error: ValidationError) -> str:
-    first = error.errors(include_url=False)[0]
-    key = ".".join(str(part) for part in first["loc"])
-    if first["type"] == "extra_forbidden":
-        return f"a fault has no key '{key}'"
-    if first["type"] == "missing":
-        return f"key '{key}' is missing"
-    message = (
-        first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-    )
-    return f"{key}: should be {message}, not {first['input']!r:.60}" if key else message

@@ -109,6 +109,16 @@ class _Signal(BaseModel):
     direction: str
 
 
+class FaultCommand(BaseModel):
+    """Faults that began, or ended, at a tick; see `faults.book.Faults.watchers`."""
+
+    segment: int
+    tick: int
+    inject: list[dict[str, Any]] = []
+    start_tick: int | None = None
+    clear: str | None = None
+
+
 class _Run(BaseModel):
     """The part of a run that is read; other keys are for people."""
 
@@ -121,6 +131,7 @@ class _Run(BaseModel):
     layout: dict[str, Any] = {}
     patch: dict[str, Any] | None = None
     not_replayable: list[str] = []
+    faults: list[FaultCommand] = Field([], max_length=10_000)
 
 
 def check_run(run: Mapping[str, Any], names: Iterable[str] = ()) -> None:

@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 from hilserver.daemon.assembly import Assembly
 from hilserver.daemon.builder import Pace, build
 from hilserver.errors import ConfigError, LogError
+from hilserver.faults.model import parse_fault
 from hilserver.image import read_frames
 from hilserver.image.changes import Changes
 from hilserver.logs import Log, State
 from hilserver.logs.log import Change
+from hilserver.logs.provenance import FaultCommand
 from hilserver.logs.writer import Segmented
 from hilserver.replay.plan import Stretch
 from hilserver.signals import Direction, SignalTable
@@ -95,6 +97,20 @@ class Engine:
             posted.append(change)
         return posted
 
+    def _command(self, command: FaultCommand) -> None:
+        """Inject or end faults as in the recorded run, before the next tick."""
+        faults = [parse_fault(fault) for fault in command.inject]
+        here = [
+            f for f in faults if f.peer is None
+        ]  # a link's act on inputs, which are recorded
+        try:
+            if faults:
+                self._core.faults.inject(*here, start_tick=command.start_tick)
+            else:
+                self._core.faults.clear(command.clear)
+        except ValueError as error:
+            raise LogError(f"the fault at tick {command.tick}: {error}") from None
+
     def start_of(self, stretch: Stretch) -> State:
         """Return the state with which a stretch begins."""
         words = self._fresh if stretch.state is None else stretch.state
@@ -104,10 +120,14 @@ class Engine:
         """Run a stretch; yield its frames."""
         await self._store.restore(self.start_of(stretch).words, stretch.first_tick)
         rows, period_ns = stretch.rows, self.assembly.base_period_ns
-        changes = deque(stretch.changes)
+        changes, faults = deque(stretch.changes), deque(stretch.faults)
         number, done = self.image.head, 0
         while done < stretch.n_ticks:
             n = min(BATCH_TICKS, stretch.n_ticks - done)
+            while faults and faults[0].tick <= stretch.first_tick + done:
+                self._command(faults.popleft())
+            if faults:
+                n = min(n, faults[0].tick - stretch.first_tick - done)
             posted = self._post(changes, stretch.first_tick + done + n)
             if changes:
                 n = min(n, changes[0].tick - stretch.first_tick - done)

@@ -10,9 +10,10 @@ from hilserver.errors import LogError
 from hilserver.image.layout import Layout
 from hilserver.logs import Log, State
 from hilserver.logs.log import Change
+from hilserver.logs.provenance import FaultCommand
 from hilserver.measured.channels import MODE, OF_MODE, TWIST
 from hilserver.signals import Direction, SignalTable
-from hilserver.status import GOOD
+from hilserver.status import GOOD, GOOD_LOCAL_OVERRIDE
 
 MAX_TICKS = 10**9
 ENABLE = "drive.enable"
@@ -28,6 +29,7 @@ class Stretch:
     rows: NDArray[np.float64]  # shape (n, 4); tick, slot, value, status; ticks rise
     state: NDArray[np.int64] | None = None  # initial state; None: that of a fresh start
     changes: Sequence[Change] = ()  # of the parameters, in the order of their ticks
+    faults: Sequence[FaultCommand] = ()  # likewise
 
 
 @dataclass(frozen=True)
@@ -66,16 +68,13 @@ def plan_exact(
             continue
         begin = first + state.tick - int(ticks[first])
         part = slice(begin, last + 1)
-        rows = _changes(
-            ticks[part],
-            slots,
-            values[part],
-            status[part],
-            _frame_of(state.words, layout),
-        )
-        changes = _changes_in(log, segment, state.tick, int(ticks[last]))
+        before = _frame_of(state.words, layout)
+        rows = _changes(ticks[part], slots, values[part], status[part], before)
+        span = segment, state.tick, int(ticks[last])
+        changes, faults = _changes_in(log, *span), _faults_in(log, *span)
+        n_ticks = last + 1 - begin
         stretches.append(
-            Stretch(segment, state.tick, last + 1 - begin, rows, state.words, changes)
+            Stretch(*span[:2], n_ticks, rows, state.words, changes, faults)
         )
         if start is not None:
             break
@@ -87,7 +86,23 @@ def plan_exact(
             f"{log.path}: {len(log) - plan.n_ticks} of {len(log)} rows have no preceding state"
             " and are left out"
         )
+    if forced := _forced(log, table):
+        plan.notices.append(
+            f"{log.path}: '{forced}' was forced (Force); a Force is no input, so the replay goes on"
+            " without it, and what it changed differs"
+        )
     return plan
+
+
+def _forced(log: Log, table: SignalTable) -> str:
+    """Return an output that was forced without a record of it; empty if there is none."""
+    if (log.run or {}).get("faults"):
+        return ""
+    for name, codes in log.status.items():
+        is_output = name in table and table[name].direction is Direction.OUT
+        if is_output and (codes == GOOD_LOCAL_OVERRIDE).any():
+            return name
+    return ""
 
 
 def _inputs(
@@ -135,6 +150,13 @@ def _state_in(
 def _changes_in(log: Log, segment: int, low: int, high: int) -> list[Change]:
     fitting = [c for c in log.changes if c.segment == segment and low <= c.tick <= high]
     return sorted(fitting, key=lambda change: change.tick)
+
+
+def _faults_in(log: Log, segment: int, low: int, high: int) -> list[FaultCommand]:
+    recorded = (log.run or {}).get("faults", ())
+    commands = [FaultCommand.model_validate(command) for command in recorded]
+    fitting = [c for c in commands if c.segment == segment and low <= c.tick <= high]
+    return sorted(fitting, key=lambda command: command.tick)
 
 
 def _no_state(log: Log, ticks: NDArray[np.int64], start: State | None) -> LogError:

@@ -7,12 +7,6 @@ with the process, or when its time is over.
 
 import asyncio
 import contextlib
-import os
-import signal
-from collections import deque
-from collections.abc import AsyncIterator
-from functools import partial
-from resource import RLIMIT_DATA, prlimit
 from typing import Any, Final
 
 import numpy as np
@@ -24,8 +18,7 @@ from hilserver.faults.scenario import Play
 from hilserver.image import read_frames
 from hilserver.io.opcua_server import server as opcua_server
 from hilserver.monitoring.logging_setup import setup_logging
-from hilserver.program.children import end, how_ended
-from hilserver.program.workers import end_with_parent
+from hilserver.program.guest import Guest, NotStarted, filled, guest
 from hilserver.requirements import CheckError
 from hilserver.scheduler.faults import fault_of
 from hilserver.signals import Signal, State, ValueType
@@ -33,12 +26,10 @@ from hilserver.sweep.configuration import machine_config
 from hilserver.sweep.prepare import Job, Machine
 from hilserver.sweep.rig import Outcome, judge_of, margins_of, scenario_of
 from hilserver.tasks import first_of
-from hilserver.time_limit import time_limit
 
 ENDPOINT, SEED = "{endpoint}", "{seed}"
 """Placeholders in a command for the robot's address and the machine's seed."""
 _ADDRESS: Final = "opc.tcp://127.0.0.1:0/hilserver"
-_LAST_LINES: Final = 20
 
 
 class _Failed(Exception):
@@ -63,7 +54,7 @@ class Stepped:
             return Outcome(machine.index, refused=machine.refused)
         try:
             return Outcome(machine.index, asyncio.run(self._margins(machine)))
-        except (_Failed, CheckError) as problem:
+        except (_Failed, NotStarted, CheckError) as problem:
             return Outcome(machine.index, error=str(problem))
 
     async def _margins(self, machine: Machine) -> tuple[float, ...]:
@@ -76,69 +67,39 @@ class Stepped:
         async with daemon:
             daemon.control.pause()
             watch = _Watch(daemon, self._kept, job.n_ticks)
-            async with self._process(daemon, machine) as process:
-                await self._wait(process, watch)
+            async with self._guest(daemon, machine) as controller:
+                await self._wait(controller, watch)
         self.written = watch.written
         columns = dict(zip(self._kept, watch.values, strict=True))
         return margins_of(job, self._judge, assembly.base_period_ns, columns)
 
-    @contextlib.asynccontextmanager
-    async def _process(
+    def _guest(
         self, daemon: Daemon, machine: Machine
-    ) -> "AsyncIterator[asyncio.subprocess.Process]":
+    ) -> contextlib.AbstractAsyncContextManager[Guest]:
         """Run the controller while the context lasts; processes that it started end with it."""
         given = self.job.sweep.controller
         assert given is not None
         own = {ENDPOINT: daemon.part("opcua").url, SEED: str(machine.seed)}
-        words = [_filled(word, own) for word in given.command]
-        try:
-            process = await asyncio.create_subprocess_exec(
-                *words,
-                stdin=asyncio.subprocess.DEVNULL,
-                stdout=asyncio.subprocess.DEVNULL,
-                stderr=asyncio.subprocess.PIPE,
-                cwd=self.job.path.parent,
-                start_new_session=True,
-                preexec_fn=partial(end_with_parent, os.getpid()),
-            )
-        except OSError as error:
-            why = (error.strerror or "refused").lower()
-            raise _Failed(
-                f"the controller '{words[0]}' cannot be started: {why}"
-            ) from None
-        try:
-            most = int(self.job.sweep.limits.memory_mb * 1e6)
-            with contextlib.suppress(OSError):  # it has ended already
-                prlimit(process.pid, RLIMIT_DATA, (most, most))
-            yield process
-        finally:
-            with contextlib.suppress(OSError):
-                os.killpg(process.pid, signal.SIGKILL)
-            await end(process, words[0], 0)
-
-    async def _wait(self, process: asyncio.subprocess.Process, watch: "_Watch") -> None:
-        """Wait for the drive's last tick; _Failed if it does not come."""
-        lines: deque[str] = deque(maxlen=_LAST_LINES)
-        time_s = self.job.sweep.limits.time_s
-        first = await first_of(
-            watch.over.wait(), _keep(process, lines), within_s=time_s
+        return guest(
+            [filled(word, own) for word in given.command],
+            memory_mb=self.job.sweep.limits.memory_mb,
+            cwd=self.job.path.parent,
+            stdout=asyncio.subprocess.DEVNULL,
         )
-        # It closes its error output a moment before its exit code is there.
-        if first == 1:
-            with contextlib.suppress(TimeoutError):
-                async with time_limit(1.0):
-                    await process.wait()
+
+    async def _wait(self, controller: Guest, watch: "_Watch") -> None:
+        """Wait for the drive's last tick; _Failed if it does not come."""
+        time_s = self.job.sweep.limits.time_s
+        await first_of(watch.over.wait(), controller.wait(), within_s=time_s)
         if watch.problem:
             raise _Failed(watch.problem)
         if watch.is_complete:
             return
-        if process.returncode is None:
+        if not controller.has_ended:
             raise _Failed(
                 f"took longer than {time_s:g} s: {watch.place}, the controller no longer steps"
             )
-        raise _Failed(
-            f"the controller {_ending(process.returncode, lines)}; {watch.place}"
-        )
+        raise _Failed(f"the controller {controller.ending}; {watch.place}")
 
 
 class _Watch:
@@ -218,36 +179,7 @@ def _reachable(config: Config) -> Config:
     return config.changed(opcua=opcua, control={"source": "opcua"})
 
 
-def _filled(word: str, values: dict[str, str]) -> str:
-    for name, value in values.items():
-        word = word.replace(name, value)
-    return word
-
-
 def _typed(signal: Signal, value: float) -> bool | int | float:
     if signal.type is ValueType.BOOLEAN:
         return bool(value)
     return value if signal.type is ValueType.DOUBLE else int(value)
-
-
-async def _keep(process: asyncio.subprocess.Process, lines: "deque[str]") -> None:
-    """Read the error output of a process until it is closed, and keep its end."""
-    assert process.stderr is not None
-    rest = b""
-    while piece := await process.stderr.read(4096):
-        *whole, rest = (rest + piece).split(b"\n")
-        rest = rest[-4096:]
-        lines.extend(
-            line.decode("utf-8", "replace").strip() for line in whole if line.strip()
-        )
-    if rest.strip():
-        lines.append(rest.decode("utf-8", "replace").strip())
-
-
-def _ending(code: int, lines: "deque[str]") -> str:
-    """Return how a process ended, with its error message."""
-    how = how_ended(code)
-    if code == 0:
-        return how
-    said = [line for line in lines if "rror" in line] or list(lines)
-    return f"{how}: {said[-1]:.200}" if said else how

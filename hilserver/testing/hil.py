@@ -4,21 +4,35 @@ import asyncio
 import inspect
 import math
 import time
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
+from contextlib import (
+    AbstractAsyncContextManager,
+    AsyncExitStack,
+    asynccontextmanager,
+    closing,
+)
 from dataclasses import dataclass
 from functools import wraps
+from pathlib import Path
 from typing import Any, Concatenate, Literal, ParamSpec, Self, TypeVar
 
 from hilserver.core.inputs import Refusal
 from hilserver.daemon.daemon import Daemon
-from hilserver.errors import ControlRefused, no_signal
+from hilserver.errors import ConfigError, ControlRefused, no_signal
 from hilserver.faults.model import Fault, parse_fault
 from hilserver.image import Frame
-from hilserver.plant.errors import PlantError
+from hilserver.program.guest import Guest, NotStarted, filled, guest
 from hilserver.signals import Signal
 from hilserver.testing.journal import Journal
+from hilserver.testing.lockstep import (
+    REMEDY,
+    WAIT_FOR_STEP_S,
+    Lockstep,
+    NotInStep,
+    outsider,
+)
 from hilserver.testing.tap import Capture, Tap
+from hilserver.testing.tape import Tape
 
 __tracebackhide__ = True  # pytest then shows the failing line of the test
 Mode = Literal["virtual", "realtime"]
@@ -28,6 +42,7 @@ T = TypeVar("T")
 DRAIN_EVERY_S = 0.1
 DEFAULT_WAIT_S = 10.0  # of `Hil.wait_for`
 WATCH_EVERY_S = 0.002
+ENDPOINT = "{endpoint}"
 LATE_FACTOR, LATE_S = 5.0, 10.0
 """In real time a step may take its duration times the first plus the second, in wall time."""
 
@@ -43,6 +58,12 @@ class Sample:
     value: float
     tick: int
     time_s: float
+
+
+def _check_time(what: str, seconds: Any) -> None:
+    is_number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
+    if not (is_number and 0.0 < seconds < math.inf):
+        raise HilError(f"{what} is a time above 0 s, not {seconds!r}")
 
 
 def _to_await(
@@ -64,7 +85,8 @@ def _to_await(
 class Hil:
     """The robot under a test."""
 
-    def __init__(self, daemon: Daemon, mode: Mode) -> None:
+    def __init__(self, daemon: Daemon, mode: Mode, folder: Path | None = None) -> None:
+        self.folder = folder  # of the test, in which its controller runs
         self.daemon = (
             daemon  # everything else: its OPC UA server, its control, its events
         )
@@ -72,11 +94,15 @@ class Hil:
             mode  # ``virtual``: time stands still between steps. ``realtime``: it runs
         )
         self.source = daemon.gate.owner
-        self.tap = Tap(daemon.image)
+        self.tap, self.tape = Tap(daemon.image), Tape(daemon)
         self.journal = Journal()
         self._period_s = daemon.assembly.base_period_ns * 1e-9
         self._chunk = max(1, daemon.config.image.ring_frames // 2)
         self._calls: list[Any] = []  # coroutines
+        self._lockstep: Lockstep | None = None  # while a controller steps
+        self._controller: Guest | None = None
+        self._insiders: set[object] = set()  # clients of this process
+        self._controllers_made = self._controllers_begun = 0
 
     # --- time -------------------------------------------------------------------------------------
 
@@ -100,15 +126,35 @@ class Hil:
             self.tap.drain()
             return
         while n > 0:
-            self._check_runs()
             ticks = min(n, self._chunk)
-            await self.daemon.scheduler.advance(ticks)
+            await self._advance(ticks)
             self.tap.drain()
+            await self.tape.keep_up()
             n -= ticks
+
+    async def _advance(self, n: int) -> None:
+        """Let `n` ticks of virtual time pass."""
+        self._check_runs()
+        if self._lockstep is None:
+            strangers = self.daemon.gate.present - self._insiders
+            if address := outsider(strangers):
+                raise HilError(
+                    f"a controller in another process ({address}) commands the robot, which does"
+                    " not wait for it: run it by 'async with hil.controller(...)', where it calls"
+                    f" Step; {REMEDY}"
+                )
+            self._insiders |= strangers
+            await self.daemon.scheduler.advance(n)
+            return
+        try:
+            await self._lockstep.advance(n)
+        except NotInStep as why:
+            raise HilError(str(why)) from None
 
     @_to_await
     async def run_for(self, seconds: float) -> None:
         """Advance by simulated `seconds`, rounded to ticks."""
+        _check_time("run_for", seconds)
         await self.step(max(1, round(seconds / self._period_s)))
 
     async def _wait_ticks(self, n: int) -> None:
@@ -127,6 +173,8 @@ class Hil:
         return f"{what} did not pass in time; the daemon is {self.daemon.control.state.word}"
 
     def _check_runs(self) -> None:
+        if self._controller is not None and self._controller.has_failed:
+            raise HilError(f"the controller {self._controller.ending}")
         if self.daemon.scheduler.finished.done():
             raise HilError(
                 f"the simulation has ended: {self.daemon.scheduler.finished.result()}"
@@ -175,7 +223,7 @@ class Hil:
         try:
             number = parameters.apply(parameters.checked({name: value}))
             taken = await parameters.taken(number)
-        except (PlantError, ControlRefused) as error:
+        except (ConfigError, ControlRefused) as error:
             raise HilError(str(error)) from None
         self.journal.wrote(tick * self._period_s, {name: value}, key="set")
         return taken
@@ -222,6 +270,12 @@ class Hil:
         the last value.
         """
         timeout_s = timeout_s if timeout is None else timeout
+        _check_time("the timeout of wait_for", timeout_s)
+        if not callable(predicate):
+            raise HilError(
+                "wait_for takes a function of the value, such as lambda x: x > 1, not"
+                f" {predicate!r}"
+            )
         slot = self._slot(signal)
         self.tap.drain()
         frame = self.daemon.image.latest()
@@ -243,10 +297,11 @@ class Hil:
             frames = await self._next_frames()
 
     async def _next_frames(self) -> list[Frame]:
-        self._check_runs()
         if self.mode == "virtual":
-            await self.daemon.scheduler.advance(1)
+            await self._advance(1)
+            await self.tape.keep_up()
         else:
+            self._check_runs()
             await asyncio.sleep(WATCH_EVERY_S)
         return self.tap.drain()
 
@@ -269,6 +324,71 @@ class Hil:
                 "this robot has no OPC UA server: set opcua.enabled in its configuration"
             )
         return str(server.url)
+
+    # --- controllers ------------------------------------------------------------------------------
+
+    def controller(
+        self, *command: str | Path, patience_s: float = WAIT_FOR_STEP_S, **options: Any
+    ) -> AbstractAsyncContextManager[None]:
+        """Return an async context manager that runs a controller, an OPC UA client, as a process.
+
+        In virtual time the two wait for each other: the controller calls ``Step(n)``, waits until
+        ``sim.tick`` has risen by n, and computes. In real time it has a clock of its own.
+
+        HilError if the process cannot be started or fails or, in virtual time, if it does not call
+        Step within `patience_s` [s].
+
+        Parameters
+        ----------
+        *command
+            Program and arguments; ``{endpoint}`` stands for the robot's address. Without a command
+            somebody else starts it.
+        **options
+            As for `subprocess.Popen`: ``env``, ``cwd`` (by default the folder of the test) ...
+        """
+        self._controllers_made += 1
+        return self._with_controller(command, patience_s, options)
+
+    @asynccontextmanager
+    async def _with_controller(
+        self, command: Sequence[str | Path], patience_s: float, options: dict[str, Any]
+    ) -> AsyncIterator[None]:
+        self._controllers_begun += 1
+        if self._lockstep is not None or self._controller is not None:
+            raise HilError(
+                "there is a controller already, and only one steps the robot"
+            )
+        own = {ENDPOINT: self.endpoint}
+        gate = self.daemon.gate
+        if gate.owner == "scenario" and not self.daemon.stage.drives:
+            gate.take("opcua")  # else the controller's commands would be refused
+            self.source = gate.owner
+
+        async with AsyncExitStack() as ending:
+            if command:
+                words = [filled(str(word), own) for word in command]
+                running = guest(words, **({"cwd": self.folder} | options))
+                try:
+                    self._controller = await ending.enter_async_context(running)
+                except NotStarted as error:
+                    raise HilError(str(error)) from None
+                reading = self._controller.wait
+                job = self.daemon.core.tasks.spawn(reading, "controller of a test")
+                ending.callback(job.cancel)
+            ending.callback(self._let_controller_go)
+            if self.mode == "virtual":
+                self._lockstep = Lockstep(self.daemon, self._controller, patience_s)
+                ending.enter_context(self.daemon.control.time_kept_by(self._lockstep))
+            yield
+            self._check_runs()
+            if self._lockstep is not None and not self._lockstep.steps:
+                raise HilError(
+                    "the controller has not called Step while its block ran: advance inside the"
+                    " block, with yield or await hil.step(...)"
+                )
+
+    def _let_controller_go(self) -> None:
+        self._lockstep = self._controller = None
 
     # --- faults -----------------------------------------------------------------------------------
 
@@ -307,16 +427,17 @@ class Hil:
     @asynccontextmanager
     async def running(self) -> AsyncIterator[Self]:
         """Run the daemon while the context lasts."""
-        async with self.daemon:
-            job = self.daemon.core.tasks.every("tap", DRAIN_EVERY_S, self._drain)
-            try:
-                await self.step(1)
-                yield self
-            finally:
-                job.cancel()
+        with closing(self.tape):
+            async with self.daemon:
+                job = self.daemon.core.tasks.every("tap", DRAIN_EVERY_S, self._drain)
+                try:
+                    await self.step(1)
+                    yield self
+                finally:
+                    job.cancel()
 
     def check_awaited(self) -> None:
-        """HilError if a call was not awaited."""
+        """HilError if a call was not awaited, or a controller not begun."""
         forgotten = self._not_begun()
         for call in forgotten:
             call.close()
@@ -326,6 +447,11 @@ class Hil:
                 f"hil.{name} was called without await, so nothing happened: write 'await"
                 f" hil.{name}(...)' in a test that is an async def"
             )
+        if self._controllers_made > self._controllers_begun:
+            raise HilError(
+                "hil.controller was called without async with, so no controller ran: write 'async"
+                " with hil.controller(...):'"
+            )
 
     def _not_begun(self) -> list[Any]:
         return [
@@ -334,6 +460,7 @@ class Hil:
             if inspect.getcoroutinestate(c) == inspect.CORO_CREATED
         ]
 
-    def _drain(self) -> None:
+    async def _drain(self) -> None:
         if self.mode == "realtime":
             self.tap.drain()
+            await self.tape.keep_up()

@@ -6,13 +6,11 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from pydantic import ValidationError
-
+from hilserver.config.loading import checked
 from hilserver.config.root import Config, load_config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
-from hilserver.errors import ConfigError
-from hilserver.faults.scenario import Play, load_scenario
+from hilserver.faults.scenario import Play, Scenario, load_scenario
 from hilserver.testing.hil import Hil, Mode
 
 _DEFAULTS: dict[str, Any] = {
@@ -33,9 +31,10 @@ async def open_hil(
     mode: Mode,
     *,
     faults: Sequence[str] = (),
-    scenario: Path | None = None,
+    scenario: Path | Mapping[str, Any] | None = None,
+    test_folder: Path | None = None,
 ) -> AsyncIterator[Hil]:
-    """Run a daemon for one test.
+    """Run a daemon for one test, whose file is in `test_folder`.
 
     Sections replace those of `_DEFAULTS`; `faults` are defects of the shield from the start.
     ConfigError has one sentence with file, line and key.
@@ -43,24 +42,20 @@ async def open_hil(
     if isinstance(config, Path):
         read, folder = load_config(config), config.parent
     else:
-        read, folder = _from_mapping(_DEFAULTS | dict(config or {})), None
+        given = _DEFAULTS | dict(config or {})
+        read, folder = checked(Config, given, "configuration of hil: "), None
     assembly = assemble_config(for_test(read, mode), folder)
-    play = None if scenario is None else Play(load_scenario(scenario), scenario)
+    play = None
+    if isinstance(scenario, Path):
+        play = Play(load_scenario(scenario), scenario)
+    elif scenario is not None:
+        play = Play(checked(Scenario, scenario, "scenario of hil: "))
     daemon = Daemon(assembly, play=play, paused=mode == "virtual")
-    hil = Hil(daemon, mode)
+    hil = Hil(daemon, mode, test_folder)
     if faults:
         hil.inject(*faults)
     async with hil.running():
         yield hil
-
-
-def _from_mapping(data: Mapping[str, Any]) -> Config:
-    try:
-        return Config.model_validate(data)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise ConfigError(f"configuration of hil: {key}: {first['msg']}") from None
 
 
 def for_test(config: Config, mode: Mode) -> Config:

@@ -9,7 +9,7 @@ import functools
 import inspect
 import unittest
 import warnings
-from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -253,6 +253,11 @@ def _wishes(request: pytest.FixtureRequest, given: Any) -> dict[str, Any]:
     config = request.config
     marked: dict[str, Any] = {}
     for mark in request.node.iter_markers("hil"):
+        if mark.args:
+            pytest.fail(
+                f"the marker hil takes names: write hil(config={mark.args[0]!r:.60})",
+                pytrace=False,
+            )
         marked = {**mark.kwargs, **marked}
     if unknown := set(marked) - {"config", "mode", "scenario"}:
         pytest.fail(f"the marker hil has no '{sorted(unknown)[0]}'", pytrace=False)
@@ -269,19 +274,29 @@ def _wishes(request: pytest.FixtureRequest, given: Any) -> dict[str, Any]:
     return {
         "config": _config(marked.get("config") or given, config, here),
         "mode": mode,
+        "test_folder": here,
         "faults": config.getoption("--hil-fault") or (),
-        "scenario": _path(marked.get("scenario"), here)
+        "scenario": _given("scenario", marked.get("scenario"), here)
         or _path(config.getoption("--hil-scenario"), config.invocation_params.dir),
     }
 
 
 def _config(asked: Any, config: pytest.Config, here: Path) -> Any:
-    if isinstance(asked, dict):
-        return asked
     return (
-        _path(asked, here)
+        _given("config", asked, here)
         or _path(config.getoption("--hil-config"), config.invocation_params.dir)
         or _path(config.getini("hil_config"), config.rootpath)
+    )
+
+
+def _given(key: str, value: Any, folder: Path) -> Any:
+    """Return the mapping or the path that a marker or fixture gives."""
+    if isinstance(value, str | Path):
+        return _path(value, folder)
+    if value is None or isinstance(value, Mapping):
+        return value
+    pytest.fail(
+        f"{key} of hil is a file or a mapping, not {value!r:.60}", pytrace=False
     )
 
 
@@ -299,15 +314,15 @@ def pytest_runtest_makereport(
     """Keep recording, scenario and seed of a failed test, and report the place."""
     report: Any = yield
     if call.when == "call" and report.failed and _HIL in item.config.stash:
-        from hilserver.testing.keep import keep  # noqa: PLC0415
+        from hilserver.testing.keep import command, keep  # noqa: PLC0415
 
         config = item.config
         folder = config.getoption("--hil-keep") or config.getini("hil_keep")
-        place = keep(config.stash[_HIL], config.rootpath / folder, item.nodeid)
-        seed = config.stash[_HIL].daemon.config.plant.seed
+        hil = config.stash[_HIL]
+        place = keep(hil, config.rootpath / folder, item.nodeid)
         text = (
-            f"recording, scenario and configuration: {place}\nseed {seed}, to run it again:"
-            f" hilserver run -c {place / 'config.yaml'} --scenario {place / 'scenario.yaml'}"
+            f"recording, scenario and configuration: {place}\nto repeat it:"
+            f" {command(hil, place)}"
         )
         report.sections.append(("hilserver", text))
     return report

@@ -63,6 +63,10 @@ class Series:
         to_s: float | None = None,
     ) -> None:
         """Fail at the first sample below `low` or above `high`."""
+        if low is None and high is None:
+            raise AssertionError(
+                f"{self.name}: give low, high or both, else every value is within"
+            )
         part = self.between(from_s, to_s)
         lows = -np.inf if low is None else low
         highs = np.inf if high is None else high
@@ -89,6 +93,11 @@ class Series:
         part = self.between(from_s, to_s)
         if callable(reference):
             reference = reference(part.time_s - self.time_s[0])
+        if np.ndim(reference) and np.shape(reference) != part.values.shape:
+            raise AssertionError(
+                f"{self.name}: the reference has the shape {np.shape(reference)}, the part of the"
+                f" capture {part.values.shape}; give one value for each sample"
+            )
         distance = np.abs(part.values - reference)
         part._fail_where(
             ~(distance <= tolerance), f"left the reference +- {tolerance:g}"

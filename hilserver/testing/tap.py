@@ -1,20 +1,27 @@
-"""Takes every frame from the ring, for captures and for the recording of a failed test."""
+"""Takes every frame from the ring, for captures."""
 
-from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.config.loading import checked
 from hilserver.image import Frame, ImageReader
 from hilserver.requirements import Drive, Judge, Requirement
 from hilserver.signals import Signal, SignalTable
 from hilserver.testing.series import Series
 
 __tracebackhide__ = True  # pytest then shows the failing line of the test
-KEPT_FRAMES = 10_000
 MAX_NUMBERS = 20_000_000
+
+
+class Judged(NamedTuple):
+    """Which requirements a test judged last, and on which part of its drive."""
+
+    requirements: list[dict[str, Any]]
+    from_s: float  # time of the first sample
+    to_s: float  # and of the last
 
 
 class Tap:
@@ -23,11 +30,9 @@ class Tap:
     def __init__(self, image: ImageReader) -> None:
         self._image = image
         self._next = image.head
-        self.kept: deque[Frame] = deque(
-            maxlen=KEPT_FRAMES
-        )  # the newest `KEPT_FRAMES` frames
         self.lost = 0  # frames that the ring had overwritten
         self.captures: list[Capture] = []
+        self.judged: Judged | None = None
 
     def drain(self) -> list[Frame]:
         """Take the new frames; return them."""
@@ -39,7 +44,6 @@ class Tap:
                 self.lost += 1
                 continue
             frames.append(frame)
-            self.kept.append(frame)
             for capture in self.captures:
                 capture.add(frame)
         self._next = head
@@ -107,8 +111,16 @@ class Capture(Mapping[str, Series]):
             As in a sweep: ``{"name": "arrives", "signal": "pose.x_m", "above": 4.9}``.
         """
         found = [
-            r if isinstance(r, Requirement) else Requirement(**r) for r in requirements
+            r
+            if isinstance(r, Requirement)
+            else checked(Requirement, r, "requirement: ")
+            for r in requirements
         ]
+        if not found:
+            raise AssertionError(
+                "there is nothing to judge: give a requirement, as {'name': ..., 'signal': ...,"
+                " 'above': 4.9}"
+            )
         judge = Judge(found, self._table)
         missing = [name for name in judge.signals if name not in list(self)]
         if missing:
@@ -127,6 +139,12 @@ class Capture(Mapping[str, Series]):
                     f"'{requirement.name}' is about {until_s:g} s, and the capture is"
                     f" {max(length_s, 0.0):g} s long; step further inside the capture"
                 )
+        if not any(
+            requirement.python for requirement in found
+        ):  # a function is no text
+            texts = [r.model_dump(mode="json", exclude_defaults=True) for r in found]
+            span_s = self.time_s[[0, -1]].tolist()
+            self._tap.judged = Judged(texts, *span_s)
         columns = {name: self[name].values for name in judge.signals}
         return judge.margins(Drive(self._period_s, columns))
 

@@ -22,7 +22,10 @@ BIAS = {"fault": "bias", "signal": "pose.x_m", "offset": 1.0}
         ({"fault": "bias", "offset": 1}, "bias needs 'signal'"),
         ({"fault": "bias", "signal": "a", "offset": 1, "sd": 1}, "does not take 'sd'"),
         ({"fault": "bias", "peer": "a", "offset": 1}, "bias acts on signal"),
-        ({"fault": "rust", "signal": "a"}, "fault: should be 'stuck'"),
+        (
+            {"fault": "rust", "signal": "a"},
+            "fault: 'rust' is not valid; it should be 'stuck'",
+        ),
         (BIAS | {"signal": "pose.z_m"}, "there is no signal 'pose.z_m'"),
         (
             BIAS | {"signal": "pose.x"},
@@ -35,7 +38,7 @@ BIAS = {"fault": "bias", "signal": "pose.x_m", "offset": 1.0}
         (BIAS | {"signal": "sim.tick"}, "shows time or state"),
         (BIAS | {"offset": float("nan")}, "finite number"),
         (BIAS | {"offset": 1e300}, "less than or equal to"),
-        (BIAS | {"colour": "red"}, "a fault has no key 'colour'"),
+        (BIAS | {"colour": "red"}, "unknown key 'colour'; known are"),
         (BIAS | {"from_s": 3, "until_s": 2}, "until_s is 2, it must be above from_s"),
         (
             {"fault": "delay", "signal": "pose.x_m", "delay_s": 2},

@@ -5,6 +5,7 @@ import asyncio
 import numpy as np
 import pytest
 
+from hilserver.errors import ConfigError
 from hilserver.status import GOOD_LOCAL_OVERRIDE
 from hilserver.testing.hil import HilError
 
@@ -109,7 +110,7 @@ async def test_refusals_are_one_sentence(hil):
         (lambda: hil.write("nothing", 1.0), "there is no signal 'nothing'; see"),
         (lambda: hil.write("wheel.fl.setpont_rpm", 1.0), f"did you mean '{FL}'"),
         (lambda: hil.read("wheels.speeds_rpm"), "is an array"),
-        (lambda: hil.inject("shield.rust"), "fault: should be"),
+        (lambda: hil.inject("shield.rust"), "fault: 'shield.rust' is not valid"),
         (lambda: hil.clear_faults("x"), "there is no fault 'x'"),
     ):
         with pytest.raises(HilError, match=sentence):
@@ -118,6 +119,12 @@ async def test_refusals_are_one_sentence(hil):
         _ = hil.endpoint
     with pytest.raises(HilError, match="whole number of ticks"):
         await hil.step(0)
+    with pytest.raises(HilError, match="run_for is a time above 0 s, not -1"):
+        await hil.run_for(-1)
+    with pytest.raises(HilError, match=r"wait_for is a time above 0 s, not nan"):
+        await hil.wait_for(SPEED, bool, timeout_s=float("nan"))
+    with pytest.raises(HilError, match=r"a function of the value.* not 20\.0"):
+        await hil.wait_for(SPEED, 20.0)
     assert len(hil.read_all("wheels.speeds_rpm")) == 4
 
 
@@ -156,6 +163,16 @@ async def test_a_capture_is_judged_by_the_requirements_of_a_sweep(hil):
     trace.assert_meets(rises)
     with pytest.raises(AssertionError, match=r"not met: calm \(margin -"):
         trace.assert_meets(rises, calm)
+    for wrong, sentence in (
+        ({"name": "r", "signal": SPEED, "abov": 1}, "unknown key 'abov'; did you mean"),
+        ({"signal": SPEED, "above": 1}, "requirement: key 'name' is missing"),
+        (calm | {"name": ""}, "should be a text of 1 or more"),
+        (5, "requirement: write 'key: value' lines, not 5"),
+    ):
+        with pytest.raises(ConfigError, match=sentence):
+            trace.assert_meets(wrong)
+    with pytest.raises(AssertionError, match="there is nothing to judge"):
+        trace.assert_meets()
     with pytest.raises(AssertionError, match=r"'pose\.x_m' was not captured"):
         trace.margins({"name": "r", "signal": "pose.x_m", "below": 1.0})
 

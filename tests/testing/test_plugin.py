@@ -1,5 +1,6 @@
 """The plug-in in somebody else's project: options, markers, reports, what is kept."""
 
+import asyncio
 import json
 import re
 import subprocess
@@ -11,9 +12,11 @@ from xml.etree import ElementTree
 
 import pytest
 
+from hilserver.__main__ import main
 from hilserver.faults.scenario import load_scenario
 from hilserver.logs import read_log
-from hilserver.testing.keep import keep
+from hilserver.testing import tape
+from hilserver.testing.keep import command, keep
 from hilserver.testing.opening import open_hil
 
 INSTALLED = any(point.name == "hilserver" for point in entry_points(group="pytest11"))
@@ -119,27 +122,60 @@ def test_a_failure_points_to_a_line_of_the_test(project):
     result.stdout.no_fnmatch_line("*hilserver/testing/*.py:*")
 
 
-async def test_what_was_kept_plays_again_to_the_bit(tmp_path, request):
-    """The scenario of a test, on the configuration of that test, gives the same recording."""
+async def test_what_was_kept_plays_again_to_the_bit(tmp_path, capsys):
+    """The printed command replays what was written, injected, forced and set, and its margin."""
+    slow = {"name": "slow", "signal": "wheel.fl.speed_rpm", "below": 5.0}
     async with open_hil({"plant": {"seed": 5}}, "virtual") as hil:
-        for i in range(10):
-            hil.write({"wheel.fl.setpoint_rpm": 9.0 * i, "wheel.rl.setpoint_rpm": -i})
-            await hil.step(37)
-            if i == 3:
-                hil.inject(
-                    {"fault": "drop", "signal": "wheels.speeds_rpm", "probability": 0.5}
+        hil.force("battery.voltage_v", 9.5)
+        await hil.step(20)
+        async with hil.capture() as trace:
+            for i in range(10):
+                hil.write(
+                    {"wheel.fl.setpoint_rpm": 9.0 * i, "wheel.rl.setpoint_rpm": -i}
                 )
-            if i == 6:
-                hil.clear_faults()
-        first = keep(hil, tmp_path, "first")
-    scenario = first / "scenario.yaml"
-    async with open_hil(first / "config.yaml", "virtual", scenario=scenario) as hil:
-        await hil.step(370)
-        second = keep(hil, tmp_path, "second")
-    one, two = (read_log(folder / "recording.mcap") for folder in (first, second))
-    assert len(one) == 371
-    for name, values in one.columns.items():
-        assert values.tobytes() == two.columns[name].tobytes(), name
+                await hil.step(37)
+                if i == 3:
+                    await hil.set_parameter("plant.wheel_radius_m", 0.09)
+                    hil.inject(
+                        {
+                            "fault": "drop",
+                            "signal": "wheels.speeds_rpm",
+                            "probability": 0.5,
+                        }
+                    )
+                if i == 6:
+                    hil.clear_faults()
+                    hil.unforce("battery.voltage_v")
+        margin = trace.margins(slow)["slow"]
+        folder = keep(hil, tmp_path, "failed")
+        words = command(hil, folder).split()
+    assert words[:2] == ["hilserver", "replay"]
+    assert await asyncio.to_thread(main, words[1:]) == 1
+    said = capsys.readouterr().out
+    assert "recorded outputs of 391 ticks are equal, bit for bit" in said
+    assert re.search(rf"NOT MET +{re.escape(f'{margin:.6g}')}  slow", said)
+
+
+async def test_a_replay_says_which_force_it_cannot_repeat(tmp_path, capsys):
+    run, again = str(tmp_path / "run.mcap"), str(tmp_path / "again.mcap")
+    async with open_hil({"recording": {"file": run}}, "virtual") as hil:
+        hil.force("battery.voltage_v", 9.5)
+        await hil.step(10)
+    assert await asyncio.to_thread(main, ["replay", run, "-o", again, "--check"]) == 1
+    assert "'battery.voltage_v' was forced (Force); a Force" in capsys.readouterr().err
+
+
+async def test_a_long_test_is_kept_from_a_state_on(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(tape, "KEPT_FRAMES", 3000)
+    monkeypatch.setattr(tape, "STATE_EVERY", 1000)
+    async with open_hil({}, "virtual") as hil:
+        for rpm in range(30):
+            hil.write("wheel.fl.setpoint_rpm", float(rpm))
+            await hil.step(300)
+        words = command(hil, keep(hil, tmp_path, "failed")).split()
+    assert await asyncio.to_thread(main, words[1:]) == 0
+    n_ticks = int(re.search(r"of (\d+) ticks are equal", capsys.readouterr().out)[1])
+    assert 1000 <= n_ticks <= 3000
 
 
 async def test_a_kept_recording_shows_where_time_was_set_back(tmp_path):
@@ -181,7 +217,24 @@ def test_options_reach_the_simulation(project, pytester):
         (
             "hil(config={'plant': {'mass': 1}})",
             (),
-            "*configuration of hil: plant.mass: *",
+            "*configuration of hil: unknown key 'plant.mass'; *",
+        ),
+        (
+            "hil(config={'plnt': {}})",
+            (),
+            "*configuration of hil: unknown key 'plnt'; did you mean 'plant'?",
+        ),
+        ("hil('robot.yaml')", (), "*write hil(config='robot.yaml')"),
+        ("hil(config=5)", (), "*config of hil is a file or a mapping, not 5"),
+        (
+            "hil(scenario={'step': []})",
+            (),
+            "*scenario of hil: unknown key 'step'; did you mean 'steps'?",
+        ),
+        (
+            "hil(scenario={'steps': [{'at_s': 0, 'write': {'pose.x': 1}}]})",
+            (),
+            "*there is no signal 'pose.x'; did you mean 'pose.x_m'?",
         ),
         (
             "hil(mode='fast')",
@@ -189,7 +242,11 @@ def test_options_reach_the_simulation(project, pytester):
             "*the mode of hil is virtual or realtime, not 'fast'*",
         ),
         ("hil(speed=2)", (), "*the marker hil has no 'speed'*"),
-        ("hil()", ("--hil-fault=shield.rust",), "*fault: should be 'stuck'*"),
+        (
+            "hil()",
+            ("--hil-fault=shield.rust",),
+            "*fault: 'shield.rust' is not valid; it should be 'stuck'*",
+        ),
         (
             "hil()",
             ("--hil-scenario=bad.yaml",),

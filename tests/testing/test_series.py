@@ -26,6 +26,13 @@ def test_within_names_the_first_sample_outside():
     series([2, 3, 9]).assert_within(1, 3, to_s=0.15)
 
 
+def test_what_judges_nothing_fails():
+    with pytest.raises(AssertionError, match="give low, high or both"):
+        assert_within(series([1, 2]))
+    with pytest.raises(AssertionError, match=r"shape \(2,\), the part .* \(3,\)"):
+        series([1, 2, 3]).assert_near([1, 2], 1)
+
+
 def test_nan_is_outside_every_band():
     with pytest.raises(AssertionError, match="left"):
         series([1, np.nan]).assert_within(0, 2)

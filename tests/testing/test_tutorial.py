@@ -62,10 +62,10 @@ def test_it_finds_the_dead_command_timeout(verdicts, mode):
     assert "it ends at 0.3 m/s" in found[STOPS].longreprtext
 
 
-def test_a_client_and_a_server_over_opcua_pass(pytester):
+def test_controllers_over_opcua_pass(pytester):
     shutil.copytree(DOCS / "my-opcua-controller", pytester.path, dirs_exist_ok=True)
     outcome = pytester.runpytest_inprocess(*LOAD, "-p", "no:cacheprovider")
-    outcome.assert_outcomes(passed=2)
+    outcome.assert_outcomes(passed=3)
 
 
 def test_the_tutorial_shows_the_files_as_they_are():
