@@ -18,7 +18,7 @@ from hilserver.core.handover import HandOver
 from hilserver.core.leases import NOBODY, OFFERING, Leases, kind_of
 from hilserver.core.rest import Interlock, Rest, is_hand
 from hilserver.image import ProcessImage, Row
-from hilserver.plant.layout import N_COMMANDS, N_SETPOINTS
+from hilserver.plant.layout import N_COMMANDS, N_SETPOINTS, Inputs
 from hilserver.signals import (
     AUTOMATIC,
     MEASURED,
@@ -49,6 +49,7 @@ class Refusal(StrEnum):
     NOT_AT_REST = "not_at_rest"
     NOT_STARTED = "not_started"
     NOT_GRANTED = "not_granted"
+    INCOMPLETE = "incomplete"
 
 
 _CHOOSING: Final = frozenset({"opcua", "page"})  # they choose their signals at run time
@@ -62,10 +63,19 @@ _HELD_NS = (
 )
 _GRAIN_NS = 20_000_000  # accuracy of the time at which a command came in
 
+_MODE: Final = Inputs.where("mode").start
+_COMMANDS: Final = (
+    range(Inputs.where("twist_linear").start),
+    range(Inputs.where("twist_linear").start, Inputs.where("duty").start),
+    range(Inputs.where("duty").start, N_SETPOINTS),
+)
+"""Inputs that make up a command: wheel set-points, twist, duties; the mode belongs to each."""
+
 
 def reasons_of(source: str, *, is_door: bool = False) -> set[Refusal]:
     """Return why a source can be refused; `is_door`: it needs a grant of its section."""
     reasons = set(Refusal)
+    reasons.discard(Refusal.INCOMPLETE)  # the value that was wrong is counted instead
     if source not in _CHOOSING:
         # Its configuration names the signals, and only finite numbers leave a link or a scenario.
         reasons -= {Refusal.UNKNOWN_SIGNAL, Refusal.NOT_WRITABLE}
@@ -184,8 +194,13 @@ class InputGate(HandOver):
         news: Collection[str] | None = None,
         renews: bool = True,
         by_hand: bool = False,
+        broken: Collection[str] = (),
     ) -> dict[str, Refusal]:
         """Check `values` and hand the accepted ones, as one group, to the next tick.
+
+        A command is whole or not at all: where a wheel's set-point is refused, those of the other
+        wheels are, too, and the mode that came with them. The same holds for twist and duties.
+        `drive.enable` and measured values stand alone.
 
         Parameters
         ----------
@@ -205,6 +220,9 @@ class InputGate(HandOver):
             Whether to renew the lease of the source; False while it lacks an input.
         by_hand : bool
             Whether a person drives by this source, of which its name does not tell.
+        broken : collection of str
+            What else the source wrote by the same request, and what was refused before it came
+            here; a name that is no signal may have meant any command.
 
         Returns
         -------
@@ -214,9 +232,16 @@ class InputGate(HandOver):
         now_ns = self._now_ns() if received_ns is None else received_ns
         came_ns = now_ns if commanded_ns is None else commanded_ns
         self._silent.discard(source)
-        rows, offered, refused = self._sort(
+        rows, offers, refused = self._sort(
             source, values, came_ns < self._ended_ns, now_ns
         )
+        spoiled = self._spoiled({*broken, *refused.keys() - offers.keys()})
+        for name in {*rows, *offers}:
+            if not spoiled.isdisjoint(self._table[name].slots):
+                refused[name] = Refusal.INCOMPLETE
+                rows.pop(name, None)
+                offers.pop(name, None)
+        offered = [row for found in offers.values() for row in found]
 
         by_hand = by_hand or is_hand(source)
         is_waiting = not by_hand and self.interlock.holds(kind_of(source))
@@ -238,9 +263,8 @@ class InputGate(HandOver):
             group = [row for found in rows.values() for row in found]
 
         speaker, placed = self._speaker, self._passed_on(source, group)
-        placed += self._placed(
-            source, group, came_ns if renews and not is_waiting else None
-        )
+        is_renewed = renews and not is_waiting and not spoiled
+        placed += self._placed(source, group, came_ns if is_renewed else None)
         placed += self._sampled(
             rows if news is None else rows.keys() & news, now_ns, age_ns
         )
@@ -258,11 +282,12 @@ class InputGate(HandOver):
 
     def _sort(
         self, source: str, values: Mapping[str, object], is_outdated: bool, now_ns: int
-    ) -> tuple[dict[str, list[Row]], list[Row], dict[str, Refusal]]:
-        """Return accepted rows by signal, rows kept as an offer, and refusals by signal."""
+    ) -> tuple[dict[str, list[Row]], dict[str, list[Row]], dict[str, Refusal]]:
+        """Return accepted rows, rows kept as an offer, and refusals, all by signal."""
         rows: dict[str, list[Row]] = {}
+        offered: dict[str, list[Row]] = {}
         refused: dict[str, Refusal] = {}
-        kind, offered = kind_of(source), list[Row]()
+        kind = kind_of(source)
         door = self._doors.get(source) or self._doors.get(kind)  # one of its topics
         for name, value in values.items():
             checked = self._check(name, value)
@@ -285,8 +310,19 @@ class InputGate(HandOver):
                 continue
             refused[name] = Refusal.OUTDATED if is_outdated else Refusal.NOT_IN_CONTROL
             if kind in OFFERING and not is_outdated:
-                offered += [row for row in found if row.slot < N_COMMANDS]
+                offered[name] = [row for row in found if row.slot < N_COMMANDS]
         return rows, offered, refused
+
+    def _spoiled(self, wrong: Iterable[str]) -> set[int]:
+        """Return the slots of the commands that cannot be whole without these names."""
+        spoiled = set[int]()
+        for name in wrong:
+            known = name in self._table and not self._table[name].hidden
+            slots = self._table[name].slots if known else (_MODE,)
+            for command in _COMMANDS:
+                if _MODE in slots or slots[0] in command:
+                    spoiled.update(command)
+        return spoiled | {_MODE} if spoiled else spoiled
 
     def _other_writer(self, source: str, signal: Signal, now_ns: int) -> str:
         """Return who writes this signal already, if that is somebody else; two never mix.
@@ -382,6 +418,8 @@ class InputGate(HandOver):
             self._change = (now_ns, self._image.pushed_rows)
 
     def _report(self, source: str, name: str, value: object, reason: Refusal) -> None:
+        if reason is Refusal.INCOMPLETE:
+            return  # nothing is wrong with it; what is wrong is reported
         other = ""
         if reason is Refusal.NOT_IN_CONTROL:
             other = self._other_writer(source, self._table[name], self._now_ns())
@@ -443,6 +481,8 @@ class InputGate(HandOver):
             return "it was held over Reset, Pause or LoadSnapshot; let go first, then drive"
         if reason is Refusal.NOT_STARTED:
             return "automatic sources wait for Start after a safe state: call Start"
+        if reason is Refusal.INCOMPLETE:
+            return "another value of the same command was refused; one acts whole or not at all"
         if reason is Refusal.OUT_OF_RANGE:
             return f"outside {self._table[name].range_text}"
         if reason is Refusal.TYPE_MISMATCH:

@@ -45,7 +45,12 @@ class Staleness:
     @property
     def lacks_input(self) -> bool:
         """Whether a commanding input has no usable value now."""
-        return not self._commanding.isdisjoint(self._unusable_since_ns)
+        return bool(self.lacking)
+
+    @property
+    def lacking(self) -> frozenset[str]:
+        """Commanding inputs that have no usable value now."""
+        return self._commanding.intersection(self._unusable_since_ns)
 
     @property
     def waiting(self) -> bool:
@@ -87,8 +92,7 @@ class Staleness:
         if now_ns - self._received_ns > self.limit_ns:
             return f"no new value for more than {self.limit_ns / 1e6:g} ms"
         if self.waiting:
-            first = min(self._commanding.intersection(self._unusable_since_ns))
-            return f"{first} has no usable value yet"
+            return f"{min(self.lacking)} has no usable value yet"
         for name, since_ns in self._unusable_since_ns.items():
             if now_ns - since_ns > self.limit_ns:
                 return f"{name} has had no usable value for more than {self.limit_ns / 1e6:g} ms"

@@ -18,6 +18,7 @@ OFFERED_AGAIN: Final = frozenset(
         Refusal.OUTDATED,
         Refusal.NOT_AT_REST,
         Refusal.NOT_STARTED,
+        Refusal.INCOMPLETE,
     }
 )
 """Reasons that do not lie in the value: the next group may be accepted unchanged."""
@@ -81,6 +82,7 @@ class Source:
         news: Collection[str] | None = None,
         renews: bool = True,
         by_hand: bool = False,
+        broken: Collection[str] = (),
     ) -> Outcome:
         """Hand one group to the gate; report what is wrong with it, as values of `of`."""
         came_ns, self._has_written = self.came_ns(now_ns), True
@@ -93,6 +95,7 @@ class Source:
             news=news,
             renews=renews,
             by_hand=by_hand,
+            broken=broken,
         )
         wrong = {name: why for name, why in refused.items() if why not in OFFERED_AGAIN}
         for name, why in wrong.items():

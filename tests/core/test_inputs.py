@@ -148,6 +148,7 @@ def test_names_that_clients_make_become_no_series(world):
     assert {reason for source, reason in before if source == "page"} == set(Refusal) - {
         Refusal.NOT_GRANTED,  # of doors without a log-in
         Refusal.NOT_STARTED,  # of automatic sources
+        Refusal.INCOMPLETE,  # the value that was wrong counts
     }
     for visit in range(100):
         gate.write(f"page:{visit}", {"wheel.fl.setpoint_rpm": math.nan})
@@ -167,13 +168,73 @@ def test_what_is_remembered_of_refused_sources_has_a_limit(world):
     assert events.recent[-1].source == "page:999", "each one is told"
 
 
-def test_one_bad_value_of_a_group_does_not_hold_back_the_others(world):
-    gate, image, _, _ = world
+WHEELS = [f"wheel.{wheel}.setpoint_rpm" for wheel in ("fl", "rl", "fr", "rr")]
+TWIST = ["twist.linear_m_s", "twist.angular_rad_s"]
+DUTIES = [f"wheel.{wheel}.duty_command_pct" for wheel in ("fl", "rl", "fr", "rr")]
+
+
+@pytest.mark.parametrize("command", [WHEELS, TWIST, DUTIES])
+@pytest.mark.parametrize("wrong", [math.nan, 1e9, "12"])
+def test_a_command_is_whole_or_not_at_all(world, command, wrong):
+    gate, image, events, _clock = world
+    gate.write("peer:a", dict.fromkeys(command, 0.1) | {"control.mode": 0})
+    latch_inputs(image)
+    before = image.frame_values.copy()
+    others = {"measured.pose.x_m": 2.0, "lights.red": 3, "drive.enable": False}
     refused = gate.write(
-        "peer:a", {"wheel.fl.setpoint_rpm": math.nan, "wheel.fr.setpoint_rpm": -30.0}
+        "peer:a",
+        dict.fromkeys(command, 0.2) | {command[-1]: wrong, "control.mode": 1} | others,
     )
-    assert refused == {"wheel.fl.setpoint_rpm": Refusal.NOT_FINITE}
-    assert latched(image, "wheel.fr.setpoint_rpm") == -30.0
+    assert refused.pop(command[-1]) is not Refusal.INCOMPLETE
+    assert refused == dict.fromkeys([*command[:-1], "control.mode"], "incomplete")
+    latch_inputs(image)
+    table = make_table()
+    for name in (*command, "control.mode"):
+        assert image.frame_values[table.slot(name)] == before[table.slot(name)]
+    assert image.frame_values[table.slot("measured.pose.x_m")] == 2.0
+    assert image.frame_values[table.slot("lights.red")] == 3.0
+    assert image.frame_values[table.slot("drive.enable")] == 0.0
+    assert len(events.recent) == 1, "the value that is wrong, not those beside it"
+    assert sum(gate.rejected.values()) == 1
+
+
+def test_commands_of_one_request_that_need_not_each_other(world):
+    gate, image, *_ = world
+    both = dict.fromkeys(WHEELS, 5.0) | dict.fromkeys(TWIST, 0.1)
+    refused = gate.write("peer:a", both | {TWIST[0]: math.nan})
+    assert refused == {TWIST[0]: "not_finite", TWIST[1]: "incomplete"}
+    assert latched(image, WHEELS[3]) == 5.0
+    refused = gate.write("peer:a", both | {"control.mode": 7})
+    assert set(refused) == {*both, "control.mode"}, "which of them acts is not known"
+    assert gate.write("peer:a", {WHEELS[0]: math.nan}).keys() == {WHEELS[0]}
+    assert gate.write("peer:a", {WHEELS[1]: 6.0}) == {}, "requests are separate"
+
+
+def test_what_is_wrong_elsewhere_in_a_request_counts(world):
+    gate, _image, *_ = world
+    wheels = dict.fromkeys(WHEELS[:3], 5.0)
+    for broken in (WHEELS[3], "wheels.setpoints_rpm", "control.mode", "no.such_signal"):
+        refused = gate.write("peer:a", wheels, broken=[broken])
+        assert refused == dict.fromkeys(wheels, "incomplete")
+    refused = gate.write("peer:a", {**wheels, "no.such": 1.0})
+    assert refused == dict.fromkeys(wheels, "incomplete") | {
+        "no.such": "unknown_signal"
+    }
+    assert gate.write("peer:a", wheels, broken=[TWIST[0], "pose.x_m"]) == {}
+
+
+def test_a_part_of_a_command_is_no_offer_and_renews_nothing(world):
+    gate, image, _, _clock = world
+    gate.take("opcua")
+    offer = dict.fromkeys(WHEELS, 5.0)
+    refused = gate.write("peer:a", offer | {WHEELS[0]: math.nan})
+    assert refused == dict.fromkeys(WHEELS, "incomplete") | {WHEELS[0]: "not_finite"}
+    gate.take("peer")
+    assert latched(image, WHEELS[1]) == 0.0
+    gate.write("peer:a", offer)
+    pushed = image.pushed_rows
+    gate.write("peer:a", offer | {WHEELS[0]: math.nan, "drive.enable": True})
+    assert image.pushed_rows == pushed + 1, "drive.enable alone, and no lease"
 
 
 @given(

@@ -205,9 +205,11 @@ class Endpoint(Part):
     # --- what viewers publish ---------------------------------------------------------------------
 
     def _take_all(self, inbox: Inbox) -> None:
-        values, received_ns = inbox.take()
-        if values:
-            came_ns = self._arrivals.came_ns(received_ns)
+        messages, received_ns = inbox.take()
+        if not messages:
+            return
+        came_ns = self._arrivals.came_ns(received_ns)
+        for values in messages:
             self._world.gate.write(
                 SOURCE, values, received_ns=received_ns, commanded_ns=came_ns
             )

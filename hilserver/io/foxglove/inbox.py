@@ -1,4 +1,4 @@
-"""What viewers publish: the newest value of each name, until the daemon takes it."""
+"""What viewers publish: the newest message of each set of names, until the daemon takes it."""
 
 import threading
 import time
@@ -9,13 +9,16 @@ import structlog
 from foxglove.websocket import ServerListener
 
 MOST_CHANNELS: Final = 1000
+MOST_SETS: Final = 32
 COMPLAIN_EVERY_S: Final = 1.0
 
 _log = structlog.get_logger(__name__)
 
 
 class Inbox(ServerListener):
-    """Called in threads of the SDK; holds at most one value per signal.
+    """Called in threads of the SDK; holds one message per set of names, and at most 32.
+
+    A message is a request: what is wrong with one says nothing of the others.
 
     Parameters
     ----------
@@ -36,15 +39,15 @@ class Inbox(ServerListener):
         self._understand, self._knows, self._wake = understand, knows, wake
         self._channels: dict[tuple[int, int], tuple[str, str]] = {}
         self._lock = threading.Lock()
-        self._newest: dict[str, object] = {}
+        self._newest: dict[frozenset[str], Mapping[str, object]] = {}
         self._came_ns = 0
         self._complained_s = 0.0
 
-    def take(self) -> tuple[Mapping[str, object], int]:
-        """Return the values since the last call, and when the last one came (CLOCK_MONOTONIC)."""
+    def take(self) -> tuple[list[Mapping[str, object]], int]:
+        """Return messages since the last call, and when the last one came (CLOCK_MONOTONIC)."""
         with self._lock:
             newest, self._newest = self._newest, {}
-        return newest, self._came_ns
+        return [*newest.values()], self._came_ns
 
     def on_client_advertise(self, client: Any, channel: Any) -> None:
         """Remember the topic of a client's channel."""
@@ -66,17 +69,20 @@ class Inbox(ServerListener):
         except ValueError as error:
             self._complain(known[0], f"{error!r:.100}")
             return
-        written = {name: value for name, value in values.items() if self._knows(name)}
-        if len(written) < len(values):
-            unknown = next(name for name in values if name not in written)
+        unknown = next((name for name in values if not self._knows(name)), None)
+        if unknown is not None:  # it may have been meant as a part of the same command
             self._complain(known[0], f"there is no signal '{unknown:.60}' to write")
-        if written:
-            self._keep(written)
+        elif values:
+            self._keep(values)
 
     def _keep(self, written: Mapping[str, object]) -> None:
+        names = frozenset(written)
         with self._lock:
             is_first = not self._newest
-            self._newest |= written
+            self._newest.pop(names, None)
+            self._newest[names] = written  # the last one, as it came last
+            if len(self._newest) > MOST_SETS:
+                del self._newest[next(iter(self._newest))]
             self._came_ns = time.monotonic_ns()
         if is_first:
             self._wake()

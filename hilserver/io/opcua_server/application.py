@@ -30,7 +30,7 @@ from typing import Any
 from asyncua import ua
 
 from hilserver.core.events import Event, EventKind
-from hilserver.core.inputs import InputGate, Refusal
+from hilserver.core.inputs import InputGate, Refusal, check_value
 from hilserver.core.leases import NOBODY, TELEOP, kind_of
 from hilserver.core.rest import is_hand, is_terminal
 from hilserver.errors import ControlRefused, UserError
@@ -70,6 +70,7 @@ STATUS_OF: dict[Refusal, int] = {
     Refusal.NOT_AT_REST: _Codes.BadInvalidState,
     Refusal.NOT_STARTED: _Codes.BadInvalidState,
     Refusal.NOT_GRANTED: _Codes.BadUserAccessDenied,
+    Refusal.INCOMPLETE: _Codes.BadInvalidState,
 }
 
 
@@ -162,17 +163,26 @@ class RobotApplication(Application):
     ) -> Generator[Any, Any, list[Answer]]:
         """Return one answer per item; accepted ones are latched together by one tick.
 
-        Yields while the items are judged, and between groups that are latched separately.
+        Of a command, an item that is refused takes the others of the request with it, wherever in
+        the request they are. Yields while the items are judged.
         """
         received_ns = came_ns(session.processor.socket)
         answers: list[Answer] = []
-        group: dict[str, tuple[int, object]] = {}
-        changes: dict[str, tuple[int, ua.Variant]] = {}
-        for position, item in enumerate(items):
+        broken: set[str] = set()
+        items = list(items)
+        for item in items:
             yield
             answer = self.refuse(item, session.user)
             answers.append(answer or ACCEPTED)
-            if answer is not None:
+            name = item.NodeId.Identifier
+            is_alone = name == CONTROL_SOURCE or name in self._parameters
+            if not is_alone and (answer is not None or self._is_unsound(item)):
+                broken.add(str(name))
+
+        group: dict[str, tuple[int, object]] = {}
+        changes: dict[str, tuple[int, ua.Variant]] = {}
+        for position, item in enumerate(items):
+            if answers[position] is not ACCEPTED:
                 continue
             name = item.NodeId.Identifier
             if name in self._parameters:
@@ -181,15 +191,25 @@ class RobotApplication(Application):
             if name == CONTROL_SOURCE or name in group:
                 # The order of a request counts: taking control affects the writes after it, and
                 # the later of two writes to one signal wins.
-                self._hand_over(group, answers, session, received_ns)
+                self._hand_over(group, answers, session, received_ns, broken)
                 group = {}
             if name == CONTROL_SOURCE:
                 answers[position] = self._take_control(item.Value.Value, session)
             else:
                 group[name] = (position, _plain(self._table[name], item.Value.Value))
-        self._hand_over(group, answers, session, received_ns)
+        self._hand_over(group, answers, session, received_ns, broken)
         self._change(changes, answers, session.visitor.source)
         return answers
+
+    def _is_unsound(self, item: ua.WriteValue) -> bool:
+        """Whether a signal cannot have this value, whoever has control."""
+        name = item.NodeId.Identifier
+        if name not in self._table:
+            return False
+        signal = self._table[name]
+        return isinstance(
+            check_value(signal, _plain(signal, item.Value.Value)), Refusal
+        )
 
     def _change(
         self,
@@ -208,6 +228,7 @@ class RobotApplication(Application):
         answers: list[Answer],
         session: Any,
         received_ns: int,
+        broken: set[str],
     ) -> None:
         if not group:
             return
@@ -220,7 +241,9 @@ class RobotApplication(Application):
                 del values[name]
         if not values:
             return
-        turned_down = self._gate.write(source, values, received_ns=received_ns)
+        turned_down = self._gate.write(
+            source, values, received_ns=received_ns, broken=broken
+        )
         for name, reason in turned_down.items():
             why = self._gate.explain(source, name, reason)
             answers[group[name][0]] = Answer(STATUS_OF[reason], why)

@@ -192,7 +192,12 @@ class Intake:
             return
         renews = not self._staleness.lacks_input
         outcome = self._source.write(
-            self._picture, now_ns, age_ns=self._age_ns, news=self._fresh, renews=renews
+            self._picture,
+            now_ns,
+            age_ns=self._age_ns,
+            news=self._fresh,
+            renews=renews,
+            broken={*self._refused, *self._staleness.lacking},
         )
         self._fresh = set()
         for signal in outcome.wrong:

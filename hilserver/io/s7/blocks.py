@@ -123,7 +123,7 @@ class DataBlock:
             raise RefusedItemError(Code.BEYOND)
         if len(data) != item.size:
             raise RefusedItemError(Code.UNFIT)
-        hit = range(item.bit, item.bit + (1 if item.is_bit else 8 * item.size))
+        hit = item.bits
         values: dict[str, object] = {}
         for place, signal in self._hit(hit):
             if place.bits.start < hit.start or place.bits.stop > hit.stop:
@@ -136,6 +136,10 @@ class DataBlock:
         if not values:
             raise RefusedItemError(Code.BEYOND)
         return values
+
+    def touched(self, item: Item) -> set[str]:
+        """Return the signals that an item covers, if only in part."""
+        return {signal.name for _, signal in self._hit(item.bits)}
 
     def _hit(self, bits: range) -> Iterator[tuple[Place, Signal]]:
         for place, signal in self.fields:

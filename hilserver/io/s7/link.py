@@ -1,7 +1,7 @@
 """The server as a part of the daemon: frames out, groups through the gate."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Final
 
 from hilserver.config.s7 import S7Server
@@ -115,9 +115,11 @@ class S7Link(Part):
             }
         return self._contents
 
-    def _write(self, values: Mapping[str, object]) -> Mapping[str, Code]:
+    def _write(
+        self, values: Mapping[str, object], broken: Collection[str]
+    ) -> Mapping[str, Code]:
         now_ns = time.monotonic_ns()
-        outcome = self._source.write(values, now_ns)
+        outcome = self._source.write(values, now_ns, broken=broken)
         if not outcome.wrong:
             self._source.staleness.renew(now_ns)
             self.status.input_received_ns.update(dict.fromkeys(values, now_ns))

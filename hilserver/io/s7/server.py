@@ -3,7 +3,7 @@
 import asyncio
 import socket
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Final
 
 from hilserver import __version__
@@ -64,7 +64,7 @@ ALIVE = {"TCP_KEEPIDLE": 10, "TCP_KEEPINTVL": 5, "TCP_KEEPCNT": 3}
 """A client that vanishes silently gives its place back within half a minute."""
 
 Contents = Callable[[], Mapping[int, bytes]]
-Write = Callable[[Mapping[str, object]], Mapping[str, Code]]
+Write = Callable[[Mapping[str, object], Collection[str]], Mapping[str, Code]]
 Report = Callable[[FaultKind, str, str], None]
 
 
@@ -123,15 +123,19 @@ class Answers:
     def _written(self, number: int, parameters: bytes, data: bytes) -> bytes:
         items = wire.asked(parameters)
         codes, named, group = [], [], dict[str, object]()
+        broken = set[str]()
         for item, (_, piece) in zip(items, wire.pieces(data, len(items)), strict=True):
             try:
                 values, code = self._block(item).written(item, piece), Code.DONE
             except RefusedItemError as error:
                 values, code = {}, error.code
+                block = self._blocks.get(item.block)
+                # Where it covers no signal, it may have meant any.
+                broken |= (block and block.touched(item)) or {f"DB{item.block}"}
             codes.append(code)
             named.append(values)
             group |= values
-        refused = self._write(group) if group else {}
+        refused = self._write(group, broken) if group else {}
         for index, values in enumerate(named):
             codes[index] = next(
                 (refused[n] for n in values if n in refused), codes[index]

@@ -69,6 +69,11 @@ class Item(NamedTuple):
         return self.kind == _BIT
 
     @property
+    def bits(self) -> range:
+        """Its bits, counted from the beginning of the block."""
+        return range(self.bit, self.bit + (1 if self.is_bit else 8 * self.size))
+
+    @property
     def packed(self) -> bytes:
         """Its address."""
         at, count = self.bit.to_bytes(3, "big"), self.size // _SIZES[self.kind]

@@ -1,7 +1,7 @@
 """What a program writes: a counter and a number per input, in the order of the signal table.
 
 The program makes the counter odd, writes, and makes it even again. A NaN is an input that it leaves
-to others.
+to others. One that it has written before is missing from its command then, see `InputGate.write`.
 """
 
 from typing import Final
@@ -44,7 +44,13 @@ def layout_number(table: SignalTable) -> int:
 
 
 class SharedInputs:
-    """The daemon's side of the memory that a program writes."""
+    """The daemon's side of the memory that a program writes.
+
+    Attributes
+    ----------
+    missing : set of str
+        Inputs that the program once wrote, and that are NaN in what it wrote last.
+    """
 
     def __init__(self, image: str, table: SignalTable) -> None:
         self._signals = inputs_of(table)
@@ -54,6 +60,8 @@ class SharedInputs:
         self._values = self._words[HEAD_WORDS:].view(np.float64)
         self._values[:] = np.nan
         self._seen = 0
+        self._written = np.zeros(len(self._signals), dtype=bool)
+        self.missing: set[str] = set()
         self._words[LAYOUT] = layout_number(table)  # last: a program waits for it
 
     def news(self) -> dict[str, object] | None:
@@ -67,9 +75,14 @@ class SharedInputs:
         if int(self._words[COUNTER]) != counter:
             return None
         self._seen = counter
-        written = np.flatnonzero(~np.isnan(numbers))
+        is_number = ~np.isnan(numbers)
+        self.missing = {
+            self._signals[i].name for i in np.flatnonzero(self._written & ~is_number)
+        }
+        self._written |= is_number
         return {
-            self._signals[i].name: _typed(self._signals[i], numbers[i]) for i in written
+            self._signals[i].name: _typed(self._signals[i], numbers[i])
+            for i in np.flatnonzero(is_number)
         }
 
     def close(self) -> None:

@@ -63,7 +63,7 @@ class SharedMemoryLink(Part):
         if values is None:
             return
         now_ns = time.monotonic_ns()
-        if not self._source.write(values, now_ns).wrong:
+        if not self._source.write(values, now_ns, broken=inputs.missing).wrong:
             self._source.staleness.renew(now_ns)
             self.status.input_received_ns.update(dict.fromkeys(values, now_ns))
             self.status.writes += 1

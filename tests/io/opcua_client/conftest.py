@@ -52,6 +52,7 @@ class RecordingGate:
         news: Collection[str] | None = None,
         renews: bool = True,
         by_hand: bool = False,
+        broken: Collection[str] = (),
     ) -> dict[str, Refusal]:
         assert source == "peer:iot2050"
         self.news.append(news)

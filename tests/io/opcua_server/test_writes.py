@@ -136,17 +136,52 @@ async def test_refusals_are_counted_and_published(
     assert rig.events.recent[-3].message == f"opcua: {text}"
 
 
-async def test_good_ones_of_a_mixed_request_get_through(
+WHEELS_RPM = [f"wheel.{wheel}.setpoint_rpm" for wheel in WHEELS]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "code"),
+    [
+        (("wheel.rr.setpoint_rpm", math.nan, T.Double), "BadOutOfRange"),
+        (("wheel.rr.setpoint_rpm", 400.0, T.Double), "BadOutOfRange"),
+        (("wheel.rr.setpoint_rpm", 5.0, T.Float), "BadTypeMismatch"),
+        ((ARRAY, [1.0, 2.0, 3.0], T.Double), "BadTypeMismatch"),
+        (("wheel.rx.setpoint_rpm", 5.0, T.Double), "BadNodeIdUnknown"),
+        (("control.mode", 7, T.Byte), "BadOutOfRange"),
+    ],
+)
+@pytest.mark.parametrize("place", [0, 1, 3])
+async def test_a_command_is_whole_or_not_at_all(
+    rig: Rig, client: RobotClient, wrong: tuple[str, object, T], code: str, place: int
+) -> None:
+    assert await client.write((ARRAY, [1.0] * 4, T.Double)) == ["Good"]
+    items = [(name, 4.0, T.Double) for name in WHEELS_RPM[:3]]
+    items.insert(place, wrong)
+    answers = await client.write(*items)
+    assert answers.pop(place) == code
+    assert answers == ["BadInvalidState"] * 3
+    assert latched(rig, FL) == 1.0
+    assert await client.read(ARRAY) == [1.0] * 4
+
+
+async def test_a_wrong_value_spoils_its_command_across_the_request(
     rig: Rig, client: RobotClient
 ) -> None:
-    answers = await client.write_doubles(
-        wheel__fl__setpoint_rpm=4.0,
-        wheel__fr__setpoint_rpm=400.0,
-        pose__x_m=1.0,
-        wheel__rl__setpoint_rpm=5.0,
+    await client.write((ARRAY, [1.0] * 4, T.Double))
+    answers = await client.write(
+        (FL, 2.0, T.Double),
+        (FL, 3.0, T.Double),
+        ("control.source", "opcua", T.String),
+        ("wheel.fr.setpoint_rpm", math.nan, T.Double),
+        ("twist.linear_m_s", 0.1, T.Double),
+        ("measured.pose.x_m", 2.5, T.Double),
     )
-    assert answers == ["Good", "BadOutOfRange", "BadNotWritable", "Good"]
-    assert (latched(rig, FL), latched(rig, "wheel.rl.setpoint_rpm")) == (4.0, 5.0)
+    assert answers == [
+        *("BadInvalidState", "BadInvalidState", "Good", "BadOutOfRange"),
+        *("Good", "Good"),
+    ]
+    assert latched(rig, FL) == 0.0, "taking control has ended what was commanded"
+    assert latched(rig, "twist.linear_m_s") == 0.1
 
 
 async def test_without_control_nothing_but_measured_values(
@@ -329,9 +364,9 @@ async def test_a_command_that_waited_for_our_event_loop_came_in_when_it_was_sent
     protocol = client.uaclient.protocol
     stands = SendsAndStands(protocol.transport, stands_s)
 
-    def noting(source, values, *, received_ns):
+    def noting(source, values, *, received_ns, **more):
         came.append(received_ns)
-        return write(source, values, received_ns=received_ns)
+        return write(source, values, received_ns=received_ns, **more)
 
     monkeypatch.setattr(rig.gate, "write", noting)
     monkeypatch.setattr(protocol, "transport", stands)

@@ -35,7 +35,7 @@ class Wired(S7Connection):
 
     def __init__(self, pdu_bytes, memory):
         super().__init__(Endpoint("127.0.0.1", 102, 0, 1))
-        self._answers = Answers({1: memory}, pdu_bytes, lambda: {1: b""}, lambda _: {})
+        self._answers = Answers({1: memory}, pdu_bytes, lambda: {1: b""}, lambda *_: {})
         self.pdu_bytes, self.jobs = pdu_bytes, 0
 
     async def _exchange(self, parameters, data=b""):
