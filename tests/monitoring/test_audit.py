@@ -132,7 +132,7 @@ def test_grants_of_the_scheduler_are_part_of_it(tmp_path):
         "thread_priority", False, "not permitted", "SCHED_FIFO 80", "LimitRTPRIO=80"
     )
     items = au.audit(Paced([refused]), tree(tmp_path, TUNED))
-    assert items[-1] == au.Grant(
+    assert items[-1] == au.AuditFinding(
         "thread_priority", False, "not permitted", "SCHED_FIFO 80", "LimitRTPRIO=80"
     )
     (line,) = au.as_lines(items[-1:])
