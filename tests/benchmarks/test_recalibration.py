@@ -51,7 +51,7 @@ def looks(monkeypatch):
                 look=NAMED if is_new else Looked("as_running"),
             )
 
-    monkeypatch.setattr(recalibration_robot, "Judge", Judge)
+    monkeypatch.setattr(recalibration_robot, "OrderJudge", Judge)
     return asked
 
 

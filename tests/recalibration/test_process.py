@@ -85,10 +85,10 @@ asyncio.run(process.looked(made, folder, 600.0))
 LASTS = """
 import sys
 from hilserver.recalibration import judging, worker
-class Judge:
+class OrderJudge:
     def __init__(self, order):
         open(sys.argv[2]).read()
-judging.Judge = Judge
+judging.OrderJudge = OrderJudge
 worker.main()
 """
 
