@@ -141,6 +141,10 @@ def _separator(lines: Sequence[str]) -> str:
 
 
 def _cells(line: str, separator: str) -> list[str]:
+    if separator == " ":
+        line = (
+            line.strip()
+        )  # of trajectories, whose writers often end rows with a space
     try:
         (row,) = csv.reader(
             [line], delimiter=separator, skipinitialspace=separator == " "

@@ -24,7 +24,7 @@ from hilserver.measured.frames import (
     is_of_the_daemon,
     own_sampling,
 )
-from hilserver.measured.mapping import PER_SECOND, LogMapping
+from hilserver.measured.mapping import DATED, PER_SECOND, LogMapping
 from hilserver.measured.names import (
     conversion,
     known_columns,
@@ -227,7 +227,14 @@ def read_mapped(path: Path, mapping: LogMapping) -> Recording:
     table = (
         read_parquet(path, used, time)
         if is_parquet
-        else read_table(path, time=time, used=used, rest=stamps.rest, layout=layout)
+        else read_table(
+            path,
+            time=time,
+            used=used,
+            rest=stamps.rest,
+            layout=layout,
+            dated=mapping.time.unit == DATED,
+        )
     )
     for key, column, is_named in (
         ("time", str(time), time is not None),
