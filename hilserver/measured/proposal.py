@@ -32,7 +32,17 @@ _WHEELS: Final = (
 )
 _INITIALS: Final = {"l": ("fl", "rl"), "r": ("fr", "rr")}
 """Of sides, in names that speak of wheels."""
-_TIMES: Final = {"t", "time", "timestamp", "stamp", "sec", "secs", "seconds", "nsecs"}
+_TIMES: Final = {
+    "t",
+    "time",
+    "timestamp",
+    "stamp",
+    "sec",
+    "secs",
+    "seconds",
+    "nsecs",
+    "xvalue",
+}
 SENT: Final = {
     "setpoint",
     "set",
@@ -184,7 +194,7 @@ class Head(NamedTuple):
     @property
     def stamps(self) -> TimeColumns:
         """The columns of the time; an empty name if none is recognised."""
-        time = time_column(self.header, self.types) or ""
+        time = time_column(self.header, self.types, self.first) or ""
         return columns_of(time, None, self.header, self.first)
 
 
@@ -224,13 +234,17 @@ def candidates_of(head: Head) -> list[Candidate]:
 
 
 def time_column(
-    header: Sequence[str], typed: Mapping[str, str] | None = None
+    header: Sequence[str],
+    types: Mapping[str, str] | None = None,
+    first: Sequence[str] = (),
 ) -> str | None:
-    """Return the column of the times, by its type or else by its name."""
-    named = [name for name in header if words_of(name) & _TIMES]
-    return next(
-        (name for name in header if name in (typed or {})), next(iter(named), None)
-    )
+    """Return the column of the times, by its type or else by its name; one without any is none."""
+    texts = dict(zip(header, first, strict=False))
+    named = [
+        name for name in header if words_of(name) & _TIMES and texts.get(name, "0")
+    ]
+    typed = [name for name in header if name in (types or {})]
+    return next(iter([*typed, *named]), None)
 
 
 def _time(head: Head) -> str:

@@ -95,7 +95,8 @@ def refuse_foreign(path: Path) -> None:
         if layout is None or first.startswith((*NO_NAME, "\0")):
             return  # the reader will report it
         _refuse_units(path, layout)
-        numbers = table_samples(path, layout, time_column(layout.header))
+        time = time_column(layout.header, {}, layout.first)
+        numbers = table_samples(path, layout, time)
         units = dict(zip(layout.header, layout.units, strict=False))
         head = Head(layout.header, layout.first, numbers, {}, units, layout.header_row)
     else:
