@@ -147,6 +147,7 @@ _NUMBERED: Final = re.compile(r"(.*?)\[?(\d)\]?(\D*)")
 _OF_WHEELS: Final = {*_SPEED, *_COUNTS, *_ANGLE, *_DUTY, "wheel", "motor", "joint"}
 _ORDER: Final = {2: ("left", "right"), 4: ("fl", "fr", "rl", "rr")}
 _TURN: Final = {"yaw", "theta", "heading", "psi"}
+_OF_ONE_AXIS: Final = _AXES | _TURN
 _GYRO: Final = {"gyro", "yawrate", "wz", "gz"}
 _VOLTAGE: Final = {"voltage", "battery", "vbat", "volt"}
 
@@ -221,12 +222,14 @@ def candidates_of(head: Head) -> list[Candidate]:
             found.append(Candidate(name, own, "own", -1, "its own name", seen))
             continue
         said = [head.units.get(name, ""), *in_brackets(name)]
+        # What a name shares with those of the other axes.
+        singles = [word.lower() for word in _WORD.findall(name)]
+        group = " ".join(word for word in singles if word not in _OF_ONE_AXIS)
         for signal, written in lines(name, words, at):
             rank = _rank(words, signal)
             is_other = any(is_other_unit(unit, mapped_units()[signal]) for unit in said)
             is_axis_unseen = signal == GYRO and rank > 0 and seen is UNSEEN
             if not is_other and not is_axis_unseen:
-                group = _group(words)
                 found.append(
                     Candidate(signal, written, group, rank, "by its name", seen)
                 )
@@ -271,14 +274,6 @@ def _rank(words: set[str], signal: str) -> int:
         return int(bool(words & _OTHER_AXES))
     is_place = signal in (NAV_X, NAV_Y, YAW)
     return 1 if is_place and words & ODOMETRY and not words & TRUTH else 0
-
-
-def _group(words: set[str]) -> str:
-    """Return what a name shares with those of the other axes."""
-    singles = {
-        word for word in words if not any(word != w and w in word for w in words)
-    }
-    return " ".join(sorted(singles - _AXES - _TURN))
 
 
 def text(channels: Mapping[str, str], *time: str) -> str:

@@ -209,18 +209,14 @@ def read_own_parquet(path: Path, sampling: Sampling | None = None) -> Recording:
 def read_mapped(path: Path, mapping: LogMapping) -> Recording:
     """Read a foreign table, CSV or Parquet, through a mapping."""
     time = None if mapping.time.rate_hz else mapping.time.column or TIME
-    segment, block = (
-        default if named is None else named.column
-        for named, default in ((mapping.segment, SEGMENT), (mapping.block, BLOCK))
-    )
+    segment = SEGMENT if mapping.segment is None else mapping.segment.column
+    block = BLOCK if mapping.block is None else mapping.block.column
     is_parquet = path.suffix == ".parquet"
     layout = None if is_parquet else read_layout(path)
-    header: Sequence[str] = []
-    first: Sequence[str] = ()
-    if is_parquet:
-        header = read_parquet(path, ()).header
-    elif layout is not None:
-        header, first = layout.header, layout.first
+    header = read_parquet(path, ()).header if is_parquet else []
+    if layout is not None:
+        header = layout.header
+    first = () if layout is None else layout.first
     stamps = columns_of(time or "", mapping.time.rest, header, first)
 
     used = {str(channel.column) for channel in mapping.channels.values()}
@@ -237,13 +233,11 @@ def read_mapped(path: Path, mapping: LogMapping) -> Recording:
             dated=mapping.time.unit == DATED,
         )
     )
-    for key, column, is_named in (
-        ("time", str(time), time is not None),
-        ("time.rest", str(stamps.rest), stamps.rest is not None),
-        (SEGMENT, segment, mapping.segment is not None),
-        (BLOCK, block, mapping.block is not None),
-    ):
-        if is_named:
+    demanded = {"time": time, "time.rest": stamps.rest}
+    demanded[SEGMENT] = segment if mapping.segment is not None else None
+    demanded[BLOCK] = block if mapping.block is not None else None
+    for key, column in demanded.items():
+        if column is not None:
             _demand(table, column, key)
     if time is not None:
         table, per_second = times_of(table, stamps, mapping.time)
