@@ -27,8 +27,8 @@ _WHEELS: Final = (
     ({"rl", "rearleft", "leftrear", "bl"}, ("rl",)),
     ({"fr", "frontright", "rightfront"}, ("fr",)),
     ({"rr", "rearright", "rightrear", "br"}, ("rr",)),
-    ({"left"}, ("fl", "rl")),
-    ({"right"}, ("fr", "rr")),
+    ({"left", "links"}, ("fl", "rl")),
+    ({"right", "rechts"}, ("fr", "rr")),
 )
 _INITIALS: Final = {"l": ("fl", "rl"), "r": ("fr", "rr")}
 """Of sides, in names that speak of wheels."""
@@ -42,6 +42,7 @@ _TIMES: Final = {
     "seconds",
     "nsecs",
     "xvalue",
+    "zeit",
 }
 SENT: Final = {
     "setpoint",
