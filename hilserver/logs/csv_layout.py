@@ -112,7 +112,11 @@ def layout_of(path: Path, lines: Sequence[str]) -> CsvLayout:
     begin = len(rows) - 1 - bool(inner)
     while begin > 0 and _goes_on(shapes[begin - 1], last):
         begin -= 1
-    return _above(path, lines, rows, shapes, begin, separator) or plain
+    width = len(rows[begin])
+    keys = {row[0] for row in rows[:begin] if row and len(row) == width}
+    if {_SCOPE_NAME, "Data-Type"} <= keys:
+        return _of_scope(path, rows, begin, separator)
+    return _above(lines, rows, shapes, begin, separator) or plain
 
 
 def _is_remark(line: str) -> bool:
@@ -141,6 +145,10 @@ def _separator(lines: Sequence[str]) -> str:
 
 
 def _cells(line: str, separator: str) -> list[str]:
+    if separator == " ":
+        line = (
+            line.strip()
+        )  # of trajectories, whose writers often end rows with a space
     try:
         (row,) = csv.reader(
             [line], delimiter=separator, skipinitialspace=separator == " "
@@ -168,7 +176,6 @@ def _goes_on(shape: str, last: str) -> bool:
 
 
 def _above(
-    path: Path,
     lines: Sequence[str],
     rows: list[list[str]],
     shapes: list[str],
@@ -177,10 +184,6 @@ def _above(
 ) -> CsvLayout | None:
     """Return the layout of a table whose numbers begin in row `begin`, counted from 0."""
     width = len(rows[begin])
-    scope_keys = {row[0] for row in rows[:begin] if row and len(row) == width}
-    if {_SCOPE_NAME, "Data-Type"} <= scope_keys:
-        return _of_scope(path, rows, begin, separator)
-
     above: list[tuple[int, list[str]]] = []  # rows of texts, upwards
     for at in range(begin - 1, -1, -1):
         row = rows[at]
@@ -189,9 +192,10 @@ def _above(
             row = _cells(lines[at].lstrip(f"{_COMMENT} "), separator)
         if row[width:] == [_LABVIEW_REMARK]:
             row = row[:width]
-        if len(row) != width or not any(row) or (is_comment and above):
-            if above:
-                break
+        is_other = len(row) != width or not any(row)
+        if above and (is_other or is_comment):
+            break
+        if is_other:
             continue
 
         # A row of numbers with something broken in it, which the reader will name.
@@ -209,22 +213,21 @@ def _above(
         return None
 
     # The highest row names the columns; below it stand units, types and the like.
-    full = [(at, row) for at, row in above if all(row)] or above
-    at, header = full[-1]
-    below = [row for lower, row in above if lower > at]
-    found = (row for row in below if any(map(_UNIT.fullmatch, filter(None, row))))
-    of_types = (
-        row for row in found if not all(map(_TYPE.fullmatch, filter(None, row)))
-    )
-    units = [text.strip("[](){}<> ") for text in next(of_types, [])]
-    return CsvLayout(
-        separator, header, at + 1, begin + 1, tuple(units), tuple(rows[begin])
-    )
+    at, header = next((found for found in reversed(above) if all(found[1])), above[-1])
+    units: list[str] = []
+    for lower, row in reversed(above):
+        named = [text for text in row if text]
+        is_types = all(map(_TYPE.fullmatch, named))
+        if lower > at and not is_types and any(map(_UNIT.fullmatch, named)):
+            units = [text.strip("[](){}<> ") for text in row]
+            break
+    first = tuple(rows[begin])
+    return CsvLayout(separator, header, at + 1, begin + 1, tuple(units), first)
 
 
 def _of_scope(
     path: Path, rows: list[list[str]], begin: int, separator: str
-) -> CsvLayout | None:
+) -> CsvLayout:
     """Return the layout of an export of TwinCAT Scope: each of its rows begins with a key.
 
     Either one column of time [ms] stands before all channels, or one before each.

@@ -84,6 +84,7 @@ def read_table(
     used: Container[str] | None = None,
     rest: str | None = None,
     layout: CsvLayout | None = None,
+    dated: bool = False,
 ) -> Table:
     """Read the numbers of a CSV file.
 
@@ -103,10 +104,13 @@ def read_table(
         A column of times of day, if the dates in `time` have none.
     layout : CsvLayout, optional
         If it is known already.
+    dated : bool
+        Whether the times must be dates, whatever the first one looks like.
     """
     layout = layout or (None if ours else read_layout(path)) or CsvLayout(COMMA, [])
     clean = None
-    if layout.kind(time) not in TEXTS:
+    texts = dated or layout.kind(time) in TEXTS
+    if not texts:
         clean = parse_clean(path.read_bytes(), layout if layout.header else None)
     if clean is not None:
         header, numbers, decimal = clean
@@ -116,7 +120,7 @@ def read_table(
         table.lines = range(layout.data_row, len(numbers) + layout.data_row)
         if time is None or not np.abs(table.column(time)[:1]).max(initial=0.0) >= EXACT:
             return table
-    return _read_strictly(path, layout, names, time, used, rest, ours=ours)
+    return _read_strictly(path, layout, names, time, used, rest, ours=ours, texts=texts)
 
 
 def _read_strictly(
@@ -128,9 +132,9 @@ def _read_strictly(
     rest: str | None,
     *,
     ours: bool,
+    texts: bool,
 ) -> Table:
     """Read row by row what the fast parser leaves; it names each mistake."""
-    texts = layout.kind(time) in TEXTS
     csv.field_size_limit(MAX_FIELD_CHARACTERS)
     with path.open(encoding="utf-8-sig", newline="") as file:
         try:

@@ -13,6 +13,7 @@ TEXTS: Final = ("unit", "clock", "date")
 """Kinds that become nanoseconds."""
 
 _BEGIN: Final = datetime(1970, 1, 1, tzinfo=UTC)
+LARGEST_NS: Final = 2.0**63
 _UNIT_NS: Final = {
     "ns": 1,
     "us": 1_000,
@@ -65,9 +66,10 @@ def stamp_ns(text: str) -> int | None:
 def with_unit_ns(text: str) -> int | None:
     """Return the nanoseconds of ``0.02 sec``, as MATLAB writes durations."""
     match = _WITH_UNIT.fullmatch(text.strip().replace(COMMA, "."))
-    return (
-        None if match is None else round(float(match[1]) * _UNIT_NS[match[2].lower()])
-    )
+    if match is None:
+        return None
+    ns = float(match[1]) * _UNIT_NS[match[2].lower()]
+    return round(ns) if abs(ns) < LARGEST_NS else None
 
 
 def clock_ns(text: str) -> int | None:

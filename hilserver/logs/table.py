@@ -72,7 +72,8 @@ class Table:
             with self.path.open(encoding="utf-8-sig", newline="") as file:
                 reader = csv.reader(file, delimiter=self.separator)
                 rows = (cells for cells in reader if reader.line_num == self.lines[row])
-                return repr(next(rows)[self.header.index(name)].strip())
+                cells = dict(zip(self.header, next(rows, []), strict=False))
+                return repr(cells.get(name, "").strip())
         if self.stamps in ("moments", "durations"):
             count, unit = self.origin + int(number), self.units[name]
             kind = "datetime64" if self.stamps == "moments" else "timedelta64"

@@ -71,10 +71,11 @@ def choose(found: Sequence[Candidate]) -> Choice:
 
 def has_wheels(found: Iterable[Candidate]) -> bool:
     """Return whether speeds or angles of wheels on both sides may be among the channels."""
-    signals = {candidate.signal for candidate in found}
-    measured = {s for s in signals if s.endswith(("speed_rpm", "angle_rad"))}
-    sides = ("wheel.fl", "wheel.rl"), ("wheel.fr", "wheel.rr")
-    return all(any(s.startswith(side) for s in measured) for side in sides)
+    sides = set()
+    for candidate in found:
+        if candidate.signal.endswith(("speed_rpm", "angle_rad")):
+            sides.add(candidate.signal[:8][-1])  # wheel.fl
+    return {"l", "r"} <= sides
 
 
 def _motion(by_signal: Mapping[str, list[Candidate]]) -> Motion | None:
@@ -87,11 +88,15 @@ def _motion(by_signal: Mapping[str, list[Candidate]]) -> Motion | None:
         sides = []
         for wheel in ("fl", "fr"):
             other = wheel.replace("f", "r")
-            names = (f"wheel.{wheel}.{quantity}", f"wheel.{other}.{quantity}")
-            of_side = [c.samples for name in names for c in by_signal.get(name, ())]
-            moving = [s for s in of_side if s.moves]
+            of_side = [
+                *by_signal.get(f"wheel.{wheel}.{quantity}", ()),
+                *by_signal.get(f"wheel.{other}.{quantity}", ()),
+            ]
+            moving = [c.samples for c in of_side if c.samples.moves]
             sides.append(moving[0] if moving else UNSEEN)
-        left, right = (s.rate if quantity == "angle_rad" else s for s in sides)
+        left, right = sides
+        if quantity == "angle_rad":
+            left, right = left.rate, right.rate
         motion = motion_of(left, right, words)
         if motion is not None:
             return motion
@@ -132,22 +137,24 @@ def _take_pose(
 ) -> None:
     """Choose a place whose x and y belong together and move with the wheels, and its heading."""
     of_y = {c.group: c for c in reversed(by_signal.get(NAV_Y, []))}
-    pairs = [(x, of_y[x.group]) for x in by_signal.get(NAV_X, []) if x.group in of_y]
-    pairs.sort(key=lambda pair: pair[0].rank)
-    group = ""
-    if pairs:
-        fits = [0.0] * len(pairs)
+    group, best_fit = "", -1.0
+    place: tuple[Candidate, Candidate] | None = None
+    for x in by_signal.get(NAV_X, []):
+        y = of_y.get(x.group)
+        if y is None:
+            continue
+        fit = 0.0
         if motion is not None:
-            fits = [motion.moves(speed(x.samples, y.samples)) for x, y in pairs]
-        # A pose by its rank, unless the numbers say that it is none and another one is.
-        fitting = [i for i, fit in enumerate(fits) if fit >= LEAST]
-        best = fitting[0] if fitting else 0
-        x, y = pairs[best]
-        seen = motion is not None and x.samples.moves
+            fit = motion.moves(speed(x.samples, y.samples))
+        # By its rank, unless the numbers say that it is none and another one is.
+        if place is None or best_fit < LEAST <= fit:
+            place, best_fit = (x, y), fit
+    if place is not None:
+        x, y = place
         why = x.why
-        if seen and motion is not None:
-            why = f"moves with {motion.source} (r = {fits[best]:.2f})"
-            if fits[best] < LEAST:
+        if motion is not None and x.samples.moves:
+            why = f"moves with {motion.source} (r = {best_fit:.2f})"
+            if best_fit < LEAST:
                 why = f"{x.why}, but it does not move with {motion.source}: check"
         choice.take(x, why)
         choice.take(y, why)

@@ -4,8 +4,9 @@ A robot's channels show one motion. What turns as the difference of its wheels d
 what moves as their sum does is its pose; a marker that a camera sees is neither.
 """
 
+import contextlib
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -40,10 +41,11 @@ class Samples(NamedTuple):
     def rate(self) -> "Samples":
         """The derivative, taken over steps long enough to show more than rounding."""
         step = max(1, len(self.t) // GRID)
-        t, x = self.t[::step], self.values[::step]
+        t = self.t[::step]
         dt = np.diff(t)
+        dx = np.diff(self.values[::step])
         good = dt > 0.0
-        return Samples(t[1:][good], np.diff(x)[good] / dt[good])
+        return Samples(t[1:][good], dx[good] / dt[good])
 
 
 UNSEEN: Final = Samples(np.empty(0), np.empty(0))
@@ -68,24 +70,26 @@ def speed(x: Samples, y: Samples) -> Samples:
 
 def turning(yaw: Samples) -> Samples:
     """Return how fast a heading turns, which may be in degrees."""
-    is_deg = len(yaw.values) > 0 and float(np.abs(yaw.values).max()) > 7.0
-    period = 360.0 if is_deg else 2.0 * np.pi
-    return Samples(yaw.t, np.unwrap(yaw.values, period=period)).rate
+    largest = float(np.abs(yaw.values).max(initial=0.0))
+    period = 360.0 if largest > 2.0 * np.pi + 1.0 else 2.0 * np.pi
+    whole = np.unwrap(yaw.values, period=period)
+    return Samples(yaw.t, whole).rate
 
 
 def alike(one: Samples, other: Samples) -> float:
     """Return the correlation of two channels, averaged over a few steps; 0 if nothing is to see."""
     if not (one.moves and other.moves):
         return 0.0
-    begin, end = max(one.t[0], other.t[0]), min(one.t[-1], other.t[-1])
+    begin = max(one.t[0], other.t[0])
+    end = min(one.t[-1], other.t[-1])
     if end <= begin:
         return 0.0
     t = np.linspace(begin, end, GRID)
     window = np.ones(5) / 5.0
-    a, b = (np.convolve(np.interp(t, *x), window, mode="valid") for x in (one, other))
-    if np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
-        return 0.0
-    return float(np.corrcoef(a, b)[0, 1])
+    a = np.convolve(np.interp(t, *one), window, mode="valid")
+    b = np.convolve(np.interp(t, *other), window, mode="valid")
+    is_flat = np.ptp(a) == 0.0 or np.ptp(b) == 0.0
+    return 0.0 if is_flat else float(np.corrcoef(a, b)[0, 1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +106,8 @@ class Motion:
 
     def moves(self, pace: Samples) -> float:
         """Return how well a pace, which has no sign, fits the motion ahead."""
-        return alike(pace, Samples(self.forward.t, np.abs(self.forward.values)))
+        ahead = np.abs(self.forward.values)
+        return alike(pace, Samples(self.forward.t, ahead))
 
 
 def motion_of(left: Samples, right: Samples, source: str) -> Motion | None:
@@ -113,44 +118,49 @@ def motion_of(left: Samples, right: Samples, source: str) -> Motion | None:
     if not (left.moves and right.moves):
         return None
     both = np.interp(left.t, *right)
-    mirrored = -1.0 if float(np.mean(left.values * both)) < 0.0 else 1.0
-    forward = Samples(left.t, left.values + mirrored * both)
-    turn = Samples(left.t, mirrored * both - left.values)
-    return Motion(forward, turn, source) if forward.moves or turn.moves else None
+    product = float(np.mean(left.values * both))
+    if product < 0.0:
+        both = -both
+    forward = Samples(left.t, left.values + both)
+    turn = Samples(left.t, both - left.values)
+    return Motion(forward, turn, source)
 
 
 def table_samples(
     path: Path, layout: CsvLayout, time: str | None
-) -> Mapping[str, Samples]:
+) -> dict[str, Samples]:
     """Return the channels of a CSV file by name, as far as they hold numbers."""
+    rows: list[list[str]] = []
     with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
-        lines = islice(file, layout.data_row - 1, layout.data_row - 1 + MOST_ROWS)
-        rows = list(
-            csv.reader(
-                (line.replace("\0", "") for line in lines), delimiter=layout.separator
-            )
-        )
+        begin = layout.data_row - 1
+        lines = islice(file, begin, begin + MOST_ROWS)
+        reader = csv.reader(lines, delimiter=layout.separator)
+        with contextlib.suppress(csv.Error):  # what follows is left to the reader
+            rows.extend(reader)
     step = max(1, len(rows) // (10 * GRID))
     width = len(layout.header)
     full = [row for row in rows[::step] if len(row) >= width]
-    columns = dict(zip(layout.header, zip(*full, strict=False), strict=False))
+
+    columns: dict[str, Array] = {}
+    for name, *texts in zip(layout.header, *full, strict=False):
+        columns[name] = _numbers(texts, layout.separator)
     t = np.arange(len(full), dtype=np.float64)
-    if time in columns:
-        stamps = _numbers(columns[str(time)], layout.separator)
-        t = stamps if np.isfinite(stamps).any() else t
-    return {
-        name: samples(t, _numbers(texts, layout.separator))
-        for name, texts in columns.items()
-    }
+    stamps = columns.get(str(time), t)
+    if np.isfinite(stamps).any():
+        t = stamps
+    return {name: samples(t, values) for name, values in columns.items()}
 
 
 def _numbers(texts: Sequence[str], separator: str) -> Array:
+    """Return texts as numbers, times of every form as nanoseconds; NaN for others."""
     found = np.full(len(texts), np.nan)
     for row, text in enumerate(texts):
         point = text if separator == COMMA else text.replace(COMMA, ".")
         try:
             found[row] = float(point)
         except ValueError:
-            ns = stamp_ns(text) if row == 0 or np.isfinite(found[row - 1]) else None
+            # A column of other texts ends the attempt with its first row.
+            is_time = row == 0 or np.isfinite(found[row - 1])
+            ns = stamp_ns(text) if is_time else None
             found[row] = np.nan if ns is None else ns
     return found

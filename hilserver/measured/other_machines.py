@@ -1,10 +1,11 @@
-"""Machines that hilserver cannot simulate, told from the names and types in their logs."""
+"""Machines that hilserver cannot simulate, recognised by the names and types in their logs."""
 
 import re
 from collections.abc import Collection
 from typing import Final, NamedTuple
 
 from hilserver.errors import LogError
+from hilserver.measured.proposal import words_of
 
 
 class _Kind(NamedTuple):
@@ -53,7 +54,7 @@ def refuse_other_machine(
         Whether the speeds or angles of wheels on both sides are among them.
     """
     for kind in _KINDS:
-        shown = [name for name in names if kind.words & _words(name)]
+        shown = [name for name in names if kind.words & words_of(name)]
         typed = [name for name in types if kind.types.match(name)]
         if (len(shown) >= kind.fewest or typed) and (
             kind.may_have_wheels or not has_wheels
@@ -62,10 +63,6 @@ def refuse_other_machine(
     joints = {match[1]: name for name in names if (match := _JOINT.search(name))}
     if len(joints) >= _FEWEST_JOINTS and not has_wheels:
         raise _refusal(where, min(joints.values()), "is an arm")
-
-
-def _words(name: str) -> set[str]:
-    return {word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)}
 
 
 def _refusal(where: str, name: str, what: str) -> LogError:

@@ -107,11 +107,11 @@ def _numbers(path: Path, name: str, column: Any) -> tuple[Array, str, int]:
         elif types.is_date(kind):
             unit, column = "ms", column.cast("date64").cast("int64")
         elif types.is_string(kind) or types.is_large_string(kind):
-            texts = [
-                None if text is None else stamp_ns(text) for text in column.to_pylist()
-            ]
-            if None not in texts and texts:
-                unit, column = "ns", chunked_array([array(texts, "int64")])
+            first = next(iter(column.slice(0, 1).to_pylist()), None) or ""
+            texts = column.to_pylist() if stamp_ns(first) is not None else []
+            stamps = [stamp_ns(text or "") for text in texts]
+            if stamps and None not in stamps:
+                unit, column = "ns", chunked_array([array(stamps, "int64")])
         if types.is_integer(column.type) and not column.null_count:
             whole = column.to_numpy()
             if len(whole) and abs(int(whole[0])) >= EXACT:

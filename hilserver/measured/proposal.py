@@ -27,12 +27,23 @@ _WHEELS: Final = (
     ({"rl", "rearleft", "leftrear", "bl"}, ("rl",)),
     ({"fr", "frontright", "rightfront"}, ("fr",)),
     ({"rr", "rearright", "rightrear", "br"}, ("rr",)),
-    ({"left"}, ("fl", "rl")),
-    ({"right"}, ("fr", "rr")),
+    ({"left", "links"}, ("fl", "rl")),
+    ({"right", "rechts"}, ("fr", "rr")),
 )
 _INITIALS: Final = {"l": ("fl", "rl"), "r": ("fr", "rr")}
 """Of sides, in names that speak of wheels."""
-_TIMES: Final = {"t", "time", "timestamp", "stamp", "sec", "secs", "seconds", "nsecs"}
+_TIMES: Final = {
+    "t",
+    "time",
+    "timestamp",
+    "stamp",
+    "sec",
+    "secs",
+    "seconds",
+    "nsecs",
+    "xvalue",
+    "zeit",
+}
 SENT: Final = {
     "setpoint",
     "set",
@@ -137,6 +148,7 @@ _NUMBERED: Final = re.compile(r"(.*?)\[?(\d)\]?(\D*)")
 _OF_WHEELS: Final = {*_SPEED, *_COUNTS, *_ANGLE, *_DUTY, "wheel", "motor", "joint"}
 _ORDER: Final = {2: ("left", "right"), 4: ("fl", "fr", "rl", "rr")}
 _TURN: Final = {"yaw", "theta", "heading", "psi"}
+_OF_ONE_AXIS: Final = _AXES | _TURN
 _GYRO: Final = {"gyro", "yawrate", "wz", "gz"}
 _VOLTAGE: Final = {"voltage", "battery", "vbat", "volt"}
 
@@ -184,7 +196,7 @@ class Head(NamedTuple):
     @property
     def stamps(self) -> TimeColumns:
         """The columns of the time; an empty name if none is recognised."""
-        time = time_column(self.header, self.types) or ""
+        time = time_column(self.header, self.types, self.first) or ""
         return columns_of(time, None, self.header, self.first)
 
 
@@ -211,12 +223,14 @@ def candidates_of(head: Head) -> list[Candidate]:
             found.append(Candidate(name, own, "own", -1, "its own name", seen))
             continue
         said = [head.units.get(name, ""), *in_brackets(name)]
+        # What a name shares with those of the other axes.
+        singles = [word.lower() for word in _WORD.findall(name)]
+        group = " ".join(word for word in singles if word not in _OF_ONE_AXIS)
         for signal, written in lines(name, words, at):
             rank = _rank(words, signal)
             is_other = any(is_other_unit(unit, mapped_units()[signal]) for unit in said)
             is_axis_unseen = signal == GYRO and rank > 0 and seen is UNSEEN
             if not is_other and not is_axis_unseen:
-                group = _group(words)
                 found.append(
                     Candidate(signal, written, group, rank, "by its name", seen)
                 )
@@ -224,13 +238,17 @@ def candidates_of(head: Head) -> list[Candidate]:
 
 
 def time_column(
-    header: Sequence[str], typed: Mapping[str, str] | None = None
+    header: Sequence[str],
+    types: Mapping[str, str] | None = None,
+    first: Sequence[str] = (),
 ) -> str | None:
-    """Return the column of the times, by its type or else by its name."""
-    named = [name for name in header if words_of(name) & _TIMES]
-    return next(
-        (name for name in header if name in (typed or {})), next(iter(named), None)
-    )
+    """Return the column of the times, by its type or else by its name; one without any is none."""
+    texts = dict(zip(header, first, strict=False))
+    named = [
+        name for name in header if words_of(name) & _TIMES and texts.get(name, "0")
+    ]
+    typed = [name for name in header if name in (types or {})]
+    return next(iter([*typed, *named]), None)
 
 
 def _time(head: Head) -> str:
@@ -257,14 +275,6 @@ def _rank(words: set[str], signal: str) -> int:
         return int(bool(words & _OTHER_AXES))
     is_place = signal in (NAV_X, NAV_Y, YAW)
     return 1 if is_place and words & ODOMETRY and not words & TRUTH else 0
-
-
-def _group(words: set[str]) -> str:
-    """Return what a name shares with those of the other axes."""
-    singles = {
-        word for word in words if not any(word != w and w in word for w in words)
-    }
-    return " ".join(sorted(singles - _AXES - _TURN))
 
 
 def text(channels: Mapping[str, str], *time: str) -> str:

@@ -24,7 +24,7 @@ from hilserver.measured.frames import (
     is_of_the_daemon,
     own_sampling,
 )
-from hilserver.measured.mapping import PER_SECOND, LogMapping
+from hilserver.measured.mapping import DATED, PER_SECOND, LogMapping
 from hilserver.measured.names import (
     conversion,
     known_columns,
@@ -95,7 +95,8 @@ def refuse_foreign(path: Path) -> None:
         if layout is None or first.startswith((*NO_NAME, "\0")):
             return  # the reader will report it
         _refuse_units(path, layout)
-        numbers = table_samples(path, layout, time_column(layout.header))
+        time = time_column(layout.header, {}, layout.first)
+        numbers = table_samples(path, layout, time)
         units = dict(zip(layout.header, layout.units, strict=False))
         head = Head(layout.header, layout.first, numbers, {}, units, layout.header_row)
     else:
@@ -208,18 +209,14 @@ def read_own_parquet(path: Path, sampling: Sampling | None = None) -> Recording:
 def read_mapped(path: Path, mapping: LogMapping) -> Recording:
     """Read a foreign table, CSV or Parquet, through a mapping."""
     time = None if mapping.time.rate_hz else mapping.time.column or TIME
-    segment, block = (
-        default if named is None else named.column
-        for named, default in ((mapping.segment, SEGMENT), (mapping.block, BLOCK))
-    )
+    segment = SEGMENT if mapping.segment is None else mapping.segment.column
+    block = BLOCK if mapping.block is None else mapping.block.column
     is_parquet = path.suffix == ".parquet"
     layout = None if is_parquet else read_layout(path)
-    header: Sequence[str] = []
-    first: Sequence[str] = ()
-    if is_parquet:
-        header = read_parquet(path, ()).header
-    elif layout is not None:
-        header, first = layout.header, layout.first
+    header = read_parquet(path, ()).header if is_parquet else []
+    if layout is not None:
+        header = layout.header
+    first = () if layout is None else layout.first
     stamps = columns_of(time or "", mapping.time.rest, header, first)
 
     used = {str(channel.column) for channel in mapping.channels.values()}
@@ -227,15 +224,20 @@ def read_mapped(path: Path, mapping: LogMapping) -> Recording:
     table = (
         read_parquet(path, used, time)
         if is_parquet
-        else read_table(path, time=time, used=used, rest=stamps.rest, layout=layout)
+        else read_table(
+            path,
+            time=time,
+            used=used,
+            rest=stamps.rest,
+            layout=layout,
+            dated=mapping.time.unit == DATED,
+        )
     )
-    for key, column, is_named in (
-        ("time", str(time), time is not None),
-        ("time.rest", str(stamps.rest), stamps.rest is not None),
-        (SEGMENT, segment, mapping.segment is not None),
-        (BLOCK, block, mapping.block is not None),
-    ):
-        if is_named:
+    demanded = {"time": time, "time.rest": stamps.rest}
+    demanded[SEGMENT] = segment if mapping.segment is not None else None
+    demanded[BLOCK] = block if mapping.block is not None else None
+    for key, column in demanded.items():
+        if column is not None:
             _demand(table, column, key)
     if time is not None:
         table, per_second = times_of(table, stamps, mapping.time)

@@ -1,10 +1,13 @@
 """A guessed mapping follows what the numbers show, and says why for each channel."""
 
+import contextlib
 import re
 
 import numpy as np
 import pytest
 import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from rosbags.rosbag2 import Writer
 
 from hilserver.errors import LogError
@@ -255,3 +258,34 @@ def test_a_machine_of_another_kind_is_one_sentence(tmp_path, columns, says):
 def test_an_arm_on_wheels_and_a_steering_that_never_moves_are_guessed(tmp_path):
     arm = {f"joint_{i}": NOISE[i] for i in range(6)} | {"steering": 0.0 * T}
     assert "wheel.fl.speed_rpm" in proposal(tmp_path, WHEELS | arm)
+
+
+cells = st.sampled_from(
+    ["", "0", "0.02", "-3", "nan", "x", "rpm", "s", "1e999 s", "0.1 sec", "2026-01-01", "12:00:00",
+     "2026-10-25 02:00:00", "Name", "Data-Type", "#", '"', "wheel.fl.speed_rpm", "t_s", "left",
+     "9" * 25, "x" * 11_000]
+)  # fmt: skip
+
+
+@given(
+    st.one_of(
+        st.binary(max_size=200),
+        st.tuples(
+            st.sampled_from(",;\t |"), st.lists(st.lists(cells, max_size=4), max_size=9)
+        ).map(lambda drawn: "\n".join(map(drawn[0].join, drawn[1])).encode()),
+    )
+)
+@settings(max_examples=200, deadline=None)
+def test_any_table_without_a_mapping_is_read_guessed_or_refused(tmp_path_factory, data):
+    path = tmp_path_factory.getbasetemp() / "any.csv"
+    path.write_bytes(data)
+    try:
+        read_measured([path])
+    except ForeignLog as refusal:
+        mapping = path.with_suffix(".yaml")
+        mapping.write_text(refusal.proposal)
+        if refusal.proposal:
+            with contextlib.suppress(LogError):
+                read_measured([path], mapping)
+    except LogError:
+        pass
