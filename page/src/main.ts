@@ -179,7 +179,8 @@ function showAge(context: Context): void {
     banner.hidden = !text;
     banner.classList.toggle("safe", !live.stale && (board.state === "safe" || !!waits));
     banner.replaceChildren(h("span", {}, text));
-    const start = (): Promise<void> => considerate("Start", () => call("Start"));
+    // What waits for Start does not drive: only a person is asked for.
+    const start = (): Promise<unknown> => (live.slow.driver === null ? call("Start") : considerate("Start", () => call("Start")));
     if (live.loggedOut) banner.append(h("a", { href: "./", onclick: () => location.reload() }, "Log in again"));
     else if (board.state === "safe" && !live.stale) banner.append(action("Reset", () => call("Reset"), { class: "primary" }));
     else if (waits && !live.stale) banner.append(action("Start", start, { class: "primary", disabled: !may(context, "Start") }));

@@ -52,9 +52,8 @@ async def running_recorder(
         if messages is not None:
             await asyncio.wait({messages.task})  # ends with the process
         if process.returncode:
-            has_said = process.returncode > 0 and said
             how = f"the recorder {children.how_ended(process.returncode)}"
-            end.why = said[-1] if has_said else how
+            end.why = said[-1] if process.returncode > 0 and said else how
         end.by_itself.set()
 
     try:
@@ -68,12 +67,10 @@ async def running_recorder(
             messages = tasks.spawn(
                 partial(_log_messages, process, said), "recorder's messages"
             )
-            if await children.line_of(process, READY, START_LIMIT_S) is None:
-                await asyncio.wait({messages.task}, timeout=STOP_LIMIT_S)
-                raise FailedError(
-                    said[-1] if said else "the recorder did not start in time"
-                )
             looking = tasks.spawn(partial(look, process), "recorder")
+            if await children.line_of(process, READY, START_LIMIT_S) is None:
+                await asyncio.wait({looking.task}, timeout=STOP_LIMIT_S)
+                raise FailedError(end.why or "the recorder did not start in time")
             try:
                 yield end
             finally:
