@@ -143,7 +143,8 @@ function showBoard(context: Context): void {
   stateChip.title = board.reason ?? "";
   const who = driver();
   if (live.stale) setText(owner, "Who drives is not known");
-  else setText(owner, `${capital(who === "you" ? "you drive" : `${who || "nobody"} drives`)}`);
+  else if (who === "you") setText(owner, "You drive");
+  else setText(owner, `${capital(who || "nobody")} ${who && board.waits_for_start && board.owner !== "page" ? "waits" : "drives"}`);
   owner.title = live.drives ? "The arrow keys work in every view" : "";
   const hasController = Object.keys(board.peers ?? {}).length > 0;
   controller.hidden = live.stale || !context.session.drive || !hasController || live.drives || board.owner === "peer";

@@ -90,7 +90,7 @@ def recorder_inside(
     In virtual time no other process could keep up. Here time waits: no frame is lost. `tell` is
     called with the reason once nothing more can be written. FailedError if the file cannot be made.
     """
-    has_told = False
+    is_reported = False
     recorder = Recorder(
         image,
         Settings(
@@ -108,10 +108,10 @@ def recorder_inside(
     )
 
     def look() -> None:
-        nonlocal has_told
+        nonlocal is_reported
         recorder.look()
-        if not has_told and (why := recorder.why_ended):
-            has_told = True
+        if not is_reported and (why := recorder.why_ended):
+            is_reported = True
             tell(why)
 
     try:
