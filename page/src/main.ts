@@ -143,7 +143,8 @@ function showBoard(context: Context): void {
   stateChip.title = board.reason ?? "";
   const who = driver();
   if (live.stale) setText(owner, "Who drives is not known");
-  else setText(owner, `${capital(who === "you" ? "you drive" : `${who || "nobody"} drives`)}`);
+  else if (who === "you") setText(owner, "You drive");
+  else setText(owner, `${capital(who || "nobody")} ${who && board.waits_for_start && board.owner !== "page" ? "waits" : "drives"}`);
   owner.title = live.drives ? "The arrow keys work in every view" : "";
   const hasController = Object.keys(board.peers ?? {}).length > 0;
   controller.hidden = live.stale || !context.session.drive || !hasController || live.drives || board.owner === "peer";
@@ -179,7 +180,8 @@ function showAge(context: Context): void {
     banner.hidden = !text;
     banner.classList.toggle("safe", !live.stale && (board.state === "safe" || !!waits));
     banner.replaceChildren(h("span", {}, text));
-    const start = (): Promise<void> => considerate("Start", () => call("Start"));
+    // What waits for Start does not drive: only a person is asked for.
+    const start = (): Promise<unknown> => (live.slow.driver === null ? call("Start") : considerate("Start", () => call("Start")));
     if (live.loggedOut) banner.append(h("a", { href: "./", onclick: () => location.reload() }, "Log in again"));
     else if (board.state === "safe" && !live.stale) banner.append(action("Reset", () => call("Reset"), { class: "primary" }));
     else if (waits && !live.stale) banner.append(action("Start", start, { class: "primary", disabled: !may(context, "Start") }));

@@ -30,6 +30,7 @@ class Plotted {
   /** Called when what was seen before has come. */
   onMerged = (): void => {};
   private asked = new Set<string>();
+  private fresh = new Set<string>();
 
   /** Take the plots up as they were when the page was last open in this browser. */
   begin(signals: Signal[]): void {
@@ -47,6 +48,7 @@ class Plotted {
     live.onFrame(() => {
       const t = live.value("sim.time_s");
       if (Number.isFinite(t)) this.history.add(t);
+      if (this.history.times.length && this.fresh.size) this.ask(); // what the ring holds joins what comes in
     });
   }
 
@@ -62,10 +64,14 @@ class Plotted {
     this.history.keepOnly(new Set(names));
     for (const name of this.asked) if (!names.includes(name)) this.asked.delete(name);
     for (const name of names) this.history.follow(name);
-    const fresh = names.filter((name) => !this.asked.has(name)).slice(0, MOST_ASKED);
-    for (const name of fresh) this.asked.add(name);
-    if (!fresh.length) return;
-    const query = fresh.map((name) => `name=${encodeURIComponent(name)}`).join("&");
+    for (const name of names) if (!this.asked.has(name)) this.fresh.add(name);
+  }
+
+  private ask(): void {
+    const names = [...this.fresh].slice(0, MOST_ASKED);
+    this.fresh.clear();
+    for (const name of names) this.asked.add(name);
+    const query = names.map((name) => `name=${encodeURIComponent(name)}`).join("&");
     get<{ times: number[]; series: Record<string, (number | null)[]> }>(`history?${query}`)
       .then(({ times, series }) => {
         this.history.merge(times, series);

@@ -67,13 +67,13 @@ def test_an_event_is_found_in_the_plots_which_keep_what_came_in_meanwhile(browse
     browser.do("view", name="Time")
     browser.do("click", role="button", name="Pause")
     browser.do("wait", selector=".state", text="paused")
-    browser.do("click", role="button", name="Resume")
-    browser.do("wait", selector=".events li", text="running")
     event = """[...document.querySelectorAll(".events li")].find((item) =>
-        item.innerText.includes("running")).querySelector(".when")"""
+        item.innerText.includes("paused")).querySelector(".when")"""
     at = number(browser, f"{event}.querySelector('small').textContent")
     clock = browser.do("run", script=f"{event}.querySelector('time').textContent")
     assert re.fullmatch(r"\d\d:\d\d:\d\d", clock)
+    browser.do("click", role="button", name="Resume")
+    browser.do("wait", selector=".state", text="running")
     browser.do("run", script=f"{event}.click()")
     browser.do("wait", selector="main[data-view='watch'] .then:not(:empty)")
     shown = browser.do("text", selector=".moment")

@@ -52,9 +52,8 @@ async def running_recorder(
         if messages is not None:
             await asyncio.wait({messages.task})  # ends with the process
         if process.returncode:
-            has_said = process.returncode > 0 and said
             how = f"the recorder {children.how_ended(process.returncode)}"
-            end.why = said[-1] if has_said else how
+            end.why = said[-1] if process.returncode > 0 and said else how
         end.by_itself.set()
 
     try:
@@ -68,12 +67,10 @@ async def running_recorder(
             messages = tasks.spawn(
                 partial(_log_messages, process, said), "recorder's messages"
             )
-            if await children.line_of(process, READY, START_LIMIT_S) is None:
-                await asyncio.wait({messages.task}, timeout=STOP_LIMIT_S)
-                raise FailedError(
-                    said[-1] if said else "the recorder did not start in time"
-                )
             looking = tasks.spawn(partial(look, process), "recorder")
+            if await children.line_of(process, READY, START_LIMIT_S) is None:
+                await asyncio.wait({looking.task}, timeout=STOP_LIMIT_S)
+                raise FailedError(end.why or "the recorder did not start in time")
             try:
                 yield end
             finally:
@@ -93,7 +90,7 @@ def recorder_inside(
     In virtual time no other process could keep up. Here time waits: no frame is lost. `tell` is
     called with the reason once nothing more can be written. FailedError if the file cannot be made.
     """
-    has_told = False
+    is_reported = False
     recorder = Recorder(
         image,
         Settings(
@@ -111,10 +108,10 @@ def recorder_inside(
     )
 
     def look() -> None:
-        nonlocal has_told
+        nonlocal is_reported
         recorder.look()
-        if not has_told and (why := recorder.why_ended):
-            has_told = True
+        if not is_reported and (why := recorder.why_ended):
+            is_reported = True
             tell(why)
 
     try:

@@ -4,12 +4,11 @@ import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import { fingers, type Hands } from "../fingers";
 import { happenings } from "../happened";
-import type { Happening, Signal } from "../net";
+import type { Signal } from "../net";
 import { MOST_LINES, plotted } from "../plotted";
 import { h, setText, signalName, timeOfDay, toast, valueText } from "../ui";
 
 const HEIGHT = 200;
-const NEAR_PX = 6;
 /** Types whose values hold until they change: no line slopes from one to the next. */
 const STEPS = new Set(["Boolean", "Byte", "UInt32", "Int64"]);
 
@@ -275,8 +274,11 @@ export class Plot {
     ctx.save();
     ctx.lineWidth = devicePixelRatio;
     ctx.setLineDash([3 * devicePixelRatio, 3 * devicePixelRatio]);
-    for (const event of this.events(chart)) {
-      const x = Math.round(chart.valToPos(event.simulated_s!, "x", true));
+    const { min = 0, max = 0 } = chart.scales["x"]!;
+    for (const event of happenings()) {
+      const t = event.simulated_s;
+      if (t === null || t < min! || t > max!) continue;
+      const x = Math.round(chart.valToPos(t, "x", true));
       ctx.strokeStyle = event.severity >= 500 ? this.look.red : this.look.ink;
       ctx.beginPath();
       ctx.moveTo(x, bbox.top);
@@ -284,19 +286,6 @@ export class Plot {
       ctx.stroke();
     }
     ctx.restore();
-  }
-
-  private events(chart: uPlot): Happening[] {
-    const { min, max } = chart.scales["x"]!;
-    return happenings().filter(({ simulated_s: t }) => t !== null && t >= (min ?? 0) && t <= (max ?? 0));
-  }
-
-  /** What happened where the cursor stands. */
-  eventAt(t: number): Happening | undefined {
-    const chart = this.chart;
-    if (!chart || this.isOver) return undefined;
-    const away = (event: Happening): number => Math.abs(chart.valToPos(event.simulated_s!, "x") - chart.valToPos(t, "x"));
-    return this.events(chart).filter((event) => away(event) < NEAR_PX).sort((one, other) => away(one) - away(other))[0];
   }
 
   /** The axis of a single signal whose values have names: these. */

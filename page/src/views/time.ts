@@ -131,13 +131,17 @@ export function timeView(context: Context): View {
     const shown = known.filter((event) => !hiddenGroups.has(event.group) && event.severity >= Number(least.value) && `${event.source} ${event.text}`.toLowerCase().includes(words));
     const rest = (group: string): number => (group === "Overruns" ? 1 : 0); // one line each, below what was done
     shown.sort((one, other) => rest(one.group) - rest(other.group) || one.age_s - other.age_s);
-    const list = JSON.stringify(shown.map((event) => [event.monotonic_s, event.source, event.count]));
-    if (list === listed && events.children.length) return; // a button that is being pressed stays
-    listed = list;
-    events.replaceChildren(...shown.map(item));
-    if (!shown.length) events.append(h("li", { class: "note" }, "No recent events of this kind."));
+    const kept = new Map(shown.map((event) => {
+      const key = event.kind === "overrun" ? event.source : `${event.monotonic_s} ${event.source}`;
+      return [key, (items.get(key) ?? item()).show(event)] as const; // one that has the focus keeps it
+    }));
+    items = kept;
+    const rows = shown.length ? [...kept.values()].map(({ element }) => element) : [none];
+    rows.forEach((row, i) => events.children[i] === row || events.insertBefore(row, events.children[i] ?? null));
+    while (events.children.length > rows.length) events.lastElementChild!.remove();
   }
-  let listed = "";
+  let items = new Map<string, Item>();
+  const none = h("li", { class: "note" }, "No recent events of this kind.");
   slow();
   live.want("time", ["sim.time_s", "sim.tick"]);
   const stopFrames = live.onFrame(() => {
@@ -169,20 +173,45 @@ export function timeView(context: Context): View {
   };
 }
 
-/** One event, on both clocks; pressed, the plots show what was then. */
-function item(event: Happening): HTMLElement {
-  const { simulated_s: t, source, count } = event;
-  const utcMs = live.utcMsOf(event);
-  const both = [h("time", { datetime: new Date(utcMs).toISOString() }, timeOfDay(utcMs)), h("small", {}, t === null ? "" : `${t.toFixed(2)} s`)];
-  const show = (): void => {
-    const first = plotted.history.times[0];
-    if (first === undefined || t! < first) return toast(first === undefined ? "Nothing is plotted." : `The plots begin at ${first.toFixed(1)} s.`);
-    plotted.goTo = t;
-    location.hash = "watch";
+interface Item {
+  element: HTMLElement;
+  show(event: Happening): Item;
+}
+
+/** A row for an event, on both clocks; pressed, the plots show what was then. */
+function item(): Item {
+  let event: Happening;
+  const clock = h("time", {});
+  const simulated = h("small", {});
+  const when = h("button", { type: "button", class: "quiet when", title: "Show it in the plots", onclick: () => find(event) }, clock, simulated);
+  const source = h("b", {});
+  const text = h("span", {});
+  const count = h("small", { class: "chip" });
+  const made: Item = {
+    element: h("li", {}, when, h("span", {}, source, " ", text, count)),
+    show(now) {
+      event = now;
+      const utcMs = live.utcMsOf(now);
+      made.element.classList.toggle("severe", now.severity >= 500);
+      when.disabled = now.simulated_s === null;
+      clock.dateTime = new Date(utcMs).toISOString();
+      setText(clock, timeOfDay(utcMs));
+      setText(simulated, now.simulated_s === null ? "" : `${now.simulated_s.toFixed(2)} s`);
+      setText(source, now.source);
+      setText(text, now.text.replace(`${now.source}: `, ""));
+      setText(count, now.count > 1 ? `${now.count} times` : "");
+      count.hidden = now.count < 2;
+      return made;
+    },
   };
-  const when = t === null ? h("span", { class: "when" }, ...both) : h("button", { type: "button", class: "quiet when", title: "Show it in the plots", onclick: show }, ...both);
-  return h("li", { class: event.severity >= 500 ? "severe" : "" }, when,
-    h("span", {}, h("b", {}, source), ` ${event.text.replace(`${source}: `, "")}`, count > 1 && h("small", { class: "chip" }, `${count} times`)));
+  return made;
+}
+
+function find({ simulated_s: t }: Happening): void {
+  const first = plotted.history.times[0];
+  if (first === undefined || t! < first) return toast(first === undefined ? "Nothing is plotted." : `The plots begin at ${first.toFixed(1)} s.`);
+  plotted.goTo = t;
+  location.hash = "watch";
 }
 
 function entries(files: File[], none: string, act: (file: File) => HTMLElement | null): HTMLElement[] {

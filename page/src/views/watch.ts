@@ -1,12 +1,15 @@
 /** Watch: signals as live plots, the time slices, the peers. */
 
 import type { Context, View } from "../context";
+import { happenedAt } from "../happened";
 import { live } from "../net";
 import { plotted, SPANS_S } from "../plotted";
 import { bytes, h, setText, signalName, stamp, timeOfDay, toast } from "../ui";
 import { peerCard, sliceCard } from "./cards";
 import { Plot, type Desk } from "./plot";
 
+/** An event is at the cursor within this share of a plot. */
+const NEAR = 0.015;
 /** Digits of exported times: a tick is no shorter than 100 µs. */
 const TIME_DIGITS = 6;
 
@@ -100,7 +103,9 @@ export function watchView(context: Context): View {
     if (t === undefined) return [moment, then].forEach((element) => setText(element, ""));
     const ms = history.utcMs[place!] ?? NaN;
     setText(moment, `${t.toFixed(3)} s${Number.isFinite(ms) ? `, ${timeOfDay(ms)}` : ""}`);
-    setText(then, plots.map((plot) => plot.eventAt(t)).find((event) => event)?.text ?? "");
+    const [min, max] = desk.stretch();
+    const asked = hovered === null ? (cursorT ?? t) : t; // between two frames, as an event is
+    setText(then, happenedAt(asked, NEAR * (max - min))?.text ?? "");
   }
 
   function go(): void {
@@ -130,7 +135,7 @@ export function watchView(context: Context): View {
     if (t < min || t > max) stood = [t - (max - min) / 2, t + (max - min) / 2];
     redraw();
     for (const plot of plots) plot.point();
-    queueMicrotask(showMoment); // after their scales
+    showMoment();
   }
 
   /** Show a stretch of what was seen, in all plots. */
