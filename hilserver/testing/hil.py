@@ -42,6 +42,8 @@ T = TypeVar("T")
 DRAIN_EVERY_S = 0.1
 DEFAULT_WAIT_S = 10.0  # of `Hil.wait_for`
 WATCH_EVERY_S = 0.002
+OWN_CLOCKS = {"peer": "peers", "ros2": "ros2"}
+"""Sections of sources that drive by a clock of their own."""
 ENDPOINT = "{endpoint}"
 LATE_FACTOR, LATE_S = 5.0, 10.0
 """In real time a step may take its duration times the first plus the second, in wall time."""
@@ -136,6 +138,14 @@ class Hil:
         """Let `n` ticks of virtual time pass."""
         self._check_runs()
         if self._lockstep is None:
+            # Time would wait for neither of these: the same test would pass once and fail once.
+            section = OWN_CLOCKS.get(self.daemon.gate.owner, "")
+            for part in self.daemon.parts_of(section):
+                if part.status.connected and getattr(part.status, "participants", 1):
+                    raise HilError(
+                        f"{section}: '{part.status.name}' is connected and drives by a clock of its"
+                        f" own; {REMEDY}"
+                    )
             strangers = self.daemon.gate.present - self._insiders
             if address := outsider(strangers):
                 raise HilError(
@@ -174,7 +184,10 @@ class Hil:
 
     def _check_runs(self) -> None:
         if self._controller is not None and self._controller.has_failed:
-            raise HilError(f"the controller {self._controller.ending}")
+            how = self._controller.ending
+            if self.mode == "realtime" and "BadInvalidState" in how:
+                how += "; in real time the robot waits for nobody, and Step is refused"
+            raise HilError(f"the controller {how}")
         if self.daemon.scheduler.finished.done():
             raise HilError(
                 f"the simulation has ended: {self.daemon.scheduler.finished.result()}"
