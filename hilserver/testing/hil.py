@@ -10,6 +10,7 @@ from contextlib import (
     AsyncExitStack,
     asynccontextmanager,
     closing,
+    suppress,
 )
 from dataclasses import dataclass
 from functools import wraps
@@ -33,6 +34,7 @@ from hilserver.testing.lockstep import (
 )
 from hilserver.testing.tap import Capture, Tap
 from hilserver.testing.tape import Tape
+from hilserver.time_limit import time_limit
 
 __tracebackhide__ = True  # pytest then shows the failing line of the test
 Mode = Literal["virtual", "realtime"]
@@ -42,6 +44,7 @@ T = TypeVar("T")
 DRAIN_EVERY_S = 0.1
 DEFAULT_WAIT_S = 10.0  # of `Hil.wait_for`
 WATCH_EVERY_S = 0.002
+GONE_WITHIN_S = 10.0
 OWN_CLOCKS = {"peer": "peers", "ros2": "ros2"}
 """Sections of sources that drive by a clock of their own."""
 ENDPOINT = "{endpoint}"
@@ -399,6 +402,11 @@ class Hil:
                     "the controller has not called Step while its block ran: advance inside the"
                     " block, with yield or await hil.step(...)"
                 )
+        # The set-points of a client that has left end: in this tick, not in one by chance.
+        with suppress(TimeoutError):
+            async with time_limit(GONE_WITHIN_S):
+                while command and outsider(self.daemon.gate.present):  # noqa: ASYNC110
+                    await asyncio.sleep(WATCH_EVERY_S)
 
     def _let_controller_go(self) -> None:
         self._lockstep = self._controller = None
