@@ -58,7 +58,7 @@ class Robot:
 
 async def main(endpoint: str) -> None:
     """Turn to a heading, step by step, and print how it went."""
-    async with Client(endpoint) as client:
+    async with Client(endpoint, timeout=60, watchdog_intervall=60) as client:
         robot = Robot(client, await client.get_namespace_index("urn:hilserver:robot"))
         await robot.begin()
         heading_rad, steps = await robot.step(), 1

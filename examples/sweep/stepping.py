@@ -14,7 +14,7 @@ GOAL_M, GAIN_PER_S, MOST_M_S = 2.0, 2.0, 0.3
 
 async def main(endpoint: str) -> None:
     """Drive to the goal and hold it, for as long as the robot is there."""
-    async with Client(endpoint) as client:
+    async with Client(endpoint, timeout=60, watchdog_intervall=60) as client:
         ns = await client.get_namespace_index("urn:hilserver:robot")
         names = ("sim.tick", "pose.x_m", "control.mode", "twist.linear_m_s", "methods")
         tick, x, mode, speed, methods = (

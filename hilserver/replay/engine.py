@@ -99,15 +99,15 @@ class Engine:
 
     def _command(self, command: FaultCommand) -> None:
         """Inject or end faults as in the recorded run, before the next tick."""
-        faults = [parse_fault(fault) for fault in command.inject]
-        here = [
-            f for f in faults if f.peer is None
-        ]  # a link's act on inputs, which are recorded
+        book = self._core.faults
         try:
-            if faults:
-                self._core.faults.inject(*here, start_tick=command.start_tick)
-            else:
-                self._core.faults.clear(command.clear)
+            given = [parse_fault(fault) for fault in command.inject]
+            # Those of a link have changed inputs, which are recorded.
+            here = [fault for fault in given if fault.peer is None]
+            book.inject(*here, start_tick=command.start_tick)
+            known = [None, *(fault.name for fault in book.active())]
+            if not given and command.clear in known:
+                book.clear(command.clear)
         except ValueError as error:
             raise LogError(f"the fault at tick {command.tick}: {error}") from None
 

@@ -10,6 +10,7 @@ from contextlib import (
     AsyncExitStack,
     asynccontextmanager,
     closing,
+    suppress,
 )
 from dataclasses import dataclass
 from functools import wraps
@@ -33,6 +34,7 @@ from hilserver.testing.lockstep import (
 )
 from hilserver.testing.tap import Capture, Tap
 from hilserver.testing.tape import Tape
+from hilserver.time_limit import time_limit
 
 __tracebackhide__ = True  # pytest then shows the failing line of the test
 Mode = Literal["virtual", "realtime"]
@@ -42,6 +44,9 @@ T = TypeVar("T")
 DRAIN_EVERY_S = 0.1
 DEFAULT_WAIT_S = 10.0  # of `Hil.wait_for`
 WATCH_EVERY_S = 0.002
+GONE_WITHIN_S = 10.0
+OWN_CLOCKS = {"peer": "peers", "ros2": "ros2"}
+"""Sections of sources that drive by a clock of their own."""
 ENDPOINT = "{endpoint}"
 LATE_FACTOR, LATE_S = 5.0, 10.0
 """In real time a step may take its duration times the first plus the second, in wall time."""
@@ -136,6 +141,14 @@ class Hil:
         """Let `n` ticks of virtual time pass."""
         self._check_runs()
         if self._lockstep is None:
+            # Time would wait for neither of these: the same test would pass once and fail once.
+            section = OWN_CLOCKS.get(self.daemon.gate.owner, "")
+            for part in self.daemon.parts_of(section):
+                if part.status.connected and getattr(part.status, "participants", 1):
+                    raise HilError(
+                        f"{section}: '{part.status.name}' is connected and drives by a clock of its"
+                        f" own; {REMEDY}"
+                    )
             strangers = self.daemon.gate.present - self._insiders
             if address := outsider(strangers):
                 raise HilError(
@@ -174,7 +187,10 @@ class Hil:
 
     def _check_runs(self) -> None:
         if self._controller is not None and self._controller.has_failed:
-            raise HilError(f"the controller {self._controller.ending}")
+            how = self._controller.ending
+            if self.mode == "realtime" and "BadInvalidState" in how:
+                how += "; in real time the robot waits for nobody, and Step is refused"
+            raise HilError(f"the controller {how}")
         if self.daemon.scheduler.finished.done():
             raise HilError(
                 f"the simulation has ended: {self.daemon.scheduler.finished.result()}"
@@ -386,6 +402,11 @@ class Hil:
                     "the controller has not called Step while its block ran: advance inside the"
                     " block, with yield or await hil.step(...)"
                 )
+        # The set-points of a client that has left end: in this tick, not in one by chance.
+        with suppress(TimeoutError):
+            async with time_limit(GONE_WITHIN_S):
+                while command and outsider(self.daemon.gate.present):  # noqa: ASYNC110
+                    await asyncio.sleep(WATCH_EVERY_S)
 
     def _let_controller_go(self) -> None:
         self._lockstep = self._controller = None

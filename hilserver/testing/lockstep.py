@@ -55,6 +55,7 @@ class Lockstep:
         self._controller, self._looks_with_news = controller, 0
         self._patience_s = patience_s
         self._asked = 0  # ticks of the controller's Step that are still to come
+        self._ends_after = 0  # that Step ends when so many ticks have run in all
         self._let = 0  # ticks that the test still lets pass
         self._has_asked = asyncio.Event()
         self._two = ""
@@ -63,14 +64,14 @@ class Lockstep:
 
     def step(self, n: int) -> None:
         """Ask for `n` ticks."""
-        if self._asked or not self._scheduler.paused:
+        if self._scheduler.ticks_done < self._ends_after:
             self._two = (
                 "a controller called Step before the ticks of the last Step had passed: it has to"
                 " wait until sim.tick has risen by them, and only one controller may call it"
             )
             raise ControlRefused(self._two)
         self.steps += 1
-        self._asked = n
+        self._asked, self._ends_after = n, self._scheduler.ticks_done + n
         self._has_asked.set()
         self._go()
 
@@ -152,10 +153,9 @@ def outsider(sessions: Iterable[Any]) -> str:
     A client in the test's own process writes while the test waits for it.
     """
     for session in sessions:
-        connection = session.processor.socket
         try:
-            host, port = connection.getpeername()[:2]
-        except OSError:  # it has just left
+            host, port = session.processor.socket.getpeername()[:2]
+        except (OSError, AttributeError):  # it has just left
             continue
         if (host, port) not in _own_addresses():
             return f"{host}:{port}"

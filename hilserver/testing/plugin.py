@@ -175,13 +175,18 @@ def advancing(
 
     @functools.wraps(test)
     async def drive(*args: Any, **kwargs: Any) -> None:
+        __tracebackhide__ = True
         hil: Any = config.stash[_HIL]
         steps = test(*args, **kwargs)
         try:
             wish = await anext(steps)
             while True:
-                await hil.step(1 if wish is None else wish)
-                wish = await steps.asend(hil.time_s)
+                try:
+                    await hil.step(1 if wish is None else wish)
+                except AssertionError as error:  # shown at the line that yields
+                    wish = await steps.athrow(error)
+                else:
+                    wish = await steps.asend(hil.time_s)
         except StopAsyncIteration:
             pass
         finally:

@@ -1,12 +1,13 @@
 """Requests in portions: what a request has no time left for is answered so."""
 
+import time
 from typing import Any
 
 import pytest
 from asyncua import ua
 
 from benchmarks.wire import Wire
-from hilserver.opcua import processor
+from hilserver.opcua import processor, reading
 from tests.io.opcua_server.rig import Rig
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -41,3 +42,24 @@ async def test_browse_next_without_time_is_answered_so_and_keeps_its_place(
         result = await browse_next(wire, point)
         assert result.StatusCode.name == "Good"
         assert len(result.References) == 1
+
+
+async def test_a_stall_of_the_computer_is_no_work_of_a_request(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before, a read of two values on a busy computer had no second value."""
+    look_up = reading.value_at
+
+    def stalled(*at: Any) -> ua.DataValue:
+        time.sleep(0.1)
+        return look_up(*at)
+
+    monkeypatch.setattr(reading, "value_at", stalled)
+    monkeypatch.setattr(processor, "REQUEST_S", 0.05)
+    request = ua.ReadRequest()
+    node_id, value = ua.NodeId("sim.tick", 2), ua.AttributeIds.Value
+    request.Parameters.NodesToRead = [ua.ReadValueId(node_id, value)] * 3
+    async with Wire(rig.server.url) as wire:
+        await wire.log_in()
+        results = (await wire.ask(request, ua.ReadResponse)).Results
+    assert "BadTimeout" not in [result.StatusCode.name for result in results]

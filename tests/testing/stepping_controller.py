@@ -24,7 +24,7 @@ def turn_rate(yaw_rad: float, bug: str) -> float:
 
 async def main(endpoint: str, bug: str = "") -> None:
     """Turn, for as long as the robot is there."""
-    async with Client(endpoint) as client:
+    async with Client(endpoint, timeout=60, watchdog_intervall=60) as client:
         ns = await client.get_namespace_index("urn:hilserver:robot")
         names = ("sim.tick", "pose.yaw_rad", "control.mode", "twist.angular_rad_s")
         tick, yaw, mode, rate = (client.get_node(f"ns={ns};s={n}") for n in names)

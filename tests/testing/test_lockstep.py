@@ -37,9 +37,11 @@ async def drive(bug="", parts=(1500,)):
     """Drive once; return which requirements are not met, and a hash of every signal."""
     async with open_hil(OPCUA, "virtual") as hil:
         command = *CONTROLLER, *filter(None, [bug])
-        async with hil.controller(*command, patience_s=600), hil.capture() as trace:
-            for n in parts:
-                await hil.step(n)
+        async with hil.capture() as trace:
+            async with hil.controller(*command, patience_s=600):
+                for n in parts:
+                    await hil.step(n)
+            await hil.step(100)  # its set-points have ended with it
         found = [name for name, m in trace.margins(*REQUIRE).items() if m < 0.0]
         columns = b"".join(trace[name].values.tobytes() for name in sorted(trace))
         return found, hashlib.sha256(columns).hexdigest()

@@ -114,11 +114,17 @@ def test_a_failure_points_to_a_line_of_the_test(project):
             async with hil.capture("pose.x_m") as trace:
                 yield 3
             trace["pose.x_m"].assert_within(low=1.0)
+
+        async def test_wrong_wish(hil):
+            yield 3
+            yield 0.5
         """,
         *STRICT,
     )
-    result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["*.py:2: HilError", "*.py:8: AssertionError"])
+    result.assert_outcomes(failed=3)
+    result.stdout.fnmatch_lines(
+        ["*.py:2: HilError", "*.py:8: AssertionError", "*.py:12: HilError"]
+    )
     result.stdout.no_fnmatch_line("*hilserver/testing/*.py:*")
 
 

@@ -68,6 +68,15 @@ def test_controllers_over_opcua_pass(pytester):
     outcome.assert_outcomes(passed=3)
 
 
+def test_a_server_has_a_clock_of_its_own(pytester):
+    text = (DOCS / "my-opcua-controller" / "test_server.py").read_text()
+    pytester.makepyfile(text.replace('mode="realtime"', 'mode="virtual"'))
+    pytester.makeini("[pytest]\nasyncio_default_fixture_loop_scope = function\n")
+    outcome = pytester.runpytest_inprocess(*LOAD, "-p", "no:cacheprovider")
+    outcome.assert_outcomes(failed=1)
+    outcome.stdout.fnmatch_lines(["*peers: 'plc' is connected and drives by a clock*"])
+
+
 def test_the_tutorial_shows_the_files_as_they_are():
     text = (DOCS / "test-your-controller.md").read_text()
     blocks = re.findall(r"```(?:python|yaml)\n(.*?)```", text, re.DOTALL)

@@ -12,7 +12,8 @@ TARGET_RAD, GAIN_PER_S, MAX_TURN_RAD_S = math.pi / 2, 2.5, 1.0
 
 async def main(endpoint: str) -> None:
     """Control the robot until it is switched off."""
-    async with Client(endpoint) as client:
+    # Patient: by default asyncua gives up when an answer takes longer than a second.
+    async with Client(endpoint, timeout=60, watchdog_intervall=60) as client:
         ns = await client.get_namespace_index("urn:hilserver:robot")
         names = ("sim.tick", "pose.yaw_rad", "control.mode", "twist.angular_rad_s")
         tick, yaw, mode, turn = (client.get_node(f"ns={ns};s={n}") for n in names)
