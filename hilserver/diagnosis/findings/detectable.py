@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
@@ -47,6 +48,31 @@ def smallest(
     """Return sizes for the causes of one stage, and those that the drive did not excite."""
     least = np.maximum(student(t_critical, scores.freedom), np.sqrt(LEAST_GAIN))
     needed = least + DETECTABLE_SELECTION_SD + DETECTABLE_POWER_SD
+    judged, not_judged = [], []
+    for cause, (size, name, largest) in shown_sizes(library, scores, needed).items():
+        parts = CAUSES[cause].parts
+        part = next((p for p in parts if p.name == name), parts[0])
+        hopeless = np.inf if part.reference is None else HOPELESS * abs(part.reference)
+        if size > min(largest, hopeless):
+            reason = f"hardly excited: below {number(size, part.unit)} it would not be detected"
+            if size > min(largest, BEYOND * hopeless):  # more than any machine can have
+                reason = UNSEEN
+            not_judged.append(NotJudged(cause=cause, reason=reason))
+        else:
+            judged.append(Detectable(cause=cause, size=size, unit=part.unit))
+    return judged, not_judged
+
+
+def shown_sizes(
+    library: Library, scores: Scores, needed: Array
+) -> dict[str, tuple[float, str, float]]:
+    """Return by cause the size that would show, of which parameter, and the largest possible one.
+
+    Parameters
+    ----------
+    needed : ndarray, shape (k,)
+        The t that each direction must reach.
+    """
     found: dict[str, list[tuple[float, str, float]]] = {}  # one of each candidate
     for i, c in enumerate(library.candidates):
         norms = (
@@ -81,20 +107,7 @@ def smallest(
         # any start of a search will do, but a shape is what it is
         shown = math.ceil(DETECTABLE_SHAPES * shapes[cause])
         sizes[cause] = each[min(max(shown, 1), len(each)) - 1]
-
-    judged, not_judged = [], []
-    for cause, (size, name, largest) in sizes.items():
-        parts = CAUSES[cause].parts
-        part = next((p for p in parts if p.name == name), parts[0])
-        hopeless = np.inf if part.reference is None else HOPELESS * abs(part.reference)
-        if size > min(largest, hopeless):
-            reason = f"hardly excited: below {number(size, part.unit)} it would not be detected"
-            if size > min(largest, BEYOND * hopeless):  # more than any machine can have
-                reason = UNSEEN
-            not_judged.append(NotJudged(cause=cause, reason=reason))
-        else:
-            judged.append(Detectable(cause=cause, size=size, unit=part.unit))
-    return judged, not_judged
+    return sizes
 
 
 def _size(candidate: Candidate, times: float, norm: float) -> float | None:
