@@ -54,6 +54,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder of diagnoses and drives: an interrupted row goes on from them",
     )  # fmt: skip
     parser.add_argument(
+        "--undiagnosed", action="store_true",
+        help="with --recordings: the observer knows what is configured, as its rivals do",
+    )  # fmt: skip
+    parser.add_argument(
         "--recordings", type=Path, metavar="DIR",
         help="instead: robots with motion capture, the navigation silent every other 20 s",
     )  # fmt: skip
@@ -62,7 +66,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> list[Result]:
     """Drive and time; each drive adds a line to drives.jsonl in the folder."""
     if args.recordings is not None:
-        return measure(args.recordings, args.keep, args.jobs)
+        undiagnosed = args.undiagnosed
+        return measure(args.recordings, args.keep, args.jobs, undiagnosed=undiagnosed)
     return [*figures(_scores(args)), *costs()]
 
 

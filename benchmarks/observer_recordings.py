@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from benchmarks.constant_filter import constant_filter
 from benchmarks.default_filter import default_filter
 from benchmarks.diagnose_results import sources
 from benchmarks.observer_drives import Known, diagnosed
@@ -26,12 +27,16 @@ from hilserver.errors import FailedError
 from hilserver.measured.machine import machine_config
 from hilserver.measured.observed import series_of
 from hilserver.measured.reading import read_measured
+from hilserver.observer.layout import PLACE, Shown
+from hilserver.observer.log_noise import fitted
 from hilserver.observer.offline import POSITION, Series, run
+from hilserver.observer.smoother import smooth
 from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
 
 MAPPINGS: Final = Path(__file__).parents[1] / "docs" / "how-to" / "mappings"
 CUT_S: Final = 20.0
+STATE: Final = Shown.where("state").start
 HOW: Final = (
     "observer",
     "wheels since the cut",
@@ -69,16 +74,30 @@ class Drive:
     nees : ndarray, shape (cuts,)
         NEES of the observer's position there.
     nis : ndarray
-        NIS of the samples, by their number of values.
+        NIS of the position samples, by their number of values.
+    errors: Array
+    tracked : ndarray, shape (n, 2)
+        Errors of the position where the pose is there [m]: observer, constant covariances.
+    smoothed : ndarray, shape (n, 2)
+        Errors of the position everywhere [m]: smoother, filter.
     """
 
     errors: Array
     nees: Array
     nis: Array
+    tracked: Array
+    smoothed: Array
 
 
-def measure(root: Path, keep: Path, jobs: int) -> list[Result]:
+def measure(
+    root: Path, keep: Path, jobs: int, *, undiagnosed: bool = False
+) -> list[Result]:
     """Return the figures of all robots with recordings; a diagnosis uses `jobs` threads.
+
+    Parameters
+    ----------
+    undiagnosed : bool
+        The observer knows what is configured, as its rivals do.
 
     Raises
     ------
@@ -92,23 +111,29 @@ def measure(root: Path, keep: Path, jobs: int) -> list[Result]:
     return [
         row
         for one in there
-        for row in _figures(one, list(_drives(one, root, keep, jobs)))
+        for row in _figures(one, list(_drives(one, root, keep, jobs, undiagnosed)))
     ]
 
 
-def _drives(one: Machine, root: Path, keep: Path, jobs: int) -> Iterator[Drive]:
+def _drives(
+    one: Machine, root: Path, keep: Path, jobs: int, undiagnosed: bool
+) -> Iterator[Drive]:
     learned, driven = (
         sorted((root / one.folder).glob(p)) for p in (one.learned, one.driven)
     )
     mapping = MAPPINGS / f"{one.mapping}.yaml"
     log = read_measured(learned, mapping)
     config = machine_config(log, Config())
-    print(
-        f"{one.folder}: diagnosed once into {keep}, then {len(driven)} logs observed",
-        flush=True,
-    )
-    known = diagnosed(keep / sources() / one.folder, lambda: log, config, jobs)
     plain = assemble_config(config).robot
+    if undiagnosed:
+        print(f"{one.folder}: {len(driven)} logs observed", flush=True)
+        known = Known(plain, constants_of(plain, None))
+    else:
+        print(
+            f"{one.folder}: diagnosed once into {keep}, then {len(driven)} logs observed",
+            flush=True,
+        )
+        known = diagnosed(keep / sources() / one.folder, lambda: log, config, jobs)
     for file in driven:
         log = read_measured([file], mapping)
         for span in range(len(log.spans)):
@@ -135,7 +160,9 @@ def _drive(known: Known, plain: RobotParameters, own: Series, raw: Series) -> Dr
     rest = [
         Series(s.wheels, s.samples[~_silent(s.samples[:, 1], t[0])]) for s in (own, raw)
     ]
-    course = run(pack(known.robot), known.constants, rest[0])
+    own_p = pack(known.robot)
+    c = fitted(own_p, known.constants, [rest[0]])
+    course = run(own_p, c, rest[0])
     base = pack(plain)
     wheels = run(
         base, constants_of(plain, None), Series(raw.wheels, np.zeros((0, 4)))
@@ -152,8 +179,25 @@ def _drive(known: Known, plain: RobotParameters, own: Series, raw: Series) -> Dr
         :, :, 0
     ]
     errors = np.stack([np.hypot(*one.T) for one in away], axis=1)
-    nis = course.innovations[np.isfinite(course.innovations)]
-    return Drive(errors, (away[0] * weighed).sum(axis=1), nis)
+    nis = course.innovations[np.isfinite(course.innovations[:, PLACE]), PLACE]
+
+    first = int(np.flatnonzero(course.shown[:, STATE] > 0.0)[0])
+    smoothed, _ = smooth(own_p, c, rest[0], course, first)
+    of_filter = _off(course.estimate, true)[first:]
+    of_rival = _off(constant_filter(base, rest[1]), true)[first:]
+    of_smoother = _off(smoothed, true)[first:]
+    there = ~cut[first:]
+    return Drive(
+        errors,
+        (away[0] * weighed).sum(axis=1),
+        nis,
+        np.stack([of_filter, of_rival], axis=1)[there],
+        np.stack([of_smoother, of_filter], axis=1),
+    )
+
+
+def _off(path: Array, true: Array) -> Array:
+    return np.asarray(np.hypot(*(path[:, :2] - true[:, :2]).T))
 
 
 def _truth(series: Series, t: Array) -> Array:
@@ -188,6 +232,13 @@ def _figures(one: Machine, drives: list[Drive]) -> list[Result]:
         Result(f"{name}: error", ours, "m", other, how, other / ours)
         for how, other in zip(HOW[1:], others, strict=True)
     ]
+    for kind, field, how in (
+        ("RMS where the pose is there", "tracked", "constant covariances"),
+        ("RMS of the smoother", "smoothed", "filter"),
+    ):
+        off = np.concatenate([getattr(drive, field) for drive in drives])
+        ours, other = np.sqrt(np.mean(off * off, axis=0)).tolist()
+        rows.append(Result(f"{name}: {kind}", ours, "m", other, how, other / ours))
     inside = float((nis < chi2.ppf(0.95, 2) / 2.0).mean())
     ended = float((nees < chi2.ppf(0.95, 2)).mean())
     return [

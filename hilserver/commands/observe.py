@@ -1,7 +1,8 @@
 """Say where the robot was, from a log of its wheels, gyro and navigation: filter, or smoother.
 
 The filter knows the plant's kinematics with the terms of the configuration and of a patch. Its
-noise is what a diagnosis has found (--findings), or what the configured sensors say. OUT is a log
+noise is fitted to the log, beginning with what a diagnosis has found (--findings), or with what the
+configured sensors say. OUT is a log
 of the signals estimate.*; beside it stands a picture of the path, of the same name with .svg.
 """
 
@@ -11,7 +12,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.commands.observing import STATE, Observed, path_picture, sentences
+from hilserver.commands.observing import (
+    MOST_NIS,
+    STATE,
+    Observed,
+    doubts,
+    mean_nis,
+    path_picture,
+    sentences,
+)
 from hilserver.commands.options import add_config, add_mapping, add_out, add_patch, warn
 from hilserver.commands.patching import assembled
 from hilserver.config.observer import constants_of, load_found
@@ -21,6 +30,7 @@ from hilserver.logs.writing import check_suffix, write_log
 from hilserver.measured.frames import Sampling
 from hilserver.measured.observed import series_of
 from hilserver.measured.reading import read_measured
+from hilserver.observer.log_noise import fitted, inflated
 from hilserver.observer.offline import run as run_filter
 from hilserver.observer.smoother import smooth
 from hilserver.plant.errors import PlantError
@@ -49,10 +59,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="use later samples, too: the best path in hindsight",
     )
+    parser.add_argument(
+        "--inflate",
+        action="store_true",
+        help=f"where the squared innovations are over {MOST_NIS:g} times their covariance, make all"
+        " variances that much larger",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Observe; return 0, or 2 if the log cannot be read."""
+    """Observe; return 0, 1 if it cannot be smoothed, or 2 if the log cannot be read."""
     check_suffix(args.out)
     if args.out.exists() and args.log.exists() and args.out.samefile(args.log):
         raise FailedError(f"{args.out}: is the log itself; choose another file")
@@ -65,19 +81,34 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"{args.findings or args.config}: {error}") from None
     log = read_measured([args.log], args.mapping, Sampling.of(assembly.config))
     warn(*log.notices)
-    p, spans = pack(robot), []
-    for span in range(len(log.spans)):
-        series = series_of(log, span, robot, 0.0 if found is None else found.nav_late_s)
-        course = run_filter(p, c, series)
+    p, late_s = pack(robot), 0.0 if found is None else found.nav_late_s
+    series = [series_of(log, span, robot, late_s) for span in range(len(log.spans))]
+
+    given, c = c, fitted(p, c, series)
+    courses = [run_filter(p, c, one) for one in series]
+    times = mean_nis(courses)
+    too_sure = times > MOST_NIS
+    if too_sure and args.inflate:
+        c = inflated(c, times)
+        courses = [run_filter(p, c, one) for one in series]
+    elif too_sure and args.smooth:
+        raise FailedError(
+            f"{args.log}: the squared innovations are {times:.1f} times their covariance: the"
+            " filter does not know this robot, and its smoothed path would be no better; 'hilserver"
+            " diagnose' finds out why, and --inflate makes all variances that much larger"
+        )
+
+    spans = []
+    for span, one, course in zip(log.spans, series, courses, strict=True):
         estimate, covariance = course.estimate, course.covariance
         known = np.flatnonzero(course.shown[:, STATE] > 0.0)
         if args.smooth and len(known):
-            estimate, covariance = smooth(p, c, series, course, int(known[0]))
-        spans.append(
-            Observed(log.spans[span].number, series, course, estimate, covariance)
-        )
+            estimate, covariance = smooth(p, c, one, course, int(known[0]))
+        spans.append(Observed(span.number, one, course, estimate, covariance))
     _write(args.out, spans, path_picture(p, c, spans))
-    print(sentences(p, c, spans))
+    if too_sure:
+        print(doubts(times, inflates=args.inflate))
+    print(sentences(p, given, c, spans))
     return EXIT_DONE
 
 

@@ -11,13 +11,17 @@ from numpy.typing import NDArray
 from hilserver.arrays import Array
 from hilserver.diagnosis.report.standalone import HEAD_HEIGHT, document
 from hilserver.diagnosis.report.svg import Plot, span_of
+from hilserver.observer.correction import GATE_1, GATE_2
 from hilserver.observer.layout import BIAS, YAW, Shown, X, Y
+from hilserver.observer.log_noise import sd_of
 from hilserver.observer.offline import POSITION, Course, Series
 from hilserver.observer.offline import run as run_filter
 from hilserver.plant.layout import Parameters
 
 STATE: Final = Shown.where("state").start
 DEVIATIONS: Final = Shown.where("deviations")
+MOST_NIS: Final = 2.0
+"""Squared innovations beside their covariance, above which the filter does not know the robot."""
 
 
 @dataclass(frozen=True)
@@ -80,28 +84,73 @@ def dead_reckoning(p: Parameters, c: Array, one: Observed) -> Array:
     return path
 
 
-def sentences(p: Parameters, c: Array, spans: Sequence[Observed]) -> str:
-    """Return the result in words, one sentence per line."""
+def mean_nis(courses: Sequence[Course]) -> float:
+    """Return the mean of the squared innovations over their covariance; an outlier is its gate."""
+    nis = np.concatenate([one.innovations for one in courses])
+    capped = np.minimum(nis, (GATE_2 / 2.0, GATE_1))
+    capped = capped[np.isfinite(capped)]
+    return float(capped.mean()) if capped.size else 1.0
+
+
+def doubts(times: float, *, inflates: bool) -> str:
+    """Return that the filter was surer than it may be, by the mean NIS, and what to do."""
+    said = f"The squared innovations are {times:.1f} times their covariance: "
+    if inflates:
+        return said + "all variances have been made that much larger (--inflate)."
+    return (
+        said + "the filter does not know this robot, and is less certain than it says."
+        " 'hilserver diagnose' finds out why; --inflate makes all variances that much larger."
+    )
+
+
+def _of_noise(given: Array, c: Array) -> str:
+    """Return the noise that was fitted, in words."""
+
+    def both(name: str, unit: str = "") -> str:
+        return f"{sd_of(c, name):.2g}{unit} ({sd_of(given, name):.2g})"
+
+    parts = [
+        f"position {both('position_sd', ' m')}",
+        f"its correlated part {both('position_ou', ' m')}",
+        f"heading {both('yaw_sd', ' rad')}",
+        f"its correlated part {both('yaw_ou', ' rad')}",
+        f"motion of a metre {both('roam', ' m')}",
+        f"its heading {both('roam_yaw', ' rad')}",
+        f"share of the speed {both('slip_sd')}",
+        f"of the turn rate {both('gain_sd')}",
+    ]
+    return f"Standard deviations, fitted to this log (as given): {'; '.join(parts)}."
+
+
+def sentences(p: Parameters, given: Array, c: Array, spans: Sequence[Observed]) -> str:
+    """Return the result in words, one sentence per line.
+
+    Parameters
+    ----------
+    given, c : ndarray
+        Constants of the filter before and after the noise was fitted to the log.
+    """
     known = [one for one in spans if one.known.any()]
     if not known:
         return (
             "No pose is known: the log has no navigation position with a heading (nav.x_m, nav.y_m,"
             " nav.yaw_rad); only speed and turn rate are estimated."
         )
-    accepted, rejected, readmitted, late = (
+    accepted, rejected, readmitted, doubted, late = (
         int(sum(one.course.head[name] for one in known))
-        for name in ("accepted", "rejected", "readmitted", "late")
+        for name in ("accepted", "rejected", "readmitted", "doubted", "late")
     )
     lines = [
         f"{accepted} navigation samples were used and {rejected} rejected as outliers; the robot"
-        f" was found elsewhere {readmitted} times, and {late} samples came too late."
+        f" was carried {readmitted} times, {doubted} times the pose was less certain than thought,"
+        f" and {late} samples came too late.",
+        _of_noise(given, c),
     ]
-    nis = np.concatenate([one.course.innovations for one in known])
-    nis = nis[np.isfinite(nis)]
-    half = 1.96 * math.sqrt(2.0 / (1.5 * max(len(nis), 1)))
-    fits = "as" if abs(nis.mean() - 1.0) <= half else "not what"
+    nis, n = mean_nis([one.course for one in known]), max(accepted, 1)
+    half = 1.96 * math.sqrt(2.0 / (1.5 * n))
+    fits = "as" if abs(nis - 1.0) <= half else "not what"
     lines.append(
-        f"The squared innovations are {nis.mean():.2f} times their covariance, {fits} expected"
+        f"The squared innovations are {nis:.2f} times their covariance, {fits} expected"
         f" ({1.0 - half:.2f} to {1.0 + half:.2f})."
     )
     deviations = np.concatenate(

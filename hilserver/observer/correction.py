@@ -13,10 +13,13 @@ from hilserver.observer.layout import (
     BIAS,
     FIGURES,
     GAIN,
+    HEADING,
     N_ESTIMATED,
     OU_X,
     OU_Y,
     OU_YAW,
+    PLACE,
+    SILENT_S,
     SLIP,
     YAW,
     Figures,
@@ -42,6 +45,18 @@ from hilserver.plant.pose import wrap
 
 GATE_1, GATE_2 = 15.137, 18.421
 """Normalised squared innovations (1 and 2 values) that 1 of 10,000 good samples exceeds."""
+REACH = 2.0
+"""A robot that drives is off from where its wheels place it by at most this times what they rolled:
+it stood while they spun, or it went the other way. What is farther off was carried, by more than
+the same share of a wheel's radius: wheels are read a little late."""
+FAR = 4.0  # standard deviations of a sample within which two samples agree
+AGREEING = 3.0  # samples that show together that the estimate is wrong
+OUTLIER, DOUBTFUL, CARRIED = range(3)  # what a sample that does not fit means
+ONE_OF, WIDE = 100.0, 10.0
+"""For the likelihood, one sample of so many has a noise so many times larger."""
+N_NEARER = 3  # steps towards a heading that is not known
+_UNLIKELY, _TINY = 1e-300, 1e-12
+WHOLE = 1.0  # largest variance of slip and rotation gain: all of the motion
 UNKNOWN_M2, UNKNOWN_RAD2 = (
     1e6,
     1e2,
@@ -99,6 +114,96 @@ def forget(m: Moment, place: int, variance: float) -> None:
     m.covariance[place, place] = variance
 
 
+@inlined
+def _weigh_up(m: Moment, n: int, spread: float, nis: float) -> None:
+    """Count how likely `n` values were; `spread` is the determinant of their covariance."""
+    good = (1.0 - 1.0 / ONE_OF) * math.exp(-0.5 * nis)
+    wide = math.exp(-0.5 * nis / (WIDE * WIDE)) / (ONE_OF * WIDE**n)
+    m.misfit += math.log(spread) - 2.0 * math.log(max(good + wide, _UNLIKELY))
+
+
+@part
+def _judged(
+    m: Moment,
+    kind: int,
+    off: float,
+    apart: float,
+    sd: float,
+    radius: float,
+    after: float,
+) -> int:
+    """Return what a sample means whose innovation is too large.
+
+    A robot was carried if samples that agree with each other show it where its wheels cannot have
+    taken it. If these can have, the estimate was less certain than its covariance said. After a
+    silence, one sample shows that: nothing else has confirmed the estimate.
+
+    Parameters
+    ----------
+    kind : int
+        `PLACE` or `HEADING`.
+    off, apart : float
+        Sizes of the innovation, and of its difference from that of the last refused sample.
+    sd : float
+        Standard deviation of a sample.
+    radius : float
+        Radius of a wheel, or by how much the robot turns if its wheels roll that far.
+    after : float
+        Refused samples in a row after which the estimate has to be wrong.
+    """
+    was_silent = m.time - m.came[kind] > SILENT_S
+    m.came[kind] = m.time
+    if m.refused[kind] == 0.0:
+        m.reach[kind] = m.rolled[kind]
+    since = m.rolled[kind] - m.rolled_before[kind]
+    agrees = m.refused[kind] > 0.0 and apart <= FAR * sd + REACH * since
+    m.agreeing[kind] = m.agreeing[kind] + 1.0 if agrees else 1.0
+    m.refused[kind] += 1.0
+    m.rolled_before[kind] = m.rolled[kind]
+    do_agree, is_late = m.agreeing[kind] >= AGREEING, m.refused[kind] >= after
+    near = FAR * sd + REACH * m.reach[kind]
+    if off > near + REACH * radius:
+        return CARRIED if do_agree and is_late else OUTLIER
+    if off > near:
+        return DOUBTFUL if is_late else OUTLIER
+    return DOUBTFUL if do_agree or is_late or was_silent else OUTLIER
+
+
+@inlined
+def _doubt(m: Moment, scale: float) -> None:
+    """Let the variance of the pose, and of what the wheels leave open, grow by a factor."""
+    # corrections leave what rounding has made asymmetric, and each doubt would make it grow
+    for i in range(N_ESTIMATED):
+        for j in range(i):
+            mean = 0.5 * (m.covariance[i, j] + m.covariance[j, i])
+            m.covariance[i, j] = m.covariance[j, i] = mean
+    for i, most in (
+        (X, UNKNOWN_M2),
+        (Y, UNKNOWN_M2),
+        (YAW, UNKNOWN_RAD2),
+        (SLIP, WHOLE),
+        (GAIN, WHOLE),
+    ):
+        least = max(1.0, most / max(m.covariance[i, i], _TINY))
+        factor = math.sqrt(min(scale, least))
+        for j in range(N_ESTIMATED):
+            m.covariance[i, j] *= factor
+            m.covariance[j, i] *= factor
+        for j in range(m.cross.shape[1]):
+            m.cross[i, j] *= factor
+
+
+@inlined
+def _accept(m: Moment, kind: int) -> None:
+    m.fixed[kind] = 1.0
+    m.last_fix = m.time
+    m.came[kind] = m.time
+    m.refused[kind] = 0.0
+    m.agreeing[kind] = 0.0
+    m.rolled[kind] = 0.0
+    m.rolled_before[kind] = 0.0
+
+
 @part
 def take_gyro(p: Parameters, c: Any, h: Head, m: Moment, dt: float) -> None:
     """Correct with the turn rate that the gyro shows."""
@@ -110,46 +215,65 @@ def take_gyro(p: Parameters, c: Any, h: Head, m: Moment, dt: float) -> None:
     variance = (
         _spread(n, 0, h) + figures.gyro_sd * figures.gyro_sd + figures.gyro_drift / dt
     )
-    shown = show_gyro(p, m.estimate, m.gyro_back, m.turning)
-    _correct(m, n, h, m.gyro - shown, variance)
+    innovation = m.gyro - show_gyro(p, m.estimate, m.gyro_back, m.turning)
+    _weigh_up(m, 1, variance, innovation * innovation / variance)
+    _correct(m, n, h, innovation, variance)
 
 
 @part
-def take_yaw(p: Parameters, c: Any, h: Head, m: Moment, is_new: bool) -> None:
-    """Correct with a heading unless it is too far off."""
+def _heading(p: Parameters, c: Any, h: Head, m: Moment) -> tuple[float, float]:
+    """Weigh the heading; return the variance of its innovation [rad2], and the innovation [rad]."""
     figures = record_at(c, 0, FIGURES)
     n = int(figures.considered)
-    if m.refused_yaw + 1.0 >= figures.readmit_after:
-        forget(m, YAW, UNKNOWN_RAD2)
-        m.fixed_yaw = m.refused_yaw = 0.0
-        h.readmitted += is_new
     yaw_row(p, m.estimate, m.yaw_back, h.rows[0])
     yaw_shared(p, c, m.estimate, m.yaw_back, h)
     _weigh(m, n, 0, h)
     variance = _spread(n, 0, h) + figures.yaw_sd * figures.yaw_sd
-    innovation = wrap(m.yaw - show_yaw(p, m.estimate, m.yaw_back))
-    nis = innovation * innovation / variance
-    if m.fixed_yaw != 0.0:
-        m.nis = nis
+    return variance, wrap(m.yaw - show_yaw(p, m.estimate, m.yaw_back))
+
+
+@part
+def take_yaw(p: Parameters, c: Any, h: Head, m: Moment, is_new: bool) -> None:
+    """Correct with a heading unless it is an outlier."""
+    figures = record_at(c, 0, FIGURES)
+    n, noise = int(figures.considered), figures.yaw_sd * figures.yaw_sd
+    variance, innovation = _heading(p, c, h, m)
+    if m.fixed[HEADING] != 0.0:
+        nis = innovation * innovation / variance
+        m.nis = m.surprise[HEADING] = nis
+        _weigh_up(m, 1, variance, nis)
         if nis > GATE_1:
-            m.refused_yaw += 1.0
-            h.rejected += is_new
-            return
+            sd = math.sqrt(noise + figures.yaw_ou * figures.yaw_ou)
+            apart = abs(wrap(innovation - m.off[2]))
+            off, radius = abs(innovation), 2.0 * abs(p.yaw_gain) * p.radius_left
+            what = _judged(m, HEADING, off, apart, sd, radius, figures.readmit_after)
+            m.off[2] = innovation
+            if what == OUTLIER:
+                h.rejected += is_new
+                return
+            if what == CARRIED:
+                forget(m, YAW, UNKNOWN_RAD2)
+                m.fixed[HEADING], m.carried = 0.0, 1.0
+                h.readmitted += is_new
+            else:
+                _doubt(m, nis)
+                h.doubted += is_new
+                variance, innovation = _heading(p, c, h, m)
+    if m.fixed[HEADING] == 0.0:
+        # the derivatives hold near the heading that is shown, not near one that means nothing
+        for _ in range(N_NEARER):
+            m.estimate[YAW] += wrap(m.yaw - show_yaw(p, m.estimate, m.yaw_back))
+        variance, innovation = _heading(p, c, h, m)
     _correct(m, n, h, innovation, variance)
-    m.fixed_yaw, m.refused_yaw, m.last_fix = 1.0, 0.0, m.time
+    _accept(m, HEADING)
     h.accepted += is_new
 
 
 @part
 def take_position(p: Parameters, c: Any, h: Head, m: Moment, is_new: bool) -> None:
-    """Correct with a position unless it is too far off."""
+    """Correct with a position unless it is an outlier."""
     figures = record_at(c, 0, FIGURES)
     n, noise = int(figures.considered), figures.position_sd * figures.position_sd
-    if m.refused_position + 1.0 >= figures.readmit_after:
-        forget(m, X, UNKNOWN_M2)
-        forget(m, Y, UNKNOWN_M2)
-        m.fixed_position = m.refused_position = 0.0
-        h.readmitted += is_new
     aside = rolled(p, m)
     position_rows(p, m.estimate, aside, m.position_back, h.rows)
     position_shared(p, c, m, h)
@@ -159,20 +283,35 @@ def take_position(p: Parameters, c: Any, h: Head, m: Moment, is_new: bool) -> No
     syy = _spread(n, 1, h) + noise
     _weigh(m, n, 0, h)
     sxx, sxy = _spread(n, 0, h) + noise, _spread(n, 1, h)
-    nis = (syy * ix * ix - 2.0 * sxy * ix * iy + sxx * iy * iy) / (
-        sxx * syy - sxy * sxy
-    )
-    if m.fixed_position != 0.0:
-        m.nis = 0.5 * nis
+    spread = sxx * syy - sxy * sxy
+    nis = (syy * ix * ix - 2.0 * sxy * ix * iy + sxx * iy * iy) / spread
+    if m.fixed[PLACE] != 0.0:
+        m.nis = m.surprise[PLACE] = 0.5 * nis
+        _weigh_up(m, 2, spread, nis)
         if nis > GATE_2:
-            m.refused_position += 1.0
-            h.rejected += is_new
-            return
+            sd = math.sqrt(noise + figures.position_ou * figures.position_ou)
+            apart = math.hypot(ix - m.off[0], iy - m.off[1])
+            off, radius = math.hypot(ix, iy), p.radius_left
+            what = _judged(m, PLACE, off, apart, sd, radius, figures.readmit_after)
+            m.off[0], m.off[1] = ix, iy
+            if what == OUTLIER:
+                h.rejected += is_new
+                return
+            if what == CARRIED:
+                forget(m, X, UNKNOWN_M2)
+                forget(m, Y, UNKNOWN_M2)
+                m.carried = 1.0
+                h.readmitted += is_new
+            else:
+                _doubt(m, 0.5 * nis)
+                h.doubted += is_new
+            _weigh(m, n, 0, h)
+            sxx, sxy = _spread(n, 0, h) + noise, _spread(n, 1, h)
     _correct(m, n, h, ix, sxx)
     iy -= sxy / sxx * ix
     _weigh(m, n, 1, h)
     _correct(m, n, h, iy, _spread(n, 1, h) + noise)
-    m.fixed_position, m.refused_position, m.last_fix = 1.0, 0.0, m.time
+    _accept(m, PLACE)
     h.accepted += is_new
 
 

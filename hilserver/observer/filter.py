@@ -4,6 +4,7 @@ A sample older than the newest moment is assigned to its own moment, and all lat
 computed again, so that the estimate is that of a filter without latency.
 """
 
+import math
 from typing import Any
 
 from hilserver.compiled import inlined, part
@@ -12,14 +13,16 @@ from hilserver.observer.correction import begin, take_gyro, take_position, take_
 from hilserver.observer.layout import (
     FIGURES,
     HEAD,
+    HEADING,
     MOMENT,
     MOMENTS,
     N_HEAD,
     N_MOMENT,
     OLDEST_S,
+    PLACE,
     Moment,
 )
-from hilserver.observer.motion import bend, predict
+from hilserver.observer.motion import bend, predict, rolling
 from hilserver.plant.layout import Parameters
 
 _SAME_S = 1e-9
@@ -63,9 +66,10 @@ def open_moment(c: Any, f: Any, time: float, wheels: Any) -> None:
         older = moment(f, 2)
         bend(older.time, older.left, older.right, moment(f, 1), m)
     if h.count == 1.0:
-        m.fixed_position = m.fixed_yaw = m.refused_position = m.refused_yaw = (
-            m.last_fix
-        ) = 0.0
+        m.last_fix = m.misfit = 0.0
+        for kind in (PLACE, HEADING):
+            m.fixed[kind] = m.refused[kind] = m.agreeing[kind] = m.rolled[kind] = 0.0
+            m.came[kind] = time
         begin(record_at(c, 0, FIGURES), m)
 
 
@@ -117,6 +121,27 @@ def add_yaw(f: Any, time: float, yaw: float) -> None:
         m.has_yaw, m.yaw_back, m.yaw = 1.0, m.time - time, yaw
 
 
+@inlined
+def remember(p: Parameters, before: Moment, now: Moment) -> None:
+    """Take over from the moment before what samples have shown until then."""
+    way = rolling(p, now) * (now.time - before.time)
+    for kind in (PLACE, HEADING):
+        now.fixed[kind] = before.fixed[kind]
+        now.refused[kind] = before.refused[kind]
+        now.agreeing[kind] = before.agreeing[kind]
+        now.came[kind] = before.came[kind]
+        now.reach[kind] = before.reach[kind]
+        now.rolled[kind] = before.rolled[kind]
+        now.rolled_before[kind] = before.rolled_before[kind]
+    for i in range(now.off.shape[0]):
+        now.off[i] = before.off[i]
+    now.rolled[PLACE] += way
+    now.rolled[HEADING] += 2.0 * abs(p.yaw_gain) * way
+    now.last_fix = before.last_fix
+    now.nis = before.nis
+    now.misfit = before.misfit
+
+
 @part
 def close_moment(p: Parameters, c: Any, f: Any) -> None:
     """Compute the newest moment, after recomputing those that a late sample changed."""
@@ -128,12 +153,9 @@ def close_moment(p: Parameters, c: Any, f: Any) -> None:
             before = moment(f, age + 1)
             dt = now.time - before.time
             predict(p, c, h, before, now)
-            now.fixed_position, now.fixed_yaw = before.fixed_position, before.fixed_yaw
-            now.refused_position, now.refused_yaw = (
-                before.refused_position,
-                before.refused_yaw,
-            )
-            now.last_fix, now.nis = before.last_fix, before.nis
+            remember(p, before, now)
+        now.carried = 0.0
+        now.surprise[PLACE] = now.surprise[HEADING] = math.nan
         if now.has_gyro != 0.0:
             take_gyro(p, c, h, now, dt)
         if now.has_yaw != 0.0:

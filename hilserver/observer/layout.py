@@ -26,11 +26,13 @@ OLDEST_S: Final = 1.0  # maximum age of a sample
 SILENT_S: Final = 1.0
 """Time without a sample of the navigation after which the robot runs on dead reckoning."""
 
+PLACE, HEADING = range(2)  # what the navigation shows
 NO_FIX, CONVERGING, TRACKING, DEAD_RECKONING = range(4)  # values of `estimate.state`
 
 Vector = Annotated[NDArray[np.float64], N_ESTIMATED]
 Square = Annotated[NDArray[np.float64], (N_ESTIMATED, N_ESTIMATED)]
 Directions = Annotated[NDArray[np.float64], CONSIDERED]
+Pair = Annotated[NDArray[np.float64], 2]
 Cross = Annotated[NDArray[np.float64], (N_ESTIMATED, CONSIDERED)]
 
 
@@ -63,6 +65,9 @@ class Figures(Record):
     slip_walk: float  # [1/s]
     gain_sd: float
     gain_walk: float  # [1/s]
+    # variance per metre rolled of what no term describes
+    roam: float  # [m] of the position
+    roam_yaw: float  # [rad2/m] of the heading
 
 
 class Head(Record):
@@ -73,7 +78,8 @@ class Head(Record):
     redo: float  # how many past moments to compute again, for a late sample
     accepted: float  # samples of position and yaw
     rejected: float  # by their innovation
-    readmitted: float  # times that the robot was found in another place
+    readmitted: float  # times that the robot was found carried
+    doubted: float  # times that the pose was less certain than its covariance said
     late: float  # samples that were too old
     restarts: float  # restarts because a number was no longer finite
     seen_gyro: float  # counter of its last sample
@@ -111,10 +117,20 @@ class Moment(Record):
     has_yaw: float
     yaw: float  # [rad]
     yaw_back: float  # [s]
-    fixed_position: float  # flag: a position has been accepted
-    fixed_yaw: float
-    refused_position: float  # consecutive samples
-    refused_yaw: float
+    # of position and heading each, see `PLACE`
+    fixed: Pair  # flag: a sample has been accepted
+    refused: Pair  # consecutive samples
+    agreeing: Pair  # how many of the last of these agree with each other
+    came: Pair  # [s] when the last sample came, accepted or not
+    rolled: Pair  # [m, rad] since the last accepted sample, see `filter.rolling`
+    rolled_before: Pair  # the same when the last refused sample came
+    reach: Pair  # the same when the first refused sample came
+    off: Annotated[
+        NDArray[np.float64], 3
+    ]  # innovations of the last refused [m, m, rad]
+    carried: float  # flag: at this moment the robot was found carried
+    surprise: Pair  # NIS of the samples of this moment, as `nis`; NaN: none
+    misfit: float  # minus twice the log-likelihood of all samples until now
     last_fix: float  # [s] of the last accepted sample
     nis: float  # of the last sample, divided by its number of values: 1 on average
     estimate: Vector

@@ -99,6 +99,14 @@ def rolled(p: Parameters, m: Moment) -> float:
 
 
 @inlined
+def rolling(p: Parameters, m: Moment) -> float:
+    """Return how fast the wheels roll on average [m/s], in whatever direction."""
+    left = p.radius_left * (abs(m.left) + 0.5 * abs(m.apart_left))
+    right = p.radius_right * (abs(m.right) + 0.5 * abs(m.apart_right))
+    return float(0.5 * (left + right))
+
+
+@inlined
 def share_closed(p: Parameters, dt: float) -> float:
     """Return the share by which the body catches up with its wheels in `dt` [s]; 1 without lag."""
     return 1.0 if p.body_lag == 0.0 else -math.expm1(-dt / p.body_lag)
@@ -276,7 +284,7 @@ def _push_instant(c: Figures, before: Moment, now: Moment, h: Head) -> None:
 
 
 @inlined
-def _add_noise(c: Figures, dt: float, h: Head, m: Any) -> None:
+def _add_noise(c: Figures, dt: float, way: float, h: Head, m: Any) -> None:
     """Add the covariance of a step's noise to `m`, shape (N_ESTIMATED, N_ESTIMATED)."""
     for k in range(h.noise.shape[0]):
         row = h.noise[k]
@@ -287,6 +295,9 @@ def _add_noise(c: Figures, dt: float, h: Head, m: Any) -> None:
     m[OU_X, OU_X] += c.position_ou * c.position_ou * (1.0 - position * position)
     m[OU_Y, OU_Y] += c.position_ou * c.position_ou * (1.0 - position * position)
     m[OU_YAW, OU_YAW] += c.yaw_ou * c.yaw_ou * (1.0 - yaw * yaw)
+    m[X, X] += c.roam * way
+    m[Y, Y] += c.roam * way
+    m[YAW, YAW] += c.roam_yaw * way
     m[BIAS, BIAS] += c.bias_walk * dt
     m[SLIP, SLIP] += c.slip_walk * dt
     m[GAIN, GAIN] += c.gain_walk * dt
@@ -332,4 +343,4 @@ def predict(p: Parameters, c: Any, h: Head, before: Moment, now: Moment) -> None
                 for j in range(N_ESTIMATED):
                     m[i, j] += h.push[i, k] * cross[j, k]
     _wheel_noise(p, figures, before, now, f, h)
-    _add_noise(figures, dt, h, m)
+    _add_noise(figures, dt, rolling(p, now) * dt, h, m)

@@ -12,8 +12,10 @@ from hilserver.observer.layout import (
     DEAD_RECKONING,
     FIGURES,
     HEAD,
+    HEADING,
     NO_FIX,
     OM,
+    PLACE,
     SILENT_S,
     TRACKING,
     YAW,
@@ -36,7 +38,7 @@ def _state(c: Figures, m: Moment) -> int:
 
     The state is CONVERGING until the pose is known better than by one sample of the navigation.
     """
-    if m.fixed_position == 0.0 or m.fixed_yaw == 0.0:
+    if m.fixed[PLACE] == 0.0 or m.fixed[HEADING] == 0.0:
         return NO_FIX
     if m.time - m.last_fix > SILENT_S:
         return DEAD_RECKONING

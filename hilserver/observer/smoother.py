@@ -94,6 +94,8 @@ def smooth(
     a, b, h, sure = Moment.zeros(), Moment.zeros(), Head.zeros(), c[:N_FIGURES].copy()
     Figures.of(sure).directions = Figures.of(sure).considered = 0.0
     for k in range(len(x) - 2, first - 1, -1):
+        if course.carried[k + 1]:
+            continue  # what came after says nothing about where the robot was before
         f = _dense(
             _predicted(
                 p.numbers,

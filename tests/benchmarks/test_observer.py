@@ -72,11 +72,14 @@ def test_real_robots_are_found_while_the_navigation_is_silent(tmp_path, monkeypa
         )
 
     monkeypatch.setattr(observer_recordings, "diagnosed", known)
-    args = Namespace(recordings=tmp_path, keep=tmp_path, jobs=1)
+    args = Namespace(recordings=tmp_path, keep=tmp_path, jobs=1, undiagnosed=False)
     by_name = {(r.name.partition(": ")[2], r.reference_name): r for r in run(args)}
     assert by_name["error", "wheels since the cut"].value < 0.1
     assert by_name["error", "wheels since the start"].ratio > 1.0
     assert by_name["NIS inside 95 %", "wanted"].value > 0.5
+    assert by_name["RMS of the smoother", "filter"].ratio > 1.0
+    there = by_name["RMS where the pose is there", "constant covariances"]
+    assert there.value < 0.002
 
 
 def test_stamps_that_a_diagnosis_found_late_are_put_right(tmp_path):
@@ -89,7 +92,7 @@ def test_a_folder_without_recordings_gets_a_sentence(tmp_path):
     with pytest.raises(
         FailedError, match="holds no recordings of diffdrive_umbmark, omni4"
     ):
-        run(Namespace(recordings=tmp_path, keep=tmp_path, jobs=1))
+        run(Namespace(recordings=tmp_path, keep=tmp_path, jobs=1, undiagnosed=False))
 
 
 @pytest.mark.long

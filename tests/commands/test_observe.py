@@ -71,7 +71,9 @@ def test_the_path_is_near_the_truth_and_the_smoothed_one_nearer(
         assert "<svg" in out.with_suffix(".svg").read_text()
     assert size[1] < size[0]
     text = capsys.readouterr().out
-    assert "navigation samples were used and 0 rejected" in text
+    assert "navigation samples were used and" in text
+    assert "the robot was carried 0 times" in text
+    assert text.count("fitted to this log") == 2
     assert "the path from the wheels alone" in text
 
 
@@ -101,6 +103,30 @@ def test_stamps_that_a_diagnosis_has_found_late_are_put_right(tmp_path):
         assert main(words) == 0
         size.append(np.hypot(*errors(out, truth.dense)[0][:2]).mean())
     assert size[1] < 0.04 < 0.06 < size[0]
+
+
+def test_a_filter_that_does_not_know_its_robot_says_so_first(drive, tmp_path, capsys):
+    """A navigation in millimetres: what it shows is no motion of these wheels."""
+    table, _ = make(Recipe(seed=5, duration_s=20.0))
+    for name in ("nav.x_m", "nav.y_m"):
+        table.columns[name] = table.columns[name] * 1e3
+    log, out = tmp_path / "run.csv", tmp_path / "out.csv"
+    table.write_csv(log)
+    words = ["observe", str(log), "-o", str(out)]
+    assert main(words) == 0
+    first = capsys.readouterr().out.splitlines()[0]
+    assert first.startswith("The squared innovations are ")
+    assert "--inflate" in first
+    out.unlink()
+    assert main([*words, "--smooth"]) == 1
+    assert not out.exists()
+    said = capsys.readouterr().err
+    assert "smoothed path would be no better" in said
+    assert "--inflate" in said
+    assert main([*words, "--smooth", "--inflate"]) == 0
+    first = capsys.readouterr().out.splitlines()[0]
+    assert "all variances have been made that much larger" in first
+    assert out.exists()
 
 
 def test_without_a_position_only_speeds_are_known(tmp_path, capsys):

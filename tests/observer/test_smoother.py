@@ -108,3 +108,18 @@ def test_smoothing_bridges_a_cut():
     assert smoothed < 0.8 * filtered
     assert all(gains)
     assert np.linalg.eigvalsh(m[200]).min() == pytest.approx(0.0, abs=1e-6)
+
+
+def test_smoothing_does_not_cross_a_robot_that_was_carried():
+    """Where it was put down says nothing about where it was before."""
+    observed = Observed(robot(), readmit_after=6)
+    d = drive(observed.p, observed.figures, N)
+    d.position[150:] += [4.0, -2.0]
+    course = run(observed.p, observed.c, series(d))
+    (put,) = np.flatnonzero(course.carried)
+    assert put > 150
+    x, m = smooth(observed.p, observed.c, series(d), course, first=5)
+    np.testing.assert_array_equal(x[put - 1], course.estimate[put - 1])
+    np.testing.assert_array_equal(m[put - 1], course.covariance[put - 1])
+    for part, by in ((slice(5, 150), 0.0), (slice(put, N), np.array([4.0, -2.0]))):
+        assert np.hypot(*(x[part, :2] - d.truth[part, :2] - by).T).max() < 0.2

@@ -2,4 +2,4 @@
 
 SOURCES = ("page", "opcua", "ros2")
 FLOODS = ("browse15", "browse20", "browse1000", "translate", "event_filter", "foxglove")
-ATTACKS = ("idle", *FLOODS, "ctrl_s", "lock")
+ATTACKS = ("idle", *FLOODS, "ctrl_s", "lock", "busy")

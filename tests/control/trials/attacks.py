@@ -59,27 +59,38 @@ class Stalled(Attack):
         self.robot.go_on()
 
 
-class Flood(Attack):
-    """A process that asks again as soon as it is answered; without `on` it stands still."""
+class Others(Attack):
+    """Processes; without `on` they stand still."""
 
-    def __init__(self, robot, name):
+    def __init__(self, robot, count, target, *args):
         super().__init__(robot)
-        doors = robot.doors
-        self._process = processes.Process(
-            target=_flood, args=(name, doors.opcua, doors.foxglove)
-        )
-        self._process.start()
+        self._processes = [
+            processes.Process(target=target, args=args) for _ in range(count)
+        ]
+        for process in self._processes:
+            process.start()
         self.off()
 
     def on(self):
-        os.kill(self._process.pid, signal.SIGCONT)
+        self._send(signal.SIGCONT)
 
     def off(self):
-        os.kill(self._process.pid, signal.SIGSTOP)
+        self._send(signal.SIGSTOP)
 
     def end(self):
-        self._process.kill()
-        self._process.join(10)
+        for process in self._processes:
+            process.kill()
+            process.join(10)
+
+    def _send(self, what):
+        for process in self._processes:
+            os.kill(process.pid, what)
+
+
+def _spin():
+    """Take all processor time there is, at the niceness of whoever started this."""
+    while True:  # until it is killed
+        pass
 
 
 # --- the floods -----------------------------------------------------------------------------------
@@ -191,5 +202,9 @@ FLOODS = {
 def attack(name, robot):
     """Return an attack on a robot that runs; it is off."""
     if name in FLOODS:
-        return Flood(robot, name)
+        doors = robot.doors
+        # it asks again as soon as it is answered
+        return Others(robot, 1, _flood, name, doors.opcua, doors.foxglove)
+    if name == "busy":
+        return Others(robot, 2 * len(os.sched_getaffinity(0)), _spin)
     return {"idle": Attack, "ctrl_s": Stalled, "lock": Lock}[name](robot)

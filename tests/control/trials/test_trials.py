@@ -12,7 +12,7 @@ GENEROUS_MS = 250.0
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("attack", ["idle", "browse15", "ctrl_s", "lock"])
+@pytest.mark.parametrize("attack", ["idle", "browse15", "ctrl_s", "lock", "busy"])
 @pytest.mark.parametrize("source", SOURCES)
 def test_it_stops_in_time(tmp_path, source, attack):
     with (
