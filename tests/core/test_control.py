@@ -460,3 +460,8 @@ async def test_a_plant_that_does_not_answer_is_named(world, monkeypatch):
     monkeypatch.setattr("hilserver.core.snapshot._SERVED_WITHIN_S", 0.01)
     with pytest.raises(ControlRefused, match="did not answer"):
         await world.control.save_snapshot("never")
+
+
+def test_a_pose_is_not_aligned_with_one_that_nobody_measures(world):
+    with pytest.raises(ControlRefused, match="AlignPose needs"):
+        world.control.align_pose()

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hilserver.config.root import Config
+from hilserver.core.inputs import Refusal
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.builder import build
 from hilserver.errors import ControlRefused
@@ -248,3 +249,13 @@ async def test_what_is_scheduled_acts_at_its_tick(core):
         await core.scheduler.advance(1)
         editions.append(core.image.latest().values[slot])
     assert editions == [0] * 5 + [1] * 3 + [2] * 2
+
+
+def test_what_only_a_restart_changes_is_not_writable_and_a_wrong_value_out_of_range(
+    moving,
+):
+    parameters = moving.core.parameters
+    fixed = next(n for n, known in parameters.table.items() if known.when == "restart")
+    refused = parameters.write("opcua", {fixed: 1.0, "plant.max_rpm": -1.0})
+    assert refused[fixed].reason is Refusal.NOT_WRITABLE
+    assert refused["plant.max_rpm"].reason is Refusal.OUT_OF_RANGE

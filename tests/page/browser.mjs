@@ -172,6 +172,11 @@ const doing = {
   },
   thaw: () => tools.send("Debugger.disable"),
   rest: ({ ms }) => page.waitForTimeout(ms),
+  /** Wait until the page has looked at the gamepad: every 50 ms, if the computer lets it. */
+  looked: () => page.evaluate(() => new Promise((done) => {
+    let times = 0;
+    const timer = setInterval(() => ++times === 4 && done(clearInterval(timer)), 50);
+  })),
   pid: () => server.process().pid,
   errors: () => errors,
   shot: async ({ path }) => {

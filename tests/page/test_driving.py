@@ -141,7 +141,7 @@ def test_a_gamepad_drives_while_its_stick_is_held(browser, url, plant):
     browser.do("open", url=url)
     browser.do("take")
     browser.do("run", script="window.pad = {connected: true, axes: [0, 0]}")
-    browser.do("rest", ms=150)
+    browser.do("looked")
     browser.do("run", script="window.pad = {connected: true, axes: [-0.5, -0.8]}")
     plant.wait(lambda: plant.value("twist.linear_m_s") > 0.1)
     plant.wait(lambda: plant.value("twist.angular_rad_s") > 0.1)
@@ -159,7 +159,7 @@ TRIANGLE, CIRCLE, R2, TOUCH = 3, 1, 7, 17  # as a browser counts them
 
 def hold(browser, axes, *buttons):
     browser.do("run", script=PAD % (axes, list(buttons), list(buttons)))
-    browser.do("rest", ms=150)
+    browser.do("looked")
 
 
 @pytest.mark.parametrize(
