@@ -1,8 +1,10 @@
 """From a YAML file to a validated model; every complaint names file, line and key."""
 
 import contextlib
+import re
 import stat
 from collections.abc import Iterator, Mapping, Sequence
+from enum import Enum
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -49,12 +51,13 @@ def load(path: Path, model: type[Model], most_bytes: int = MAX_BYTES) -> Model:
     try:
         result = model.model_validate(data)
         complaints = [
-            (location, f"{_key(location)}: {value} is not valid; it should be a number")
-            for location, value in _booleans(data, result)
+            (at, f"{_key(at)}: {value!r:.60} is not valid; it should be {wanted}")
+            for at, value, wanted in _mistyped(data, result)
         ]
     except ValidationError as error:
         errors = error.errors(include_url=False)[:MAX_COMPLAINTS]
-        complaints = [(e["loc"], _sentence(model, e)) for e in errors]
+        causes = [e for e in errors if not _is_echo(e)]
+        complaints = [(e["loc"], _sentence(model, e)) for e in causes]
     if complaints:
         lines = [
             f"{path}:{_line(root, loc)}: {text}"
@@ -142,6 +145,8 @@ def _wrong(path: Path, mark: Any, text: str) -> ConfigError:
 
 
 _NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+_OCTAL = re.compile(r"[-+]?0[0-7_]+")
+_POWER_OF_TEN = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+")
 _UNREADABLE = (ValueError, LookupError, AttributeError)
 """Raised by YAML's reader for ``!!float ''``, ``!!bool maybe``, ``!!timestamp x``."""
 
@@ -158,22 +163,12 @@ def _construct(path: Path, root: yaml.Node | None) -> Any:
                 node.start_mark,
                 f"more than {MAX_VALUES} values; use fewer aliases",
             )
-        if (
-            isinstance(node, yaml.ScalarNode)
-            and node.tag in _NUMBERS
-            and ":" in node.value
-        ):
-            raise _wrong(
-                path,
-                node.start_mark,
-                f"YAML reads {node.value} as a base-60 number; write the plain number",
-            )
-        if isinstance(node, yaml.ScalarNode) and "\0" in node.value:
-            raise _wrong(
-                path,
-                node.start_mark,
-                "a text contains the character NUL, which file names cannot contain; remove it",
-            )
+        if isinstance(node, yaml.ScalarNode):
+            misread = _misread(node)
+            if misread:
+                raise _wrong(path, node.start_mark, misread)
+            if _is_power_of_ten(node):
+                node.tag = "tag:yaml.org,2002:float"  # YAML 1.1 wants 1.0e+3
         if isinstance(node, yaml.MappingNode):
             seen: dict[str, int] = {}
             for key, _ in node.value:
@@ -198,6 +193,24 @@ def _construct(path: Path, root: yaml.Node | None) -> Any:
     return {} if found is None else found
 
 
+def _misread(node: yaml.ScalarNode) -> str:
+    """Return what is wrong with a value that YAML reads as nobody means it."""
+    is_number = node.tag in _NUMBERS and node.style is None
+    if is_number and ":" in node.value:
+        return f"YAML reads {node.value} as a base-60 number; write the plain number"
+    if is_number and _OCTAL.fullmatch(node.value):
+        number = int(node.value.replace("_", ""), 8)
+        return f"YAML reads {node.value} as the octal number {number}; write it without 0 in front"
+    if "\0" in node.value:
+        return "a text contains the character NUL, which file names cannot contain; remove it"
+    return ""
+
+
+def _is_power_of_ten(node: yaml.ScalarNode) -> bool:
+    is_text = node.tag == "tag:yaml.org,2002:str" and node.style is None
+    return is_text and _POWER_OF_TEN.fullmatch(node.value) is not None
+
+
 def _is_readable(node: yaml.Node) -> bool:
     try:
         if isinstance(node, yaml.ScalarNode):
@@ -218,11 +231,28 @@ def _walk(node: yaml.Node, depth: int = 0) -> Iterator[tuple[yaml.Node, int]]:
             yield from _walk(value, depth + 1)
 
 
-def _booleans(data: Any, result: Any, at: Path_ = ()) -> Iterator[tuple[Path_, bool]]:
-    """Yield the places of Booleans instead of numbers: YAML reads ``yes`` and ``on`` as true."""
+def _mistyped(
+    data: Any, result: Any, at: Path_ = ()
+) -> Iterator[tuple[Path_, object, str]]:
+    """Yield place, value and what is wanted, where pydantic has made another type of a value.
+
+    YAML reads ``yes`` and ``on`` as true, which is no number; a number in quotes is a text, which
+    other readers of the file refuse; and 1 is neither true nor false.
+    """
+    is_switch = isinstance(result, bool)
     if isinstance(data, bool):
-        if not isinstance(result, bool):
-            yield at, data
+        if not is_switch:
+            yield at, data, "a number"
+    elif isinstance(data, str | int | float) and is_switch:
+        yield at, data, "true or false"
+    elif isinstance(data, str) and isinstance(result, int | float):
+        if not isinstance(result, Enum):
+            is_padded = len(data) > 1 and data.isdecimal() and data.startswith("0")
+            yield (
+                at,
+                data,
+                "a number, without " + ("0 in front" if is_padded else "quotes"),
+            )
     elif isinstance(data, dict):
         for key, value in data.items():
             inner = (
@@ -230,10 +260,10 @@ def _booleans(data: Any, result: Any, at: Path_ = ()) -> Iterator[tuple[Path_, b
                 if isinstance(result, Mapping)
                 else getattr(result, key, None)
             )
-            yield from _booleans(value, inner, (*at, key))
+            yield from _mistyped(value, inner, (*at, key))
     elif isinstance(data, list) and isinstance(result, Sequence):
         for index, (value, inner) in enumerate(zip(data, result, strict=False)):
-            yield from _booleans(value, inner, (*at, index))
+            yield from _mistyped(value, inner, (*at, index))
 
 
 def _line(root: yaml.Node | None, location: Path_) -> int:
@@ -263,6 +293,14 @@ def _key(location: Path_) -> str:
         elif part != "[key]":
             text += f".{part}" if text else part
     return text
+
+
+def _is_echo(error: Any) -> bool:
+    """Whether pydantic only says that entries are missing because it has refused them."""
+    if error["type"] != "too_short":
+        return False
+    wanted = int(error["ctx"]["min_length"])
+    return len(error["input"]) >= wanted
 
 
 def _sentence(model: type[BaseModel], error: Any) -> str:
@@ -296,6 +334,12 @@ def _sentence(model: type[BaseModel], error: Any) -> str:
         return f"{key}: {message}" if key and not message.startswith(key) else message
     if kind == "string_pattern_mismatch":
         message = f"text that matches {error['ctx']['pattern']}"
+    if kind in ("too_short", "too_long"):
+        bound = "at least" if kind == "too_short" else "at most"
+        limits = error["ctx"]
+        number = limits.get("min_length") or limits.get("max_length")
+        entries = "entry" if number == 1 else "entries"
+        message = f"{bound} {number} {entries}"
     wanted = _WANTED.get(kind, message)
     if wanted == "a number" and "," in str(error["input"]):
         wanted += " with a decimal point"
