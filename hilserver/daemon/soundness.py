@@ -6,6 +6,7 @@ what the other does, with the same sentence.
 """
 
 import os
+import sys
 from collections import defaultdict
 from collections.abc import Iterator
 from fnmatch import fnmatchcase
@@ -142,6 +143,15 @@ def dead_drive(assembly: Assembly) -> Iterator[Complaint]:
         yield Complaint(("plant", "controller", "k_i"), text)
 
 
+def bodies(assembly: Assembly) -> Iterator[Complaint]:
+    """Yield what shows the robot's body where it has none."""
+    ros2 = assembly.config.ros2
+    is_shown = ros2.enabled and ros2.publish.robot_description
+    if is_shown and assembly.config.plant.wheelbase_m is None:
+        text = "only a robot with four wheels can be described (plant.wheelbase_m): set it to false"
+        yield Complaint(("ros2", "publish", "robot_description"), text)
+
+
 def slow_drive(assembly: Assembly) -> Iterator[Complaint]:
     """Yield set-points that the wheels do not reach."""
     plant = assembly.config.plant
@@ -157,6 +167,29 @@ def slow_drive(assembly: Assembly) -> Iterator[Complaint]:
     if plant.controller.k_i == 0.0:
         text = "0 leaves the wheels below their set-points, as k_p alone does"
         yield Complaint(("plant", "controller", "k_i"), text)
+
+
+# --- files --------------------------------------------------------------------------
+
+
+def unwritable_names(assembly: Assembly) -> Iterator[Complaint]:
+    """Yield paths with letters that the names of this computer's files cannot have."""
+    config = assembly.config
+    named = {("recording", "file"): config.recording.file}
+    named["snapshots", "folder"] = config.snapshots.folder
+    for name, folder in config.folders:
+        named["folders", name] = str(folder)
+    encoding = sys.getfilesystemencoding()
+    for at, path in named.items():
+        try:
+            str(path).encode(encoding, "surrogateescape")
+        except UnicodeEncodeError as error:
+            letter = error.object[error.start]
+            text = (
+                f"file names are {encoding} here and cannot have '{letter}': set LANG=C.UTF-8, or"
+                " choose another name"
+            )
+            yield Complaint(at, text)
 
 
 # --- time -----------------------------------------------------------------------------
@@ -264,6 +297,8 @@ IMPOSSIBLE: Final = (
     unknown_names,
     shared_addresses,
     dead_drive,
+    bodies,
+    unwritable_names,
     impossible_time,
     mute_sources,
 )

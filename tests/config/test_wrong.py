@@ -126,6 +126,18 @@ def test_what_is_only_doubtful_is_a_warning(tmp_path, text, doubt):
     assert said.startswith(doubt)
 
 
+def test_a_name_that_no_file_can_have_here(tmp_path, monkeypatch):
+    path = tmp_path / "config.yaml"
+    text = "recording: {file: größe.mcap}\nfolders: {reports: prüfung}\n"
+    path.write_text(text, encoding="utf-8")
+    assembly = assemble(path)
+    validate(assembly)
+    monkeypatch.setattr(sys, "getfilesystemencoding", lambda: "ascii")
+    first, second = refusal(lambda: validate(assembly)).splitlines()
+    assert ":1: recording.file: file names are ascii here and cannot have 'ö'" in first
+    assert ":2: folders.reports: " in second
+
+
 @pytest.mark.long
 def test_ten_of_them_by_the_commands_themselves(tmp_path):
     for text, sentence in wrong()[::28]:
