@@ -3,15 +3,15 @@
 import argparse
 from collections.abc import Iterator
 
-from hilserver.commands.credentials import check_credentials
 from hilserver.commands.options import add_config, config_path, out_file, write_text
+from hilserver.commands.validation import validate
 from hilserver.config.blocks import BlockConfig
 from hilserver.config.root import Config
 from hilserver.config.section import schema_text
 from hilserver.daemon.assembly import Assembly, assemble
 from hilserver.daemon.doors import doors_lost, table_of_doors
+from hilserver.daemon.soundness import doubts
 from hilserver.errors import EXIT_DONE
-from hilserver.io.opcua_server.model import describe as address_space
 from hilserver.plant.layout import WHEELS
 
 EXAMPLE = "hilserver check -c config.yaml"
@@ -36,11 +36,7 @@ def run(args: argparse.Namespace) -> int:
         write_text(args.schema, schema_text(Config))
         return EXIT_DONE
     assembly = assemble(config_path(args))
-    with assembly.at(
-        "blocks"
-    ):  # a block's name or unit may be one that OPC UA cannot show
-        address_space(assembly.table)
-    check_credentials(assembly)
+    validate(assembly)
     print("\n".join(describe(assembly)))
     return EXIT_DONE
 
@@ -113,7 +109,7 @@ def warnings(assembly: Assembly) -> list[str]:
         for why in assembly.not_replayable
     ]
     lost = doors_lost(assembly.config)
-    return foreign + assembly.remarks + lost + _idle_peers(assembly)
+    return foreign + assembly.remarks + lost + doubts(assembly) + _idle_peers(assembly)
 
 
 def _idle_peers(assembly: Assembly) -> list[str]:

@@ -40,11 +40,20 @@ FILES: Final = (
 )
 
 
+def _known(name: str) -> str:
+    """Return a name, which is a mistake in the command line if there is no such experiment."""
+    try:
+        return experiment_of(name).name
+    except FailedError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
     parser.add_argument(
         "name",
         nargs="?",
+        type=_known,
         metavar="NAME",
         help=f"one of {', '.join(EXPERIMENTS)}; none: list them",
     )

@@ -54,9 +54,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _by_hand(args: argparse.Namespace) -> Setup:
     # A page that the daemon starts needs none of this.
-    from hilserver.commands.credentials import check_page  # noqa: PLC0415
     from hilserver.commands.page_setup import page_setup  # noqa: PLC0415
     from hilserver.commands.patching import assembled  # noqa: PLC0415
+    from hilserver.commands.validation import check_page  # noqa: PLC0415
 
     assembly = assembled(args)
     check_page(assembly)

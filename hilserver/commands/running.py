@@ -14,7 +14,6 @@ from typing import Any
 import structlog
 
 from hilserver.commands.announcing import Announcer
-from hilserver.commands.credentials import check_credentials
 from hilserver.commands.demo import (
     demo_assembly,
     running_controller,
@@ -23,6 +22,7 @@ from hilserver.commands.demo import (
 )
 from hilserver.commands.page_setup import page_setup
 from hilserver.commands.patching import assembled
+from hilserver.commands.validation import validate
 from hilserver.config.page import PageConfig
 from hilserver.daemon.assembly import Assembly
 from hilserver.daemon.connections import LINKS
@@ -51,9 +51,9 @@ def serve(args: argparse.Namespace, guard: Guard, announcer: Announcer) -> int:
     )
     assembly = _recorded(assembled(args), args.record)
     run = Run(assembly, args.duration, play, announcer, guard)
+    validate(assembly)  # what it says of certificates has the form of the log
     announcer.waits_for = "its parts and the first ticks"
     with announcer:
-        check_credentials(assembly)
         try:
             code = event_loop.run(
                 run.twin() if args.twin else run.demo() if args.demo else run.robot()

@@ -18,7 +18,7 @@ import sys
 import termios
 import time
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final
 
 from hilserver.commands.options import number
@@ -50,6 +50,12 @@ AXES: Final[dict[str, tuple[str, float]]] = {
     "q": ("lateral", 1.0),
     "e": ("lateral", -1.0),
 }
+SET: Final = {
+    "linear": "twist.linear_m_s",
+    "turn": "twist.angular_rad_s",
+    "lateral": "twist.lateral_m_s",
+}
+"""Set-point by axis."""
 SHOWN: Final = (
     "velocity.linear_m_s",
     "velocity.angular_rad_s",
@@ -101,10 +107,16 @@ async def _drive(args: argparse.Namespace, endpoint: str, password: str) -> int:
         try:
             await hand.connect(args.user, password)
             await hand.write({"control.source": "opcua"})
+            ranges = await hand.read([f"{name}.EURange" for name in SET.values()])
         except RefusedError as error:
             await hand.close()
             raise FailedError(f"{endpoint}: {error}") from None
-        driver = Driver(hand, args.speed, args.turn)
+        fastest = {
+            axis: found.High
+            for axis, found in zip(SET, ranges, strict=True)
+            if found is not None
+        }
+        driver = Driver(hand, args.speed, args.turn, fastest)
         try:
             with _keys(driver.take):
                 ends = [event.wait() for event in (asked, hung_up, driver.ended)]
@@ -122,11 +134,20 @@ async def _drive(args: argparse.Namespace, endpoint: str, password: str) -> int:
 class Driver:
     """Turns held keys into commands that are renewed as long as they are held."""
 
-    def __init__(self, hand: Hand, speed_m_s: float, turn_rad_s: float) -> None:
+    def __init__(
+        self,
+        hand: Hand,
+        speed_m_s: float,
+        turn_rad_s: float,
+        fastest: Mapping[str, float],
+    ) -> None:
         self.ended = asyncio.Event()  # the user wants to end
         self.complaint_ends = ""  # why driving ended by itself
         self._hand, self._hold, self._reader = hand, Hold(), KeyReader()
-        self._sizes = {"linear": speed_m_s, "turn": turn_rad_s, "lateral": speed_m_s}
+        self._fastest = fastest  # by axis; 0: it cannot go that way, as it will say
+        self._sizes = self._possible(
+            {"linear": speed_m_s, "turn": turn_rad_s, "lateral": speed_m_s}
+        )
         self._news = asyncio.Event()
         self._lights: int | None = None
         self._complaint = self._said = ""
@@ -156,11 +177,20 @@ class Driver:
             self._hold.release_all()
         elif key.name in ("+", "-"):
             factor = STEP if key.name == "+" else 1 / STEP
-            self._sizes = {axis: size * factor for axis, size in self._sizes.items()}
+            self._sizes = self._possible(
+                {axis: size * factor for axis, size in self._sizes.items()}
+            )
         elif key.name.isdigit() and int(key.name) < len(LIGHTS):
             self._lights = int(key.name)
         elif key.name in AXES:
             self._hold.press(key.name, time.monotonic())
+
+    def _possible(self, sizes: Mapping[str, float]) -> dict[str, float]:
+        """Return speeds that the robot accepts: one that is too fast would move nothing."""
+        return {
+            axis: min(size, self._fastest.get(axis) or size)
+            for axis, size in sizes.items()
+        }
 
     def command(self, held: frozenset[str]) -> dict[str, Any]:
         """Return the set-points for the held keys."""
@@ -170,9 +200,7 @@ class Driver:
             sums[axis] += sign * self._sizes[axis]
         values: dict[str, Any] = {
             "control.mode": 1,
-            "twist.linear_m_s": sums["linear"],
-            "twist.angular_rad_s": sums["turn"],
-            "twist.lateral_m_s": sums["lateral"],
+            **{name: sums[axis] for axis, name in SET.items()},
         }
         return {"drive.enable": True, **values} if any(sums.values()) else values
 

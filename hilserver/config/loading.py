@@ -1,8 +1,10 @@
 """From a YAML file to a validated model; every complaint names file, line and key."""
 
 import contextlib
+import re
 import stat
 from collections.abc import Iterator, Mapping, Sequence
+from enum import Enum
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -77,10 +79,11 @@ def _judged(
         result = model.model_validate(data)
     except ValidationError as error:
         errors = error.errors(include_url=False)[:MAX_COMPLAINTS]
-        return None, [(e["loc"], _sentence(model, e)) for e in errors]
+        causes = [e for e in errors if not _is_echo(e)]
+        return None, [(e["loc"], _sentence(model, e)) for e in causes]
     complaints = [
-        (location, f"{_key(location)}: {value} is not valid; it should be a number")
-        for location, value in _booleans(data, result)
+        (at, f"{_key(at)}: {value!r:.60} is not valid; it should be {wanted}")
+        for at, value, wanted in _mistyped(data, result)
     ]
     return result, complaints[:MAX_COMPLAINTS]
 
@@ -163,6 +166,8 @@ def _wrong(path: Path, mark: Any, text: str) -> ConfigError:
 
 
 _NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+_OCTAL = re.compile(r"[-+]?0[0-7_]+")
+_POWER_OF_TEN = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+")
 _UNREADABLE = (ValueError, LookupError, AttributeError)
 """Raised by YAML's reader for ``!!float ''``, ``!!bool maybe``, ``!!timestamp x``."""
 
@@ -179,22 +184,12 @@ def _construct(path: Path, root: yaml.Node | None) -> Any:
                 node.start_mark,
                 f"more than {MAX_VALUES} values; use fewer aliases",
             )
-        if (
-            isinstance(node, yaml.ScalarNode)
-            and node.tag in _NUMBERS
-            and ":" in node.value
-        ):
-            raise _wrong(
-                path,
-                node.start_mark,
-                f"YAML reads {node.value} as a base-60 number; write the plain number",
-            )
-        if isinstance(node, yaml.ScalarNode) and "\0" in node.value:
-            raise _wrong(
-                path,
-                node.start_mark,
-                "a text contains the character NUL, which file names cannot contain; remove it",
-            )
+        if isinstance(node, yaml.ScalarNode):
+            misread = _misread(node)
+            if misread:
+                raise _wrong(path, node.start_mark, misread)
+            if _is_power_of_ten(node):
+                node.tag = "tag:yaml.org,2002:float"  # YAML 1.1 wants 1.0e+3
         if isinstance(node, yaml.MappingNode):
             seen: dict[str, int] = {}
             for key, _ in node.value:
@@ -219,6 +214,24 @@ def _construct(path: Path, root: yaml.Node | None) -> Any:
     return {} if found is None else found
 
 
+def _misread(node: yaml.ScalarNode) -> str:
+    """Return what is wrong with a value that YAML reads as nobody means it."""
+    is_number = node.tag in _NUMBERS and node.style is None
+    if is_number and ":" in node.value:
+        return f"YAML reads {node.value} as a base-60 number; write the plain number"
+    if is_number and _OCTAL.fullmatch(node.value):
+        number = int(node.value.replace("_", ""), 8)
+        return f"YAML reads {node.value} as the octal number {number}; write it without 0 in front"
+    if "\0" in node.value:
+        return "a text contains the character NUL, which file names cannot contain; remove it"
+    return ""
+
+
+def _is_power_of_ten(node: yaml.ScalarNode) -> bool:
+    is_text = node.tag == "tag:yaml.org,2002:str" and node.style is None
+    return is_text and _POWER_OF_TEN.fullmatch(node.value) is not None
+
+
 def _is_readable(node: yaml.Node) -> bool:
     try:
         if isinstance(node, yaml.ScalarNode):
@@ -239,11 +252,28 @@ def _walk(node: yaml.Node, depth: int = 0) -> Iterator[tuple[yaml.Node, int]]:
             yield from _walk(value, depth + 1)
 
 
-def _booleans(data: Any, result: Any, at: Path_ = ()) -> Iterator[tuple[Path_, bool]]:
-    """Yield the places of Booleans instead of numbers: YAML reads ``yes`` and ``on`` as true."""
+def _mistyped(
+    data: Any, result: Any, at: Path_ = ()
+) -> Iterator[tuple[Path_, object, str]]:
+    """Yield place, value and what is wanted, where pydantic has made another type of a value.
+
+    YAML reads ``yes`` and ``on`` as true, which is no number; a number in quotes is a text, which
+    other readers of the file refuse; and 1 is neither true nor false.
+    """
+    is_switch = isinstance(result, bool)
     if isinstance(data, bool):
-        if not isinstance(result, bool):
-            yield at, data
+        if not is_switch:
+            yield at, data, "a number"
+    elif isinstance(data, str | int | float) and is_switch:
+        yield at, data, "true or false"
+    elif isinstance(data, str) and isinstance(result, int | float):
+        if not isinstance(result, Enum):
+            is_padded = len(data) > 1 and data.isdecimal() and data.startswith("0")
+            yield (
+                at,
+                data,
+                "a number, without " + ("0 in front" if is_padded else "quotes"),
+            )
     elif isinstance(data, dict):
         for key, value in data.items():
             inner = (
@@ -251,10 +281,10 @@ def _booleans(data: Any, result: Any, at: Path_ = ()) -> Iterator[tuple[Path_, b
                 if isinstance(result, Mapping)
                 else getattr(result, key, None)
             )
-            yield from _booleans(value, inner, (*at, key))
+            yield from _mistyped(value, inner, (*at, key))
     elif isinstance(data, list) and isinstance(result, Sequence):
         for index, (value, inner) in enumerate(zip(data, result, strict=False)):
-            yield from _booleans(value, inner, (*at, index))
+            yield from _mistyped(value, inner, (*at, index))
 
 
 def _line(root: yaml.Node | None, location: Path_) -> int:
@@ -284,6 +314,14 @@ def _key(location: Path_) -> str:
         elif part != "[key]":
             text += f".{part}" if text else part
     return text
+
+
+def _is_echo(error: Any) -> bool:
+    """Whether pydantic only says that entries are missing because it has refused them."""
+    if error["type"] != "too_short":
+        return False
+    wanted = int(error["ctx"]["min_length"])
+    return len(error["input"]) >= wanted
 
 
 def _sentence(model: type[BaseModel], error: Any) -> str:

@@ -235,9 +235,11 @@ class InputGate(HandOver):
         rows, offers, refused = self._sort(
             source, values, came_ns < self._ended_ns, now_ns
         )
-        spoiled = self._spoiled({*broken, *refused.keys() - offers.keys()})
-        for name in {*rows, *offers}:
-            if not spoiled.isdisjoint(self._table[name].slots):
+        wrong = refused.keys() - offers.keys()
+        spoiled = self._spoiled(wrong.union(broken))
+        for name in [*rows, *offers]:
+            slots = self._table[name].slots
+            if not spoiled.isdisjoint(slots):
                 refused[name] = Refusal.INCOMPLETE
                 rows.pop(name, None)
                 offers.pop(name, None)
@@ -317,8 +319,9 @@ class InputGate(HandOver):
         """Return the slots of the commands that cannot be whole without these names."""
         spoiled = set[int]()
         for name in wrong:
-            known = name in self._table and not self._table[name].hidden
-            slots = self._table[name].slots if known else (_MODE,)
+            slots: tuple[int, ...] = (_MODE,)
+            if name in self._table and not self._table[name].hidden:
+                slots = tuple(self._table[name].slots)
             for command in _COMMANDS:
                 if _MODE in slots or slots[0] in command:
                     spoiled.update(command)

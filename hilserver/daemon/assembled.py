@@ -65,7 +65,9 @@ class Assembly:
         try:
             return self.config.mechatronic.body(self.robot, BODY_PERIOD_MS * 1e-3)
         except PlantError as error:
-            raise ConfigError(str(error)) from None
+            key, _, why = str(error).partition(": ")
+            where = place(self.path, key.split("."))
+            raise ConfigError(where + why) from None
 
     @contextmanager
     def at(self, *location: str | int) -> Iterator[None]:

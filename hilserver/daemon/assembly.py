@@ -186,7 +186,37 @@ class _AssemblyBuilder:
                 and (entry := self._patch.entry_at(key)) is not None
             ):
                 raise self._patch.refusal(entry, rest) from None
-            raise self._fail(key.split("."), rest) from None
+            cause = self._cause(periods_s) if key == "plant.slice" else None
+            raise self._fail(cause or key.split("."), rest) from None
+
+    def _cause(self, periods_s: Mapping[str, float]) -> Sequence[str] | None:
+        """Return the key without which the wheel loop would be stable, if it is only one.
+
+        The loop is refused at the slice whose period it does not stand, but whoever has given a
+        gain looks for the mistake there.
+        """
+        plant = self._config.plant
+        for name in ("controller", "process"):
+            part = getattr(plant, name)
+            fields = type(part).model_fields
+            for key in sorted(part.model_fields_set):
+                usual = {key: fields[key].default}
+                tried = plant.changed(**{name: usual})
+                try:
+                    to_parameters(
+                        tried,
+                        self._config.kinematics,
+                        self._config.sensors,
+                        periods_s,
+                        self._folder,
+                    )
+                except PlantError:
+                    continue
+                return ("plant", name, key)
+        scheduler = self._config.scheduler
+        given = scheduler.model_fields_set
+        is_given = "slices" in given and plant.slice == "plant"
+        return ("scheduler", "slices", plant.slice) if is_given else None
 
     def _body(
         self, robot: RobotParameters, periods_s: Mapping[str, float]
@@ -206,9 +236,14 @@ class _AssemblyBuilder:
         section, sensors = self._config.observer, self._config.sensors
         if not section.enabled:
             return None
-        found = (
-            None if section.noise is None else load_found(self._folder / section.noise)
-        )
+        try:
+            found = (
+                None
+                if section.noise is None
+                else load_found(self._folder / section.noise)
+            )
+        except ConfigError as error:
+            raise self._fail(("observer", "noise"), str(error)) from None
         try:
             c = constants_of(robot, found, section.readmit_after)
         except PlantError as error:

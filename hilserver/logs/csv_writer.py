@@ -6,6 +6,7 @@ origin of the log and holds the states to replay from. If parameters changed,
 ``run.csv.parameters.jsonl`` holds their new values.
 """
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -70,6 +71,7 @@ class CsvWriter:
                 file.writelines(
                     f"{sparse.as_text(change)}\n" for change in batch.changes
                 )
+            self._make_as_open(changes_path(self._path))
 
     def add_state(self, state: State) -> None:
         """Append a state to replay from."""
@@ -84,6 +86,12 @@ class CsvWriter:
     def _write_meta(self) -> None:
         with whole(meta_path(self._path)) as partial:
             partial.write_text(pack_meta(self._run, self._states), encoding="utf-8")
+        self._make_as_open(meta_path(self._path))
+
+    def _make_as_open(self, beside: Path) -> None:
+        """Let those read a file next to the log who can read the log, and nobody else."""
+        with contextlib.suppress(OSError):
+            beside.chmod(self._path.stat().st_mode & 0o777)
 
     def flush(self) -> None:
         """Nothing is buffered."""

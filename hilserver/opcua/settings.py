@@ -181,7 +181,7 @@ class OpcUaSettings(_Checked):
         default=None, description="Key file, if it is not own/key.pem in that folder"
     )
     users: tuple[OpcUaUser, ...] = Field(default=(), description="Who may log in")
-    anonymous: RoleName | Literal["nobody"] | None = Field(
+    anonymous: Literal[RoleName, "nobody"] | None = Field(
         default=None,
         description="Role of an anonymous client; default: engineer on loopback without users,"
         " otherwise nobody",

@@ -103,7 +103,7 @@ def test_help_of_every_action_has_an_example(command, monkeypatch):
         ),
         (
             "scheduler:\n  slices: {plant: 15}\n",
-            "config.yaml:1: plant.slice: slice 'plant' has 15 ms",
+            "config.yaml:5: scheduler.slices.plant: slice 'plant' has 15 ms",
         ),
         ("sensors:\n  imu: {slice: fast}\n", "there is no plant-side slice 'fast'"),
         (

@@ -24,7 +24,6 @@ def test_without_a_name_it_lists_the_experiments(capsys):
 @pytest.mark.parametrize(
     ("words", "sentence", "code"),
     [
-        (["5.6"], "no experiment is called '5.6'; did you mean '5.6.", 1),
         (
             ["--measured", "a.csv"],
             "a.csv: name its experiment, too: one of 5.2.1, 5.2.2",
@@ -42,6 +41,14 @@ def test_a_mistake_is_one_sentence(here, capsys, words, sentence, code):
     said = capsys.readouterr().err
     assert sentence in said
     assert said.count("\n") == 1
+
+
+def test_an_unknown_name_is_a_mistake_in_the_command_line(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["experiment", "5.6"])
+    assert ended.value.code == 2
+    sentence = "no experiment is called '5.6'; did you mean '5.6."
+    assert sentence in capsys.readouterr().err
 
 
 def test_without_mujoco_it_drives_the_planar_plant_and_says_what_is_missing(

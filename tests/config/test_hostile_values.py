@@ -16,7 +16,7 @@ from hilserver.plant.errors import PlantError
     [
         (
             "plant:\n  wheel_radius_m: 1e-320\n",
-            r":2: plant\.wheel_radius_m: '1e-320' is not valid",
+            r":2: plant\.wheel_radius_m: 1e-320 is not valid",
         ),
         ("control:\n  command_timeout_ms: 12:30:00\n", ":2: .*12:30:00.*base-60"),
         ("scheduler:\n  slices: {plannt: 1}\n", ":2: .*'plannt' looks like 'plant'"),

@@ -93,7 +93,7 @@ def complaint(tmp_path, text):
         ),
         (
             "scheduler: {slices: {plant: 1e300}}\n",
-            ":1: scheduler.slices.plant: '1e300' is not valid",
+            ":1: scheduler.slices.plant: 1e+300 is not valid",
         ),
         (
             "scheduler:\n  communication_timeout_ms: 10\n",

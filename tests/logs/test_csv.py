@@ -27,6 +27,17 @@ def written(path, *batches, states=()):
     return path
 
 
+def test_what_lies_beside_a_log_is_as_open_as_the_log(tmp_path):
+    path = written(tmp_path / "run.csv", batch_of(ramp(3)))
+    modes = {beside.stat().st_mode & 0o777 for beside in (path, meta_path(path))}
+    assert modes == {path.stat().st_mode & 0o777}
+    path.chmod(0o600)
+    written(path, batch_of(ramp(3)))
+    assert (
+        meta_path(path).stat().st_mode & 0o777 == path.stat().st_mode & 0o777 == 0o600
+    )
+
+
 @settings(max_examples=50, deadline=None)
 @given(
     st.lists(

@@ -207,9 +207,9 @@ class RobotApplication(Application):
         if name not in self._table:
             return False
         signal = self._table[name]
-        return isinstance(
-            check_value(signal, _plain(signal, item.Value.Value)), Refusal
-        )
+        value = _plain(signal, item.Value.Value)
+        checked = check_value(signal, value)
+        return isinstance(checked, Refusal)
 
     def _change(
         self,

@@ -1,18 +1,20 @@
-"""Certificates, keys and passwords of a configuration, checked before anything starts."""
+"""The one validation of a configuration that `check` and `run` share, before anything starts."""
 
 from hilserver.commands.options import warn
 from hilserver.daemon.assembly import Assembly
+from hilserver.daemon.soundness import check_sound
 from hilserver.io.edge.credentials import credentials
 from hilserver.io.opcua_client.security import LinkSecurity
 from hilserver.io.page.listening import key_notice, tls_context
 from hilserver.opcua.server import own_certificate
 
 
-def check_credentials(assembly: Assembly) -> None:
-    """Refuse files that server, peers, databus or page could not use.
+def validate(assembly: Assembly) -> None:
+    """Refuse what can never work, and files that server, peers, databus or page could not use.
 
     ConfigError has file, line and key of the configuration, and what to do.
     """
+    check_sound(assembly)
     config, folder = assembly.config, assembly.folder
     if config.opcua.enabled and config.opcua.needs_certificate:
         with assembly.at("opcua"):
@@ -28,7 +30,7 @@ def check_credentials(assembly: Assembly) -> None:
 
 
 def check_page(assembly: Assembly) -> None:
-    """Like `check_credentials` for the page alone; warn of a key that others can read."""
+    """Like `validate` for the page alone; warn of a key that others can read."""
     tls = assembly.config.page.tls
     if tls is not None:
         with assembly.at("page", "tls"):
