@@ -2,6 +2,7 @@
 
 import asyncio
 import hashlib
+import shutil
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -53,9 +54,11 @@ class Life:
         town.loop.chance.seed(seed)
         self.town, self.seed, self.seconds = town, seed, seconds
         self.chance = town.loop.chance
-        folder = town.folder / f"seed {seed}"
-        folder.mkdir(exist_ok=True)
-        self.disk = Disk(folder, town.folder / f"after {seed}", self.chance)
+        folder, after = (town.folder / f"{name} {seed}" for name in ("seed", "after"))
+        for left in (folder, after):  # by another mutant's life of this seed
+            shutil.rmtree(left, ignore_errors=True)
+        folder.mkdir()
+        self.disk = Disk(folder, after, self.chance)
         self.recorder: Recorder | None = None
         self.disk.on_power_loss = self._note_safe
         self._safe = 0  # frames of the recording that survive the loss of power
