@@ -59,13 +59,10 @@ class _Prolonging:
 
     def __init__(self, wait: asyncio.Timeout, limit_s: float, at_most_s: float) -> None:
         self._wait, self._loop = wait, asyncio.get_running_loop()
-        begun_s = self._loop.time()
-        self._ends_s, self._last_s = begun_s + limit_s, begun_s + at_most_s
-        self._plan(begun_s)
-
-    def _plan(self, now_s: float) -> None:
-        self._due_s = min(now_s + _TURN_S, self._ends_s)
-        self._timer = self._loop.call_at(self._due_s, self._look)
+        self._timer: asyncio.TimerHandle | None = None
+        self._due_s = self._loop.time()
+        self._ends_s, self._last_s = self._due_s + limit_s, self._due_s + at_most_s
+        self._look()
 
     def _look(self) -> None:
         now_s = self._loop.time()
@@ -74,11 +71,13 @@ class _Prolonging:
             # What has come meanwhile is still to be read: one look more at least.
             ends_s = max(self._ends_s + lost_s, now_s + _TURN_S)
             self._ends_s = min(ends_s, self._last_s)
-        if now_s < self._ends_s:
-            self._plan(now_s)
-        else:
+        if now_s >= self._ends_s:
             self._wait.reschedule(now_s)
+            return
+        self._due_s = min(now_s + _TURN_S, self._ends_s)
+        self._timer = self._loop.call_at(self._due_s, self._look)
 
     def stop(self) -> None:
         """Leave the wait as it is."""
-        self._timer.cancel()
+        if self._timer is not None:
+            self._timer.cancel()

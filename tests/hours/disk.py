@@ -36,6 +36,7 @@ class Disk:
         self.folder, self.after, self.chance = folder.resolve(), after, chance
         self.trouble = ""  # what it does now, one of `TROUBLES`
         self.was_in_trouble = False
+        self.on_power_loss: Callable[[], None] = lambda: None
         self._last_call = chance.choice(list(CALLS))
         self._calls_left = chance.randint(1, CALLS[self._last_call])
         self._synced: dict[int, int] = {}  # by inode: bytes that are safe
@@ -93,6 +94,7 @@ class Disk:
 
     def lose_power(self) -> None:
         """Make the folder of what is found when the power comes back."""
+        self.on_power_loss()
         for path in sorted(self.folder.rglob("*")):
             name = path.relative_to(self.folder)
             if path.is_dir() or name.parts[0] == HIDDEN:

@@ -2,6 +2,7 @@
 
 import asyncio
 import hashlib
+import shutil
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -53,9 +54,14 @@ class Life:
         town.loop.chance.seed(seed)
         self.town, self.seed, self.seconds = town, seed, seconds
         self.chance = town.loop.chance
-        folder = town.folder / f"seed {seed}"
-        folder.mkdir(exist_ok=True)
-        self.disk = Disk(folder, town.folder / f"after {seed}", self.chance)
+        folder, after = (town.folder / f"{name} {seed}" for name in ("seed", "after"))
+        for left in (folder, after):  # by another mutant's life of this seed
+            shutil.rmtree(left, ignore_errors=True)
+        folder.mkdir()
+        self.disk = Disk(folder, after, self.chance)
+        self.recorder: Recorder | None = None
+        self.disk.on_power_loss = self._note_safe
+        self._safe = 0  # frames of the recording that survive the loss of power
         put_under(self.disk)
         town.daemon.core.snapshots._folder = folder / SNAPSHOTS
         self.ledger = Ledger()
@@ -64,7 +70,6 @@ class Life:
         self.users = [self._user(number) for number in range(self.chance.randint(2, 5))]
         self.users.append(Watcher("watcher", town, self.ledger))
         self.judges.hands = {user.name for user in self.users if user.is_hand}
-        self.recorder: Recorder | None = None
         if seed % RECORDED_EVERY == 0:
             town.is_recorded = True
             self.recorder = recorder_of(town.image, folder / RECORDING)
@@ -108,12 +113,16 @@ class Life:
             except FailedError as error:
                 if not disk.was_in_trouble:
                     found.append(str(error))
-        for folder in (disk.folder, disk.after):
+        for folder, safe in ((disk.folder, 1), (disk.after, self._safe)):
             found += damaged(folder / SNAPSHOTS)
             recording = folder / RECORDING
-            if recording.exists() and (where := difference(recording)):
+            if recording.exists() and (where := difference(recording, safe)):
                 found.append(f"the replay of {recording} differs: {where}")
         found += [f"{path} is left" for path in disk.folder.rglob("*.part")]
+
+    def _note_safe(self) -> None:
+        if self.recorder is not None:
+            self._safe = self.recorder._writing.safe
 
     def story(self) -> Iterator[str]:
         """Yield what the daemon said, and what users did: when, and when that came and was read."""

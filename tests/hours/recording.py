@@ -5,7 +5,7 @@ from pathlib import Path
 
 import hilserver.io.recorder.recorder
 from hilserver.core.snapshot import read_snapshot
-from hilserver.errors import ControlRefused
+from hilserver.errors import ControlRefused, LogError
 from hilserver.io.recorder.recorder import Recorder
 from hilserver.io.recorder.series import Settings
 from hilserver.io.recorder.write_behind import Item, WriteBehind
@@ -16,9 +16,12 @@ from hilserver.replay import Comparison, Engine, assembly_of, plan_exact
 class WriteAtOnce(WriteBehind):
     """Writes what it gets, and hands it to the disk, before it returns; it needs no thread."""
 
+    safe = 0  # frames that the disk has for good while it writes the next ones
+
     def put(self, item: Item, *, wait: bool = False) -> bool:
         if self.error is not None:
             return False
+        self.safe = self.written
         super().put(item, wait=wait)
         try:
             self._closing = True  # with what there is, it is done
@@ -59,13 +62,21 @@ def damaged(snapshots: Path) -> list[str]:
     return found
 
 
-def difference(path: Path) -> str:
-    """Replay a recording; return where its outputs differ, empty if nowhere."""
-    return asyncio.run(_difference(path))
+def difference(path: Path, safe: int = 1) -> str:
+    """Replay a recording; return where its outputs differ, empty if nowhere.
+
+    `safe`: so many frames the disk had for good; without any, there may be nothing to replay.
+    """
+    try:
+        return asyncio.run(_difference(path, safe))
+    except LogError as error:
+        return str(error) if safe else ""
 
 
-async def _difference(path: Path) -> str:
+async def _difference(path: Path, safe: int) -> str:
     log = read_log(path)
+    if len(log.t_s) < safe:
+        return f"{len(log.t_s)} frames are left of {safe}"
     assembly = assembly_of(log, None)
     period_ns = assembly.base_period_ns
     async with Engine(assembly) as engine:

@@ -207,6 +207,15 @@ class User:
             await self.command(self.speed.rpm)
             await asyncio.sleep(self.every_s * self.chance.uniform(0.5, 1.2))
 
+    async def do_return(self) -> None:
+        """Drive, hand control over, and take it back without another word."""
+        await self.do_take()
+        await self._hold_stick(self.chance.randint(2, 4))
+        await self.do_give()
+        await asyncio.sleep(self.chance.uniform(0.0, 2.0))
+        await self.do_take()
+        await asyncio.sleep(self.chance.uniform(0.1, 1.0))
+
     async def do_stop(self) -> None:
         await self.act("Stop")
 
@@ -241,7 +250,7 @@ class Program(User):
 
     acts = (
         (4, "take"), (8, "drive"), (1, "give"), (1, "stop"), (2, "reset"), (1, "start"),
-        (3, "snapshot"),
+        (3, "snapshot"), (3, "return"),
         (1, "cut"), (1, "vanish"), (1, "freeze"), (1, "leave"),
     )  # fmt: skip
 
@@ -252,7 +261,7 @@ class Terminal(User):
     kind, lease_ms, every_s, is_hand = "opcua", HAND_LEASE_MS, 0.1, True
     description = "teleop hours"
     acts = (
-        (4, "take"), (8, "drive"), (1, "stop"), (2, "reset"),
+        (4, "take"), (8, "drive"), (2, "return"), (1, "stop"), (2, "reset"),
         (1, "cut"), (1, "vanish"), (2, "freeze"), (1, "leave"),
     )  # fmt: skip
 
@@ -262,7 +271,7 @@ class Browser(User):
 
     kind, lease_ms, every_s, is_hand = "page", HAND_LEASE_MS, 0.1, True
     acts = (
-        (4, "take"), (10, "drive"), (1, "give"), (1, "stop"), (3, "reset"),
+        (4, "take"), (10, "drive"), (1, "give"), (2, "return"), (1, "stop"), (3, "reset"),
         (1, "pause"), (1, "snapshot"), (1, "cut"), (1, "vanish"), (2, "freeze"), (1, "leave"),
     )  # fmt: skip
 
